@@ -1,0 +1,72 @@
+# make tables   the whole chain on the virtual rig: Tables 8 and 9 beside the published ones
+# make test     style, types and tests
+# make fixtures store the fixtures anew; make bench measures speed; make clean removes results
+
+PYTHON ?= python3
+RECIPE ?= recipes/briaire-2006.toml
+BUILD ?= build
+SET ?=
+RIGTOOL := .venv/bin/rigtool
+INSTALLED := .venv/installed
+MEASURE = --overwrite $(foreach value,$(SET),--set $(value))
+PULLEY = --set rig.attachment=pulley
+
+RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
+	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
+
+.PHONY: tables test fixtures bench clean
+.DELETE_ON_ERROR:
+
+tables: $(BUILD)/report/index.html
+	@cat $(BUILD)/report/tables.txt
+
+$(INSTALLED): requirements.lock pyproject.toml
+	$(PYTHON) -m venv .venv
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check \
+		--no-deps --no-build-isolation --editable .
+	touch $@
+
+$(BUILD):
+	mkdir -p $@
+
+$(BUILD)/kt.h5: $(RECIPE) | $(INSTALLED) $(BUILD)
+	$(RIGTOOL) calibrate-kt $< -o $@ $(MEASURE)
+
+$(BUILD)/friction.h5: $(RECIPE) $(BUILD)/kt.h5
+	$(RIGTOOL) stribeck $< --kt $(BUILD)/kt.h5 -o $@ $(MEASURE)
+
+$(BUILD)/ripple.h5: $(RECIPE) $(BUILD)/kt.h5
+	$(RIGTOOL) fft-ripple $< --kt $(BUILD)/kt.h5 -o $@ $(MEASURE)
+
+$(BUILD)/tables-instrument.h5: $(RECIPE) $(BUILD)/kt.h5
+	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 -o $@ $(MEASURE)
+
+$(BUILD)/tables-pulley.h5: $(RECIPE) $(BUILD)/kt.h5
+	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 $(PULLEY) -o $@ $(MEASURE)
+
+$(BUILD)/force-instrument.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/tables-instrument.h5
+	$(RIGTOOL) measure-force $< --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-instrument.h5 \
+		-o $@ $(MEASURE)
+
+$(BUILD)/force-pulley.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/tables-pulley.h5
+	$(RIGTOOL) measure-force $< --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-pulley.h5 \
+		$(PULLEY) -o $@ $(MEASURE)
+
+$(BUILD)/report/index.html: $(RUNS)
+	$(RIGTOOL) report $(RUNS) -o $(BUILD)/report --overwrite -q
+
+test: $(INSTALLED)
+	.venv/bin/ruff check .
+	.venv/bin/ruff format --check .
+	.venv/bin/mypy
+	.venv/bin/pytest
+
+fixtures: $(INSTALLED)
+	.venv/bin/python tests/fixtures/make.py
+
+bench: $(INSTALLED)
+	.venv/bin/python benchmarks/bench.py
+
+clean:
+	rm -rf $(BUILD)

@@ -1,0 +1,5 @@
+"""`python -m rigtool`."""
+
+from rigtool.cli import main
+
+main()

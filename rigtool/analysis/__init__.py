@@ -1,0 +1,1 @@
+"""Pure numerics: arrays in, frozen dataclasses out. Knows no file, no command line, no recipe."""

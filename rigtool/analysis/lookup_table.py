@@ -1,0 +1,117 @@
+"""Disturbance torque by position and speed, as the learned table holds it [Fig. 49, 53].
+
+torque(p, v) = bilinear interpolation in the table; below the lowest learned speed the row of that
+speed, multiplied by the amplitude table. Position and speed are clamped to the learned range: the
+table does not extrapolate, `covers` says where it is valid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LookupTable:
+    """A learned table.
+
+    `position` (n,) rad, uniform and rising; `speed` (m,) rad/s, rising, without zero; `torque`
+    (m, n) N m. `low_speed` (k,) rad/s starts at 0 and ends at the lowest learned speed;
+    `amplitude` (k,) multiplies the row of that speed, in either direction. A direction that was
+    not learned has torque zero, and is not covered. Raises ValueError where this does not hold.
+    """
+
+    position: Array
+    speed: Array
+    torque: Array
+    low_speed: Array
+    amplitude: Array
+    _speeds: Array = field(init=False, repr=False)
+    _rows: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._check()
+        speeds, rows = self._with_low_speeds()
+        object.__setattr__(self, "_speeds", speeds)
+        object.__setattr__(self, "_rows", rows)
+
+    def evaluate(self, position: Array, speed: Array) -> Array:
+        """Return the torque at each set point (n,), N m; positions outside are clamped."""
+        start, count = self.position[0], self.position.size
+        step = (self.position[-1] - start) / (count - 1)
+        # Both coordinates in entries of the table; the cell is the one to the lower left.
+        across = np.clip((position - start) / step, 0.0, count - 1.0)
+        along = np.interp(speed, self._speeds, np.arange(float(self._speeds.size)))
+        column = np.minimum(across.astype(np.int64), count - 2)
+        row = np.minimum(along.astype(np.int64), self._speeds.size - 2)
+        across -= column
+        along -= row
+        cell = row * count + column
+        flat = self._rows.ravel()
+        lower, upper = flat[cell], flat[cell + count]
+        lower += across * (flat[cell + 1] - lower)
+        upper += across * (flat[cell + count + 1] - upper)
+        upper -= lower
+        upper *= along
+        lower += upper
+        torque: Array = lower
+        return torque
+
+    def covers(self, position: Array, speed: Array) -> NDArray[np.bool_]:
+        """Say for each set point (n,) whether it lies within what was learned."""
+        # A set point at the edge may be off by rounding: allow a millionth of a step.
+        step = (self.position[-1] - self.position[0]) / (self.position.size - 1)
+        within = (position >= self.position[0] - 1e-6 * step) & (
+            position <= self.position[-1] + 1e-6 * step
+        )
+        slack = 1e-6 * self.low_speed[-1]
+        within &= (speed >= self._speeds[0] - slack) & (speed <= self._speeds[-1] + slack)
+        covered: NDArray[np.bool_] = within
+        return covered
+
+    def _with_low_speeds(self) -> tuple[Array, Array]:
+        """Write the amplitude table out as rows of their own, so that one interpolation does.
+
+        Amplitude times row is linear between low speeds, as a bilinear table is.
+        """
+        negative, positive = self.speed < 0, self.speed > 0
+        speeds, rows = [np.zeros(1)], [np.zeros((1, self.position.size))]
+        if positive.any():
+            low = self.amplitude[1:-1, None] * self.torque[positive][0]
+            speeds += [self.low_speed[1:-1], self.speed[positive]]
+            rows += [low, self.torque[positive]]
+        if negative.any():
+            low = self.amplitude[-2:0:-1, None] * self.torque[negative][-1]
+            speeds = [self.speed[negative], -self.low_speed[-2:0:-1], *speeds]
+            rows = [self.torque[negative], low, *rows]
+        return np.concatenate(speeds), np.ascontiguousarray(np.concatenate(rows))
+
+    def _check(self) -> None:
+        for name in ("position", "speed", "torque", "low_speed", "amplitude"):
+            values = np.asarray(getattr(self, name), dtype=np.float64)
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name} of a lookup table holds values that are not finite")
+            object.__setattr__(self, name, values)
+        steps = np.diff(self.position)
+        if steps.size < 1 or not (steps > 0).all() or np.ptp(steps) > 1e-6 * steps.max():
+            raise ValueError("positions of a lookup table must rise in equal steps")
+        if self.speed.size < 1 or not (np.diff(self.speed) > 0).all() or (self.speed == 0).any():
+            raise ValueError("speeds of a lookup table must rise and not contain zero")
+        shape = (self.speed.size, self.position.size)
+        if self.torque.shape != shape:
+            raise ValueError(f"torque of a lookup table has shape {self.torque.shape}, not {shape}")
+        low = self.low_speed
+        if low.size < 2 or low.shape != self.amplitude.shape or not (np.diff(low) > 0).all():
+            raise ValueError("low speeds of a lookup table must rise, each with an amplitude")
+        lowest = np.abs(self.speed).min()
+        if low[0] != 0 or not np.isclose(low[-1], lowest, rtol=1e-9, atol=0):
+            raise ValueError(
+                f"low speeds of a lookup table must run from 0 to {lowest}, "
+                f"got {low[0]} to {low[-1]}"
+            )
+        if self.amplitude[0] != 0 or self.amplitude[-1] != 1:
+            raise ValueError("the amplitude table must start at 0 and end at 1")

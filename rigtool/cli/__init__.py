@@ -1,0 +1,126 @@
+"""The command line: `rigtool COMMAND`. Each command's module is imported when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import keyword
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from types import FrameType
+from typing import NoReturn
+
+import click
+
+from rigtool.errors import RigtoolError
+
+COMMANDS = {
+    "calibrate-kt": "Find the torque constant against temperature.",
+    "stribeck": "Find friction: Coulomb, viscous, static, and breakaway around the turn.",
+    "fft-ripple": "Measure torque ripple by order of rotation, speed and torque.",
+    "ilc-learn": "Learn the disturbance that repeats with position and speed.",
+    "measure-force": "Measure known loads, reading force from current.",
+    "report": "Write tables, figures and one page from any run files.",
+    "import": "Make run files of measured data from other rigs.",
+    "info": "Show what a run file holds.",
+    "recover": "Make a run file of what an interrupted run left.",
+    "verify": "Check run files and all they were made from.",
+    "diff": "Say what two runs disagree on.",
+    "export": "Write a run as CSV, MATLAB or netCDF file.",
+}
+"""Commands in the order of use, each with the first line of its help. The command itself is the
+object `command` of the module that `module_name` tells."""
+
+
+def module_name(command: str) -> str:
+    """Return the module of a command: underscores for hyphens, one behind a word of Python."""
+    name = command.replace("-", "_")
+    return f"{name}_" if keyword.iskeyword(name) else name
+
+
+class Terminated(BaseException):
+    """SIGTERM arrived: files are closed on the way out, as with Ctrl-C."""
+
+
+class LazyGroup(click.Group):
+    """Lists commands without importing them: `rigtool --help` needs click only."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names in the order of use."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return a command, None where there is none of this name."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"rigtool.cli.{module_name(cmd_name)}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of commands into the help."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="\b\nExample:\n  rigtool info kt.h5",
+)
+@click.version_option(package_name="rigtool", prog_name="rigtool")
+@click.option("--debug", is_flag=True, expose_value=False, help="Show tracebacks of errors.")
+def rigtool() -> None:
+    """Turn a motor, an encoder and a current amplifier into a force sensor.
+
+    Commands measure on the rig of a recipe (.toml) or analyse stored runs (.h5) again. Data go to
+    stdout, everything else to stderr.
+
+    Exit codes: 0 done; 1 failed while running; 2 usage; 3 bad recipe or run file; 4 the data do
+    not carry the result; 5 hardware.
+    """
+
+
+def main(argv: Sequence[str] | None = None) -> NoReturn:
+    """Run the command line and exit with its code; errors become messages on stderr."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False)
+    except BaseException as error:
+        if "--debug" in arguments:
+            traceback.print_exc()
+        sys.exit(_report(error))
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _report(error: BaseException) -> int:
+    """Say on stderr what went wrong; return the exit code."""
+    if isinstance(error, SystemExit):
+        return error.code if isinstance(error.code, int) else 1
+    if isinstance(error, click.ClickException):
+        error.show()
+        return error.exit_code
+    if isinstance(error, click.Abort):  # click's name for Ctrl-C
+        return _say(error.__cause__ or error, "interrupted", 130)
+    if isinstance(error, KeyboardInterrupt):
+        return _say(error, "interrupted", 130)
+    if isinstance(error, Terminated):
+        return _say(error, "terminated", 143)
+    if isinstance(error, RigtoolError):
+        return _say(error, f"Error: {error}", error.exit_code)
+    if isinstance(error, OSError):  # e.g. stdout leads to a full disk
+        return _say(error, f"Error: the system refused: {error}; --debug shows where", 1)
+    what = f"{type(error).__name__}: {error}"
+    return _say(error, f"internal error, run with --debug to see where: {what}", 1)
+
+
+def _say(error: BaseException, message: str, code: int) -> int:
+    for line in (message, *getattr(error, "__notes__", ())):
+        click.echo(line, err=True)
+    return code
+
+
+def _terminate(signum: int, frame: FrameType | None) -> None:
+    raise Terminated

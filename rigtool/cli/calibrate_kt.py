@@ -1,0 +1,29 @@
+"""rigtool calibrate-kt."""
+
+from __future__ import annotations
+
+import click
+
+from rigtool.cli.options import common_options, example, source_arguments
+from rigtool.procedures.options import CommonOptions
+
+
+@click.command(
+    "calibrate-kt", epilog=example("rigtool calibrate-kt recipes/briaire-2006.toml -o kt.h5")
+)
+@source_arguments
+@common_options
+def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:
+    """Find the torque constant against temperature.
+
+    SOURCE is a recipe (measure staircases of current against a force gauge, then analyse) or run
+    files of this command (analyse their signals again, pooled). Reported are the amplifier's
+    linearity, the torque constant at 20 degC, its temperature coefficient, and what one constant
+    value costs over the reference range.
+    """
+    from rigtool.cli.printing import print_outcome
+    from rigtool.procedures import calibrate_kt
+    from rigtool.procedures.session import run_command
+
+    outcome = run_command(calibrate_kt, sources, output, options=options, inputs={})
+    print_outcome(outcome, output, options)

@@ -1,0 +1,33 @@
+"""`rigtool diff`: what two runs disagree on."""
+
+from __future__ import annotations
+
+import click
+
+from rigtool.cli.options import debug_option, example
+
+
+@click.command(epilog=example("rigtool diff kt.h5 kt-again.h5 --rtol 1e-6"))
+@click.argument("first", metavar="RUN.h5")
+@click.argument("second", metavar="RUN.h5")
+@click.option("--rtol", type=click.FloatRange(min=0), default=0.0, help="Relative tolerance.")
+@click.option("--atol", type=click.FloatRange(min=0), default=0.0, help="Absolute one, SI.")
+@debug_option
+@click.pass_context
+def command(ctx: click.Context, first: str, second: str, rtol: float, atol: float) -> None:
+    """Say what two runs disagree on.
+
+    Compares results, tables and signals; provenance and remarks are left out. Values agree where
+    they differ by at most atol + rtol * the larger one. Exit code 1 if anything differs.
+    """
+    from rigtool.runfile import open_run
+    from rigtool.runfile.comparison import Tolerance, differences
+
+    differ = False
+    with open_run(first) as one, open_run(second) as other:
+        for line in differences(one, other, Tolerance(rtol, atol)):
+            click.echo(line)
+            differ = True
+    if differ:
+        ctx.exit(1)
+    click.echo("no difference", err=True)

@@ -1,0 +1,43 @@
+"""`rigtool fft-ripple`: torque ripple by order of rotation."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from rigtool.cli.options import (
+    common_options,
+    example,
+    open_inputs,
+    run_option,
+    source_arguments,
+)
+
+if TYPE_CHECKING:
+    from rigtool.procedures.options import CommonOptions
+
+
+@click.command(
+    epilog=example(
+        "rigtool fft-ripple recipes/briaire-2006.toml --kt kt.h5 -o ripple.h5",
+        "rigtool fft-ripple imported/comp_0.h5 imported/nocomp_0.h5 -o ripple.h5",
+    )
+)
+@source_arguments
+@run_option("--kt", "Run of calibrate-kt: current to torque; needed but for imported runs.")
+@common_options
+def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:
+    """Measure torque ripple by order of rotation, speed and torque.
+
+    Turns the bare motor steadily at each speed, under each constant torque and after restarts of
+    the amplifier; separates what repeats from what does not. Thesis section 7.1.3. Imported runs
+    are grouped by their conditions, and compared by order; imported maps with each other.
+    """
+    from rigtool.cli.printing import print_outcome
+    from rigtool.procedures import fft_ripple
+    from rigtool.procedures.session import run_command
+
+    with open_inputs(kt=kt) as inputs:
+        outcome = run_command(fft_ripple, sources, output, options=options, inputs=inputs)
+    print_outcome(outcome, output, options)

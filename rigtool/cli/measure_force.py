@@ -1,0 +1,41 @@
+"""`rigtool measure-force`: known loads, force from current."""
+
+from __future__ import annotations
+
+import click
+
+from rigtool.cli.options import (
+    common_options,
+    example,
+    open_inputs,
+    run_option,
+    source_arguments,
+)
+from rigtool.procedures.options import CommonOptions
+
+
+@click.command(
+    epilog=example(
+        "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5"
+    )
+)
+@source_arguments
+@run_option("--kt", "Run file of calibrate-kt.", required=True)
+@run_option("--tables", "Run file of ilc-learn, of this rig and attachment.", required=True)
+@common_options
+def command(
+    sources: tuple[str, ...], output: str, kt: str, tables: str, options: CommonOptions
+) -> None:
+    """Measure known loads, reading force from current.
+
+    Lifts and lowers each load of the recipe with the learned table switched on; reads the torque at
+    one angle of each rising stroke: mean, scatter, error. With an instrument, also friction that
+    grows with load, and stiffness.
+    """
+    from rigtool.cli.printing import print_outcome
+    from rigtool.procedures import measure_force
+    from rigtool.procedures.session import run_command
+
+    with open_inputs(kt=kt, tables=tables) as inputs:
+        outcome = run_command(measure_force, sources, output, options=options, inputs=inputs)
+    print_outcome(outcome, output, options)

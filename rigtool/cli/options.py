@@ -1,0 +1,106 @@
+"""Options that commands share, defined once.
+
+A measuring command reads:
+
+    @click.command(epilog=example("rigtool stribeck recipes/briaire-2006.toml --kt kt.h5 -o f.h5"))
+    @source_arguments
+    @run_option("--kt", "run file of calibrate-kt")
+    @common_options
+    def command(sources, output, kt, options): ...
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rigtool.procedures.options import CommonOptions
+
+if TYPE_CHECKING:
+    from rigtool.runfile import Run
+
+Function = Callable[..., Any]
+
+
+def example(*lines: str) -> str:
+    """Return the epilog of a command's help: lines that a user can run as they are."""
+    return "\n".join(["\b", "Example:", *(f"  {line}" for line in lines)])
+
+
+def source_arguments(function: Function) -> Function:
+    """Add `sources`, a tuple of one or more paths, and `output`, a path."""
+    function = click.option(
+        "-o", "--output", required=True, metavar="RUN.h5", help="Run file to write."
+    )(function)
+    return click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")(function)
+
+
+def run_option(name: str, what: str, *, required: bool = False) -> Callable[[Function], Function]:
+    """Add an option that takes one run file; its path arrives as a string or None."""
+    return click.option(name, required=required, metavar="RUN.h5", help=what)
+
+
+debug_option = click.option(
+    "--debug", is_flag=True, expose_value=False, help="Show tracebacks of errors."
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
+quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors only.")
+overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+
+
+def common_options(function: Function) -> Function:
+    """Add the shared options; they arrive together as `options`, a `CommonOptions`."""
+
+    @debug_option
+    @click.option(
+        "--set",
+        "overrides",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Change a value of the recipe, e.g. rig.attachment=pulley.",
+    )
+    @click.option("--seed", type=click.IntRange(min=0), help="Seed of the virtual rig.")
+    @overwrite_option
+    @click.option("--no-progress", is_flag=True, help="Draw no progress bars.")
+    @quiet_option
+    @json_option
+    @functools.wraps(function)
+    def collected(
+        *args: Any,
+        as_json: bool,
+        quiet: bool,
+        no_progress: bool,
+        overwrite: bool,
+        seed: int | None,
+        overrides: tuple[str, ...],
+        **kwargs: Any,
+    ) -> Any:
+        options = CommonOptions(
+            json=as_json,
+            quiet=quiet,
+            progress=sys.stderr.isatty() and not quiet and not no_progress,
+            overwrite=overwrite,
+            seed=seed,
+            overrides=overrides,
+        )
+        return function(*args, options=options, **kwargs)
+
+    return collected
+
+
+@contextmanager
+def open_inputs(**paths: str | None) -> Iterator[dict[str, Run]]:
+    """Open the run files that were given, by the name of their option; None is left out."""
+    from rigtool.runfile import open_run
+
+    with ExitStack() as stack:
+        yield {
+            name: stack.enter_context(open_run(path))
+            for name, path in paths.items()
+            if path is not None
+        }

@@ -1,0 +1,106 @@
+"""Results on stdout: for people with units and uncertainty, or as strict JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rigtool.quantity import Quantity, format_quantity
+from rigtool.runfile import Table, open_run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from rigtool.procedures.options import CommonOptions
+    from rigtool.procedures.outcome import Outcome
+
+
+def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) -> None:
+    """Print what a command found and stored in `output`: results on stdout, remarks on stderr."""
+    if options.json:
+        with open_run(output) as run:
+            origin = run.provenance
+        click.echo(to_json(outcome.results, outcome.tables, origin, outcome.notes))
+        return
+    if options.quiet:
+        return
+    for line in result_lines(outcome.results):
+        click.echo(line)
+    for note in outcome.notes:
+        click.echo(f"Note: {note}", err=True)
+    click.echo(f"Written: {output}", err=True)
+
+
+def to_json(
+    results: Mapping[str, Quantity],
+    tables: Mapping[str, Table],
+    provenance: Mapping[str, Any],
+    notes: Sequence[str],
+    **more: Any,
+) -> str:
+    """Return a run as JSON."""
+    document = {
+        "results": {name: _quantity(quantity) for name, quantity in results.items()},
+        "tables": {name: _table(table) for name, table in tables.items()},
+        "provenance": dict(provenance),
+        "notes": list(notes),
+        **more,
+    }
+    return json_text(document)
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    """Return JSON by RFC 8259: NaN and infinity become null."""
+    return json.dumps(_strict(dict(document)), indent=2, allow_nan=False)
+
+
+def result_lines(results: Mapping[str, Quantity]) -> list[str]:
+    """Return one aligned line a result: name, value with uncertainty and unit, or the reason."""
+    width = max(map(len, results), default=0)
+    lines = []
+    for name, quantity in results.items():
+        line = f"{name:{width}}  {format_quantity(quantity)}"
+        if quantity.u is None:
+            line += f"  (no uncertainty: {quantity.reason})"
+        lines.append(line)
+    return lines
+
+
+def _quantity(quantity: Quantity) -> dict[str, Any]:
+    found = {
+        "value": quantity.value,
+        "unit": quantity.unit,
+        "u": quantity.u,
+        "dof": quantity.dof,
+    }
+    return found if quantity.reason is None else {**found, "reason": quantity.reason}
+
+
+def _table(table: Table) -> dict[str, Any]:
+    return {
+        "description": table.description,
+        "axes": list(table.axes),
+        "signal": table.signal,
+        "columns": {
+            name: {
+                "unit": column.unit,
+                "description": column.description,
+                "values": column.values.tolist(),
+            }
+            for name, column in table.columns.items()
+        },
+    }
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in value]
+    return value

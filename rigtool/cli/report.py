@@ -1,0 +1,76 @@
+"""`rigtool report`: tables, figures and one page from run files."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rigtool.cli.options import debug_option, example, json_option, overwrite_option, quiet_option
+
+if TYPE_CHECKING:
+    from rigtool.report.build import Report
+    from rigtool.report.formats import ReportTable
+
+
+@click.command(epilog=example("rigtool report kt.h5 tables.h5 force.h5 -o report"))
+@click.argument("paths", nargs=-1, required=True, metavar="RUN.h5...")
+@click.option("-o", "--output", required=True, metavar="FOLDER", help="Folder to write.")
+@json_option
+@quiet_option
+@overwrite_option
+@debug_option
+def command(
+    paths: tuple[str, ...], output: str, as_json: bool, quiet: bool, overwrite: bool
+) -> None:
+    """Write tables, figures and one page from any run files.
+
+    Tables 8 and 9 beside the published ones (Markdown, CSV, LaTeX, text), the thesis's figures as
+    far as the runs hold them (SVG, PNG), and index.html with everything in it. The tables are also
+    printed.
+    """
+    from rigtool.report.build import build_report
+    from rigtool.report.folder import require_free, terminal_text, write_report
+    from rigtool.runfile import open_run
+
+    require_free(output, overwrite=overwrite)
+    with ExitStack() as stack:
+        runs = [stack.enter_context(open_run(path)) for path in paths]
+        report = build_report(runs)
+    write_report(report, output, overwrite=overwrite)
+    if as_json:
+        from rigtool.cli.printing import json_text
+
+        click.echo(json_text(_document(report)))
+        return
+    if quiet:
+        return
+    if report.force_tables:
+        click.echo(terminal_text(report), nl=False)
+    for warning in report.warnings:
+        click.echo(f"Warning: {warning}", err=True)
+    click.echo(f"Written: {output}", err=True)
+
+
+def _document(report: Report) -> dict[str, Any]:
+    return {
+        "tables": {table.name: _table(table) for table in report.force_tables},
+        "results": {table.name: _table(table) for table in report.results},
+        "figures": [picture.name for picture in report.pictures],
+        "warnings": list(report.warnings),
+        "remarks": list(report.remarks),
+    }
+
+
+def _table(table: ReportTable) -> dict[str, Any]:
+    rows = []
+    for cells in table.rows:
+        row: dict[str, Any] = {}
+        for column, cell in zip(table.columns, cells, strict=True):
+            row[column.key] = cell.value
+            if column.uncertain:
+                row[f"{column.key}_u"] = cell.u
+        rows.append(row)
+    units = {column.key: column.si_unit for column in table.columns if column.si_unit}
+    return {"title": table.title, "units": units, "rows": rows}

@@ -1,0 +1,34 @@
+"""`rigtool verify`: is a run, and all that it was made from, as it was written?"""
+
+from __future__ import annotations
+
+import click
+
+from rigtool.cli.options import debug_option, example
+
+
+@click.command(epilog=example("rigtool verify force.h5", "rigtool verify kt.h5 tables.h5"))
+@click.argument("paths", nargs=-1, required=True, metavar="RUN.h5...")
+@debug_option
+def command(paths: tuple[str, ...]) -> None:
+    """Check run files and all they were made from.
+
+    Compares every hash, samples included, up to the raw runs, and says which link is broken.
+    Inputs are looked for where they were, and beside the file made from them. Exit code 3 if
+    anything is broken.
+    """
+    from rigtool.errors import RunFileError
+    from rigtool.runfile.verification import verify
+
+    broken = []
+    for path in paths:
+        for link in verify(path):
+            state = "BROKEN" if link.problem else "ok"
+            text = link.problem or link.remark or link.command
+            click.echo(f"{'  ' * link.depth}{link.path}: {state}: {text}")
+            if link.problem:
+                broken.append(str(link.path))
+    if broken:
+        raise RunFileError(
+            f"broken: {', '.join(dict.fromkeys(broken))}; make what depends on it anew"
+        )

@@ -1,0 +1,40 @@
+"""What can go wrong, as a user meets it: each error knows the exit code of the command line.
+
+Every message gives the value that was found, the limit it broke and what to do about it.
+"""
+
+
+class RigtoolError(Exception):
+    """Root of all errors that rigtool raises on purpose (exit code 1, failed while running)."""
+
+    exit_code = 1
+
+
+class UsageError(RigtoolError):
+    """The command line asks for something that cannot be done as asked (exit code 2)."""
+
+    exit_code = 2
+
+
+class RecipeError(RigtoolError, ValueError):
+    """A recipe cannot be read or does not describe a rig (exit code 3)."""
+
+    exit_code = 3
+
+
+class RunFileError(RigtoolError, ValueError):
+    """A run file cannot be read, is damaged, or is of another kind than needed (exit code 3)."""
+
+    exit_code = 3
+
+
+class InsufficientDataError(RigtoolError, ValueError):
+    """The data do not carry the result that was asked for (exit code 4)."""
+
+    exit_code = 4
+
+
+class HardwareError(RigtoolError, OSError):
+    """A rig or an instrument beside it does not do what it should (exit code 5)."""
+
+    exit_code = 5

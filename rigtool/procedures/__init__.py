@@ -1,0 +1,1 @@
+"""What the bench does: motions, loads, what to record, then which analysis."""

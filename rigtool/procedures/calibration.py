@@ -1,0 +1,22 @@
+"""From what was asked of the amplifier to torque: the one conversion that all commands use."""
+
+from __future__ import annotations
+
+import math
+
+from rigtool.quantity import Quantity
+from rigtool.runfile import Run
+
+
+def torque_per_ampere(kt: Run) -> Quantity:
+    """Return the torque for each ampere of set point, N m/A, from a run of calibrate-kt.
+
+    The torque constant holds for the current as measured; the amplifier delivers `amplifier_gain`
+    of what it is asked for: torque = torque_constant_mean * amplifier_gain * set point [7.1.1].
+    Raises `RunFileError` where `kt` is no calibration.
+    """
+    kt.require_command("calibrate-kt")
+    mean, gain = kt.result("torque_constant_mean"), kt.result("amplifier_gain")
+    relative_u = math.hypot((mean.u or 0.0) / mean.value, (gain.u or 0.0) / gain.value)
+    value = mean.value * gain.value
+    return Quantity(value, mean.unit, value * relative_u, mean.dof)

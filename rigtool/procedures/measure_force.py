@@ -1,0 +1,268 @@
+"""`measure-force`: known loads on the output, force read from current [chapter 8].
+
+Torque at the output = torque_factor * torque constant * (set point - feed-forward - table), read at
+one angle of each rising stroke. First without load, then with each force; with the instrument also
+a load lifted and lowered (friction that grows with load) and a high one (stiffness).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.analysis.decimation import Decimator
+from rigtool.analysis.force import find_cycles, kept_factor, lowpass_at, readings
+from rigtool.analysis.signals import require_rising, rising_steps
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.procedures.calibration import torque_per_ampere
+from rigtool.procedures.force_results import Reading, loads_outcome
+from rigtool.procedures.instrument_results import instrument_outcome
+from rigtool.procedures.learned_tables import feedforward_from, require_same_rig
+from rigtool.procedures.outcome import Outcome
+from rigtool.procedures.session import channels, record
+from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
+from rigtool.rigs import Load, Rig, Task
+from rigtool.rigs.motion import Triangle
+from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
+
+Array = NDArray[np.float64]
+
+COMMAND = "measure-force"
+
+SIGNALS = (
+    "time",
+    "current_setpoint",
+    "encoder",
+    "position_setpoint",
+    "feedforward_current",
+    "table_current",
+)
+"""What the analysis reads."""
+
+RATE_SAMPLES = 8192
+"""Samples that the sampling frequency is taken from."""
+
+HYSTERESIS, SHIFT = "hysteresis", "shift"
+MAX_TRACKING_ERROR = 0.1
+"""Largest distance of rotor and set point at which a position still means something, rad."""
+
+
+# -- measuring
+
+
+def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
+    """List the cycles without load, with each force, and for the instrument two more loads."""
+    settings = recipe.measure_force
+    plan = [
+        (f"load_{number:03d}", force, settings.cycles)
+        for number, force in enumerate((0.0, *settings.forces))
+    ]
+    if recipe.rig.attachment == "instrument":
+        plan += [
+            (HYSTERESIS, settings.hysteresis_force, settings.extra_cycles),
+            (SHIFT, settings.shift_force, settings.extra_cycles),
+        ]
+    recorded = channels(
+        "time",
+        "current_setpoint",
+        "feedforward_current",
+        "table_current",
+        "position_setpoint",
+        "encoder",
+        "temperature",
+    )
+    return tuple(
+        RecordingSpec(name, recorded, {"force": (force, "N"), "cycles": (float(cycles), "1")})
+        for name, force, cycles in plan
+    )
+
+
+def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: Run) -> None:
+    """Lift and lower each load with the learned table switched on."""
+    _require_inputs(recipe, kt, tables)
+    settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
+    feedforward = feedforward_from(tables, recipe.rig.nominal_inertia)
+    for spec in recordings(recipe):
+        motion = Triangle(
+            low=0.0,
+            high=math.radians(settings.angle) * ratio,
+            speed=2 * math.pi * settings.speed_rev_per_s * ratio,
+            turn_angle=math.radians(settings.turn_angle) * ratio,
+            cycles=int(spec.conditions["cycles"][0]),
+        )
+        load = Load(force=spec.conditions["force"][0])
+        task = Task(motion, feedforward, load, record_every=settings.record_every)
+        record(rig, task, recorder, spec.name)
+
+
+# -- analysing
+
+
+def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Outcome:
+    """Read the force of each load from the stored currents, with its uncertainty."""
+    if len(runs) > 1:
+        raise UsageError(f"{len(runs)} run files: measure-force takes one, with all its loads")
+    run = runs[0]
+    _require_inputs(recipe, kt, tables)
+    constant = _constant_at_one_angle(kt)
+    recorded = run.recordings_named("load_")
+    if not recorded or recorded[0].condition("force") != 0:
+        raise RunFileError(
+            f"{run.path}: has no recording load_000 without load: give the run file in which "
+            "measure-force recorded its signals"
+        )
+    loads = [_read(recording, recipe, constant.value) for recording in recorded]
+    outcome = loads_outcome(loads, recipe, constant, _table_u(tables, recipe))
+    extra, failed = {}, []
+    for name in (HYSTERESIS, SHIFT):
+        if name in run.recordings and run.recordings[name].size:
+            try:
+                extra[name] = _read(run.recordings[name], recipe, constant.value)
+            except InsufficientDataError as error:  # costs its own results only
+                failed.append(f"no result: {error}")
+    more = instrument_outcome(extra, recipe, constant)
+    return Outcome(
+        {**outcome.results, **more.results},
+        {**outcome.tables, **more.tables},
+        (*_input_notes(kt, tables), *outcome.notes, *failed, *more.notes),
+    )
+
+
+def _read(recording: Recording, recipe: Recipe, torque_constant: float) -> Reading:
+    """Filter a recording, cut it into cycles and read the torque of each."""
+    settings, rig = recipe.measure_force, recipe.rig
+    try:
+        position, controller, table = _filtered(recording, recipe)
+        cycles = find_cycles(position)
+        angle = position * (2 * math.pi / rig.encoder_counts) / rig.angle_ratio
+        torque = rig.torque_factor * (torque_constant * controller)
+        return Reading(
+            name=recording.name,
+            force=recording.condition("force"),
+            asked_cycles=round(recording.condition("cycles")),
+            position=position,
+            torque=torque,
+            feedforward=torque_constant * table,
+            cycles=cycles,
+            values=readings(angle, torque, cycles, math.radians(settings.measure_angle)),
+        )
+    except InsufficientDataError as error:
+        raise InsufficientDataError(f"recording {recording.name}: {error}") from None
+
+
+def _filtered(recording: Recording, recipe: Recipe) -> Array:
+    """Return encoder, controller's current and table's current, low-passed and thinned, (3, m).
+
+    Goes through the recording once, block by block.
+    """
+    cutoff, per_count = recipe.measure_force.lowpass_hz, 2 * math.pi / recipe.rig.encoder_counts
+    rate, last, samples = _rate(recording), np.zeros(0), 0
+    collected = Decimator(factor := kept_factor(rate, cutoff), 3)
+    largest = farthest = 0.0
+    for time, asked, encoder, setpoint, feedforward, table in recording.blocks(*SIGNALS):
+        rising_steps(np.concatenate([last, time]), samples - last.size)
+        last, samples = time[-1:], samples + time.size
+        largest = max(largest, _largest(asked))
+        setpoint -= encoder * per_count
+        farthest = max(farthest, _largest(setpoint))
+        asked -= feedforward
+        asked -= table
+        collected.add(encoder, asked, table)
+    _require_health(recipe, largest, farthest)
+    return lowpass_at(rate / factor, collected.finish(), cutoff)
+
+
+def _rate(recording: Recording) -> float:
+    """Return the usual sampling frequency at the start of a recording, Hz."""
+    return 1 / require_rising(recording.read("time", 0, min(recording.size, RATE_SAMPLES)))
+
+
+def _largest(values: Array) -> float:
+    return float(max(values.max(), -values.min()))
+
+
+def _require_health(recipe: Recipe, asked: float, distance: float) -> None:
+    """Raise `InsufficientDataError` where the loop did not do what its current is read for.
+
+    `asked` is the largest current set point, A, and `distance` the largest one of rotor and set
+    point, rad.
+    """
+    limit = recipe.rig.current_limit
+    if asked >= 0.999 * limit:
+        raise InsufficientDataError(
+            f"the current set point reaches the limit of {limit} A, so the current no longer "
+            "tells the torque: use a smaller force"
+        )
+    if distance > MAX_TRACKING_ERROR:
+        raise InsufficientDataError(
+            f"the rotor is up to {distance:.3g} rad off its set point, more than "
+            f"{MAX_TRACKING_ERROR} rad, so the loop does not hold it: check the encoder and "
+            "[rig.controller]"
+        )
+
+
+def _require_inputs(recipe: Recipe, kt: Run, tables: Run) -> None:
+    """Raise `RunFileError` unless calibration and tables belong to the recipe's rig.
+
+    A calibration that does not say its rig is taken on trust: it is one number, of any source.
+    """
+    kt.require_command("calibrate-kt")
+    if kt.rig not in (None, recipe.rig.name):
+        raise RunFileError(
+            f"{kt.path}: is the calibration of rig {kt.rig}, the recipe is that of "
+            f"{recipe.rig.name}: calibrate this one"
+        )
+    require_same_rig(tables, recipe)
+
+
+def _constant_at_one_angle(kt: Run) -> Quantity:
+    """Return the torque constant with the uncertainty that it has at a single rotor angle.
+
+    The calibration states the mean over a turn; where torque is read the amplifier's ripple makes
+    it differ by `torque_constant_ripple` (relative, one standard deviation).
+    """
+    from GTC import dof, uncertainty, ureal
+
+    mean, ripple = torque_per_ampere(kt), kt.results.get("torque_constant_ripple")
+    constant = ureal(mean.value, mean.u or 0.0, mean.dof or math.inf)
+    if ripple is not None:
+        constant = constant * ureal(1.0, ripple.value, ripple.dof or math.inf)
+    degrees = float(dof(constant))
+    return Quantity(
+        mean.value,
+        mean.unit,
+        float(uncertainty(constant)),
+        degrees if math.isfinite(degrees) else None,
+    )
+
+
+def _input_notes(kt: Run, tables: Run) -> tuple[str, ...]:
+    """Say where the tables were learned with another motor constant than the one used here."""
+    calibrations = [
+        used["content_sha256"]
+        for used in tables.provenance["inputs"]
+        if used["command"] == kt.command
+    ]
+    if not calibrations or kt.content_sha256 in calibrations:
+        return ()
+    return (
+        f"the tables were learned with another calibration than {kt.path.name}: currents are "
+        "compensated as learned, but torques are stated with this one",
+    )
+
+
+def _table_u(tables: Run, recipe: Recipe) -> float:
+    """Return the standard uncertainty of the learned table where torque is read, N m.
+
+    At the rising row whose speed is closest to that of the measurement.
+    """
+    settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
+    lookup = tables.table("lookup")
+    speed = 2 * math.pi * settings.speed_rev_per_s * ratio
+    row = int(np.argmin(np.abs(lookup["speed"] - speed)))
+    angle = math.radians(settings.measure_angle) * ratio
+    return float(np.interp(angle, lookup["position"], lookup["u"][row]))

@@ -1,0 +1,21 @@
+"""What every command is told beside its sources and output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class CommonOptions:
+    """The options that all commands share, as `rigtool.cli.options` collects them.
+
+    `progress` says whether progress bars are drawn (stderr is a terminal and nobody objected).
+    `overrides` are the `key=value` texts of `--set`.
+    """
+
+    json: bool = False
+    quiet: bool = False
+    progress: bool = False
+    overwrite: bool = False
+    seed: int | None = None
+    overrides: tuple[str, ...] = ()

@@ -1,0 +1,18 @@
+"""What a procedure's analysis hands to the run file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from rigtool.quantity import Quantity
+from rigtool.runfile import Table
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Results, tables and remarks that belong to them, as `rigtool info` shows them."""
+
+    results: Mapping[str, Quantity]
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()

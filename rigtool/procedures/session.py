@@ -1,0 +1,227 @@
+"""From sources to an outcome: what every measuring command does, whatever it measures.
+
+A source is a recipe (measure on its rig, then analyse) or run files (analyse what they hold).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+from rigtool.errors import RunFileError, UsageError
+from rigtool.procedures.calibration import torque_per_ampere
+from rigtool.procedures.options import CommonOptions
+from rigtool.procedures.outcome import Outcome
+from rigtool.recipe import Recipe, load_recipe, override_recipe
+from rigtool.rigs import CHANNELS, Rig, Task, open_rig
+from rigtool.runfile import Channel, RecordingSpec, Run, RunWriter, open_run
+
+IMPORTED = "import"
+"""The command of runs that hold other people's measurements."""
+
+
+class Procedure(Protocol):
+    """What a module of a measuring command offers.
+
+    A module that says BARE_MOTOR = True measures without the instrument, whatever the recipe
+    attaches: motor and amplifier are characterised on their own [7.1, 7.2]. One that has a function
+    `analyse_imported(runs, **inputs)` also takes runs of other rigs; `NEEDED` are then the inputs
+    that only those can do without.
+    """
+
+    COMMAND: str
+
+    def recordings(self, recipe: Recipe) -> tuple[RecordingSpec, ...]:
+        """List what will be recorded."""
+        ...
+
+    def measure(self, rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Any) -> None:
+        """Perform the tasks and record them."""
+        ...
+
+    def analyse(self, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
+        """Compute results from stored signals only."""
+        ...
+
+
+def channels(*names: str) -> tuple[Channel, ...]:
+    """Return the channels of these names as run files describe them."""
+    return tuple(Channel(name, *CHANNELS[name]) for name in names)
+
+
+def record(rig: Rig, task: Task, recorder: RunWriter, recording: str) -> None:
+    """Perform a task and stream its signals into a recording."""
+    names = recorder.channel_names(recording)
+    for block in rig.perform(task):
+        recorder.append(recording, {name: block[name] for name in names})
+
+
+def run_command(
+    module: Any,
+    sources: Sequence[str],
+    output: str,
+    *,
+    options: CommonOptions,
+    inputs: Mapping[str, Run],
+) -> Outcome:
+    """Measure or re-analyse, write the output and return what it holds.
+
+    `module` is a `Procedure`; `inputs` are open runs by the name of their option. Raises
+    `UsageError` for sources that do not go together.
+    """
+    procedure: Procedure = module
+    recipes = [source for source in sources if Path(source).suffix == ".toml"]
+    if not recipes:
+        return _analyse_stored(procedure, sources, output, options, inputs)
+    if len(sources) > 1:
+        raise UsageError(
+            f"{len(sources)} sources with a recipe among them: give one recipe, or run files only"
+        )
+    return _measure(procedure, recipes[0], output, options, inputs)
+
+
+def _measure(
+    procedure: Procedure,
+    source: str,
+    output: str,
+    options: CommonOptions,
+    inputs: Mapping[str, Run],
+) -> Outcome:
+    _require_inputs(procedure, inputs)
+    overrides = list(options.overrides)
+    if getattr(procedure, "BARE_MOTOR", False):
+        overrides.append("rig.attachment=pulley")
+    if options.seed is not None:
+        overrides.append(f"virtual.seed={options.seed}")
+    recipe, text = load_recipe(source, overrides)
+    seed = recipe.virtual.seed if recipe.virtual is not None else None
+    rig = open_rig(recipe, _assumed_torque_constant(recipe, inputs), procedure.COMMAND)
+    plan = procedure.recordings(recipe)
+    writer = _WatchedWriter(
+        output,
+        command=procedure.COMMAND,
+        recipe=recipe,
+        recipe_text=text,
+        recordings=plan,
+        inputs=list(inputs.values()),
+        seed=seed,
+        overwrite=options.overwrite,
+    )
+    with writer, _progress(options, plan, writer):
+        procedure.measure(rig, recipe, writer, **inputs)
+        outcome = procedure.analyse([writer.recorded()], recipe, **inputs)
+        writer.finish(outcome.results, outcome.tables, outcome.notes)
+    return outcome
+
+
+def _analyse_stored(
+    procedure: Procedure,
+    sources: Sequence[str],
+    output: str,
+    options: CommonOptions,
+    inputs: Mapping[str, Run],
+) -> Outcome:
+    with ExitStack() as stack:
+        runs = [stack.enter_context(open_run(source)) for source in sources]
+        if runs[0].command == IMPORTED and hasattr(procedure, "analyse_imported"):
+            return _analyse_imported(procedure, runs, output, options, inputs)
+        for run in runs:
+            run.require_command(procedure.COMMAND)
+        _require_inputs(procedure, inputs)
+        recipe = runs[0].recipe
+        if recipe is None:
+            raise RunFileError(
+                f"{sources[0]}: holds no recipe, so the rig's geometry is unknown: "
+                "analyse a run that rigtool recorded"
+            )
+        recipe = override_recipe(recipe, options.overrides)
+        with RunWriter(
+            output,
+            command=procedure.COMMAND,
+            recipe=recipe,
+            recipe_text=None,
+            inputs=[*runs, *inputs.values()],
+            seed=options.seed,
+            overwrite=options.overwrite,
+        ) as writer:
+            outcome = procedure.analyse(runs, recipe, **inputs)
+            writer.finish(outcome.results, outcome.tables, outcome.notes)
+    return outcome
+
+
+def _analyse_imported(
+    procedure: Any,
+    runs: Sequence[Run],
+    output: str,
+    options: CommonOptions,
+    inputs: Mapping[str, Run],
+) -> Outcome:
+    """Analyse measurements of other rigs: there is no recipe, the runs say what is known."""
+    for run in runs:
+        run.require_command(IMPORTED)
+    if options.overrides:
+        raise UsageError(
+            f"--set {options.overrides[0]}: imported runs have no recipe; what is known of the rig "
+            "is in the mapping file, import them again"
+        )
+    with RunWriter(
+        output,
+        command=procedure.COMMAND,
+        recipe=None,
+        recipe_text=None,
+        inputs=[*runs, *inputs.values()],
+        overwrite=options.overwrite,
+        rig=runs[0].rig,
+    ) as writer:
+        outcome: Outcome = procedure.analyse_imported(runs, **inputs)
+        writer.finish(outcome.results, outcome.tables, outcome.notes)
+    return outcome
+
+
+def _require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
+    for name in getattr(procedure, "NEEDED", ()):
+        if name not in inputs:
+            raise UsageError(
+                f"--{name} is missing: {procedure.COMMAND} needs it, unless all "
+                "sources are imported runs"
+            )
+
+
+def _assumed_torque_constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float:
+    """Return what turns torque into current: the calibration's value, else the data sheet's."""
+    if "kt" in inputs:
+        return torque_per_ampere(inputs["kt"]).value
+    return recipe.rig.torque_constant
+
+
+class _WatchedWriter(RunWriter):
+    """A writer that tells somebody which recording grows."""
+
+    def watch(self, bar: Any, order: Mapping[str, int]) -> None:
+        """Advance a progress bar by one for each new recording."""
+        self._bar, self._order = bar, order
+
+    def append(self, recording: str, block: Mapping[str, Any]) -> None:
+        """Append as the writer does, then move the bar."""
+        super().append(recording, block)
+        if (bar := getattr(self, "_bar", None)) is not None:
+            bar.label = recording
+            bar.update(max(0, self._order[recording] - bar.pos))
+
+
+@contextmanager
+def _progress(
+    options: CommonOptions, plan: Sequence[RecordingSpec], writer: _WatchedWriter
+) -> Iterator[None]:
+    if not options.progress:
+        yield
+        return
+    import click
+
+    with click.progressbar(length=len(plan), file=sys.stderr, show_eta=False) as bar:
+        writer.watch(bar, {spec.name: number for number, spec in enumerate(plan)})
+        yield
+        bar.update(max(0, len(plan) - bar.pos))

@@ -1,0 +1,9 @@
+"""What all of a recipe's models share: nothing unknown is accepted, nothing changes later."""
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Section(BaseModel):
+    """One table of a recipe; unknown keys are refused, values are finite and frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

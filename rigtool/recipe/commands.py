@@ -1,0 +1,142 @@
+"""What each command does on the rig: motions, loads, speeds, durations. Defaults live here."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from rigtool.recipe.base import Section
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class CalibrateKt(Section):
+    """Staircases of current against a force gauge, at several temperatures [7.1.1]."""
+
+    temperatures_degc: tuple[float, ...] = Field(
+        (20, 25, 30, 35, 40, 45, 50), min_length=2, description="of the motor, degC"
+    )
+    rotor_positions: int = Field(
+        8, ge=1, description="equally spaced angles of the arm, shifted with each temperature"
+    )
+    current_max: float = Field(4.0, gt=0, description="top of the staircase, A")
+    steps: int = Field(16, ge=3, description="from zero to the top")
+    staircases: int = Field(2, ge=1, description="up and down, in a row at each clamping")
+    step_time: float = Field(0.4, gt=0, description="each step lasts, s")
+    settle_time: float = Field(0.15, ge=0, description="left out of each step, s")
+    reference_range_degc: tuple[float, float] = Field(
+        (20, 35), description="range over which one constant value is judged, degC"
+    )
+    record_every: int = Field(32, ge=1, description="samples averaged into a recorded one")
+
+
+class Stribeck(Section):
+    """Sweep, holds and breakaway ramps [7.1.2, 7.2.1, 7.2.2]."""
+
+    speed_max: float = Field(30.0, gt=0, description="of the sweep, rad/s")
+    sweep_time: float = Field(60.0, gt=0, description="from one end to the other, s")
+    hold_speeds: tuple[Positive, ...] = Field(
+        (0.4, 0.45, 0.5, 0.55, 0.6, 0.75, 1, 2, 3, 5, 8, 12, 16, 20, 25, 30),
+        min_length=3,
+        description="rad/s",
+    )
+    hold_revolutions: int = Field(2, ge=1, description="whole turns at each speed, at least")
+    hold_time: float = Field(5.0, gt=0, description="at each speed, at least, s")
+    breakaway_positions: int = Field(24, ge=3, description="rotor angles of the ramps")
+    breakaway_rate: float = Field(1e-3, gt=0, description="slope of the ramp, N m/s")
+    breakaway_limit: float = Field(12e-3, gt=0, description="highest torque of the ramp, N m")
+    breakaway_angle: float = Field(0.02, gt=0, description="motion that counts as breakaway, rad")
+    radial_force: float = Field(22.0, ge=0, description="load of the second series, N")
+    record_every: int = Field(8, ge=1, description="samples averaged into a recorded one")
+
+
+class FftRipple(Section):
+    """Constant speeds, constant torques and power cycles [7.1.3]."""
+
+    speeds: tuple[Positive, ...] = Field(
+        (3, 6, 9, 12, 15, 18, 21, 24, 27, 30), min_length=1, description="rad/s"
+    )
+    revolutions: int = Field(20, ge=2, description="whole turns averaged")
+    torques: tuple[Positive, ...] = Field(
+        (14e-3, 37e-3, 160e-3), description="constant torque on the shaft, N m"
+    )
+    slow_speed_rev_per_s: float = Field(
+        0.2, gt=0, description="for the torques and the power cycles, rev/s"
+    )
+    power_cycles: int = Field(2, ge=0, description="start-ups of the amplifier compared")
+    record_every: int = Field(4, ge=1, description="samples averaged into a recorded one")
+
+
+class IlcLearn(Section):
+    """Learning by position and speed on a limited angle [7.2.4.2]."""
+
+    speeds_rev_per_s: tuple[Positive, ...] = Field(
+        (0.2, 1, 2, 3, 4, 5), min_length=1, description="learned in both directions, rev/s"
+    )
+    low_speeds_rev_per_s: tuple[Positive, ...] = Field(
+        (0.05, 0.1), description="for the amplitude table below the lowest speed, rev/s"
+    )
+    moves: int = Field(20, ge=2, description="averaged in each direction")
+    low_speed_moves: int = Field(2, ge=1, description="the same for the low speeds")
+    angle: float = Field(180.0, gt=0, description="of the move at the output, deg")
+    end_angle: float = Field(45.0, gt=0, description="left out at each end, deg")
+    turn_angle: float = Field(20.0, gt=0, description="used to reverse at each end, deg")
+    robustness_hz: float = Field(100.0, gt=0, description="cut-off of the Q filter, Hz")
+    robustness_order: int = Field(4, ge=1, le=10, description="of the Butterworth in Q")
+    learning_factor: float = Field(1.0, gt=0, lt=2, description="p in f + p L q")
+    cancel_radius: float = Field(
+        0.999, gt=0, lt=1, description="zeros of T outside are not cancelled by ZPETC"
+    )
+
+    @model_validator(mode="after")
+    def _turn_fits_end(self) -> IlcLearn:
+        if self.turn_angle >= self.end_angle:
+            raise ValueError(
+                f"turn_angle {self.turn_angle} deg must be below end_angle {self.end_angle} deg: "
+                "the reversal has to end before the part that is used begins"
+            )
+        if 2 * self.end_angle >= self.angle:
+            raise ValueError(
+                f"end_angle {self.end_angle} deg on both sides leaves nothing of the angle "
+                f"{self.angle} deg: lower it"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _speeds_differ(self) -> IlcLearn:
+        speeds = (*self.low_speeds_rev_per_s, *self.speeds_rev_per_s)
+        if len(set(speeds)) < len(speeds):
+            raise ValueError("a speed is listed twice in speeds_rev_per_s and low_speeds_rev_per_s")
+        lowest = min(self.speeds_rev_per_s)
+        if max(self.low_speeds_rev_per_s, default=0) > lowest:
+            raise ValueError(
+                f"low_speeds_rev_per_s holds {max(self.low_speeds_rev_per_s)}, all of them must "
+                f"be below the lowest learned speed, {lowest}"
+            )
+        return self
+
+
+class MeasureForce(Section):
+    """Known loads on the output, force read from current [8.1, 8.2]."""
+
+    forces: tuple[Positive, ...] = Field(
+        (0.06, 0.25, 1.0, 2.0, 2.5), min_length=1, description="hung on in turn, N"
+    )
+    cycles: int = Field(40, ge=3, description="rising and falling, for each load")
+    speed_rev_per_s: float = Field(0.2, gt=0, description="of the output, rev/s")
+    angle: float = Field(180.0, gt=0, description="of the move at the output, deg")
+    turn_angle: float = Field(20.0, gt=0, description="used to reverse at each end, deg")
+    measure_angle: float = Field(90.0, gt=0, description="output angle of the reading, deg")
+    lowpass_hz: float = Field(5.0, gt=0, description="zero-phase low-pass on all signals, Hz")
+    zero: bool = Field(
+        True, description="take the mean reading without load off the others, as a gauge is zeroed"
+    )
+    hysteresis_force: float = Field(
+        3.0, gt=0, description="load for lifting against lowering, N (instrument)"
+    )
+    shift_force: float = Field(
+        5.0, gt=0, description="load for the position of the peak, N (instrument)"
+    )
+    extra_cycles: int = Field(5, ge=1, description="for these two loads")
+    record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")

@@ -1,0 +1,168 @@
+"""Reading a recipe: all mistakes at once, each with its line."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from rigtool.errors import RecipeError, UsageError
+from rigtool.recipe.base import Section
+from rigtool.recipe.commands import CalibrateKt, FftRipple, IlcLearn, MeasureForce, Stribeck
+from rigtool.recipe.rig import Rig
+from rigtool.recipe.virtual import Virtual
+
+RECIPE_VERSION = 1
+
+
+class Recipe(Section):
+    """A whole recipe: the rig, what the virtual one is made of, and the commands' settings."""
+
+    recipe: int
+    rig: Rig
+    virtual: Virtual | None = None
+    calibrate_kt: CalibrateKt = CalibrateKt()
+    stribeck: Stribeck = Stribeck()
+    fft_ripple: FftRipple = FftRipple()
+    ilc_learn: IlcLearn = IlcLearn()
+    measure_force: MeasureForce = MeasureForce()
+
+    def resolved(self) -> str:
+        """Return the recipe with all defaults filled in, as canonical JSON."""
+        return json.dumps(self.model_dump(mode="json"), sort_keys=True)
+
+
+def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> tuple[Recipe, str]:
+    """Read a recipe file and return it with its text, verbatim.
+
+    `overrides` are `key=value` strings with dotted keys, as the option `--set` takes them.
+    Raises `RecipeError` with every mistake and its line.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RecipeError(f"{path}: no such recipe; recipes/ holds examples") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecipeError(f"{path}: cannot be read as a recipe: {error}") from None
+    return parse_recipe(text, str(path), overrides), text
+
+
+def parse_recipe(text: str, name: str = "recipe", overrides: Sequence[str] = ()) -> Recipe:
+    """Turn the text of a recipe into its model; `name` stands in messages."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"{name}: is not valid TOML: {error}") from None
+    _require_recipe(data, name)
+    for override in overrides:
+        _apply_override(data, override)
+    try:
+        return Recipe.model_validate(data)
+    except ValidationError as error:
+        raise RecipeError(describe_mistakes(error, text, name, "recipe", overrides)) from None
+
+
+def recipe_from_resolved(text: str) -> Recipe:
+    """Turn the resolved JSON that a run file keeps back into a recipe."""
+    try:
+        return Recipe.model_validate_json(text)
+    except ValidationError as error:
+        raise RecipeError(
+            f"the recipe stored in the run file does not fit this version of rigtool: "
+            f"{error.errors()[0]['msg']}"
+        ) from None
+
+
+def override_recipe(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
+    """Return a recipe with `key=value` overrides applied; raises `RecipeError` as `load_recipe`."""
+    data = recipe.model_dump()
+    for override in overrides:
+        _apply_override(data, override)
+    try:
+        return Recipe.model_validate(data)
+    except ValidationError as error:
+        raise RecipeError(describe_mistakes(error, "", "recipe", "recipe", overrides)) from None
+
+
+def _require_recipe(data: dict[str, Any], name: str) -> None:
+    version = data.get("recipe")
+    if version is None or "rig" not in data:
+        raise RecipeError(
+            f"{name}: is TOML but not a recipe of rigtool: it needs `recipe = {RECIPE_VERSION}` "
+            "at its top and a table [rig]"
+        )
+    if version != RECIPE_VERSION:
+        raise RecipeError(
+            f"{name}: recipe version {version!r}, this rigtool reads version {RECIPE_VERSION}"
+        )
+
+
+def _apply_override(data: dict[str, Any], override: str) -> None:
+    key, equals, value = override.partition("=")
+    if not equals or not key.strip():
+        raise UsageError(f"--set {override!r}: expected key=value, e.g. rig.attachment=pulley")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value.strip()  # a bare word is a string
+    *tables, last = key.strip().split(".")
+    target = data
+    for table in tables:
+        target = target.setdefault(table, {})
+        if not isinstance(target, dict):
+            raise UsageError(f"--set {override!r}: {table!r} is a value, not a table")
+    target[last] = parsed
+
+
+def describe_mistakes(
+    error: ValidationError, text: str, name: str, kind: str, overrides: Sequence[str] = ()
+) -> str:
+    """Return all mistakes in a TOML `text` with their lines; `kind` is recipe or mapping."""
+    lines = _line_numbers(text)
+    set_keys = {override.partition("=")[0].strip() for override in overrides}
+    mistakes = []
+    for item in error.errors():
+        path = tuple(part for part in item["loc"] if isinstance(part, str))
+        dotted = ".".join(str(part) for part in item["loc"])
+        message = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            message = "is not a key that this table knows; remove it or correct its spelling"
+        elif item["type"] == "missing":
+            message = "is missing; add it"
+        else:
+            message = f"{message}, got {item['input']!r}"
+        where = f"{name}, --set" if ".".join(path) in set_keys else _where(name, path, lines)
+        mistakes.append(f"{where}: {dotted}: {message}")
+    count = len(mistakes)
+    head = f"{name}: {count} mistake{'s' if count > 1 else ''} in the {kind}"
+    return "\n  ".join([head, *mistakes])
+
+
+def _where(name: str, path: tuple[str, ...], lines: dict[tuple[str, ...], int]) -> str:
+    # A missing key has no line: name the line of the closest table that holds it.
+    while path and path not in lines:
+        path = path[:-1]
+    return f"{name}:{lines[path]}" if path in lines else name
+
+
+_TABLE = re.compile(r"^\s*\[\[?\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"^\s*([A-Za-z0-9_.\-\"']+)\s*=")
+
+
+def _line_numbers(text: str) -> dict[tuple[str, ...], int]:
+    """Map each table and key of a TOML text to its line, counted from 1."""
+    found: dict[tuple[str, ...], int] = {}
+    table: tuple[str, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if match := _TABLE.match(line):
+            table = tuple(part.strip().strip("\"'") for part in match[1].split("."))
+            found.setdefault(table, number)
+        elif match := _KEY.match(line):
+            path = (*table, *(part.strip("\"'") for part in match[1].split(".")))
+            found.setdefault(path, number)
+    return found

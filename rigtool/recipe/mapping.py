@@ -1,0 +1,293 @@
+"""Mappings: what the columns of somebody else's file mean, in TOML.
+
+    value = sign * (scale * raw + offset), in `unit`, then turned into SI
+
+A mapping says what the file does not say itself, as whoever measured knows it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from rigtool.errors import RecipeError
+from rigtool.recipe.base import Section
+from rigtool.recipe.load import describe_mistakes
+
+MAPPING_VERSION = 1
+
+RATED = "% of rated torque"
+"""Unit of drives that tell torque relative to the motor's nominal one."""
+
+UNITS: dict[str, tuple[float, str]] = {
+    "1": (1.0, "1"),
+    "%": (1e-2, "1"),
+    "s": (1.0, "s"),
+    "ms": (1e-3, "s"),
+    "us": (1e-6, "s"),
+    "min": (60.0, "s"),
+    "count": (1.0, "count"),
+    "rad": (1.0, "rad"),
+    "mrad": (1e-3, "rad"),
+    "deg": (math.pi / 180, "rad"),
+    "rev": (2 * math.pi, "rad"),
+    "rad/s": (1.0, "rad/s"),
+    "deg/s": (math.pi / 180, "rad/s"),
+    "rpm": (math.pi / 30, "rad/s"),
+    "rev/s": (2 * math.pi, "rad/s"),
+    "m": (1.0, "m"),
+    "mm": (1e-3, "m"),
+    "um": (1e-6, "m"),
+    "m/s": (1.0, "m/s"),
+    "mm/s": (1e-3, "m/s"),
+    "A": (1.0, "A"),
+    "mA": (1e-3, "A"),
+    "V": (1.0, "V"),
+    "mV": (1e-3, "V"),
+    "N": (1.0, "N"),
+    "mN": (1e-3, "N"),
+    "N m": (1.0, "N m"),
+    "mN m": (1e-3, "N m"),
+    "N cm": (1e-2, "N m"),
+    "degC": (1.0, "degC"),
+}
+"""Units that files may have: factor and SI unit."""
+
+SIGNALS: dict[str, tuple[str, str, str]] = {
+    "time": ("s", "s", "clock of the recording"),
+    "encoder": ("count", "count", "motor encoder, quad counts"),
+    "position": ("rad", "m", "measured position of the motor"),
+    "position_setpoint": ("rad", "m", "set point of the motor's position"),
+    "speed": ("rad/s", "m/s", "measured speed of the motor"),
+    "speed_setpoint": ("rad/s", "m/s", "set point of the motor's speed"),
+    "current": ("A", "A", "motor current as measured"),
+    "current_setpoint": ("A", "A", "motor current asked of the amplifier"),
+    "torque": ("N m", "N m", "motor torque, as the drive or a sensor tells it"),
+    "relative_torque": ("1", "1", "motor torque relative to the rated one, as the drive tells it"),
+    "force": ("N", "N", "force along the axis, as the drive or a sensor tells it"),
+    "output_position": ("rad", "m", "behind the motor's gearbox"),
+    "output_position_setpoint": ("rad", "m", "set point behind the motor's gearbox"),
+    "output_torque": ("N m", "N m", "behind the motor's gearbox, as a sensor tells it"),
+    "reference_position": ("rad", "m", "where the load acts"),
+    "reference_torque": ("N m", "N m", "the truth to compare with, as a sensor at the load tells"),
+    "reference_current": ("A", "A", "asked of the motor that makes the load"),
+    "temperature": ("degC", "degC", "of the motor"),
+}
+"""Names with a fixed meaning: unit on a rotary and on a linear axis, and what it is. The names that
+`rigs.base.CHANNELS` has too mean the same there."""
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
+
+
+class ImportedRig(Section):
+    """What the person who measured knows of the rig; what is not known is left out."""
+
+    name: str = Field(min_length=1, description="which rig this is")
+    axis: Literal["rotary", "linear"] = Field("rotary", description="rad and N m, or m and N")
+    encoder_counts: int | None = Field(
+        None, ge=1, description="quad counts a turn, or a metre on a linear axis"
+    )
+    torque_constant: float | None = Field(None, gt=0, description="N m/A, of the data sheet")
+    torque_constant_u: float | None = Field(
+        None, gt=0, description="standard uncertainty of it, N m/A"
+    )
+    rated_torque: float | None = Field(
+        None, gt=0, description="nominal torque of the motor, N m, for torque in percent"
+    )
+    inertia: float | None = Field(None, gt=0, description="on the motor shaft, kg m2")
+
+
+class FileLayout(Section):
+    """How the file is written. Binary files use `variable` and `sampling_rate_hz` only."""
+
+    delimiter: str = Field(
+        ",", min_length=1, max_length=10, description='one character, or "whitespace"'
+    )
+    comment: str | None = Field(
+        None, min_length=1, description="begins what is left out, to the end of the line"
+    )
+    decimal: Literal[".", ","] = Field(".", description="decimal mark")
+    header_lines: int | None = Field(
+        None,
+        ge=0,
+        description="lines before the numbers, comments not counted; the last of them names the "
+        "columns. Default: 1 where a column is given by name, else 0",
+    )
+    variable: str | None = Field(
+        None, description="which matrix of the file holds columns given by number"
+    )
+    sampling_rate_hz: float | None = Field(
+        None, gt=0, description="where no signal is the time, Hz"
+    )
+
+    @model_validator(mode="after")
+    def _delimiter_is_known(self) -> FileLayout:
+        if len(self.delimiter) > 1 and self.delimiter != "whitespace":
+            raise ValueError('delimiter must be one character, or "whitespace"')
+        if self.delimiter == self.decimal:
+            raise ValueError(f"{self.decimal!r} cannot be both delimiter and decimal mark")
+        return self
+
+
+class Signal(Section):
+    """One column: where it is, and how it becomes SI."""
+
+    column: int | str = Field(description="number from 1, or name")
+    unit: str = Field(description="of scale*raw + offset")
+    scale: float = Field(1.0, description="for the raw value")
+    offset: float = Field(0.0, description="added after scaling, in `unit`")
+    sign: Literal[1, -1] = Field(1, description="-1 where the sensor counts the other way")
+    counts_per_turn: float | None = Field(
+        None, gt=0, description="turns counts into rad; per metre on a linear axis, into m"
+    )
+    wraps_at: float | None = Field(
+        None, gt=0, description="raw value at which the counter starts again from zero"
+    )
+    description: str = Field("", description="what it is, for names without a fixed meaning")
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> Signal:
+        if isinstance(self.column, int) and self.column < 1:
+            raise ValueError(f"columns are counted from 1, got {self.column}")
+        if self.scale == 0:
+            raise ValueError("scale 0 leaves nothing of the signal")
+        if self.unit not in (*UNITS, RATED):
+            known = ", ".join([*UNITS, RATED])
+            raise ValueError(f"unit {self.unit!r} is not known; known are {known}")
+        if self.counts_per_turn is not None and self.unit != "count":
+            raise ValueError('counts_per_turn goes with unit = "count"')
+        return self
+
+
+class Condition(Section):
+    """Under what a file was recorded, as its name tells."""
+
+    name: str = Field(description="of the condition, e.g. compensation")
+    unit: str = Field("1", description="SI")
+    pattern: str = Field(description="regular expression for the file's name without ending")
+    values: dict[str, float] | None = Field(
+        None, description="value for the text found; without it the text is the number"
+    )
+
+    @model_validator(mode="after")
+    def _pattern_is_one(self) -> Condition:
+        try:
+            groups = re.compile(self.pattern).groups
+        except re.error as error:
+            raise ValueError(f"pattern is no regular expression: {error}") from None
+        if groups != 1:
+            raise ValueError(f"pattern needs one pair of parentheses, has {groups}")
+        if not _NAME.fullmatch(self.name):
+            raise ValueError("name: use letters, digits and underscores, not a digit first")
+        return self
+
+
+class Map(Section):
+    """A file without time: one value at each of equal steps around a turn."""
+
+    signal: str = Field(description="name, e.g. current")
+    unit: str = Field(description="of the values")
+    missing: float | None = Field(None, description="value where nothing was sampled")
+
+    @model_validator(mode="after")
+    def _is_known(self) -> Map:
+        if self.unit not in UNITS:
+            raise ValueError(f"unit {self.unit!r} is not known; known are {', '.join(UNITS)}")
+        if not _NAME.fullmatch(self.signal):
+            raise ValueError("signal: use letters, digits and underscores, not a digit first")
+        return self
+
+
+class Mapping(Section):
+    """A whole mapping file."""
+
+    mapping: Literal[1]
+    rig: ImportedRig
+    file: FileLayout = FileLayout()
+    signals: dict[str, Signal] = Field(default_factory=dict)
+    conditions: tuple[Condition, ...] = ()
+    map: Map | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Mapping:
+        if self.map is not None and self.signals:
+            raise ValueError("a file is a [map] or has [signals], not both")
+        for name, signal in self.signals.items():
+            if not _NAME.fullmatch(name) or name == "conditions":
+                raise ValueError(f"signal name {name!r}: use letters, digits and underscores")
+            if signal.unit == RATED and self.rig.rated_torque is None:
+                raise ValueError(f"signal {name}: its unit needs rated_torque in [rig]")
+            found, needed = self.unit(name), self.fixed_unit(name)
+            if needed not in (None, found):
+                raise ValueError(
+                    f"signal {name} on a {self.rig.axis} axis is in {needed}, this is in {found}: "
+                    "correct its unit, or give it another name"
+                )
+        if self.signals and ("time" in self.signals) == (self.file.sampling_rate_hz is not None):
+            raise ValueError("give either a signal `time` or sampling_rate_hz in [file]")
+        if self.signals and set(self.signals) == {"time"}:
+            raise ValueError("there is no signal besides time")
+        return self
+
+    def fixed_unit(self, name: str) -> str | None:
+        """Return the unit that a name has by its fixed meaning, None for other names."""
+        if name not in SIGNALS:
+            return None
+        return SIGNALS[name][0 if self.rig.axis == "rotary" else 1]
+
+    def unit(self, name: str) -> str:
+        """Return the SI unit of a signal in the run file."""
+        signal = self.signals[name]
+        if signal.unit == RATED:
+            return "N m"
+        if signal.counts_per_turn is not None:
+            return "rad" if self.rig.axis == "rotary" else "m"
+        return UNITS[signal.unit][1]
+
+    def factor(self, name: str) -> float:
+        """Return the SI value of one `unit` of a signal."""
+        signal = self.signals[name]
+        if signal.unit == RATED:
+            assert self.rig.rated_torque is not None
+            return self.rig.rated_torque / 100
+        if signal.counts_per_turn is not None:
+            turn = 2 * math.pi if self.rig.axis == "rotary" else 1.0
+            return turn / signal.counts_per_turn
+        return UNITS[signal.unit][0]
+
+    def description(self, name: str) -> str:
+        """Return what a signal is."""
+        return self.signals[name].description or SIGNALS.get(name, ("", "", name))[2]
+
+
+def load_mapping(path: str | Path) -> tuple[Mapping, str]:
+    """Read a mapping file and return it with its text; `RecipeError` with every mistake's line."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RecipeError(f"{path}: no such mapping; recipes/import holds examples") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecipeError(f"{path}: cannot be read as a mapping: {error}") from None
+    return parse_mapping(text, str(path)), text
+
+
+def parse_mapping(text: str, name: str = "mapping") -> Mapping:
+    """Turn the text of a mapping into its model; `name` stands in messages."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"{name}: is not valid TOML: {error}") from None
+    if data.get("mapping") != MAPPING_VERSION:
+        raise RecipeError(
+            f"{name}: is TOML but not a mapping of this rigtool: it needs "
+            f"`mapping = {MAPPING_VERSION}` at its top"
+        )
+    try:
+        return Mapping.model_validate(data)
+    except ValidationError as error:
+        raise RecipeError(describe_mistakes(error, text, name, "mapping")) from None

@@ -1,0 +1,106 @@
+"""What the person at the bench knows of the rig: parts, data sheets, gains, geometry.
+
+Everything here may be used by an analysis. What only the virtual rig knows is in
+`rigtool.recipe.virtual`, and no analysis reads that.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from rigtool.recipe.base import Section
+
+Attachment = Literal["pulley", "instrument"]
+
+
+class Inertia(Section):
+    """Moments of inertia of the parts, from data sheets and dimensions, kg m2 [7.2.3]."""
+
+    rotor: float = Field(1.01e-5, gt=0, description="rotor of the motor, kg m2")
+    encoder: float = Field(1.7e-7, ge=0, description="encoder disc, kg m2")
+    pulley: float = Field(4.758e-6, ge=0, description="pulley on the motor shaft, kg m2")
+    instrument_wheel: float = Field(
+        0.0, ge=0, description="instrument's wheel seen from the motor shaft, kg m2"
+    )
+
+    def total(self, attachment: Attachment) -> float:
+        """Return the inertia on the motor shaft with this attachment, kg m2."""
+        wheel = self.instrument_wheel if attachment == "instrument" else 0.0
+        return self.rotor + self.encoder + self.pulley + wheel
+
+
+class Controller(Section):
+    """Position controller by loop shaping: gain, lead, integrator and second-order low-pass.
+
+    C(s) = k (s + wi)/s (s/wz + 1)/(s/wp + 1) / (s2/wl2 + 2 zl s/wl + 1), with |C P| = 1 at the
+    crossover for the nominal inertia; wz = wc/lead_ratio, wp = wc lead_ratio.
+    """
+
+    crossover_hz: float = Field(50.0, gt=0, description="crossover of the open loop, Hz")
+    lead_ratio: float = Field(3.0, gt=1, description="zero and pole of the lead around crossover")
+    integrator_hz: float = Field(4.0, ge=0, description="zero of the integrator, Hz; 0 for none")
+    lowpass_hz: float = Field(400.0, gt=0, description="second-order low-pass, Hz")
+    lowpass_damping: float = Field(0.7, gt=0, description="damping ratio of the low-pass")
+
+
+class Instrument(Section):
+    """Geometry of the instrument as the thesis uses it [8.1]."""
+
+    angle_ratio: float = Field(0.85, gt=0, description="motor angle per grasper angle")
+    torque_factor: float = Field(
+        1.18, gt=0, description="grasper torque per motor torque, as the thesis multiplies"
+    )
+    grasper_length: float = Field(0.020, gt=0, description="axis to where the load hangs, m")
+
+
+class ForceArm(Section):
+    """Arm and force gauge with which the motor constant is calibrated [7.1.1]."""
+
+    length: float = Field(0.540, gt=0, description="arm from shaft to gauge, m")
+    length_u: float = Field(0.2e-3, ge=0, description="standard uncertainty of the length, m")
+    gauge_relative_u: float = Field(
+        3e-4, ge=0, description="relative standard uncertainty of the gauge's calibration"
+    )
+
+
+class Rig(Section):
+    """The rig as its owner describes it."""
+
+    name: str = Field(min_length=1, description="which rig this is; tables belong to one rig")
+    source: Literal["virtual"] = Field("virtual", description="where signals come from")
+    attachment: Attachment = Field(
+        "instrument", description="what the motor drives: its bare pulley, or the instrument"
+    )
+    sample_time: float = Field(125e-6, gt=0, le=0.01, description="of the control loop, s")
+    encoder_counts: int = Field(4000, ge=16, description="quad counts a turn")
+    torque_constant: float = Field(0.045, gt=0, description="of the data sheet, N m/A")
+    current_limit: float = Field(10.0, gt=0, description="of the amplifier, A")
+    pulley_radius: float = Field(0.014, gt=0, description="effective, where a load hangs, m")
+    inertia: Inertia = Inertia()
+    controller: Controller = Controller()
+    instrument: Instrument = Instrument()
+    arm: ForceArm = ForceArm()
+
+    @property
+    def nominal_inertia(self) -> float:
+        """Moment of inertia on the motor shaft, from the parts, kg m2."""
+        return self.inertia.total(self.attachment)
+
+    @property
+    def angle_ratio(self) -> float:
+        """Motor angle per output angle: 1 for the bare pulley."""
+        return self.instrument.angle_ratio if self.attachment == "instrument" else 1.0
+
+    @property
+    def torque_factor(self) -> float:
+        """Output torque per motor torque: 1 for the bare pulley."""
+        return self.instrument.torque_factor if self.attachment == "instrument" else 1.0
+
+    @property
+    def load_arm(self) -> float:
+        """Length at which a hanging load acts, m: grasper or pulley."""
+        if self.attachment == "instrument":
+            return self.instrument.grasper_length
+        return self.pulley_radius

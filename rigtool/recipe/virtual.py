@@ -1,0 +1,143 @@
+"""Physical parameters of the virtual rig: what a real bench would not know.
+
+Only `rigtool.rigs.virtual` reads these. Angles in rad, torques in N m at the shaft named, SI
+throughout; temperatures in degC.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from rigtool.recipe.base import Section
+
+MAX_ORDER = 200
+"""Highest order of rotation that a recipe may name."""
+
+
+class Order(Section):
+    """One order of rotation: amplitude * cos(order * angle + phase)."""
+
+    order: int = Field(ge=1, le=MAX_ORDER, description="cycles a turn")
+    amplitude: float = Field(ge=0, description="in the unit of what it modulates")
+    phase: float = Field(0.0, description="rad")
+
+
+class DrawnOrder(Section):
+    """One order whose phase and amplitude each power-up draws anew."""
+
+    order: int = Field(ge=1, le=MAX_ORDER, description="cycles a turn")
+    amplitude: float = Field(ge=0, description="typical, in the unit of what it modulates")
+
+
+class Motor(Section):
+    """Motor with its bearings; friction is a pre-sliding (bristle) model of Stribeck type."""
+
+    torque_constant: float = Field(gt=0, description="at 20 degC, N m/A")
+    torque_constant_temperature_coefficient: float = Field(description="relative, 1/K")
+    inertia: float = Field(gt=0, description="on the shaft with pulley, kg m2")
+    coulomb_friction: float = Field(ge=0, description="N m")
+    static_friction: float = Field(ge=0, description="N m")
+    stribeck_velocity: float = Field(gt=0, description="rad/s")
+    viscous_friction: float = Field(ge=0, description="N m s/rad")
+    viscous_modulation: tuple[Order, ...] = Field((), description="relative, by rotor angle")
+    friction_asymmetry: float = Field(0.0, description="relative, positive direction higher")
+    radial_friction: float = Field(0.0, ge=0, description="friction per radial force, N m/N")
+    presliding_angle: float = Field(gt=0, description="deflection of the bristles, rad")
+    presliding_damping: float = Field(0.0, ge=0, description="s, relative to bristle stiffness")
+    friction_noise: float = Field(0.0, ge=0, description="std of random friction, N m")
+    friction_noise_time: float = Field(0.15, gt=0, description="its correlation time, s")
+    cogging: tuple[Order, ...] = Field((), description="N m")
+
+
+class Thermal(Section):
+    """Two thermal masses: winding and housing; the torque constant follows the winding."""
+
+    ambient_degc: float = Field(22.0, description="of the room")
+    winding_resistance: float = Field(gt=0, description="ohm at 20 degC")
+    winding_to_housing: float = Field(gt=0, description="K/W")
+    winding_capacity: float = Field(gt=0, description="J/K")
+    housing_to_ambient: float = Field(gt=0, description="K/W")
+    housing_capacity: float = Field(gt=0, description="J/K")
+
+
+class Amplifier(Section):
+    """Current amplifier with what its start-up calibration leaves behind [7.1.3, App. F]."""
+
+    gain: float = Field(1.0, gt=0, description="current delivered per current asked for")
+    offset: float = Field(0.0, description="A")
+    bandwidth_hz: float = Field(1500.0, gt=0, description="of the current loop, Hz")
+    offset_ripple: tuple[DrawnOrder, ...] = Field((), description="A, whatever the current")
+    gain_ripple: tuple[DrawnOrder, ...] = Field((), description="relative to the current")
+    saturation_ripple: tuple[DrawnOrder, ...] = Field((), description="relative, 1/A")
+    amplitude_spread: float = Field(0.0, ge=0, le=1, description="relative, between power-ups")
+    ripple_corner_hz: float = Field(gt=0, description="lag with which the ripple acts, Hz")
+    distortion: float = Field(0.0, ge=0, description="fault at low current, A (App. C)")
+    distortion_period: float = Field(0.02, gt=0, description="its period in current, A")
+
+
+class Sensors(Section):
+    """Noise and error of what is read."""
+
+    current_noise: float = Field(0.0, ge=0, description="std a sample, A")
+    force_noise: float = Field(0.0, ge=0, description="std a sample, N")
+    force_gain: float = Field(1.0, gt=0, description="gauge reading per newton")
+    force_resolution: float = Field(1e-3, ge=0, description="N")
+    temperature_noise: float = Field(0.0, ge=0, description="std a sample, K")
+
+
+class Arm(Section):
+    """The arm that presses on the force gauge."""
+
+    inertia: float = Field(gt=0, description="kg m2")
+    stiffness: float = Field(gt=0, description="arm bending and gauge, N m/rad")
+    damping: float = Field(ge=0, description="N m s/rad")
+
+
+class Eccentricity(Section):
+    """Pulleys out of centre against the leaf springs [App. E, J]."""
+
+    spring_constant: float = Field(14.5e3, ge=0, description="of the leaf springs, N/m")
+    offset: float = Field(60e-6, ge=0, description="both eccentricities together, m")
+
+
+class VirtualInstrument(Section):
+    """Tendon and grasper: second mass on a spring, with friction on both sides of it [8]."""
+
+    stiffness: float = Field(gt=0, description="at the grasper, N m/rad")
+    damping: float = Field(ge=0, description="at the grasper, N m s/rad")
+    wheel_inertia: float = Field(ge=0, description="seen from the motor shaft, kg m2")
+    grasper_inertia: float = Field(gt=0, description="about the grasper's axis, kg m2")
+    friction: float = Field(ge=0, description="of housing and shaft at the motor shaft, N m")
+    friction_orders: tuple[Order, ...] = Field(
+        (), description="its dependence on the grasper angle, relative"
+    )
+    friction_asymmetry: float = Field(0.0, description="relative, positive direction higher")
+    viscous_friction: float = Field(0.0, ge=0, description="at the motor shaft, N m s/rad")
+    presliding_angle: float = Field(gt=0, description="at the motor shaft, rad")
+    tip_friction: float = Field(ge=0, description="at the grasper, N m")
+    tip_presliding_angle: float = Field(gt=0, description="at the grasper, rad")
+    load_friction: float = Field(ge=0, description="friction per torque carried")
+    load_friction_onset: float = Field(
+        gt=0, description="torque below which pre-tension hides the load friction, N m"
+    )
+    stroke_noise: float = Field(ge=0, description="std of friction from stroke to stroke, N m")
+    stroke_payback: float = Field(
+        ge=0, le=1, description="part of a stroke's deviation that the next one returns"
+    )
+    load_stroke_noise: float = Field(ge=0, description="std of the load friction, relative")
+    drift: float = Field(ge=0, description="std of slow friction drift, N m")
+    drift_time: float = Field(gt=0, description="its correlation time, s")
+
+
+class Virtual(Section):
+    """The simulated rig."""
+
+    seed: int = Field(1, ge=0, description="of everything random")
+    power_cycle: int = Field(0, ge=0, description="which start-up of the amplifier this is")
+    motor: Motor
+    thermal: Thermal
+    amplifier: Amplifier
+    sensors: Sensors = Sensors()
+    arm: Arm
+    eccentricity: Eccentricity = Eccentricity()
+    instrument: VirtualInstrument

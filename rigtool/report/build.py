@@ -1,0 +1,144 @@
+"""From run files to a report: which tables and figures there are, and what must be said first."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rigtool.errors import UsageError
+from rigtool.report.figures import Picture, draw_figures
+from rigtool.report.formats import ReportTable
+from rigtool.report.tables import attachment_of, force_table, results_table
+from rigtool.runfile.provenance import file_sha256
+
+if TYPE_CHECKING:
+    from rigtool.runfile import Run
+
+ORDER = ("calibrate-kt", "stribeck", "fft-ripple", "ilc-learn", "measure-force")
+"""Commands in the order in which a report shows their runs."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a report rests on: one run file and where it came from."""
+
+    label: str
+    file: str
+    command: str
+    rig: str
+    attachment: str
+    seed: str
+    date: str
+    version: str
+    recipe_sha256: str
+    content_sha256: str
+    file_sha256: str
+    inputs: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything that a report shows; made before anything is written.
+
+    `warnings` are the report's own, about runs that do not belong together; `remarks` are those of
+    the runs. `force_tables` are Tables 8 and 9, `results` all results of each run beside published
+    values.
+    """
+
+    warnings: tuple[str, ...]
+    remarks: tuple[str, ...]
+    force_tables: tuple[ReportTable, ...]
+    results: tuple[ReportTable, ...]
+    pictures: tuple[Picture, ...]
+    origins: tuple[Origin, ...]
+
+
+def build_report(runs: Sequence[Run]) -> Report:
+    """Make a report of any mix of runs; their order does not matter.
+
+    Raises `UsageError` for a file given twice and `RunFileError` for a run whose tables are not
+    complete.
+    """
+    labelled = _labels(runs)
+    tables = [force_table(run, label) for label, run in labelled if "loads" in run.tables]
+    pictures = [picture for label, run in labelled for picture in draw_figures(run, label)]
+    return Report(
+        warnings=tuple(_warnings(labelled)),
+        remarks=tuple(f"{label}: {note}" for label, run in labelled for note in run.notes),
+        force_tables=tuple(sorted(tables, key=lambda table: table.title)),
+        results=tuple(results_table(run, label) for label, run in labelled if run.results),
+        pictures=tuple(sorted(pictures, key=lambda picture: picture.number)),
+        origins=tuple(_origin(label, run) for label, run in labelled),
+    )
+
+
+def _labels(runs: Sequence[Run]) -> list[tuple[str, Run]]:
+    """Sort runs by command and name, and call each by the stem of its file.
+
+    Files of one stem in different folders are numbered.
+    """
+    paths = Counter(run.path.resolve() for run in runs)
+    for path, times in paths.items():
+        if times > 1:
+            raise UsageError(f"{path}: is given twice: give each run file once")
+
+    def key(run: Run) -> tuple[int, str, str, str]:
+        place = ORDER.index(run.command) if run.command in ORDER else len(ORDER)
+        return place, run.command, run.path.stem, run.content_sha256
+
+    taken: dict[str, int] = {}
+    labelled = []
+    for run in sorted(runs, key=key):
+        count = taken[run.path.stem] = taken.get(run.path.stem, 0) + 1
+        labelled.append((run.path.stem if count == 1 else f"{run.path.stem}-{count}", run))
+    return labelled
+
+
+def _warnings(labelled: Sequence[tuple[str, Run]]) -> list[str]:
+    """Say which runs do not belong together, and which hold nothing to show."""
+    found = []
+    rigs = sorted({run.rig or "unknown" for _, run in labelled})
+    if len(rigs) > 1:
+        found.append(f"These runs come from {len(rigs)} rigs: {', '.join(rigs)}.")
+    shown: dict[str, dict[str, str]] = {}
+    for label, run in labelled:
+        shown.setdefault(run.command, {})[label] = run.content_sha256
+    for label, run in labelled:
+        for used in run.provenance["inputs"]:
+            there = shown.get(used["command"], {})
+            if there and used["content_sha256"] not in there.values():
+                found.append(
+                    f"{label}: was made with {used['command']} run {used['content_sha256'][:12]}, "
+                    f"which is not the one shown here ({', '.join(there)})."
+                )
+        if not run.results and not run.tables:
+            found.append(f"{label}: holds signals but no results; analyse it to see them here.")
+    return found
+
+
+def _origin(label: str, run: Run) -> Origin:
+    origin = run.provenance
+    resolved = origin["recipe_resolved"]
+    return Origin(
+        label=label,
+        file=run.path.name,
+        command=run.command,
+        rig=run.rig or "",
+        attachment=attachment_of(run) or "",
+        seed=origin["seed"] or "",
+        date=origin["date"],
+        version=f"{origin['program']} {origin['version']}",
+        recipe_sha256="" if resolved is None else _sha256(resolved),
+        content_sha256=run.content_sha256,
+        file_sha256=file_sha256(run.path),
+        inputs=tuple(f"{i['command']} {i['content_sha256'][:12]}" for i in origin["inputs"]),
+    )
+
+
+def _sha256(resolved: str) -> str:
+    canonical = json.dumps(json.loads(resolved), sort_keys=True)
+    return hashlib.sha256(canonical.encode()).hexdigest()

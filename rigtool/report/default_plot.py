@@ -1,0 +1,125 @@
+"""The plot that a viewer shows first: a run's first table, or its first recording."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from rigtool.errors import RunFileError, UsageError
+from rigtool.quantity import display_unit
+from rigtool.runfile import Recording, Run, Table
+from rigtool.runfile.storage import storage_errors
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FORMATS = (".png", ".svg", ".pdf")
+
+_BINS = 2000
+_BLOCK = 2**17
+_MOST_LINES = 12
+
+
+def write_default_plot(run: Run, output: str | os.PathLike[str], *, overwrite: bool) -> None:
+    """Draw a run's default plot into a file; raises `RunFileError` where there is nothing."""
+    output = Path(output)
+    if output.suffix not in FORMATS:
+        raise UsageError(f"{output}: cannot be drawn, use one of {', '.join(FORMATS)}")
+    if output.exists() and not overwrite:
+        raise UsageError(f"{output}: exists already: give another name, or --overwrite")
+    figure = draw_default_plot(run)
+    beside = output.with_name(output.name + ".tmp")
+    with storage_errors(output):
+        try:
+            figure.savefig(beside, format=output.suffix[1:])
+            os.replace(beside, output)
+        finally:
+            beside.unlink(missing_ok=True)
+
+
+def draw_default_plot(run: Run) -> Figure:
+    """Return the plot of the first table with values, else of the first recording with samples."""
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    axes = figure.add_subplot()
+    tables = [(name, table) for name, table in run.tables.items() if table[table.signal].size]
+    recordings = run.recordings_named("")
+    if tables:
+        name, table = tables[0]
+        _draw_table(axes, table)
+    elif recordings:
+        name = recordings[0].name
+        _draw_recording(axes, recordings[0])
+    else:
+        raise RunFileError(f"{run.path}: has neither tables nor signals to draw")
+    axes.set_title(f"{run.command}: {name}" + (f" ({run.rig})" if run.rig else ""))
+    axes.grid(True, alpha=0.3)
+    return figure
+
+
+def _draw_table(axes: Axes, table: Table) -> None:
+    """Draw the signal along the last axis, one line for each point of the other axes."""
+    signal = table.columns[table.signal]
+    along = table.axes[-1]
+    factor, unit = display_unit(signal.unit)
+    lines = signal.values.reshape(-1, table.shape[-1]) * factor
+    labels = _labels(table)
+    for index in _spread(len(lines)):
+        axes.plot(table[along], lines[index], ".-", ms=3, lw=1, label=labels[index])
+    if len(lines) > 1:
+        axes.legend(fontsize="small")
+    axes.set_xlabel(_label(along, table.columns[along].unit))
+    axes.set_ylabel(_label(table.signal, unit))
+
+
+def _labels(table: Table) -> list[str]:
+    """Return which point of the leading axes each line belongs to."""
+    leading = table.axes[:-1]
+    points = itertools.product(*(table[axis] for axis in leading))
+    units = [_shown(table.columns[axis].unit) for axis in leading]
+    return [
+        ", ".join(
+            f"{axis} {value:.4g} {unit}".rstrip()
+            for axis, value, unit in zip(leading, point, units, strict=True)
+        )
+        for point in points
+    ]
+
+
+def _spread(count: int) -> list[int]:
+    """Return at most `_MOST_LINES` indices, the first and the last among them."""
+    return sorted(set(np.linspace(0, count - 1, min(count, _MOST_LINES)).round().astype(int)))
+
+
+def _draw_recording(axes: Axes, recording: Recording) -> None:
+    """Draw lowest and highest value in each of some bins: no peak is lost, however long it is."""
+    name, unit = next((n, u) for n, u in recording.units.items() if n != "time")
+    factor, shown = display_unit(unit)
+    step = -(-recording.size // _BINS)
+    block = step * max(1, _BLOCK // step)
+    time, low, high = [], [], []
+    for start in range(0, recording.size, block):
+        stop = min(start + block, recording.size)
+        values = recording.read(name, start, stop) * factor
+        bins = np.arange(0, values.size, step)
+        time.append(recording.read("time", start, stop)[::step])
+        low.append(np.minimum.reduceat(values, bins))
+        high.append(np.maximum.reduceat(values, bins))
+    axes.fill_between(
+        np.concatenate(time), np.concatenate(low), np.concatenate(high), lw=1, edgecolor="C0"
+    )
+    axes.set_xlabel(_label("time", recording.units["time"]))
+    axes.set_ylabel(_label(name, shown))
+
+
+def _label(name: str, unit: str) -> str:
+    text = name.replace("_", " ")
+    return f"{text} ({_shown(unit)})" if _shown(unit) else text
+
+
+def _shown(unit: str) -> str:
+    return "" if unit == "1" else unit

@@ -1,0 +1,63 @@
+"""What goes on the axes: quad counts, the up-and-down of a cycle, not too many points."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from rigtool.runfile import Run, Table
+
+Array = NDArray[np.float64]
+
+MILLI = 1e3
+COUNTS = "encoder position [quad counts]"
+UP_AND_DOWN = "encoder position, up and down [quad counts]"
+TORQUE = "torque [mN m]"
+OUTPUT_TORQUE = "torque at the output [mN m]"
+MOTOR_TORQUE = "torque at the motor [mN m]"
+
+
+def counts(run: Run, table: Table, column: str) -> Array:
+    """Return a column of motor positions in quad counts, whether it is stored so or in rad."""
+    values = np.asarray(table[column], dtype=np.float64)
+    if table.columns[column].unit != "rad":
+        return values
+    turn = 4000 if run.recipe is None else run.recipe.rig.encoder_counts
+    return values * turn / (2 * math.pi)
+
+
+def thin(points: int, *arrays: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return every n-th point of the last axis, so that no more than about `points` are left."""
+    step = max(1, math.ceil(arrays[0].shape[-1] / points))
+    return [array[..., ::step] for array in arrays]
+
+
+def up_and_down(position: Array, rising: Array, falling: Array, end: float) -> tuple[Array, Array]:
+    """Join curves over one stroke to the thesis's full cycle: 0 up to `end`, then back [8.1].
+
+    Where the curves do not reach the end there is a gap (NaN).
+    """
+    return (
+        np.concatenate([position, [end], 2 * end - position[::-1]]),
+        np.concatenate([rising, [math.nan], falling[::-1]]),
+    )
+
+
+def cycle_axis(axes: Axes, end: float) -> None:
+    """Let the abscissa show one up-and-down, 0 to 2 `end`, with a tick every quarter stroke."""
+    axes.set_xlim(0, 2 * end)
+    axes.set_xticks(np.linspace(0, 2 * end, 9).round())
+
+
+def fit_height(axes: Axes, *curves: Array, margin: float = 0.08) -> None:
+    """Let the ordinate show these curves whole; anything else may leave the plot."""
+    low = min(float(np.nanmin(curve)) for curve in curves)
+    high = max(float(np.nanmax(curve)) for curve in curves)
+    room = margin * (high - low)
+    axes.set_ylim(low - room, high + room)

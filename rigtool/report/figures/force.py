@@ -1,0 +1,150 @@
+"""Figures 58-63: force measured with the instrument or on the pulley [chapter 8]."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.report.figures import style
+from rigtool.report.figures.axes import (
+    MILLI,
+    MOTOR_TORQUE,
+    OUTPUT_TORQUE,
+    UP_AND_DOWN,
+    Array,
+    counts,
+    cycle_axis,
+    fit_height,
+    up_and_down,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from rigtool.runfile import Run, Table
+
+PROBABILITIES = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
+
+
+def feedforward(run: Run) -> Figure:
+    """Fig. 58: feed-forward from the learned table over one up-and-down."""
+    table = run.table("feedforward")
+    figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
+    position = counts(run, table, "position")
+    axes.plot(position, MILLI * table["torque"], color=style.BLUE)
+    cycle_axis(axes, position[-1] / 2)
+    return figure
+
+
+def variation(run: Run) -> Figure:
+    """Fig. 59: what remains without load, all cycles in one plot."""
+    table = run.table("cycles_no_load")
+    figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
+    position, torque = counts(run, table, "position"), MILLI * table["torque"]
+    axes.plot(position, torque.T, color=style.BLUE, linewidth=0.6, alpha=0.5)
+    cycle_axis(axes, position[-1] / 2)
+    straight = _straight(run, axes, position)
+    fit_height(axes, torque[:, straight])
+    return figure
+
+
+def probability_plot(run: Run) -> Figure:
+    """Fig. 60: normal probability plot of the readings without load."""
+    table = run.table("probability_plot")
+    quantile, value = table["quantile"], MILLI * table["value"]
+    figure, axes = style.one_panel("torque without load [mN m]", "probability")
+    axes.plot(value, quantile, "+", color=style.BLUE, label="readings")
+    # The line through the quartiles, as probability plots usually have it.
+    lower, upper = np.interp([0.25, 0.75], np.linspace(0, 1, value.size), value)
+    quartile = 0.6744897501960817
+    ends = np.array([quantile[0], quantile[-1]])
+    line = (lower + upper) / 2 + ends * (upper - lower) / (2 * quartile)
+    axes.plot(line, ends, color=style.ORANGE, linestyle="--", label="normal distribution")
+    axes.set_yticks(_normal_quantiles(PROBABILITIES), [f"{p:g}" for p in PROBABILITIES])
+    style.legend_above(axes)
+    return figure
+
+
+def remaining(run: Run) -> Figure:
+    """Fig. 61: feed-forward (blue) and remaining disturbance (green) of one cycle."""
+    table = run.table("feedforward")
+    figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
+    position = counts(run, table, "position")
+    axes.plot(position, MILLI * table["torque"], color=style.BLUE, label="feed-forward")
+    axes.plot(position, MILLI * table["residual"], color=style.GREEN, label="remaining disturbance")
+    style.legend_above(axes)
+    cycle_axis(axes, position[-1] / 2)
+    _straight(run, axes, position)
+    return figure
+
+
+def shift(run: Run) -> Figure:
+    """Fig. 62: a high load; its peak comes late because the instrument is soft."""
+    figure, axes, middle = _lifted(run, run.table("shift"))
+    if "peak_shift_counts" in run.results:
+        late = run.results["peak_shift_counts"].value
+        top = axes.get_ylim()[1]
+        for x, label in ((middle, f"{middle:.0f}"), (middle + late, f"{middle + late:.0f}")):
+            axes.axvline(x, color=style.GREY, linewidth=0.8, linestyle=":")
+            axes.text(x, top, f" {label}", va="top", color=style.GREY)
+    return figure
+
+
+def lifting_lowering(run: Run) -> Figure:
+    """Fig. 63: a mass lifted and lowered; the difference is friction that grows with load."""
+    figure, axes, middle = _lifted(run, run.table("hysteresis"))
+    for name, x in (("lifting_torque", middle), ("lowering_torque", 3 * middle)):
+        if name in run.results:
+            height = MILLI * run.results[name].value
+            right = x + 0.4 * middle
+            axes.plot([x - 0.4 * middle, right], [height] * 2, ":", color=style.GREY)
+            axes.text(right, height, f" {height:.1f} mN m", va="center", color=style.GREY)
+    return figure
+
+
+def _lifted(run: Run, table: Table) -> tuple[Figure, Axes, float]:
+    """Draw a load lifted and lowered; return the middle of the stroke, quad counts, as well."""
+    stroke = counts(run, table, "position")
+    end = float(stroke[-1])
+    figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
+    measured = up_and_down(stroke, MILLI * table["lifting"], MILLI * table["lowering"], end)
+    applied = up_and_down(stroke, MILLI * table["applied"], MILLI * table["applied"], end)
+    axes.plot(*measured, color=style.BLUE, label="measured, mean of the cycles")
+    label = "applied by the load, were the instrument stiff"
+    axes.plot(*applied, "--", color=style.ORANGE, label=label)
+    for x, label in ((end / 2, "lifting"), (1.5 * end, "lowering")):
+        axes.annotate(
+            label, (x, 0), ha="center", va="bottom", xytext=(0, 4), textcoords="offset points"
+        )
+    style.legend_above(axes, 2)
+    cycle_axis(axes, end)
+    straight = _straight(run, axes, stroke)
+    curves = [MILLI * table[name][straight] for name in ("lifting", "lowering")]
+    fit_height(axes, *curves, MILLI * table["applied"], margin=0.1)
+    return figure, axes, end / 2
+
+
+def _straight(run: Run, axes: Axes, position: Array) -> NDArray[np.bool_]:
+    """Say where the motion has constant speed, (n,); the rest, where it turns, gets a grey band.
+
+    The reversal of friction and acceleration fills the bands; it is not what the figures show.
+    """
+    if run.recipe is None:
+        return np.ones(position.size, dtype=bool)
+    settings, rig = run.recipe.measure_force, run.recipe.rig
+    per_degree = rig.encoder_counts * rig.angle_ratio / 360
+    end, turn = settings.angle * per_degree, settings.turn_angle * per_degree
+    for low, high in ((0, turn), (end - turn, end + turn), (2 * end - turn, 2 * end)):
+        axes.axvspan(low, high, color=style.BAND, linewidth=0, zorder=0)
+    within = np.where(position > end, 2 * end - position, position)
+    straight: NDArray[np.bool_] = (within >= turn) & (within <= end - turn)
+    return straight
+
+
+def _normal_quantiles(probabilities: tuple[float, ...]) -> list[float]:
+    from statistics import NormalDist
+
+    return [NormalDist().inv_cdf(p) for p in probabilities]

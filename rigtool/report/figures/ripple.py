@@ -1,0 +1,143 @@
+"""Figures 23-28: torque ripple by rotor position, current and speed [7.1.3]."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rigtool.report.figures import style
+from rigtool.report.figures.axes import COUNTS, MILLI, TORQUE, Array, counts, thin
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from rigtool.runfile import Run, Table
+
+POINTS = 1000
+SPECTRA = 4
+"""Speeds whose spectra are shown."""
+
+
+def power_cycles(run: Run) -> Figure:
+    """Fig. 23: ripple before and after the amplifier was switched off and on."""
+    table = run.table("power_waveforms")
+    figure, axes = style.one_panel(COUNTS, TORQUE)
+    position, waves = _waveforms(run, table)
+    for number, wave in enumerate(waves):
+        axes.plot(position, wave, label=f"start-up {number + 1}")
+    style.legend_above(axes, 4)
+    _one_turn(axes, position)
+    return figure
+
+
+def revolutions(run: Run) -> Figure:
+    """Fig. 24: many revolutions in one plot, to show how well the ripple repeats."""
+    table = run.table("revolutions")
+    figure, axes = style.one_panel(COUNTS, TORQUE)
+    position, waves = _waveforms(run, table)
+    axes.plot(position, waves.T, color=style.BLUE, linewidth=0.6, alpha=0.6)
+    _one_turn(axes, position)
+    return figure
+
+
+def ripple_by_current(run: Run) -> Figure:
+    """Fig. 25: ripple at several constant torques, on one scale."""
+    table = run.table("torque_waveforms")
+    figure, axes = style.one_panel(COUNTS, TORQUE)
+    position, waves = _waveforms(run, table)
+    for torque, wave in zip(table["torque"], waves, strict=True):
+        axes.plot(position, wave, label=f"at {MILLI * torque:.4g} mN m")
+    style.legend_above(axes)
+    _one_turn(axes, position)
+    return figure
+
+
+def shape_by_current(run: Run) -> Figure:
+    """Fig. 26: the same, each on its own scale, with its content by order of rotation."""
+    from matplotlib.figure import Figure as NewFigure
+
+    table, spectrum = run.table("torque_waveforms"), run.table("torque_spectrum")
+    torques = table["torque"]
+    position, waves = _waveforms(run, table)
+    figure = NewFigure(figsize=(style.WIDTH, 0.8 + 1.3 * len(torques)), layout="constrained")
+    grid = figure.subplots(
+        len(torques), 2, sharex="col", squeeze=False, gridspec_kw={"width_ratios": (3, 2)}
+    )
+    for row, torque, wave, amplitude in zip(
+        grid, torques, waves, spectrum["amplitude"], strict=True
+    ):
+        row[0].plot(position, wave, color=style.BLUE)
+        row[0].set_title(f"at {MILLI * torque:.4g} mN m", loc="left")
+        row[0].set_ylabel(TORQUE)
+        _one_turn(row[0], position)
+        _bars(row[1], spectrum["order"], MILLI * amplitude)
+    grid[-1][0].set_xlabel(COUNTS)
+    grid[-1][1].set_xlabel("order of rotation")
+    return figure
+
+
+def ripple_by_speed(run: Run) -> Figure:
+    """Fig. 27: ripple at each speed, one above the other on one scale."""
+    table = run.table("speed_waveforms")
+    position, waves = _waveforms(run, table)
+    step = 1.1 * float(np.ptp(waves, axis=1).max())
+    figure, axes = style.one_panel(COUNTS, "motor speed [rad/s]", 5.2)
+    levels = step * np.arange(len(waves))
+    for level, wave in zip(levels, waves, strict=True):
+        axes.plot(position, level + wave, color=style.BLUE)
+    axes.set_yticks(levels, [f"{speed:.3g}" for speed in table["speed"]])
+    _one_turn(axes, position)
+    _scale_bar(axes, step)
+    return figure
+
+
+def psd_by_speed(run: Run) -> Figure:
+    """Fig. 28: power spectral densities of some of these signals, slow to fast.
+
+    Dotted lines mark the first and second order of rotation.
+    """
+    table = run.table("speed_psd")
+    speeds, frequency = table["speed"], np.asarray(table["frequency"])
+    rows = np.unique(np.linspace(0, len(speeds) - 1, SPECTRA).round().astype(int))
+    figure, axes = style.panels(len(rows), "frequency [Hz]", [""] * len(rows), 1 + 1.1 * len(rows))
+    figure.supylabel("PSD [(mN m)²/Hz]", fontsize=9)
+    highest = 3.2 * speeds.max() / (2 * np.pi)
+    shown = (frequency > 0) & (frequency <= highest)
+    levels = MILLI**2 * table["psd"][:, shown]
+    for panel, row in zip(axes, rows, strict=True):
+        first = speeds[row] / (2 * np.pi)
+        for order in (1, 2):
+            panel.axvline(order * first, color=style.GREY, linewidth=0.8, linestyle=":")
+        panel.semilogy(frequency[shown], levels[row], color=style.BLUE)
+        panel.set_ylim(levels[levels > 0].min() / 2, levels.max() * 3)
+        panel.set_title(f"{speeds[row]:.3g} rad/s", loc="right", pad=2)
+    axes[-1].set_xlim(0, highest)
+    return figure
+
+
+def _waveforms(run: Run, table: Table) -> tuple[Array, Array]:
+    """Return positions in counts and waveforms in mN m with their means taken off."""
+    position, waves = thin(POINTS, counts(run, table, "position"), MILLI * table[table.signal])
+    return position, waves - waves.mean(axis=-1, keepdims=True)
+
+
+def _one_turn(axes: Axes, position: Array) -> None:
+    axes.set_xlim(0, np.ceil(position[-1] / 100) * 100)
+
+
+def _bars(axes: Axes, order: Array, amplitude: Array, orders: int = 8) -> None:
+    shown = (order >= 1) & (order <= orders)
+    axes.bar(order[shown], amplitude[shown], color=style.ORANGE, width=0.6)
+    axes.set_xticks(range(1, orders + 1))
+    axes.set_ylabel("ampl. [mN m]")
+    axes.grid(visible=False, axis="x")
+
+
+def _scale_bar(axes: Axes, step: float) -> None:
+    """Mark how many mN m the distance between two curves is."""
+    length = float(f"{step:.1g}")
+    right = axes.get_xlim()[1] * 1.015
+    axes.plot([right, right], [0, length], color=style.BLACK, linewidth=2, clip_on=False)
+    axes.text(right * 1.01, length / 2, f"{length:g} mN m", va="center", rotation=90)

@@ -1,0 +1,120 @@
+"""How figures look, and how they become bytes that do not change from run to run.
+
+Without pyplot: no global state, no window, nothing of a user's matplotlibrc. Colours are those of
+Okabe and Ito (2008), which stay apart for the colour-blind and in grey.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BLUE = "#0072B2"
+ORANGE = "#D55E00"
+GREEN = "#009E73"
+PURPLE = "#CC79A7"
+YELLOW = "#E69F00"
+SKY = "#56B4E9"
+BLACK = "#000000"
+GREY = "#767676"
+BAND = "#EFEFEF"
+CYCLE = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, SKY, BLACK)
+SHADES = "cividis"
+
+WIDTH = 6.3
+"""Inches: the text width of an A4 page."""
+HEIGHT = 3.4
+PNG_DPI = 150
+
+_STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.formatter.useoffset": False,
+    "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.2,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "svg.hashsalt": "rigtool",
+    "svg.fonttype": "path",
+    "path.simplify_threshold": 0.3,
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Make and save figures within this context: defaults of matplotlib plus our own."""
+    import matplotlib
+    from cycler import cycler
+
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE | {"axes.prop_cycle": cycler(color=CYCLE)})
+        yield
+
+
+def one_panel(x: str, y: str, height: float = HEIGHT) -> tuple[Figure, Axes]:
+    """Return a figure with one pair of axes and their labels."""
+    figure, (axes,) = panels(1, x, [y], height)
+    return figure, axes
+
+
+def panels(
+    count: int, x: str, ys: list[str], height: float = HEIGHT, **options: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with `count` panels above each other that share the abscissa."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    grid = figure.subplots(count, 1, sharex=True, squeeze=False, **options)
+    axes = [row[0] for row in grid]
+    for panel, label in zip(axes, ys, strict=True):
+        panel.set_ylabel(label)
+    axes[-1].set_xlabel(x)
+    return figure, axes
+
+
+def legend_above(axes: Axes, columns: int = 3) -> None:
+    """Put the legend above the plot, where it covers nothing."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, borderaxespad=0.2)
+
+
+def render(figure: Figure) -> tuple[str, bytes]:
+    """Return the figure as SVG and as PNG; the same figure gives the same text and bytes.
+
+    Each canvas draws once; `savefig` would draw and lay out twice for either.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    svg, png = io.StringIO(), io.BytesIO()
+    FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
+    figure.set_layout_engine("none")  # it is laid out now
+    figure.dpi = PNG_DPI
+    FigureCanvasAgg(figure).print_png(png)
+    return _PATH.sub(_rounded, svg.getvalue()), png.getvalue()
+
+
+_PATH = re.compile(r' d="[^"]*"')
+_NUMBER = re.compile(r"-?\d+\.\d{3,}")
+
+
+def _rounded(path: re.Match[str]) -> str:
+    """Write the coordinates of a path to a hundredth of a point: half the size, the same picture.
+
+    matplotlib writes six decimals and has no setting for it.
+    """
+    return _NUMBER.sub(lambda number: f"{float(number[0]):.2f}", path[0]).replace("\n", " ")

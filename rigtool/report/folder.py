@@ -1,0 +1,97 @@
+"""Writing a report: the folder appears complete, or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from rigtool.errors import RigtoolError, UsageError
+from rigtool.report.build import Report
+from rigtool.report.formats import csv_text, latex, markdown, terminal
+from rigtool.report.page import render_page
+
+ENTRIES = frozenset({"index.html", "tables.txt", "tables", "figures"})
+"""What a report's folder holds; a folder with anything else is never replaced."""
+
+
+def terminal_text(report: Report) -> str:
+    """Return Tables 8 and 9 as text, an empty line between them."""
+    return "\n".join(terminal(table) for table in report.force_tables)
+
+
+def require_free(output: str | os.PathLike[str], *, overwrite: bool) -> Path:
+    """Return the folder to write as an absolute path.
+
+    Raises `UsageError` where it cannot be written, exists without `overwrite`, or holds something
+    that no report wrote.
+    """
+    target = Path(output).absolute()
+    if not target.parent.is_dir():
+        raise UsageError(f"{output}: the folder {target.parent} does not exist: create it first")
+    if not os.access(target.parent, os.W_OK):
+        raise UsageError(f"{output}: {target.parent} cannot be written: choose another folder")
+    if not target.exists() and not target.is_symlink():
+        return target
+    if target.is_symlink() or not target.is_dir():
+        raise UsageError(f"{output}: is no folder: give the report a name of its own")
+    if not overwrite:
+        raise UsageError(f"{output}: exists already: give another name, or --overwrite")
+    foreign = sorted(entry.name for entry in target.iterdir() if entry.name not in ENTRIES)
+    if foreign:
+        raise UsageError(
+            f"{output}: holds {foreign[0]!r}, which is no part of a report, and would be lost: "
+            "give another name, or move it away"
+        )
+    return target
+
+
+def write_report(report: Report, output: str | os.PathLike[str], *, overwrite: bool) -> None:
+    """Write all files beside the folder, then put them in its place in one step.
+
+    Raises `UsageError` as `require_free`, `RigtoolError` where the disk refuses.
+    """
+    target = require_free(output, overwrite=overwrite)
+    scratch: Path | None = None
+    try:
+        scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        new = scratch / "new"
+        for name, data in _contents(report).items():
+            path = new / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        _swap(new, target, scratch / "old")
+    except OSError as error:
+        raise RigtoolError(f"{output}: cannot be written: {error.strerror}") from error
+    finally:
+        if scratch is not None:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _contents(report: Report) -> dict[str, bytes]:
+    """Return every file of the report by its path within the folder."""
+    texts = {"index.html": render_page(report), "tables.txt": terminal_text(report)}
+    for table in (*report.force_tables, *report.results):
+        texts[f"tables/{table.name}.md"] = markdown(table)
+        texts[f"tables/{table.name}.csv"] = csv_text(table)
+        texts[f"tables/{table.name}.tex"] = latex(table)
+    for picture in report.pictures:
+        texts[f"figures/{picture.name}.svg"] = picture.svg
+    contents = {name: text.encode() for name, text in texts.items()}
+    for picture in report.pictures:
+        contents[f"figures/{picture.name}.png"] = picture.png
+    return contents
+
+
+def _swap(new: Path, target: Path, old: Path) -> None:
+    """Put `new` where `target` is; where that fails the old folder stays or comes back."""
+    if not target.exists():
+        new.rename(target)
+        return
+    target.rename(old)
+    try:
+        new.rename(target)
+    except OSError:
+        old.rename(target)
+        raise

@@ -1,0 +1,142 @@
+"""Tables 8 and 9, and every result of a run, beside what the thesis states."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from rigtool.quantity import Quantity, display_unit, format_number, format_quantity
+from rigtool.report.formats import MISSING, NO_VALUE, Cell, Column, ReportTable
+from rigtool.report.published import published_table, published_value
+
+if TYPE_CHECKING:
+    from rigtool.runfile import Run
+
+_MILLI = 1e3
+
+_FORCE_COLUMNS = (
+    Column("applied_force", "Force", "mN", "N"),
+    Column("applied_torque", "Applied", "mN m", "N m"),
+    Column("mean_torque", "Mean", "mN m", "N m", uncertain=True),
+    Column("mean_torque_published", "published", "mN m", "N m"),
+    Column("std_torque", "S", "mN m", "N m"),
+    Column("std_torque_published", "published", "mN m", "N m"),
+    Column("error_torque", "Error", "mN m", "N m"),
+    Column("error_torque_published", "published", "mN m", "N m"),
+    Column("error_percent", "Error", "%", "%"),
+    Column("error_percent_published", "published", "%", "%"),
+)
+
+
+def force_table(run: Run, label: str) -> ReportTable:
+    """Return Table 8 (instrument) or Table 9 (pulley) from a run of measure-force.
+
+    Each loaded row stands beside the published one of the same force and torque, where there is
+    one. `label` tells this run from others. Raises `RunFileError` where the run has no such table.
+    """
+    attachment = attachment_of(run) or "instrument"
+    published = published_table(attachment)
+    loads = run.table("loads")
+    rows = []
+    for index, force in enumerate(loads["applied_force"]):
+        if force <= 0:
+            continue  # the unloaded cycles are not in the thesis's tables
+        measured = {name: float(loads[name][index]) for name in loads.columns}
+        row = published.row(measured["applied_force"], measured["applied_torque"])
+        rows.append(_force_row(measured, row))
+    return ReportTable(
+        name=f"table-{published.number}-{label}",
+        title=f"Table {published.number}. {published.title} ({label})",
+        columns=_FORCE_COLUMNS,
+        rows=tuple(rows),
+        note=_zero_note(run),
+    )
+
+
+def results_table(run: Run, label: str) -> ReportTable:
+    """Return all results of a run, with uncertainty, beside the published values."""
+    attachment = attachment_of(run)
+    rows = []
+    for name, quantity in run.results.items():
+        published = published_value(run.command, name, attachment)
+        rows.append(
+            (
+                Cell(name, name),
+                _quantity_cell(quantity),
+                Cell(_unit(quantity.unit), quantity.unit),
+                NO_VALUE if published is None else _published_cell(published.value, quantity.unit),
+                NO_VALUE if published is None else Cell(published.section, published.section),
+                Cell(quantity.reason or "", quantity.reason or ""),
+            )
+        )
+    columns = (
+        Column("result", "Result", numeric=False),
+        Column("value", "Value", uncertain=True),
+        Column("unit", "Unit", numeric=False),
+        Column("published", "Published"),
+        Column("section", "Section", numeric=False),
+        Column("reason", "No uncertainty because", numeric=False, wraps=True),
+    )
+    return ReportTable(f"results-{label}", f"Results of {run.command} ({label})", columns, (*rows,))
+
+
+def attachment_of(run: Run) -> str | None:
+    """Return what the motor drove in this run, None where the run holds no recipe."""
+    return None if run.recipe is None else run.recipe.rig.attachment
+
+
+def _zero_note(run: Run) -> str:
+    """Say what was done about the reading without load: the thesis does not say what it did."""
+    if run.recipe is None or "mean_torque_no_load" not in run.results:
+        return ""
+    zero = format_quantity(run.results["mean_torque_no_load"])
+    if run.recipe.measure_force.zero:
+        return f"The mean reading without load, {zero}, is taken off; the thesis does not say."
+    return f"The mean reading without load, {zero}, is not taken off."
+
+
+def _force_row(measured: dict[str, float], published: dict[str, float] | None) -> tuple[Cell, ...]:
+    mean, u = measured["mean_torque"], measured["mean_torque_u"]
+    ours = {
+        "applied_force": _cell(measured["applied_force"], ".4g"),
+        "applied_torque": _cell(measured["applied_torque"], ".4g"),
+        "mean_torque": Cell(format_number(mean * _MILLI, u * _MILLI), mean, u),
+        "std_torque": _cell(measured["std_torque"], ".2f"),
+        "error_torque": _cell(measured["error_torque"], "+.2f"),
+        "error_percent": _cell(measured["error_percent"], "+.1f", 1),
+    }
+    theirs = {"mean_torque": ".4g", "std_torque": ".2f", "error_torque": "+.4g"}
+    cells = []
+    for column in _FORCE_COLUMNS:
+        name = column.key.removesuffix("_published")
+        if name == column.key:
+            cells.append(ours[name])
+        elif published is None:
+            cells.append(NO_VALUE)
+        elif name == "error_percent":
+            cells.append(_cell(published[name], "+.0f", 1))
+        else:
+            cells.append(_cell(published[name], theirs[name]))
+    return tuple(cells)
+
+
+def _cell(value: float, form: str, factor: float = _MILLI) -> Cell:
+    if not math.isfinite(value):
+        return Cell(MISSING, None)
+    text = format(value * factor, form)
+    return Cell(text.lstrip("+-") if float(text) == 0 else text, value)
+
+
+def _quantity_cell(quantity: Quantity) -> Cell:
+    factor = display_unit(quantity.unit)[0]
+    u = None if quantity.u is None else quantity.u * factor
+    return Cell(format_number(quantity.value * factor, u), quantity.value, quantity.u)
+
+
+def _published_cell(value: float, unit: str) -> Cell:
+    return Cell(f"{value * display_unit(unit)[0]:.4g}", value)
+
+
+def _unit(unit: str) -> str:
+    shown = display_unit(unit)[1]
+    return "" if shown == "1" else shown

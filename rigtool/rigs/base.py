@@ -1,0 +1,102 @@
+"""The Rig protocol: where signals come from, simulated or measured.
+
+A rig is asked to perform tasks and answers with blocks of signals; it knows nothing of analyses or
+files. Channels and their units are fixed here, so that a run file reads the same whatever rig made
+it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.analysis.lookup_table import LookupTable
+from rigtool.rigs.motion import Motion, OpenLoop
+
+Block = dict[str, NDArray[np.float64]]
+"""Equal-length arrays by channel name, `time` among them."""
+
+CHANNELS = {
+    "time": ("s", "f8", "bench clock"),
+    "position_setpoint": ("rad", "f8", "set point of the motor shaft"),
+    "encoder": ("count", "f8", "motor encoder, quad counts; a mean where samples are averaged"),
+    "current_setpoint": ("A", "f4", "asked of the amplifier: controller + feed-forward + table"),
+    "current": ("A", "f4", "as the amplifier measures it"),
+    "feedforward_current": ("A", "f4", "part from acceleration and friction model"),
+    "table_current": ("A", "f4", "part from the learned table"),
+    "temperature": ("degC", "f4", "of the motor's cooling body"),
+    "force": ("N", "f4", "force gauge at the end of the arm"),
+    "rotor_angle": ("rad", "f4", "angle of the shaft in the arm's clamp"),
+}
+"""Unit, type in the file and meaning of each channel a rig may offer."""
+
+
+@dataclass(frozen=True)
+class Feedforward:
+    """What is added to the controller's output, computed from the set point [Fig. 31, 33, 36].
+
+    torque = inertia * a + coulomb * tanh(v / (1 rad/s)) + viscous * v + table(position, v), N m.
+    """
+
+    inertia: float = 0.0
+    coulomb: float = 0.0
+    viscous: float = 0.0
+    table: LookupTable | None = None
+
+
+@dataclass(frozen=True)
+class Load:
+    """What acts on the rig from outside.
+
+    `force` hangs on the output (grasper or pulley), N; `torque` is constant on the motor shaft,
+    N m (a weight on a cord around the pulley); `radial_force` pulls on the shaft sideways, N;
+    `clamped` holds the shaft by the arm on the force gauge.
+    """
+
+    force: float = 0.0
+    torque: float = 0.0
+    radial_force: float = 0.0
+    clamped: bool = False
+
+
+@dataclass(frozen=True)
+class Task:
+    """One thing to do while recording.
+
+    Each recorded sample is the mean of `record_every` samples of the loop. An open-loop task ends
+    early once the shaft has turned by `stop_angle` rad, where that is given.
+    """
+
+    motion: Motion | OpenLoop
+    feedforward: Feedforward = Feedforward()
+    load: Load = Load()
+    record_every: int = 1
+    stop_angle: float | None = None
+
+
+class Rig(Protocol):
+    """A motor, an encoder and a current amplifier under position control."""
+
+    def perform(self, task: Task) -> Iterator[Block]:
+        """Run a task and yield its signals in blocks; moves to the motion's start first."""
+        ...
+
+    def move_by(self, angle: float) -> None:
+        """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
+        ...
+
+    def clamp(self, angle: float) -> None:
+        """Clamp the arm with the shaft at this angle, rad."""
+        ...
+
+    def soak(self, temperature_degc: float) -> None:
+        """Wait until the motor has this temperature throughout, degC."""
+        ...
+
+    def power_cycle(self) -> None:
+        """Switch the amplifier off and on: it calibrates itself anew."""
+        ...

@@ -1,0 +1,187 @@
+"""Motions of the motor shaft: set point of position, speed and acceleration at any sample.
+
+A motion is a description, not an array: it is evaluated block by block, so that an hour at 8 kHz
+needs no more memory than a second. Angles in rad at the motor, speeds in rad/s, times in s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Motion(Protocol):
+    """A closed-loop motion: what the set-point generator of the controller runs through."""
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion, s."""
+        ...
+
+    @property
+    def start(self) -> float | None:
+        """Position at which it starts, rad; None where it starts from wherever the rotor is."""
+        ...
+
+    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return position [rad], speed [rad/s] and acceleration [rad/s2] at these times [s].
+
+        Positions count from `start`, or from the rotor's position where `start` is None.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class SpeedProfile:
+    """Speed that runs linearly from point to point; sweeps and holds are made of it."""
+
+    times: tuple[float, ...]
+    speeds: tuple[float, ...]
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion, s."""
+        return self.times[-1]
+
+    @property
+    def start(self) -> None:
+        """Starts from wherever the rotor is."""
+        return None
+
+    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
+        """Integrate the piecewise linear speed exactly; see `Motion.setpoint`."""
+        times, speeds = np.asarray(self.times), np.asarray(self.speeds)
+        steps = np.diff(times)
+        slopes = np.diff(speeds) / steps
+        travelled = np.concatenate([[0.0], np.cumsum(steps * (speeds[1:] + speeds[:-1]) / 2)])
+        piece = np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(steps) - 1)
+        elapsed = time - times[piece]
+        acceleration = slopes[piece]
+        speed = speeds[piece] + acceleration * elapsed
+        position = travelled[piece] + (speeds[piece] + acceleration * elapsed / 2) * elapsed
+        return position, speed, acceleration
+
+
+@dataclass(frozen=True)
+class Triangle:
+    """To and fro between two positions at constant speed, reversing smoothly [7.2.4.2, 8.1].
+
+    Each reversal takes `turn_angle` on either side: the acceleration follows a sine arch, so that
+    it neither starts nor ends with a jump. Starts at `low`, at rest in the middle of a reversal.
+    """
+
+    low: float
+    high: float
+    speed: float
+    turn_angle: float
+    cycles: int
+
+    @property
+    def turn_time(self) -> float:
+        """Time from standstill to full speed, s; the angle covered meanwhile is `turn_angle`."""
+        # speed(t) = v sin2(pi t / 2 T) covers v T / 2
+        return 2 * self.turn_angle / self.speed
+
+    @property
+    def stroke_time(self) -> float:
+        """Time of one stroke from end to end, s."""
+        straight = self.high - self.low - 2 * self.turn_angle
+        return straight / self.speed + 2 * self.turn_time
+
+    @property
+    def duration(self) -> float:
+        """Length of the motion, s."""
+        return 2 * self.cycles * self.stroke_time
+
+    @property
+    def start(self) -> float:
+        """Starts at the lower end."""
+        return self.low
+
+    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
+        """See `Motion.setpoint`."""
+        stroke, turn, v = self.stroke_time, self.turn_time, self.speed
+        number = np.floor(time / stroke)
+        within = time - number * stroke
+        sign = 1.0 - 2.0 * (number % 2)  # falling strokes are rising ones mirrored
+        # A stroke is symmetric about its middle: count time and travel from there.
+        late = within - stroke / 2
+        straight = stroke / 2 - turn
+        travelled = v * late
+        speed = np.full(len(time), v)
+        acceleration = np.zeros(len(time))
+        turning = np.flatnonzero(np.abs(late) > straight)
+        end = np.sign(late[turning])
+        phase = np.pi / turn * (stroke / 2 - np.abs(late[turning]))  # 0 where it stands still
+        sine = np.sin(phase)
+        rest = v * turn / (2 * np.pi) * (phase - sine)  # still to go, or gone since the reversal
+        travelled[turning] = end * ((self.high - self.low) / 2 - rest)
+        speed[turning] = v * (1 - np.cos(phase)) / 2
+        acceleration[turning] = -end * v * np.pi / (2 * turn) * sine
+        middle = (self.high - self.low) / 2
+        return middle + sign * travelled, sign * speed, sign * acceleration
+
+
+@dataclass(frozen=True)
+class Move:
+    """One smooth move over an angle, at rest at both ends (minimum-jerk polynomial)."""
+
+    angle: float
+    duration: float
+
+    @property
+    def start(self) -> None:
+        """Starts from wherever the rotor is."""
+        return None
+
+    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
+        """See `Motion.setpoint`."""
+        s = np.clip(time / self.duration, 0.0, 1.0)
+        position = self.angle * s**3 * (10 - 15 * s + 6 * s**2)
+        speed = self.angle / self.duration * 30 * s**2 * (1 - s) ** 2
+        acceleration = self.angle / self.duration**2 * 60 * s * (1 - s) * (1 - 2 * s)
+        return position, speed, acceleration
+
+
+@dataclass(frozen=True)
+class CurrentSteps:
+    """Open loop: a staircase of currents, each level held for `step_time`."""
+
+    levels: tuple[float, ...]
+    step_time: float
+
+    @property
+    def duration(self) -> float:
+        """Length of the staircase, s."""
+        return len(self.levels) * self.step_time
+
+    def current(self, time: Array) -> Array:
+        """Return the current set point at these times, A."""
+        # A level begins exactly at its sample, whatever the rounding of time / step_time.
+        step = np.floor(time / self.step_time + 1e-9).astype(np.int64)
+        return np.asarray(self.levels)[np.clip(step, 0, len(self.levels) - 1)]
+
+
+@dataclass(frozen=True)
+class CurrentRamp:
+    """Open loop: current from zero with constant slope up to a limit, A/s and A."""
+
+    rate: float
+    limit: float
+
+    @property
+    def duration(self) -> float:
+        """Time to the limit, s."""
+        return abs(self.limit / self.rate)
+
+    def current(self, time: Array) -> Array:
+        """Return the current set point at these times, A."""
+        return self.rate * time
+
+
+OpenLoop = CurrentSteps | CurrentRamp

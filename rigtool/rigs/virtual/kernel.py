@@ -1,0 +1,310 @@
+"""The step of the simulation, compiled: controller, amplifier, motor, tendon, grasper.
+
+    J dw/dt   = Kt(T) (i + ripple) + cogging - friction - load - tendon            [motor shaft]
+    Jg dwg/dt = s - tip friction - F L sin(thg),  s = k (th/n - thg) + c (w/n - wg)  [grasper]
+
+Friction is a bristle model: each contact has a deflection z in -1..1 with x0 dz/dt = w - |w| z and
+the torque level*z, after Dahl (1968) and Canudas de Wit et al., IEEE TAC 40(3) 419-425, 1995; the
+level follows Stribeck. Pre-sliding, breakaway and reversal come from it. Integration is
+semi-implicit Euler at the sample time of the loop; the bristles implicit, which keeps them stable
+at any speed. SI units; temperatures in degC.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Record = Any  # the one element of a STATE or PARAMETERS array, with its fields as attributes
+
+TICK = 16
+"""Samples between updates of what is slow: temperatures, friction noise, drift."""
+
+STATE = np.dtype(
+    [
+        (name, "f8")
+        for name in (
+            "angle",
+            "speed",
+            "bristle",
+            "current",
+            "ripple",
+            "friction_noise",
+            "winding_degc",
+            "housing_degc",
+            "grasper_angle",
+            "grasper_speed",
+            "housing_bristle",
+            "tip_bristle",
+            "drift",
+            "direction",
+            "stroke_sine",
+            "stroke_cosine",
+            "stroke_load",
+        )
+    ]
+    # what each direction's last stroke drew: (negative, positive) x (sine, cosine, load)
+    + [("drawn", "f8", (2, 3))]
+)
+
+PARAMETERS = np.dtype(
+    [
+        (name, "f8")
+        for name in (
+            "dt",
+            "encoder_counts",
+            "assumed_torque_constant",
+            "current_limit",
+            "inertia",
+            "torque_constant",
+            "torque_constant_coefficient",
+            "coulomb",
+            "static",
+            "stribeck_velocity",
+            "viscous",
+            "asymmetry",
+            "presliding_angle",
+            "presliding_damping",
+            "noise_decay",
+            "noise_gain",
+            "gain",
+            "offset",
+            "current_step",
+            "ripple_step",
+            "distortion",
+            "distortion_period",
+            "resistance",
+            "winding_to_housing",
+            "winding_capacity",
+            "housing_to_ambient",
+            "housing_capacity",
+            "ambient_degc",
+            "load_torque",
+            "clamped",
+            "clamp_angle",
+            "arm_stiffness",
+            "arm_damping",
+            "instrument",
+            "angle_ratio",
+            "torque_factor",
+            "stiffness",
+            "damping",
+            "grasper_inertia",
+            "load_moment",
+            "housing_friction",
+            "housing_asymmetry",
+            "housing_viscous",
+            "housing_presliding_angle",
+            "tip_friction",
+            "tip_presliding_angle",
+            "load_friction",
+            "load_friction_onset",
+            "stroke_noise",
+            "stroke_payback",
+            "load_stroke_noise",
+            "drift_decay",
+            "drift_gain",
+        )
+    ]
+)
+
+# Columns of the map by rotor angle, and of the map by grasper angle
+OFFSET_RIPPLE, GAIN_RIPPLE, SATURATION_RIPPLE, COGGING, VISCOUS_MODULATION = range(5)
+
+# Columns of what a run returns
+ENCODER, CURRENT_SETPOINT, CURRENT, ARM_TORQUE, TEMPERATURE = range(5)
+
+
+@njit(cache=True)
+def _bristle(z: float, speed: float, dt: float, presliding_angle: float) -> float:
+    """Deflection of a bristle one step later, implicit in z."""
+    return (z + speed * dt / presliding_angle) / (1.0 + abs(speed) * dt / presliding_angle)
+
+
+@njit(cache=True)
+def _stroke(s: Record, p: Record, normals: Array, drawn: int) -> None:
+    """Draw the friction of a new stroke; part of the last one's deviation is returned."""
+    row = 1 if s.direction > 0 else 0
+    scale = 1.0 / math.sqrt(1.0 + p.stroke_payback**2)
+    pool = drawn % (normals.shape[0])
+    for k in range(3):
+        fresh = normals[pool, k]
+        deviation = (fresh - p.stroke_payback * s.drawn[row, k]) * scale
+        s.drawn[row, k] = fresh
+        if k == 0:
+            s.stroke_sine = p.stroke_noise * deviation
+        elif k == 1:
+            s.stroke_cosine = p.stroke_noise * deviation
+        else:
+            s.stroke_load = p.load_stroke_noise * deviation
+
+
+@njit(cache=True)
+def _tick(s: Record, p: Record, square_current: float, normals: Array, tick: int) -> None:
+    """Advance what is slow by TICK samples: heat, friction noise and drift."""
+    dt = p.dt * TICK
+    warm = 1.0 + 0.00393 * (s.winding_degc - 20.0)  # resistance of copper with temperature
+    flow = (s.winding_degc - s.housing_degc) / p.winding_to_housing
+    loss = (s.housing_degc - p.ambient_degc) / p.housing_to_ambient
+    s.winding_degc += dt * (p.resistance * warm * square_current - flow) / p.winding_capacity
+    s.housing_degc += dt * (flow - loss) / p.housing_capacity
+    s.friction_noise = p.noise_decay * s.friction_noise + p.noise_gain * normals[tick, 0]
+    s.drift = p.drift_decay * s.drift + p.drift_gain * normals[tick, 1]
+
+
+@njit(cache=True)
+def run(
+    parameters: NDArray[np.void],
+    state: NDArray[np.void],
+    rotor_map: Array,
+    friction_map: Array,
+    sections: Array,
+    section_state: Array,
+    closed_loop: bool,
+    setpoint: Array,
+    feedforward: Array,
+    normals: Array,
+    stroke_normals: Array,
+    stop_angle: float,
+    record_every: int,
+    out: Array,
+) -> int:
+    """Simulate `len(setpoint)` samples and return how many were done.
+
+    `setpoint` is the position set point [rad] in closed loop, the current [A] in open loop;
+    `feedforward` [A] is added in closed loop. `out` (n // record_every, 5) receives means.
+    """
+    p = parameters[0]
+    s = state[0]
+    n = setpoint.shape[0]
+    count = 2.0 * math.pi / p.encoder_counts
+    map_size = rotor_map.shape[0] - 1
+    map_scale = map_size / (2.0 * math.pi)
+    dt = p.dt
+    clamped = p.clamped > 0.5
+    instrument = p.instrument > 0.5
+    start = s.angle
+    torque_constant = p.torque_constant * (
+        1.0 + p.torque_constant_coefficient * (s.winding_degc - 20.0)
+    )
+    sums = np.zeros(4)
+    square_current = 0.0
+    strokes = 0
+    angle, speed, bristle = s.angle, s.speed, s.bristle
+    current, ripple = s.current, s.ripple
+    grasper_angle, grasper_speed = s.grasper_angle, s.grasper_speed
+    done = n
+    for k in range(n):
+        encoder = math.floor(angle / count)
+        # Controller
+        if closed_loop:
+            u = setpoint[k] - encoder * count
+            for j in range(sections.shape[0]):
+                y = sections[j, 0] * u + section_state[j, 0]
+                section_state[j, 0] = sections[j, 1] * u - sections[j, 4] * y + section_state[j, 1]
+                section_state[j, 1] = sections[j, 2] * u - sections[j, 5] * y
+                u = y
+            asked = u / p.assumed_torque_constant + feedforward[k]
+        else:
+            asked = setpoint[k]
+        asked = min(max(asked, -p.current_limit), p.current_limit)
+        # Amplifier
+        target = p.gain * asked + p.offset
+        if p.distortion > 0.0:
+            target += p.distortion * math.sin(2.0 * math.pi * target / p.distortion_period)
+        current += p.current_step * (target - current)
+        square_current += current * current
+        # What depends on the rotor's angle
+        place = angle * map_scale
+        place -= math.floor(place / map_size) * map_size
+        cell = min(int(place), map_size - 1)
+        part = place - cell
+        low, high = rotor_map[cell], rotor_map[cell + 1]
+        offset_ripple = low[0] + part * (high[0] - low[0])
+        gain_ripple = low[1] + part * (high[1] - low[1])
+        saturation_ripple = low[2] + part * (high[2] - low[2])
+        cogging = low[3] + part * (high[3] - low[3])
+        modulation = low[4] + part * (high[4] - low[4])
+        raw = offset_ripple + current * (gain_ripple + abs(current) * saturation_ripple)
+        ripple += p.ripple_step * (raw - ripple)
+        # Bearings
+        before = bristle
+        bristle = _bristle(bristle, speed, dt, p.presliding_angle)
+        level = p.coulomb
+        ratio = speed / p.stribeck_velocity
+        if abs(ratio) < 5.0:
+            level += (p.static - p.coulomb) * math.exp(-ratio * ratio)
+        friction = (
+            level * (1.0 + p.asymmetry * bristle) * bristle
+            + s.friction_noise * bristle
+            + level * p.presliding_damping * (bristle - before) / dt
+            + p.viscous * (1.0 + modulation) * speed
+        )
+        torque = torque_constant * (current + ripple) + cogging - friction - p.load_torque
+        arm_torque = 0.0
+        if clamped:
+            arm_torque = p.arm_stiffness * (angle - p.clamp_angle) + p.arm_damping * speed
+            torque -= arm_torque
+        if instrument:
+            # Tendon, grasper and the friction on both sides of the tendon
+            twist = p.stiffness * (angle / p.angle_ratio - grasper_angle) + p.damping * (
+                speed / p.angle_ratio - grasper_speed
+            )
+            sine, cosine = math.sin(grasper_angle), math.cos(grasper_angle)
+            place = grasper_angle * map_scale
+            place -= math.floor(place / map_size) * map_size
+            cell = min(int(place), map_size - 1)
+            shape = friction_map[cell] + (place - cell) * (
+                friction_map[cell + 1] - friction_map[cell]
+            )
+            s.housing_bristle = _bristle(s.housing_bristle, speed, dt, p.housing_presliding_angle)
+            z = s.housing_bristle
+            if z * s.direction < -0.5:
+                s.direction = -s.direction
+                _stroke(s, p, stroke_normals, strokes)
+                strokes += 1
+            carried = math.sqrt(twist * twist + p.load_friction_onset**2) - p.load_friction_onset
+            level = (
+                p.housing_friction * shape * (1.0 + p.housing_asymmetry * z)
+                + p.load_friction * (1.0 + s.stroke_load) * carried / p.torque_factor
+                + s.stroke_sine * sine
+                + s.stroke_cosine * cosine
+                + s.drift
+            )
+            torque -= twist / p.torque_factor + level * z + p.housing_viscous * speed
+            s.tip_bristle = _bristle(s.tip_bristle, grasper_speed, dt, p.tip_presliding_angle)
+            grasper_torque = twist - p.tip_friction * s.tip_bristle - p.load_moment * sine
+            grasper_speed += dt * grasper_torque / p.grasper_inertia
+            grasper_angle += dt * grasper_speed
+        # Motion
+        speed += dt * torque / p.inertia
+        angle += dt * speed
+        # Record and keep the slow clock
+        sums[0] += encoder
+        sums[1] += asked
+        sums[2] += current
+        sums[3] += arm_torque
+        if (k + 1) % record_every == 0:
+            row = (k + 1) // record_every - 1
+            for j in range(4):
+                out[row, j] = sums[j] / record_every
+                sums[j] = 0.0
+            out[row, TEMPERATURE] = s.housing_degc
+        if (k + 1) % TICK == 0:
+            _tick(s, p, square_current / TICK, normals, k // TICK)
+            square_current = 0.0
+            torque_constant = p.torque_constant * (
+                1.0 + p.torque_constant_coefficient * (s.winding_degc - 20.0)
+            )
+        if stop_angle > 0.0 and abs(angle - start) > stop_angle:
+            done = k + 1
+            break
+    s.angle, s.speed, s.bristle = angle, speed, bristle
+    s.current, s.ripple = current, ripple
+    s.grasper_angle, s.grasper_speed = grasper_angle, grasper_speed
+    return done

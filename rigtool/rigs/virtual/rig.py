@@ -1,0 +1,300 @@
+"""The virtual rig behind the Rig protocol: it keeps the bench's state from task to task."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.analysis.plant import controller_sections
+from rigtool.errors import RecipeError
+from rigtool.recipe import Recipe
+from rigtool.recipe.virtual import Virtual
+from rigtool.rigs.base import Block, Load, Task
+from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, OpenLoop
+from rigtool.rigs.virtual import kernel
+from rigtool.rigs.virtual.maps import friction_map, rotor_map
+
+Array = NDArray[np.float64]
+
+BLOCK = 16384
+"""Samples simulated at a time, about: what fits a processor's cache."""
+
+GRAVITY = 9.81
+SOAK_TIME = 600.0
+MOVE_SPEED = 2.0
+SETTLE_TIME = 0.5
+
+
+class VirtualRig:
+    """A motor with encoder, amplifier and instrument that exist only as equations.
+
+    `torque_constant` is what the controller assumes, N m/A. `stream` names the use (a command), so
+    that each has its own noise from the same seed.
+    """
+
+    def __init__(self, recipe: Recipe, torque_constant: float, stream: str) -> None:
+        if recipe.virtual is None:
+            raise RecipeError(
+                'the recipe says source = "virtual" but has no table [virtual]; '
+                "recipes/briaire-2006.toml shows one"
+            )
+        self._virtual: Virtual = recipe.virtual
+        self._rig = recipe.rig
+        self._stream = zlib.crc32(stream.encode())
+        self._tasks = 0
+        self._power_cycle = self._virtual.power_cycle
+        self._time = 0.0
+        self._clamp_angle = 0.0
+        self._assumed_torque_constant = torque_constant
+        controller = recipe.rig.controller
+        self._sections = controller_sections(
+            crossover_hz=controller.crossover_hz,
+            lead_ratio=controller.lead_ratio,
+            integrator_hz=controller.integrator_hz,
+            lowpass_hz=controller.lowpass_hz,
+            lowpass_damping=controller.lowpass_damping,
+            inertia=recipe.rig.nominal_inertia,
+            sample_time=recipe.rig.sample_time,
+        )
+        self._section_state = np.zeros((len(self._sections), 2))
+        self._setpoint: float | None = None  # of the closed loop, rad; None while it is open
+        self._rotor_map = rotor_map(self._virtual, self._virtual.amplifier, self._power_cycle)
+        self._friction_map = friction_map(self._virtual)
+        self._state = np.zeros(1, dtype=kernel.STATE)
+        self._state["direction"] = 1.0
+        ambient = self._virtual.thermal.ambient_degc
+        self._state["winding_degc"] = self._state["housing_degc"] = ambient
+
+    # -- what the bench does between recordings
+
+    def move_by(self, angle: float) -> None:
+        """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
+        duration = SETTLE_TIME + abs(angle) / MOVE_SPEED
+        for _ in self._run(Task(Move(angle, duration), record_every=64)):
+            pass
+        for _ in self._run(Task(Move(0.0, SETTLE_TIME), record_every=64)):
+            pass
+
+    def clamp(self, angle: float) -> None:
+        """Clamp the arm with the shaft at this angle, rad."""
+        self._clamp_angle = angle
+        self._state["angle"] = angle
+        self._state["speed"] = self._state["bristle"] = 0.0
+        self._setpoint = None
+
+    def soak(self, temperature_degc: float) -> None:
+        """Wait until the motor has this temperature throughout, degC."""
+        self._state["winding_degc"] = self._state["housing_degc"] = temperature_degc
+        self._time += SOAK_TIME
+
+    def power_cycle(self) -> None:
+        """Switch the amplifier off and on: it calibrates itself anew."""
+        self._power_cycle += 1
+        self._rotor_map = rotor_map(self._virtual, self._virtual.amplifier, self._power_cycle)
+        self._state["current"] = self._state["ripple"] = 0.0
+        self._setpoint = None
+
+    # -- tasks
+
+    def perform(self, task: Task) -> Iterator[Block]:
+        """Run a task and yield its signals in blocks; moves to the motion's start first."""
+        if not isinstance(task.motion, OpenLoop) and task.motion.start is not None:
+            self.move_by(task.motion.start - self._closed_loop_setpoint())
+        yield from self._run(task)
+
+    def _closed_loop_setpoint(self) -> float:
+        if self._setpoint is None:  # close the loop where the rotor is
+            self._section_state[:] = 0.0
+            count = 2 * math.pi / self._rig.encoder_counts
+            self._setpoint = math.floor(self._state["angle"][0] / count) * count
+        return self._setpoint
+
+    def _run(self, task: Task) -> Iterator[Block]:
+        self._tasks += 1
+        rng = np.random.default_rng([self._virtual.seed, self._stream, self._tasks])
+        dt, every, motion = self._rig.sample_time, task.record_every, task.motion
+        origin = 0.0
+        closed_loop = not isinstance(motion, OpenLoop)
+        if isinstance(motion, OpenLoop):
+            self._setpoint = None
+        else:
+            here = self._closed_loop_setpoint()
+            origin = here if motion.start is None else motion.start
+        parameters = self._parameters(task.load)
+        total = round(motion.duration / dt)
+        block = kernel.TICK * every * max(1, BLOCK // (kernel.TICK * every))
+        for first in range(0, total, block):
+            time: Array = (np.arange(first, min(first + block, total), dtype=np.float64) + 0.5) * dt
+            signals = self._setpoints(motion, task, time, origin)
+            out = np.zeros((len(time) // every, 5))
+            done = kernel.run(
+                parameters,
+                self._state,
+                self._rotor_map,
+                self._friction_map,
+                self._sections,
+                self._section_state,
+                closed_loop,
+                signals["loop_input"],
+                signals["feedforward_current"] + signals["table_current"],
+                rng.standard_normal((len(time) // kernel.TICK + 1, 2)),
+                rng.standard_normal((512, 3)),
+                task.stop_angle or 0.0,
+                every,
+                out,
+            )
+            if closed_loop:
+                self._setpoint = float(signals["position_setpoint"][-1])
+            yield self._recorded(signals, out, done, every, task.load.clamped, rng)
+            self._time += done * dt
+            if done < len(time):
+                return
+
+    def _setpoints(
+        self, motion: Motion | OpenLoop, task: Task, time: Array, origin: float
+    ) -> dict[str, Array]:
+        """Evaluate what the controller runs through in this block, each (n,)."""
+        zero = np.zeros(len(time))
+        if isinstance(motion, CurrentSteps | CurrentRamp):
+            return {
+                "time": time - time[0],
+                "loop_input": motion.current(time),
+                "position_setpoint": np.full(len(time), float(self._state["angle"][0])),
+                "feedforward_current": zero,
+                "table_current": zero,
+            }
+        position, speed, acceleration = motion.setpoint(time)
+        position = position + origin
+        ff = task.feedforward
+        torque = ff.inertia * acceleration + ff.viscous * speed
+        if ff.coulomb:
+            torque = torque + ff.coulomb * np.tanh(speed)
+        table = zero if ff.table is None else ff.table.evaluate(position, speed)
+        return {
+            "time": time - time[0],
+            "loop_input": position,
+            "position_setpoint": position,
+            "feedforward_current": torque / self._assumed_torque_constant,
+            "table_current": table / self._assumed_torque_constant,
+        }
+
+    def _recorded(
+        self,
+        signals: dict[str, Array],
+        out: Array,
+        done: int,
+        every: int,
+        clamped: bool,
+        rng: np.random.Generator,
+    ) -> Block:
+        """Average the set points as the kernel averaged the rest, and add the sensors' noise."""
+        rows = done // every
+        out = out[:rows]
+
+        def mean(name: str) -> Array:
+            values: Array = signals[name][: rows * every]
+            return values if every == 1 else values.reshape(rows, every).mean(axis=1)
+
+        sensors = self._virtual.sensors
+        average = 1 / math.sqrt(every)
+        block = {
+            "time": self._time + mean("time"),
+            "position_setpoint": mean("position_setpoint"),
+            "encoder": out[:, kernel.ENCODER],
+            "current_setpoint": out[:, kernel.CURRENT_SETPOINT],
+            "current": out[:, kernel.CURRENT]
+            + sensors.current_noise * average * rng.standard_normal(rows),
+            "feedforward_current": mean("feedforward_current"),
+            "table_current": mean("table_current"),
+            "temperature": out[:, kernel.TEMPERATURE]
+            + sensors.temperature_noise * rng.standard_normal(rows),
+        }
+        if clamped:
+            force = sensors.force_gain * out[:, kernel.ARM_TORQUE] / self._rig.arm.length
+            force = force + sensors.force_noise * rng.standard_normal(rows)
+            if sensors.force_resolution > 0:
+                force = np.round(force / sensors.force_resolution) * sensors.force_resolution
+            block["force"] = force
+            block["rotor_angle"] = np.full(rows, self._clamp_angle)
+        return block
+
+    def _parameters(self, load: Load) -> NDArray[np.void]:
+        """Collect what the kernel needs for a task under this load."""
+        v, rig = self._virtual, self._rig
+        motor, amplifier, thermal = v.motor, v.amplifier, v.thermal
+        dt, tick = rig.sample_time, rig.sample_time * kernel.TICK
+        instrument = rig.attachment == "instrument"
+        p = np.zeros(1, dtype=kernel.PARAMETERS)
+        hanging = 0.0 if instrument else load.force * rig.pulley_radius
+        mass = load.force / GRAVITY
+        inertia = motor.inertia + (v.arm.inertia if load.clamped else 0.0)
+        if instrument:
+            inertia += v.instrument.wheel_inertia
+        else:
+            inertia += mass * rig.pulley_radius**2
+        noise_decay = math.exp(-tick / motor.friction_noise_time)
+        drift_decay = math.exp(-tick / v.instrument.drift_time)
+        radial = motor.radial_friction * load.radial_force
+        values = {
+            "dt": dt,
+            "encoder_counts": rig.encoder_counts,
+            "assumed_torque_constant": self._assumed_torque_constant,
+            "current_limit": rig.current_limit,
+            "inertia": inertia,
+            "torque_constant": motor.torque_constant,
+            "torque_constant_coefficient": motor.torque_constant_temperature_coefficient,
+            "coulomb": motor.coulomb_friction + radial,
+            "static": motor.static_friction + radial,
+            "stribeck_velocity": motor.stribeck_velocity,
+            "viscous": motor.viscous_friction,
+            "asymmetry": motor.friction_asymmetry,
+            "presliding_angle": motor.presliding_angle,
+            "presliding_damping": motor.presliding_damping,
+            "noise_decay": noise_decay,
+            "noise_gain": motor.friction_noise * math.sqrt(1 - noise_decay**2),
+            "gain": amplifier.gain,
+            "offset": amplifier.offset,
+            "current_step": 1 - math.exp(-2 * math.pi * amplifier.bandwidth_hz * dt),
+            "ripple_step": 1 - math.exp(-2 * math.pi * amplifier.ripple_corner_hz * dt),
+            "distortion": amplifier.distortion,
+            "distortion_period": amplifier.distortion_period,
+            "resistance": thermal.winding_resistance,
+            "winding_to_housing": thermal.winding_to_housing,
+            "winding_capacity": thermal.winding_capacity,
+            "housing_to_ambient": thermal.housing_to_ambient,
+            "housing_capacity": thermal.housing_capacity,
+            "ambient_degc": thermal.ambient_degc,
+            "load_torque": load.torque + hanging,
+            "clamped": load.clamped,
+            "clamp_angle": self._clamp_angle,
+            "arm_stiffness": v.arm.stiffness,
+            "arm_damping": v.arm.damping,
+            "instrument": instrument,
+            "angle_ratio": rig.instrument.angle_ratio,
+            "torque_factor": rig.instrument.torque_factor,
+            "stiffness": v.instrument.stiffness,
+            "damping": v.instrument.damping,
+            "grasper_inertia": v.instrument.grasper_inertia
+            + mass * rig.instrument.grasper_length**2,
+            "load_moment": load.force * rig.instrument.grasper_length,
+            "housing_friction": v.instrument.friction,
+            "housing_asymmetry": v.instrument.friction_asymmetry,
+            "housing_viscous": v.instrument.viscous_friction,
+            "housing_presliding_angle": v.instrument.presliding_angle,
+            "tip_friction": v.instrument.tip_friction,
+            "tip_presliding_angle": v.instrument.tip_presliding_angle,
+            "load_friction": v.instrument.load_friction,
+            "load_friction_onset": v.instrument.load_friction_onset,
+            "stroke_noise": v.instrument.stroke_noise,
+            "stroke_payback": v.instrument.stroke_payback,
+            "load_stroke_noise": v.instrument.load_stroke_noise,
+            "drift_decay": drift_decay,
+            "drift_gain": v.instrument.drift * math.sqrt(1 - drift_decay**2),
+        }
+        for name, value in values.items():
+            p[name] = value
+        return p

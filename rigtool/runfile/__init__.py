@@ -1,0 +1,16 @@
+"""Run files: HDF5 that NeXus viewers, xarray, MATLAB and h5dump open (docs/run-file-format.md)."""
+
+from rigtool.runfile.model import Channel, Column, RecordingSpec, Table
+from rigtool.runfile.reader import Recording, Run, open_run
+from rigtool.runfile.writer import RunWriter
+
+__all__ = [
+    "Channel",
+    "Column",
+    "Recording",
+    "RecordingSpec",
+    "Run",
+    "RunWriter",
+    "Table",
+    "open_run",
+]

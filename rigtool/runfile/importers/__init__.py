@@ -1,0 +1,221 @@
+"""Other people's measurements into run files: text, MATLAB, NumPy, EPOS Studio.
+
+A mapping (recipes/import/*.toml, `rigtool.recipe.mapping`) says what the columns mean. A bad file
+is refused with line and remedy, and nothing is written; docs/run-file-format.md, 'Imported runs',
+says what is written.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping as MappingType
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rigtool.errors import RunFileError
+from rigtool.quantity import Quantity
+from rigtool.recipe.mapping import UNITS, Mapping
+from rigtool.runfile.importers.arrays import read_arrays, read_vector
+from rigtool.runfile.importers.convert import conditions, irregular, stem, to_si
+from rigtool.runfile.importers.epos import is_epos, read_epos
+from rigtool.runfile.importers.plan import BINARY, plan
+from rigtool.runfile.importers.raw import Array, Raw
+from rigtool.runfile.importers.text import read_text
+from rigtool.runfile.model import Channel, Column, RecordingSpec, Table
+from rigtool.runfile.provenance import Source, file_sha256
+from rigtool.runfile.writer import RunWriter
+
+__all__ = ["COMMAND", "MAP", "RECORDING", "Imported", "import_files"]
+
+COMMAND = "import"
+RECORDING = "imported"
+MAP = "map"
+
+LISTED = 5
+"""Bad lines that a note names."""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What became of one source file: `samples` read, bad lines `left_out`, `notes`."""
+
+    source: Path
+    output: Path
+    samples: int
+    left_out: int
+    notes: tuple[str, ...]
+
+
+def import_files(
+    sources: Sequence[str],
+    output: str,
+    mapping: tuple[Mapping, str] | None,
+    *,
+    skip_bad: bool = False,
+    overwrite: bool = False,
+) -> list[Imported]:
+    """Make a run file of one source file, or a folder of run files of a folder or several files.
+
+    `mapping` comes with its text. All or nothing: where one file cannot be imported, nothing is
+    written. Raises `UsageError` for names that do not go together, `RunFileError` for a bad source.
+    """
+    names, is_folder = plan(sources, Path(output), overwrite)
+    if not is_folder:
+        (source,) = names
+        return [_import_file(source, Path(output), Path(output), mapping, skip_bad, overwrite)]
+    folder = Path(output)
+    with _new_folders() as make_folder:
+        make_folder(folder)
+        with tempfile.TemporaryDirectory(prefix=".import-", dir=folder) as beside:
+            done = []
+            for number, (source, name) in enumerate(names.items()):
+                here, final = Path(beside) / f"{number}.h5", folder / name
+                done.append(_import_file(source, here, final, mapping, skip_bad, overwrite))
+            for number, name in enumerate(names.values()):
+                make_folder((folder / name).parent)
+                os.replace(Path(beside) / f"{number}.h5", folder / name)
+    return done
+
+
+@contextmanager
+def _new_folders() -> Iterator[Callable[[Path], None]]:
+    """Give a function that makes a folder and those above; after an error they go again."""
+    made: list[Path] = []
+
+    def make(folder: Path) -> None:
+        if not folder.exists():
+            make(folder.parent)
+            folder.mkdir()
+            made.append(folder)
+
+    try:
+        yield make
+    except BaseException:
+        for folder in reversed(made):
+            with suppress(OSError):  # somebody else may have put something there
+                folder.rmdir()
+        raise
+
+
+def _import_file(
+    source: Path,
+    here: Path,
+    final: Path,
+    mapping: tuple[Mapping, str] | None,
+    skip_bad: bool,
+    overwrite: bool,
+) -> Imported:
+    """Read one file and write its run to `here`."""
+    known, text = (None, None) if mapping is None else mapping
+    origin = Source(str(source), file_sha256(source), text)
+    if known is not None and known.map is not None:
+        return _import_map(source, here, final, known, origin, overwrite)
+    raw, known, said = _read(source, known, skip_bad)
+    signals, raw = to_si(source, raw, known, skip_bad)
+    known_conditions, untold = conditions(source, known)
+    spec = RecordingSpec(RECORDING, _channels(signals, known), known_conditions)
+    notes = [*said, *untold]
+    notes += [note for note in (irregular(signals["time"]), _left_out_note(raw)) if note]
+    with RunWriter(
+        here,
+        command=COMMAND,
+        recipe=None,
+        recipe_text=None,
+        recordings=[spec],
+        overwrite=overwrite,
+        rig=known.rig.name,
+        source=origin,
+    ) as writer:
+        writer.append(RECORDING, signals)
+        writer.finish(_results(len(raw.left_out)), {}, notes)
+    return Imported(source, final, len(raw.line), len(raw.left_out), tuple(notes))
+
+
+def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, Mapping, list[str]]:
+    """Return columns, the mapping with signals, and notes."""
+    if is_epos(source):
+        bare = Mapping(mapping=1, rig={"name": stem(source)})
+        return read_epos(source, mapping or bare, skip_bad)
+    if mapping is None or not mapping.signals:
+        raise RunFileError(
+            f"{source}: does not say itself what its columns mean: give --map with a mapping file "
+            "that has [signals]; recipes/import holds examples"
+        )
+    columns = [signal.column for signal in mapping.signals.values()]
+    if _is_binary(source):
+        return read_arrays(source, mapping.file.variable, columns, skip_bad), mapping, []
+    return read_text(source, mapping.file, columns, skip_bad), mapping, []
+
+
+def _is_binary(source: Path) -> bool:
+    return source.suffix.lower() in BINARY
+
+
+def _channels(signals: MappingType[str, Array], mapping: Mapping) -> tuple[Channel, ...]:
+    channels = [Channel("time", "s", "f8", "clock of the recording")]
+    for name in signals:
+        if name != "time":
+            channels.append(Channel(name, mapping.unit(name), "f8", mapping.description(name)))
+    return tuple(channels)
+
+
+def _results(left_out: int) -> dict[str, Quantity]:
+    return {"lines_left_out": Quantity(float(left_out), "1", reason="a count")}
+
+
+def _left_out_note(raw: Raw) -> str | None:
+    if not raw.left_out:
+        return None
+    numbers = sorted(raw.left_out)
+    listed = "; ".join(
+        f"{raw.what} {number}: {raw.left_out[number]}" for number in numbers[:LISTED]
+    )
+    more = f"; and {len(numbers) - LISTED} more" if len(numbers) > LISTED else ""
+    return f"{len(numbers)} bad {raw.what}s were left out: {listed}{more}"
+
+
+def _import_map(
+    source: Path, here: Path, final: Path, mapping: Mapping, origin: Source, overwrite: bool
+) -> Imported:
+    """Write a series around a turn as a table."""
+    assert mapping.map is not None
+    signal = mapping.map.signal
+    factor, unit = UNITS[mapping.map.unit]
+    if not _is_binary(source):
+        raise RunFileError(f"{source}: a [map] is read from {', '.join(BINARY)}: convert the file")
+    values = read_vector(source, mapping.file.variable)
+    sampled = np.isfinite(values)
+    if mapping.map.missing is not None:
+        sampled &= values != mapping.map.missing
+    if np.count_nonzero(sampled) < 2:
+        raise RunFileError(f"{source}: holds {np.count_nonzero(sampled)} values, needed are 2")
+    position = np.flatnonzero(sampled) * (2 * math.pi / len(values))
+    table = Table(
+        ("position",),
+        {
+            "position": Column(position, "rad", "of the rotor"),
+            signal: Column(values[sampled] * factor, unit),
+        },
+        signal,
+        f"{signal} around a turn, {stem(source)}",
+    )
+    notes = []
+    if not sampled.all():
+        notes.append(f"{len(position)} of {len(values)} steps around the turn were sampled")
+    with RunWriter(
+        here,
+        command=COMMAND,
+        recipe=None,
+        recipe_text=None,
+        overwrite=overwrite,
+        rig=mapping.rig.name,
+        source=origin,
+    ) as writer:
+        writer.finish(_results(0), {MAP: table}, notes)
+    return Imported(source, final, len(position), 0, tuple(notes))

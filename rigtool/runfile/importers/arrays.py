@@ -1,0 +1,199 @@
+"""Binary files: MATLAB .mat of all versions, NumPy .npy and .npz.
+
+Columns given by number are those of one matrix, whose longer side is time; columns given by name
+are variables of their own, `a.b` for the field b of a structure a.
+"""
+
+from __future__ import annotations
+
+import warnings
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from rigtool.errors import RigtoolError, RunFileError
+from rigtool.runfile.importers.raw import (
+    LARGEST,
+    Array,
+    Column,
+    Raw,
+    missing_column,
+    require_good,
+    require_size,
+)
+
+_NAMELESS = ""
+"""Name of the array in a .npy file."""
+
+
+def read_arrays(path: Path, variable: str | None, columns: Sequence[Column], skip_bad: bool) -> Raw:
+    """Read columns of a binary file as numbers.
+
+    Raises `RunFileError` for what is missing or no array of numbers, and, unless `skip_bad`, for
+    samples that are NaN or infinite.
+    """
+    arrays = load_arrays(path)
+    found: dict[Column, Array] = {}
+    for column in columns:
+        if isinstance(column, str):
+            if column not in arrays:
+                raise missing_column(path, column, list(arrays), len(arrays))
+            found[column] = _vector(path, column, arrays[column])
+        else:
+            matrix = _matrix(path, arrays, variable)
+            if column > matrix.shape[1]:
+                raise missing_column(path, column, [], matrix.shape[1])
+            found[column] = matrix[:, column - 1]
+    lengths = {str(column): len(values) for column, values in found.items()}
+    if len(set(lengths.values())) > 1:
+        raise RunFileError(f"{path}: columns differ in length: {lengths}: they have no common time")
+    count = next(iter(lengths.values()))
+    if count == 0:
+        raise RunFileError(f"{path}: its columns are empty")
+    bad = {
+        int(index) + 1: f"column {column!r} is {values[index]}"
+        for column, values in found.items()
+        for index in np.flatnonzero(~np.isfinite(values))
+    }
+    if not skip_bad:
+        require_good(path, "sample", bad)
+    place = np.arange(count, dtype=np.int64)
+    return Raw(found, place, place + 1, "sample").without(bad)
+
+
+def read_vector(path: Path, variable: str | None) -> Array:
+    """Return the one series of numbers (n,) that a file holds, or that `variable` names."""
+    arrays = load_arrays(path)
+    name = _only(path, arrays, variable)
+    return _vector(path, name or path.name, arrays[name])
+
+
+def load_arrays(path: Path) -> dict[str, Any]:
+    """Return what a file holds by name; the fields of structures as `a.b`.
+
+    Nothing in it is executed (no pickles), no link is followed. Raises `RunFileError`.
+    """
+    try:
+        require_size(path, path.stat().st_size)
+        with path.open("rb") as stream:
+            start = stream.read(6)
+        if start == b"\x93NUMPY":
+            return _fields("", np.load(path, allow_pickle=False, mmap_mode="r"))
+        if start[:2] == b"PK":
+            return _load_npz(path)
+        if h5py.is_hdf5(path):
+            return _load_hdf5(path)
+        return _load_mat(path)
+    except RigtoolError:
+        raise
+    except OSError as error:
+        raise RunFileError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except Exception as error:  # a damaged file makes these readers raise nearly anything
+        raise RunFileError(
+            f"{path}: is damaged, or no file of MATLAB or NumPy with plain arrays: {error}"
+        ) from None
+
+
+def _load_npz(path: Path) -> dict[str, Any]:
+    with zipfile.ZipFile(path) as archive:
+        require_size(path, sum(item.file_size for item in archive.infolist()))
+    with np.load(path, allow_pickle=False) as archive:
+        return {
+            key: value
+            for name in archive.files
+            for key, value in _fields(name, archive[name]).items()
+        }
+
+
+def _load_mat(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what scipy doubts is judged by what is needed of it
+        contents = loadmat(str(path), simplify_cells=True)
+    return _flat("", {name: value for name, value in contents.items() if name[:2] != "__"})
+
+
+def _load_hdf5(path: Path) -> dict[str, Any]:
+    """Return the datasets of a .mat file of version 7.3; only those that are in the file itself."""
+    found: dict[str, Any] = {}
+
+    def take(name: str, node: h5py.Group | h5py.Dataset) -> None:
+        # visititems goes along hard links only: it stays in this file and ends.
+        if isinstance(node, h5py.Dataset) and not name.startswith("#") and not node.external:
+            require_size(path, max(1, node.size * node.dtype.itemsize))
+            if not node.is_virtual and node.dtype.kind in "iufb":
+                found[name.replace("/", ".")] = node[()]
+
+    with h5py.File(path, "r", locking="best-effort") as file:
+        file.visititems(take)
+    return found
+
+
+def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= _flat(f"{prefix}{name}.", value)
+        else:
+            found[prefix + name] = value
+    return found
+
+
+def _fields(name: str, array: Any) -> dict[str, Any]:
+    """Return an array under its name, or the fields of a structured one."""
+    if array.nbytes > LARGEST:
+        require_size(Path(name), array.nbytes)
+    if array.dtype.names is None:
+        return {name: np.asarray(array)}
+    prefix = f"{name}." if name else ""
+    return {prefix + field: np.asarray(array[field]) for field in array.dtype.names}
+
+
+def _matrix(path: Path, arrays: dict[str, Any], variable: str | None) -> Array:
+    """Return the matrix (samples, columns) that holds columns given by number."""
+    name = _only(path, arrays, variable)
+    matrix = _numbers(path, name, arrays[name])
+    if matrix.ndim == 1:
+        matrix = matrix[:, None]
+    if matrix.ndim != 2:
+        raise RunFileError(
+            f"{path}: {name or 'its array'} has {matrix.ndim} dimensions, needed are 2"
+        )
+    return matrix.T if matrix.shape[0] < matrix.shape[1] else matrix
+
+
+def _only(path: Path, arrays: dict[str, Any], variable: str | None) -> str:
+    if variable is None:
+        if len(arrays) != 1:
+            raise RunFileError(
+                f"{path}: holds {', '.join(arrays) or 'nothing'}: name one as `variable` in [file] "
+                "of the mapping, or give columns by name"
+            )
+        return next(iter(arrays))
+    if variable not in arrays:
+        raise missing_column(path, variable, list(arrays), len(arrays))
+    return variable
+
+
+def _vector(path: Path, name: str, value: Any) -> Array:
+    vector = np.squeeze(_numbers(path, name, value))
+    if vector.ndim > 1:
+        raise RunFileError(
+            f"{path}: {name!r} has shape {vector.shape}, needed is one column: name it as "
+            "`variable` and give columns by number"
+        )
+    return np.atleast_1d(vector)
+
+
+def _numbers(path: Path, name: str, value: Any) -> Array:
+    array = np.asarray(value)
+    if array.dtype.kind not in "iufb":
+        raise RunFileError(
+            f"{path}: {name or 'its array'!r} holds {array.dtype}, not real numbers: map another"
+        )
+    return array.astype(np.float64)

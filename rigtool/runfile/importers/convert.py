@@ -1,0 +1,132 @@
+"""From raw columns to SI signals on a time axis that rises."""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_left
+from pathlib import Path
+
+import numpy as np
+
+from rigtool.errors import RunFileError
+from rigtool.recipe.mapping import Mapping
+from rigtool.runfile.importers.raw import Array, Raw, require_good
+from rigtool.runfile.schema import TIME
+
+IRREGULAR = 0.01
+"""Intervals that differ from the median by more than this part make a time axis irregular."""
+
+
+def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[str, Array], Raw]:
+    """Return signals by name, `time` first, and the raw columns without bad lines.
+
+    Raises `RunFileError` where time does not rise, unless `skip_bad`: then as few lines as possible
+    are left out so that it does; and where fewer than two samples are there.
+    """
+    time = _time(raw, mapping)
+    bad = {
+        int(
+            raw.line[index]
+        ): f"time does not rise: {time[index]:.9g} s after {time[index - 1]:.9g} s"
+        for index in np.flatnonzero(np.diff(time) <= 0) + 1
+    }
+    if bad:
+        if not skip_bad:
+            require_good(path, raw.what, bad)
+        off = np.setdiff1d(np.arange(len(time)), _longest_rise(time))
+        raw = raw.without({int(raw.line[index]): "out of the order of time" for index in off})
+        time = _time(raw, mapping)
+    if len(time) < 2:
+        raise RunFileError(f"{path}: {len(time)} sample, needed are 2 or more: record for longer")
+    signals = {TIME: time}
+    for name in mapping.signals:
+        if name != TIME:
+            signals[name] = _signal(raw, mapping, name)
+    return signals, raw
+
+
+def _time(raw: Raw, mapping: Mapping) -> Array:
+    rate = mapping.file.sampling_rate_hz
+    return raw.place / rate if rate is not None else _signal(raw, mapping, TIME)
+
+
+def _signal(raw: Raw, mapping: Mapping, name: str) -> Array:
+    signal = mapping.signals[name]
+    values = raw.columns[signal.column]
+    if signal.wraps_at is not None:
+        # A step of more than half the range is the counter's overflow.
+        turns = np.round(np.diff(values) / signal.wraps_at)
+        values = values - signal.wraps_at * np.concatenate([[0.0], np.cumsum(turns)])
+    si: Array = (signal.scale * values + signal.offset) * (signal.sign * mapping.factor(name))
+    return si
+
+
+def _longest_rise(values: Array) -> list[int]:
+    """Return the indices of the longest strictly rising subsequence (Fredman 1975)."""
+    tails: list[float] = []
+    ends: list[int] = []
+    before = [-1] * len(values)
+    for index, value in enumerate(values.tolist()):
+        place = bisect_left(tails, value)
+        if place < len(tails) and tails[place] == value:
+            continue  # of equal times the first is kept
+        before[index] = ends[place - 1] if place else -1
+        tails[place : place + 1] = [value]
+        ends[place : place + 1] = [index]
+    chain = []
+    index = ends[-1]
+    while index >= 0:
+        chain.append(index)
+        index = before[index]
+    return chain[::-1]
+
+
+def irregular(time: Array) -> str | None:
+    """Return a note where the intervals of a time axis differ, else None."""
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    if np.max(np.abs(steps - usual)) <= IRREGULAR * usual:
+        return None
+    return (
+        f"the time axis is irregular, intervals from {steps.min():.4g} to {steps.max():.4g} s, "
+        f"median {usual:.4g} s: kept as recorded"
+    )
+
+
+def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str]], list[str]]:
+    """Return what is known of the rig, and what the file's name tells, by name: (value, unit).
+
+    The second are notes on conditions that the name does not tell; they are absent then.
+    """
+    notes = []
+    rig = mapping.rig
+    known = {
+        "encoder_counts": (rig.encoder_counts, "count"),
+        "torque_constant": (rig.torque_constant, "N m/A"),
+        "torque_constant_u": (rig.torque_constant_u, "N m/A"),
+        "rated_torque": (rig.rated_torque, "N m"),
+        "inertia": (rig.inertia, "kg m2"),
+        "linear_axis": (1.0 if rig.axis == "linear" else None, "1"),
+    }
+    found = {
+        name: (float(value), unit) for name, (value, unit) in known.items() if value is not None
+    }
+    for condition in mapping.conditions:
+        match = re.search(condition.pattern, stem(path))
+        text = None if match is None else match[1]
+        try:
+            value = float(text or "") if condition.values is None else condition.values[text or ""]
+        except (KeyError, ValueError):
+            notes.append(
+                f"its name does not tell the condition {condition.name!r}: {condition.pattern!r} "
+                f"finds {'nothing' if text is None else repr(text)}"
+            )
+            continue
+        found[condition.name] = (value, condition.unit)
+    return found, notes
+
+
+def stem(path: Path) -> str:
+    """Return a file's name without its endings: '07' for 07.TXT.gz."""
+    name = path.name.removesuffix(".gz").removesuffix(".GZ")
+    return Path(name).stem

@@ -1,0 +1,140 @@
+"""Recorder exports of maxon's EPOS Studio: recognised by their header, which says all but the rig.
+
+Sampling period:;6.400                     ms
+Index:;0x30D3;0x30D2;0x0000;0x0000         the object that each channel recorded
+Subindex:;0x01;0x01;0x00;0x00
+;Velocity actual value averaged;Torque actual value averaged
+ms;rpm;%
+0.000;161;30.7
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from rigtool.errors import RunFileError
+from rigtool.recipe.mapping import RATED, UNITS, FileLayout, Mapping, Signal
+from rigtool.runfile.importers.raw import Raw, read_bytes, require_good
+from rigtool.runfile.importers.text import Lines, decode, read_numbers, split_lines
+
+OBJECTS = {
+    0x6064: "position",
+    0x6062: "position_setpoint",
+    0x60E4: "output_position",
+    0x606C: "speed",
+    0x30D3: "speed",
+    0x606B: "speed_setpoint",
+    0x6077: "torque",
+    0x30D2: "torque",
+    0x6078: "current",
+    0x30D1: "current",
+    0x30D0: "current_setpoint",
+}
+"""Objects of the EPOS4 that have a fixed meaning here (EPOS4 Firmware Specification, maxon)."""
+
+_HEADER_LINES = 60
+_NAME = re.compile(r"[^a-z0-9]+")
+
+
+def is_epos(path: Path) -> bool:
+    """Say whether a file is such an export, from its first lines."""
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(4096)
+    except OSError:
+        return False
+    text = start.decode("latin-1").replace("\x00", "")
+    return "EPOS Studio Version:;" in text or ("Sampling period:;" in text and "Index:;0x" in text)
+
+
+def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mapping, list[str]]:
+    """Return the columns of an export, the mapping filled with the signals that it names, notes.
+
+    Torque in percent becomes N m where `mapping` tells the rated torque. A mapping with signals of
+    its own keeps them: columns by the names in the file, `time` the first.
+    """
+    lines = split_lines(decode(read_bytes(path)), None)
+    header = _header(path, lines)
+    names_at = len(header)
+    names = ["time", *(name.strip() for name in lines.text[names_at].split(";")[1:])]
+    units = [unit.strip() for unit in lines.text[names_at + 1].split(";")]
+    if len(names) != len(units):
+        raise RunFileError(
+            f"{path}, line {lines.number[names_at + 1]}: {len(units)} units for {len(names)} "
+            "columns: export the recording again"
+        )
+    if not mapping.signals:
+        filled = {**mapping.model_dump(), "signals": _signals(path, header, names, units, mapping)}
+        mapping = Mapping.model_validate(filled)
+    data = lines.after(names_at + 2)
+    # The delimiter is a semicolon, so a comma can only be the decimal mark of the system.
+    decimal = "," if any("," in line for line in data.text[:100]) else "."
+    layout = FileLayout(delimiter=";", decimal=decimal)
+    columns = [signal.column for signal in mapping.signals.values()]
+    raw = read_numbers(path, data, layout, columns, names, skip_bad)
+    return raw, mapping, _missing(path, header, data, skip_bad)
+
+
+def _header(path: Path, lines: Lines) -> dict[str, list[str]]:
+    """Return the header by key, one entry a line; the line of names follows it."""
+    header: dict[str, list[str]] = {}
+    for number, line in enumerate(lines.text[:_HEADER_LINES]):
+        if line.startswith(";"):
+            if number + 1 >= len(lines.text):
+                break
+            return header
+        key, *values = line.split(";")
+        header[f"{number} {key.rstrip(':')}"] = values
+    raise RunFileError(
+        f"{path}: is an export of EPOS Studio without names and units of its channels: it was cut "
+        "short; export it again"
+    )
+
+
+def _field(header: dict[str, list[str]], key: str) -> list[str]:
+    return next((values for name, values in header.items() if name.endswith(f" {key}")), [])
+
+
+def _signals(
+    path: Path, header: dict[str, list[str]], names: list[str], units: list[str], mapping: Mapping
+) -> dict[str, Signal]:
+    indices = [int(value, 16) for value in _field(header, "Index")]
+    signals = {}
+    for number, (name, unit) in enumerate(zip(names, units, strict=True)):
+        index = indices[number - 1] if 0 < number <= len(indices) else 0
+        signal, unit = _meaning(name if number else "time", index, unit, mapping)
+        if unit not in (*UNITS, RATED):
+            raise RunFileError(
+                f"{path}: channel {name!r} is in {unit!r}, an unknown unit: give a mapping "
+                "with [signals] for this file"
+            )
+        if signal in signals:
+            signal = f"{signal}_{number}"
+        signals[signal] = Signal(column=number + 1, unit=unit, description=name if number else "")
+    return signals
+
+
+def _meaning(name: str, index: int, unit: str, mapping: Mapping) -> tuple[str, str]:
+    """Return signal and unit of a channel."""
+    signal = OBJECTS.get(index, _NAME.sub("_", name.lower()).strip("_") or "channel")
+    if unit in ("inc", "qc", "counts"):
+        unit = "count"
+        signal = {"position": "encoder"}.get(signal, f"{signal}_count")
+    if signal == "torque" and unit == "%":
+        return (
+            ("torque", RATED) if mapping.rig.rated_torque is not None else ("relative_torque", "%")
+        )
+    return signal, unit
+
+
+def _missing(path: Path, header: dict[str, list[str]], data: Lines, skip_bad: bool) -> list[str]:
+    """Return a note where there are fewer samples than the header says; raise unless `skip_bad`."""
+    recorded = _field(header, "Recorded samples")
+    if not recorded or not recorded[0].isdigit() or int(recorded[0]) <= len(data.text):
+        return []
+    lost = int(recorded[0]) - len(data.text)
+    why = f"the file ends here, {lost} of {recorded[0]} recorded samples are missing"
+    if not skip_bad:
+        require_good(path, "line", {data.number[-1]: why})
+    return [f"line {data.number[-1]}: {why}"]

@@ -1,0 +1,97 @@
+"""What a reader takes from somebody else's file, before it means anything."""
+
+from __future__ import annotations
+
+import gzip
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import RunFileError
+
+Array = NDArray[np.float64]
+Column = int | str
+"""A column by its number from 1, or by its name."""
+
+LARGEST = 2**31
+"""Bytes of a source file, uncompressed: a file that claims more is refused."""
+
+SHOWN = 5
+"""Bad lines that a message lists."""
+
+
+@dataclass(frozen=True, eq=False)
+class Raw:
+    """Columns (n,) of a file, the numbers of their lines, and what was left out.
+
+    `place` (n,) counts samples from 0 as the file has them: where samples were left out it has
+    gaps. `line` (n,) are line numbers from 1 in text, sample numbers from 1 elsewhere; `what` says
+    which. `left_out` maps the number of each line left out to why.
+    """
+
+    columns: dict[Column, Array]
+    place: NDArray[np.int64]
+    line: NDArray[np.int64]
+    what: str
+    left_out: dict[int, str] = field(default_factory=dict)
+
+    def without(self, bad: dict[int, str]) -> Raw:
+        """Return the same without the lines in `bad`."""
+        keep = ~np.isin(self.line, list(bad))
+        columns = {name: values[keep] for name, values in self.columns.items()}
+        left_out = {**self.left_out, **bad}
+        return Raw(columns, self.place[keep], self.line[keep], self.what, left_out)
+
+
+def require_good(path: Path, what: str, bad: dict[int, str]) -> None:
+    """Raise `RunFileError` that names the first bad lines and what to do about them."""
+    if not bad:
+        return
+    numbers = sorted(bad)
+    listed = [f"  {path}, {what} {number}: {bad[number]}" for number in numbers[:SHOWN]]
+    if len(numbers) > SHOWN:
+        listed.append(f"  and {len(numbers) - SHOWN} more")
+    count = len(numbers)
+    head = f"{path}: {count} bad {what}{'s' if count > 1 else ''}"
+    remedy = "correct the file, or read the rest of it by --skip-bad-lines"
+    raise RunFileError("\n".join([head, *listed, remedy]))
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return a file's bytes, unpacked where it is gzipped; `RunFileError` where that fails."""
+    try:
+        with path.open("rb") as stream:
+            packed = stream.read(2) == b"\x1f\x8b"
+        if not packed:
+            require_size(path, path.stat().st_size)
+            return path.read_bytes()
+        with gzip.open(path) as stream:
+            data = stream.read(LARGEST + 1)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise RunFileError(f"{path}: is a damaged gzip file: {error}; fetch it again") from None
+    except OSError as error:
+        raise RunFileError(f"{path}: cannot be read: {error.strerror or error}") from None
+    require_size(path, len(data))
+    return data
+
+
+def require_size(path: Path, size: int) -> None:
+    """Raise `RunFileError` where a file is empty or larger than is read."""
+    if size == 0:
+        raise RunFileError(f"{path}: is empty: fetch it again")
+    if size > LARGEST:
+        raise RunFileError(f"{path}: is larger than {LARGEST} bytes unpacked: split it")
+
+
+def missing_column(path: Path, column: Column, there: Sequence[Column], count: int) -> RunFileError:
+    """Return the error for a column that a file does not have."""
+    named = [str(name) for name in there if isinstance(name, str)]
+    known = f"{count} columns" if not named else ", ".join(named[:30])
+    return RunFileError(
+        f"{path}: has no column {column!r}, only {known}: correct the mapping, or take a file that "
+        "has it"
+    )

@@ -1,0 +1,190 @@
+"""Delimited text, also gzipped: fast by numpy; line by line only to find what is wrong.
+
+Every line is held to the number of fields that most lines have: a line that was cut short is found
+even where the columns that are read are still there.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rigtool.errors import RunFileError
+from rigtool.recipe.mapping import FileLayout
+from rigtool.runfile.importers.raw import (
+    Array,
+    Column,
+    Raw,
+    missing_column,
+    read_bytes,
+    require_good,
+)
+
+WHITESPACE = "whitespace"
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Lines:
+    """The lines of a text that are not comments, each with its number from 1.
+
+    `whole` is False where the last one has no end of line.
+    """
+
+    text: list[str]
+    number: list[int]
+    whole: bool
+
+    def after(self, count: int) -> Lines:
+        """Return all but the first `count` lines."""
+        return Lines(self.text[count:], self.number[count:], self.whole)
+
+
+def read_text(path: Path, layout: FileLayout, columns: Sequence[Column], skip_bad: bool) -> Raw:
+    """Read columns of a text file as numbers.
+
+    Raises `RunFileError` for a missing column, and, unless `skip_bad`, for lines that are cut
+    short, hold something else than numbers, or end with the file.
+    """
+    lines = split_lines(decode(read_bytes(path)), layout.comment)
+    named = any(isinstance(column, str) for column in columns)
+    head = layout.header_lines if layout.header_lines is not None else int(named)
+    if named and not 0 < head <= len(lines.text):
+        raise RunFileError(
+            f"{path}: has no line that names its columns (header_lines = {head}): give columns by "
+            "number, or correct the mapping"
+        )
+    names = split_fields(lines.text[head - 1], layout.delimiter) if named else []
+    return read_numbers(path, lines.after(head), layout, columns, names, skip_bad)
+
+
+def read_numbers(
+    path: Path,
+    lines: Lines,
+    layout: FileLayout,
+    columns: Sequence[Column],
+    names: Sequence[str],
+    skip_bad: bool,
+) -> Raw:
+    """Read columns of lines that hold numbers; `names` are those of all columns, or none."""
+    if not lines.text:
+        raise RunFileError(f"{path}: holds no line of numbers: check comment and header_lines")
+    delimiter = None if layout.delimiter == WHITESPACE else layout.delimiter
+    counts = _field_counts(lines.text, delimiter)
+    usual = len(names) or Counter(counts).most_common(1)[0][0]
+    indices = [_index(path, column, names, usual) for column in columns]
+    bad = {
+        number: f"has {count} fields, the others have {usual}: it was cut short or joined"
+        for number, count in zip(lines.number, counts, strict=True)
+        if count != usual
+    }
+    if not lines.whole:
+        bad[lines.number[-1]] = "the file ends within this line: its end is missing"
+    good = [
+        text for text, number in zip(lines.text, lines.number, strict=True) if number not in bad
+    ]
+    numbers = [number for number in lines.number if number not in bad]
+    table = _parse(good, delimiter, layout.decimal, indices)
+    if table is None:
+        table = _parse_exactly(good, numbers, delimiter, layout.decimal, indices, bad)
+    if not skip_bad:
+        require_good(path, "line", bad)
+    place = np.flatnonzero([number not in bad for number in lines.number]).astype(np.int64)
+    line = np.array(lines.number, dtype=np.int64)[place]
+    return Raw(dict(zip(columns, table, strict=True)), place, line, "line", bad)
+
+
+def decode(data: bytes) -> str:
+    """Return text: UTF-16 where it says so, else UTF-8, else Latin-1, which fits any bytes."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", "replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def split_lines(text: str, comment: str | None) -> Lines:
+    """Return the lines of a text without comments and empty lines; ends of any system."""
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    whole = text.endswith("\n")
+    everything = text.split("\n")
+    if comment is not None and comment in text:
+        everything = [line.partition(comment)[0] for line in everything]
+    numbered = [(line, number) for number, line in enumerate(everything, 1) if line.strip()]
+    # A file that ends within a comment has lost no number.
+    whole = whole or not numbered or numbered[-1][1] < len(everything)
+    return Lines([line for line, _ in numbered], [number for _, number in numbered], whole)
+
+
+def split_fields(line: str, delimiter: str) -> list[str]:
+    """Return the fields of one line, quotes and spaces around them taken off."""
+    if delimiter == WHITESPACE:
+        return line.split()
+    return [field.strip() for field in next(csv.reader([line], delimiter=delimiter))]
+
+
+def _field_counts(lines: Sequence[str], delimiter: str | None) -> list[int]:
+    if delimiter is None:
+        return [len(line.split()) for line in lines]
+    return [line.count(delimiter) + 1 for line in lines]
+
+
+def _index(path: Path, column: Column, names: Sequence[str], count: int) -> int:
+    if isinstance(column, str):
+        if column not in names:
+            raise missing_column(path, column, names, count)
+        if list(names).count(column) > 1:
+            raise RunFileError(f"{path}: two columns are called {column!r}: give its number")
+        return list(names).index(column)
+    if column > count:
+        raise missing_column(path, column, names, count)
+    return column - 1
+
+
+def _parse(
+    lines: Sequence[str], delimiter: str | None, decimal: str, indices: Sequence[int]
+) -> list[Array] | None:
+    """Return the columns by numpy's parser; None where one of them is not all finite numbers."""
+    if not lines:
+        return None
+    if decimal != ".":
+        lines = [line.replace(decimal, ".") for line in lines]
+    try:
+        table = np.loadtxt(lines, delimiter=delimiter, comments=None, usecols=indices, ndmin=2)
+    except ValueError:
+        return None
+    return list(table.T) if np.isfinite(table).all() else None
+
+
+def _parse_exactly(
+    lines: Sequence[str],
+    numbers: Sequence[int],
+    delimiter: str | None,
+    decimal: str,
+    indices: Sequence[int],
+    bad: dict[int, str],
+) -> list[Array]:
+    """Return the columns of the lines that hold numbers; add the others to `bad`."""
+    rows = []
+    for line, number in zip(lines, numbers, strict=True):
+        fields = line.split(delimiter)
+        row = []
+        for index in indices:
+            text = fields[index].strip().strip('"').replace(decimal, ".")
+            value = float(text) if _NUMBER.fullmatch(text) else np.nan
+            if not np.isfinite(value):
+                bad[number] = f"column {index + 1} holds {fields[index].strip()[:40]!r}, no number"
+                break
+            row.append(value)
+        else:
+            rows.append(row)
+    return list(np.array(rows, dtype=np.float64).reshape(-1, len(indices)).T)

@@ -1,0 +1,148 @@
+"""What a run file holds: channels of recordings, and tables of results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.runfile import schema
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One recorded signal: `dtype` is u1, i4, f4 or f8 in the file; readers always get f8."""
+
+    name: str
+    unit: str
+    dtype: str
+    description: str
+
+    def __post_init__(self) -> None:
+        _require_names("channel", [self.name])
+        if self.dtype not in schema.DTYPES:
+            raise ValueError(
+                f"channel {self.name}: dtype {self.dtype!r} cannot be stored, use one of "
+                f"{', '.join(schema.DTYPES)}"
+            )
+
+
+@dataclass(frozen=True)
+class RecordingSpec:
+    """A recording before it is made: its channels on one `time`, and under which conditions.
+
+    `conditions` maps a name to (value, unit), e.g. `{"speed": (3.0, "rad/s")}`. A viewer plots the
+    first channel other than `time`.
+    """
+
+    name: str
+    channels: tuple[Channel, ...]
+    conditions: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [channel.name for channel in self.channels]
+        _require_names("recording", [self.name])
+        _require_names("condition", self.conditions)
+        if schema.TIME not in names:
+            raise ValueError(f"recording {self.name}: has no channel `{schema.TIME}`")
+        if len(names) < 2:
+            raise ValueError(f"recording {self.name}: has nothing besides `{schema.TIME}`")
+        if len(set(names)) != len(names):
+            raise ValueError(f"recording {self.name}: a channel appears twice in {names}")
+        if schema.CONDITIONS in names:
+            raise ValueError(f"recording {self.name}: a channel cannot be called `conditions`")
+
+    @property
+    def signal(self) -> str:
+        """The channel that a viewer plots."""
+        return next(c.name for c in self.channels if c.name != schema.TIME)
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """Values of one column, their unit and meaning. NaN stands for 'no value'."""
+
+    values: NDArray[Any]
+    unit: str
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _storable(np.asarray(self.values)))
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Columns over one or more axes.
+
+    `axes` name 1-D columns; each other column has the shape of the axes' lengths, or of the
+    leading axes. `signal` is the column to plot and has all axes. Raises ValueError otherwise.
+    """
+
+    axes: tuple[str, ...]
+    columns: Mapping[str, Column]
+    signal: str
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        _require_names("column", self.columns)
+        for name in (*self.axes, self.signal):
+            if name not in self.columns:
+                raise ValueError(f"a table has no column {name!r}, only {list(self.columns)}")
+        if not self.axes or len(set(self.axes)) != len(self.axes):
+            raise ValueError(f"the axes of a table must be different columns, got {self.axes}")
+        if self.signal in self.axes:
+            raise ValueError(f"the signal {self.signal!r} of a table cannot be one of its axes")
+        for name in self.axes:
+            if self.columns[name].values.ndim != 1:
+                raise ValueError(f"axis {name!r} must be one-dimensional")
+        shape = self.shape
+        for name, column in self.columns.items():
+            if name in self.axes:
+                continue
+            here = column.values.shape
+            if not here or here != shape[: len(here)]:
+                raise ValueError(
+                    f"column {name!r} has shape {here}, the axes {self.axes} ask for {shape}"
+                )
+        if self.columns[self.signal].values.shape != shape:
+            raise ValueError(f"the signal {self.signal!r} does not have all axes {self.axes}")
+        size = sum(column.values.size for column in self.columns.values())
+        if size > schema.MAX_TABLE_VALUES:
+            raise ValueError(
+                f"a table of {size} values is above the limit of {schema.MAX_TABLE_VALUES}: "
+                "store it at fewer points"
+            )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Lengths of the axes."""
+        return tuple(self.columns[name].values.size for name in self.axes)
+
+    def __getitem__(self, column: str) -> NDArray[Any]:
+        return self.columns[column].values
+
+
+def _require_names(what: str, names: Iterable[str]) -> None:
+    for name in names:
+        if not schema.is_name(name):
+            raise ValueError(
+                f"{what} name {name!r}: use letters, digits and underscores, not a digit first"
+            )
+
+
+def _storable(values: NDArray[Any]) -> NDArray[Any]:
+    """Return the values in one of the types a file may hold."""
+    if values.dtype in schema.DTYPES.values():
+        return values
+    if values.dtype.kind == "b":
+        return values.astype(schema.DTYPES["u1"])
+    if values.dtype.kind in "iu":
+        limits = np.iinfo(np.int32)
+        if values.size == 0 or (limits.min <= values.min() and values.max() <= limits.max):
+            return values.astype(schema.DTYPES["i4"])
+    if values.dtype.kind in "iuf":
+        return values.astype(schema.DTYPES["f8"])
+    raise ValueError(f"a column holds numbers, not {values.dtype}")

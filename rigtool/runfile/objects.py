@@ -1,0 +1,69 @@
+"""The few kinds of objects that a run file is made of, apart from arrays.
+
+Text has a fixed length, so that it sits in headers, where HDF5 protects it by a checksum.
+Variable-length text would sit in a heap without one: HDF5 follows a damaged heap without end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import h5py
+import numpy as np
+
+from rigtool.runfile import schema
+
+_COMPACT_LIMIT = 2**15
+"""Bytes that fit well into an object's header, which ends at 64 KiB."""
+
+
+def make_group(parent: h5py.Group, name: str, nx_class: str) -> h5py.Group:
+    """Create a group; its members keep their order, which is the order of a report."""
+    group = parent.create_group(name, track_order=True)
+    set_attribute(group, "NX_class", nx_class)
+    return group
+
+
+def set_attribute(
+    node: h5py.Group | h5py.Dataset, name: str, value: str | float | Sequence[str]
+) -> None:
+    """Write an attribute: a text, a number (f8), or a list of texts."""
+    if isinstance(value, float):
+        node.attrs[name] = value
+        return
+    texts = np.array(value.encode() if isinstance(value, str) else [t.encode() for t in value])
+    node.attrs.create(name, texts, dtype=_text_type(texts.dtype.itemsize))
+
+
+def make_text(parent: h5py.Group, name: str, value: str) -> None:
+    """Create a dataset with one text."""
+    data = value.encode()
+    dtype = _text_type(len(data))
+    _make_scalar(parent, name, np.array(data, dtype=dtype), dtype, len(data) <= _COMPACT_LIMIT)
+
+
+def make_number(parent: h5py.Group, name: str, value: float, unit: str) -> h5py.Dataset:
+    """Create a dataset with one number."""
+    dataset = _make_scalar(parent, name, value, schema.DTYPES["f8"], True)
+    set_attribute(dataset, "units", unit)
+    return dataset
+
+
+def _text_type(length: int) -> np.dtype[Any]:
+    dtype: np.dtype[Any] = h5py.string_dtype("utf-8", max(1, length))
+    return dtype
+
+
+def _make_scalar(
+    parent: h5py.Group, name: str, value: Any, dtype: np.dtype[Any], compact: bool
+) -> h5py.Dataset:
+    plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plist.set_obj_track_times(False)
+    if compact:
+        plist.set_layout(h5py.h5d.COMPACT)
+    space = h5py.h5s.create(h5py.h5s.SCALAR)
+    kind = h5py.h5t.py_create(dtype, logical=True)
+    dataset = h5py.Dataset(h5py.h5d.create(parent.id, name.encode(), kind, space, plist))
+    dataset[()] = value
+    return dataset

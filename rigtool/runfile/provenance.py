@@ -1,0 +1,211 @@
+"""Where a run comes from, and the hashes that prove it.
+
+`content_sha256` covers names, attributes and arrays of a run, not its provenance: two runs of one
+recipe and seed share it. `record_sha256` covers the provenance and `content_sha256`. Signals enter
+by the SHA-256 of their samples, an attribute of each, so that both are checked without reading
+them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from rigtool.errors import RigtoolError
+from rigtool.runfile import schema, tree
+from rigtool.runfile.objects import make_group, make_text
+
+PACKAGES = ("numpy", "scipy", "pandas", "h5py", "numba", "pydantic", "GTC")
+
+_HASHES = ("content_sha256", "record_sha256")
+_PROVENANCE = f"/{schema.ENTRY}/{schema.PROVENANCE}"
+
+
+@dataclass(frozen=True)
+class Input:
+    """A run file that went into another one."""
+
+    path: str
+    command: str
+    sha256: str
+    content_sha256: str
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file of another program that was imported, and the mapping file's text that said how."""
+
+    path: str
+    sha256: str
+    mapping: str | None
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Who made a run, when, with what, from what; `argv` as a shell line, a package a line."""
+
+    program: str
+    version: str
+    date: str
+    argv: str
+    python: str
+    platform: str
+    packages: str
+    recipe: str | None
+    recipe_resolved: str | None
+    seed: str | None
+    inputs: tuple[Input, ...]
+    source: str | None = None
+    source_sha256: str | None = None
+    mapping: str | None = None
+
+
+def collect(
+    *,
+    recipe_text: str | None,
+    recipe_resolved: str | None,
+    seed: int | None,
+    inputs: Sequence[Input],
+    argv: Sequence[str] | None = None,
+    source: Source | None = None,
+) -> Provenance:
+    """Describe the running program and what it works on; the date honours SOURCE_DATE_EPOCH."""
+    return Provenance(
+        program="rigtool",
+        version=version("rigtool"),
+        date=_now(),
+        # Where the program is installed says nothing about the run.
+        argv=shlex.join(_printable(item) for item in argv or ["rigtool", *sys.argv[1:]]),
+        python=platform.python_version(),
+        platform=platform.platform(),
+        packages="\n".join(f"{name} {version(name)}" for name in PACKAGES),
+        recipe=recipe_text,
+        recipe_resolved=recipe_resolved,
+        seed=None if seed is None else str(seed),
+        inputs=tuple(inputs),
+        source=None if source is None else _printable(source.path),
+        source_sha256=None if source is None else source.sha256,
+        mapping=None if source is None else source.mapping,
+    )
+
+
+def write(group: h5py.Group, provenance: Provenance) -> None:
+    """Write provenance into its group; what is None is left out."""
+    for name, value in asdict(provenance).items():
+        if name != "inputs" and value is not None:
+            make_text(group, name, value)
+    if provenance.inputs:
+        parent = make_group(group, schema.INPUTS, "NXcollection")
+    for index, item in enumerate(provenance.inputs):
+        source = make_group(parent, f"{index:04d}", "NXcollection")
+        for name, value in asdict(item).items():
+            make_text(source, name, value)
+
+
+def read(group: tree.Group) -> dict[str, Any]:
+    """Return all fields of provenance, hashes included; absent ones are None."""
+    found: dict[str, Any] = dict.fromkeys(Provenance.__dataclass_fields__)
+    found.update({name: item.value for name, item in group.values.items()})
+    inputs = group.groups[schema.INPUTS].groups if schema.INPUTS in group.groups else {}
+    found["argv"] = shlex.split(found["argv"])
+    found["packages"] = dict(line.split(" ") for line in found["packages"].splitlines())
+    found["inputs"] = [
+        {name: item.value for name, item in source.values.items()} for source in inputs.values()
+    ]
+    return found
+
+
+def restore(fields: Mapping[str, Any]) -> Provenance:
+    """Return what `read` took from a file as it was before."""
+    known = {name: fields[name] for name in Provenance.__dataclass_fields__}
+    known["argv"] = shlex.join(fields["argv"])
+    known["packages"] = "\n".join(" ".join(item) for item in fields["packages"].items())
+    known["inputs"] = tuple(Input(**item) for item in fields["inputs"])
+    return Provenance(**known)
+
+
+def seal(file: h5py.File) -> None:
+    """Write both hashes into a run that is complete."""
+    root = tree.load(file)
+    content = content_sha256(root)
+    record = record_sha256(root, content)
+    group = file[schema.ENTRY][schema.PROVENANCE]
+    for name, value in zip(_HASHES, (content, record), strict=True):
+        make_text(group, name, value)
+
+
+def content_sha256(root: tree.Group) -> str:
+    """Hash everything but the provenance; see the top of this module."""
+    return hashlib.sha256(_describe(root, {_PROVENANCE})).hexdigest()
+
+
+def record_sha256(root: tree.Group, content: str) -> str:
+    """Hash the provenance, its two hashes left out, together with the hash of the content."""
+    group = root.group(schema.ENTRY).group(schema.PROVENANCE)
+    hashes = {f"{_PROVENANCE}/{name}" for name in _HASHES}
+    return hashlib.sha256(content.encode() + _describe(group, hashes)).hexdigest()
+
+
+def file_sha256(path: str | os.PathLike[str]) -> str:
+    """Hash a file byte by byte; raises `RigtoolError` where it cannot be read."""
+    try:
+        with Path(path).open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise RigtoolError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _describe(group: tree.Group, left_out: set[str]) -> bytes:
+    """Return a group and all below, one line of JSON an object, names in alphabetical order.
+
+    A line has path and attributes; a dataset's also type, shape and the SHA-256 of its values.
+    """
+    lines = [_line(group.path, group.attributes)]
+    members: dict[str, tree.Group | tree.Values] = {**group.groups, **group.values}
+    for _, item in sorted(members.items()):
+        if item.path in left_out:
+            continue
+        if isinstance(item, tree.Group):
+            lines.append(_describe(item, left_out))
+        else:
+            digest = item.attributes.get("sha256") if item.value is None else _sha256(item)
+            lines.append(_line(item.path, item.attributes, item.kind, item.shape, digest))
+    return b"".join(lines)
+
+
+def _line(*parts: Any) -> bytes:
+    return json.dumps(parts, sort_keys=True).encode() + b"\n"
+
+
+def _sha256(item: tree.Values) -> str:
+    values = json.dumps(item.value).encode() if item.kind == "str" else item.value.tobytes()
+    return hashlib.sha256(values).hexdigest()
+
+
+def _printable(argument: str) -> str:
+    # Names of files need not be UTF-8; text in the file has to be.
+    return argument.encode("utf-8", "backslashreplace").decode()
+
+
+def _now() -> str:
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    if epoch is None:
+        return datetime.now(UTC).isoformat(timespec="seconds")
+    try:
+        return datetime.fromtimestamp(int(epoch), UTC).isoformat(timespec="seconds")
+    except (ValueError, OverflowError, OSError):
+        raise RigtoolError(
+            f"SOURCE_DATE_EPOCH={epoch!r} is not a number of seconds since 1970: unset it"
+        ) from None

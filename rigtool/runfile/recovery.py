@@ -1,0 +1,119 @@
+"""What an interrupted run left behind, made into a run file: its signals, without results."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rigtool.errors import RunFileError, UsageError
+from rigtool.runfile import schema, tree
+from rigtool.runfile.model import RecordingSpec
+from rigtool.runfile.reader import Recording, Run, guard, open_hdf5, require_schema
+from rigtool.runfile.storage import storage_errors
+from rigtool.runfile.writer import RunWriter
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was brought back: samples by recording, and how many the file held but damaged."""
+
+    output: Path
+    samples: dict[str, int]
+    lost: int
+
+
+def recover(
+    part: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    overwrite: bool = False,
+) -> Recovered:
+    """Copy the signals of an unfinished run into a run file; the part stays as it is.
+
+    `output` is the name that the run would have had, unless given. A recording is copied up to its
+    first damaged chunk. Raises `RunFileError` where nothing can be brought back and `UsageError`
+    where `output` exists.
+    """
+    part = Path(part)
+    output = _output(part, output, overwrite)
+    # The part may have the name that a writer of `output` would give to its own.
+    beside = output.with_name(output.name + ".recovered")
+    with _open_unfinished(part) as run:
+        specs = [_spec(recording) for recording in run.recordings.values()]
+        with RunWriter(
+            beside,
+            command=run.command,
+            recipe=None,
+            recipe_text=None,
+            recordings=specs,
+            overwrite=True,
+            origin=run,
+        ) as writer:
+            samples = {item.name: _copy(item, writer) for item in run.recordings.values()}
+            if not any(samples.values()):
+                raise RunFileError(f"{part}: holds no sample that is whole: nothing to recover")
+            total = sum(samples.values())
+            lost = sum(item.size for item in run.recordings.values()) - total
+            writer.finish({}, {}, [f"recovered {total} samples of a run that was interrupted"])
+    with storage_errors(output):
+        os.replace(beside, output)
+    return Recovered(output, samples, lost)
+
+
+def _output(part: Path, output: str | os.PathLike[str] | None, overwrite: bool) -> Path:
+    if output is None and part.suffix != ".part":
+        raise UsageError(f"{part}: its name does not end in .part: say with -o where to write")
+    found = part.with_suffix("") if output is None else Path(output)
+    if found.exists() and not overwrite:
+        raise UsageError(f"{found}: exists already: give another name with -o, or --overwrite")
+    if found.exists() and found.samefile(part):
+        raise UsageError(f"{found}: is what is to be recovered: give another name with -o")
+    return found
+
+
+def _open_unfinished(path: Path) -> Run:
+    try:
+        file = open_hdf5(path)
+    except RunFileError as error:
+        try:
+            # Its writer was killed: such a file opens only as one that is being written.
+            file = open_hdf5(path, swmr=True)
+        except RunFileError:
+            raise error from None
+    try:
+        with guard(path, "the file"):
+            require_schema(file, path)
+            run = Run(file, tree.load(file), path)
+    except BaseException:
+        file.close()
+        raise
+    if "record_sha256" in run.provenance:
+        run.close()
+        raise RunFileError(f"{path}: is a finished run: there is nothing to recover, use it")
+    return run
+
+
+def _spec(recording: Recording) -> RecordingSpec:
+    conditions = {name: (item.value, item.unit) for name, item in recording.conditions.items()}
+    return RecordingSpec(recording.name, recording.channels, conditions)
+
+
+def _copy(recording: Recording, writer: RunWriter) -> int:
+    """Copy a recording chunk by chunk until one is damaged; return how many samples came."""
+    for start in range(0, recording.size, schema.CHUNK):
+        stop = min(start + schema.CHUNK, recording.size)
+        try:
+            block = {
+                item.name: recording.read_stored(item.name, start, stop)
+                for item in recording.channels
+            }
+        except RunFileError:
+            return start
+        # A chunk that never reached the disk reads as NaN.
+        if not np.isfinite(block[schema.TIME]).all():
+            return start
+        writer.append(recording.name, block)
+    return recording.size

@@ -1,0 +1,67 @@
+"""Names, version and limits of the run file; `docs/run-file-format.md` is the description of it.
+
+Whoever changes something here changes the document, its version history and `VERSION` with it: a
+new minor version adds what older readers may ignore, a new major version is refused by them.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+
+SCHEMA = "rigtool-run"
+VERSION = (1, 1)
+
+ENTRY = "entry"
+RECORDINGS = "recordings"
+TABLES = "tables"
+RESULTS = "results"
+PROVENANCE = "provenance"
+CONDITIONS = "conditions"
+INPUTS = "inputs"
+TIME = "time"
+
+CHUNK = 8192
+"""Samples in a chunk of a signal: one second at 8 kHz."""
+
+DTYPES: dict[str, np.dtype[Any]] = {name: np.dtype(f"<{name}") for name in ("u1", "i4", "f4", "f8")}
+"""The only numeric types in a file; others crash or confuse one reader or another."""
+
+FILTERS: dict[str, Any] = {
+    "compression": "gzip",
+    "compression_opts": 1,
+    "shuffle": True,
+    "fletcher32": True,
+}
+
+LIBVER = ("v110", "v110")
+"""`latest` would mean HDF5 2.0, which h5dump 1.10 and MATLAB cannot read."""
+
+# Limits of what a file may claim, checked from its headers before anything is read.
+MAX_SAMPLES = 2**31
+MAX_CHUNK_BYTES = 2**24
+MAX_TABLE_VALUES = 2**24
+MAX_MEMBERS = 10_000
+MAX_ATTRIBUTE_VALUES = 10_000
+MAX_COMPRESSION = 1100
+"""Deflate cannot shrink by more than 1032; a dataset that claims more is not in the file."""
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
+
+
+def is_name(name: str) -> bool:
+    """Say whether a name can stand for a recording, channel, table, column or result."""
+    return _NAME.fullmatch(name) is not None
+
+
+def version_text() -> str:
+    """Return the version of the schema that this rigtool writes."""
+    return f"{VERSION[0]}.{VERSION[1]}"
+
+
+def parse_version(text: str) -> tuple[int, int]:
+    """Split '1.0' into numbers; raises ValueError where it is something else."""
+    major, minor = text.split(".")
+    return int(major), int(minor)

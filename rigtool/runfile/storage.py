@@ -1,0 +1,79 @@
+"""What a disk may refuse, as a message; and making sure that what was written is on it.
+
+HDF5 does not survive a write that fails: it cannot close the file any more, and may take the
+process with it. So space is reserved before HDF5 is given anything to write; where that fails, HDF5
+knows nothing of it and still closes the file in order.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+
+from rigtool.errors import RigtoolError
+
+_FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
+_ERRNO = re.compile(r"errno = (\d+)")
+
+
+@contextmanager
+def storage_errors(path: Path) -> Iterator[None]:
+    """Turn an error of the disk, by way of Python or of HDF5, into `RigtoolError`."""
+    try:
+        yield
+    except RigtoolError:
+        raise
+    except OSError as error:
+        raise RigtoolError(f"{path}: cannot be written: {_reason(error)}") from error
+    except RuntimeError as error:  # h5py's other way to say that a write failed
+        if _ERRNO.search(str(error)) is None:
+            raise
+        raise RigtoolError(f"{path}: cannot be written: {_reason(error)}") from error
+
+
+def reserve(handle: int, size: int) -> None:
+    """Make sure that a file can grow to `size` bytes; raises OSError where it cannot."""
+    if not hasattr(os, "posix_fallocate"):
+        return
+    try:
+        os.posix_fallocate(handle, 0, size)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):
+            raise
+
+
+def flush(file: h5py.File) -> None:
+    """Hand everything to the system, and give back what was reserved and not needed."""
+    file.flush()
+    os.ftruncate(file.id.get_vfd_handle(), file.id.get_filesize())
+
+
+def sync_path(path: Path) -> None:
+    """Wait until a file's data are on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def sync_folder(path: Path) -> None:
+    """Wait until the names in a folder are on the disk, where the system can do that."""
+    if os.name == "posix":
+        sync_path(path)
+
+
+def _reason(error: OSError | RuntimeError) -> str:
+    match = _ERRNO.search(str(error))
+    code = int(match[1]) if match else getattr(error, "errno", None)
+    if code in _FULL:
+        return "the disk is full (or a quota is reached): free some space, or write elsewhere"
+    if code:
+        return f"{os.strerror(code)}: check the folder and its permissions"
+    return f"{error}: check the folder and the disk"

@@ -1,0 +1,311 @@
+"""Writing run files: samples stream to `<path>.part`, results follow, then one atomic replace.
+
+While recording, `<path>.part` is in SWMR mode and only ever grows by whole chunks, so that whatever
+was flushed outlives the process (`rigtool recover`). Results are written into a copy of it: until
+that copy takes the final name, neither the recorded signals nor an earlier output are touched.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import h5py
+from numpy.typing import NDArray
+
+from rigtool.errors import RigtoolError, UsageError
+from rigtool.quantity import Quantity
+from rigtool.runfile import layout, provenance, schema, tree
+from rigtool.runfile.model import RecordingSpec, Table
+from rigtool.runfile.reader import Recording, Run, open_hdf5
+from rigtool.runfile.storage import flush, reserve, storage_errors, sync_folder, sync_path
+from rigtool.runfile.stream import Stream
+
+if TYPE_CHECKING:
+    from rigtool.recipe import Recipe
+
+HEADROOM = 2**18
+"""Bytes reserved for what HDF5 itself writes beside the data."""
+
+SYNC_INTERVAL = 0.25
+"""Seconds of wall-clock between two fsyncs. A rig fills a chunk a second, so each chunk is synced;
+a simulation, a thousand times faster, is not slowed down by the disk."""
+
+
+class RunWriter:
+    """Writes one run; use as a context manager and end with `finish`.
+
+    Refuses an existing `path` (or the remains of an interrupted run) with `UsageError` unless
+    `overwrite`. Where anything fails nothing appears under `path`, and recorded samples stay in
+    `<path>.part`. With `origin`, a run that was interrupted and is written anew, its provenance is
+    kept instead of that of the running program, and no part stays after a failure. `rig` names the
+    rig where no recipe does; `source` is the file of another program that is imported.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        command: str,
+        recipe: Recipe | None,
+        recipe_text: str | None,
+        recordings: Sequence[RecordingSpec] = (),
+        inputs: Sequence[Run] = (),
+        seed: int | None = None,
+        overwrite: bool = False,
+        argv: Sequence[str] | None = None,
+        origin: Run | None = None,
+        rig: str | None = None,
+        source: provenance.Source | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.part = self.path.with_name(self.path.name + ".part")
+        self._new = self.path.with_name(self.path.name + ".tmp")
+        self._overwrite = overwrite
+        self._require_free(inputs)
+        self._command = command
+        self._specs = tuple(recordings)
+        self._is_copy = origin is not None
+        if origin is not None:
+            self._rig = origin.rig
+            self._provenance = provenance.restore(origin.provenance)
+        else:
+            self._rig = rig if recipe is None else recipe.rig.name
+            self._provenance = provenance.collect(
+                recipe_text=recipe_text,
+                recipe_resolved=None if recipe is None else recipe.resolved(),
+                seed=seed,
+                inputs=[_describe_input(run) for run in inputs],
+                argv=argv,
+                source=source,
+            )
+        self._streams: dict[str, Stream] = {}
+        self._file: h5py.File | None = None
+        self._recorded: Run | None = None
+        self._inode = 0
+        self._synced = -SYNC_INTERVAL
+        self._unsynced = 0
+        self._finished = False
+
+    def __enter__(self) -> Self:
+        with storage_errors(self.path):
+            self.part.unlink(missing_ok=True)
+            self._new.unlink(missing_ok=True)  # left where a run was killed at its very end
+            try:
+                self._start()
+            except BaseException:
+                self._abandon()
+                raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._finished:
+            return
+        kept = self._abandon()
+        if error is None:
+            raise RuntimeError(f"{self.path}: the run was left without finish()")
+        if kept:
+            error.add_note(kept)
+
+    def channel_names(self, recording: str) -> tuple[str, ...]:
+        """Return the names of the channels that a recording takes."""
+        spec = next(spec for spec in self._specs if spec.name == recording)
+        return tuple(channel.name for channel in spec.channels)
+
+    def append(self, recording: str, block: Mapping[str, NDArray[Any]]) -> None:
+        """Add samples to a recording: one array for each of its channels, all of one length.
+
+        Whole chunks go to the file, the rest waits. Raises `RigtoolError` where the disk refuses.
+        """
+        if self._file is None or self._recorded is not None:
+            raise RuntimeError("nothing can be appended once the recordings were read back")
+        stream = self._streams[recording]
+        stream.append(block)
+        if stream.waiting >= schema.CHUNK:
+            with storage_errors(self.path):
+                self._write(stream, stream.waiting - stream.waiting % schema.CHUNK)
+                self._sync()
+
+    def recording(self, name: str) -> Recording:
+        """Return what was recorded under this name; it is complete then and cannot grow."""
+        if self._recorded is not None:
+            return self._recorded.recording(name)
+        stream = self._streams[name]
+        with storage_errors(self.path):
+            self._complete(stream)
+            self._sync()
+            file = self._file
+        return Recording(file, tree.load(file, stream.path), self.path)
+
+    def recorded(self) -> Run:
+        """Return all recordings, complete and readable; the run has no results yet."""
+        if self._recorded is None:
+            with storage_errors(self.path):
+                self._close_streams()
+                file = open_hdf5(self.part)
+                self._recorded = Run(file, tree.load(file), self.path)
+        return self._recorded
+
+    def finish(
+        self,
+        results: Mapping[str, Quantity],
+        tables: Mapping[str, Table],
+        notes: Sequence[str] = (),
+    ) -> None:
+        """Write results, tables (the first is what a viewer shows) and remarks; take the name."""
+        new = self._new
+        with storage_errors(self.path):
+            self._close_streams()
+            if self._recorded is not None:
+                self._recorded.close()
+            try:
+                # Signals are safe in the .part until the new file is whole: a kill, a full disk or
+                # an unwritable result while it is being completed costs nothing.
+                self._require_own_part()
+                shutil.copyfile(self.part, new)
+                with h5py.File(new, "r+", libver=schema.LIBVER, locking="best-effort") as file:
+                    self._reserve(file, layout.footer_size(tables, notes) + self._head_size())
+                    for stream in self._streams.values():
+                        stream.seal(file)
+                    layout.write_footer(file, results, tables, notes)
+                    provenance.seal(file)
+                    flush(file)
+                sync_path(new)
+                self._require_own_part()
+                os.replace(new, self.path)
+            except BaseException:
+                new.unlink(missing_ok=True)
+                raise
+            self._finished = True
+            self.part.unlink()
+            sync_folder(self.path.parent)
+
+    def _require_free(self, inputs: Sequence[Run]) -> None:
+        parent = self.path.parent
+        if not parent.is_dir():
+            raise UsageError(f"{self.path}: the folder {parent} does not exist: create it first")
+        if self.path.is_dir():
+            raise UsageError(f"{self.path}: is a folder: give the name of a file")
+        if not os.access(parent, os.W_OK):
+            raise UsageError(f"{self.path}: the folder {parent} cannot be written: choose another")
+        if any(self.path.exists() and run.path.samefile(self.path) for run in inputs):
+            raise UsageError(f"{self.path}: is an input of this run: give the output another name")
+        if self._overwrite:
+            return
+        if self.path.exists():
+            raise UsageError(f"{self.path}: exists already: give another name, or --overwrite")
+        if self.part.exists():
+            raise UsageError(
+                f"{self.part}: is left from a run that was interrupted, or is being written now: "
+                f"`rigtool recover {self.part}` brings back its signals, --overwrite discards it"
+            )
+
+    def _owns_part(self) -> bool:
+        # Someone else may have started the same output with --overwrite meanwhile.
+        return self.part.exists() and self.part.stat().st_ino == self._inode
+
+    def _require_own_part(self) -> None:
+        if not self._owns_part():
+            raise RigtoolError(
+                f"{self.part}: was replaced by another program while this run was going on; "
+                "run one at a time, or give each its own output"
+            )
+
+    def _start(self) -> None:
+        """Create the .part with all that is known before the first sample."""
+        with self.part.open("xb") as stream:
+            self._inode = os.fstat(stream.fileno()).st_ino
+            reserve(stream.fileno(), self._head_size())
+        self._file = file = h5py.File(self.part, "w", libver=schema.LIBVER, locking="best-effort")
+        self._reserve(file, self._head_size())
+        layout.write_head(file, self._command, self._rig, self._specs, self._provenance)
+        for spec in self._specs:
+            self._streams[spec.name] = Stream(spec, file)
+        if self._specs:
+            file.swmr_mode = True
+
+    def _head_size(self) -> int:
+        channels = sum(len(spec.channels) + len(spec.conditions) for spec in self._specs)
+        origin = self._provenance
+        texts = (origin.recipe, origin.recipe_resolved, origin.mapping)
+        return HEADROOM + 4096 * channels + 4 * sum(len(text or "") for text in texts)
+
+    def _reserve(self, file: h5py.File, size: int) -> None:
+        reserve(file.id.get_vfd_handle(), file.id.get_filesize() + size)
+
+    def _write(self, stream: Stream, count: int) -> None:
+        assert self._file is not None
+        size = stream.size(count)
+        try:
+            self._reserve(self._file, self._unsynced + size + HEADROOM)
+        except OSError:
+            # What waits in HDF5's memory was counted uncompressed: write it, and look again.
+            self._sync(force=True)
+            self._reserve(self._file, size + HEADROOM)
+        stream.write(count)
+        self._unsynced += size
+
+    def _complete(self, stream: Stream) -> None:
+        # What is left goes into a last chunk that stays as it is.
+        if stream.waiting:
+            self._write(stream, stream.waiting)
+        stream.complete = True
+
+    def _sync(self, force: bool = False) -> None:
+        assert self._file is not None
+        now = time.monotonic()
+        if force or now - self._synced >= SYNC_INTERVAL:
+            flush(self._file)
+            os.fsync(self._file.id.get_vfd_handle())
+            self._synced = time.monotonic()
+            self._unsynced = 0
+
+    def _close_streams(self) -> None:
+        if self._file is None:
+            return
+        for stream in self._streams.values():
+            self._complete(stream)
+        self._sync(force=True)
+        file, self._file = self._file, None
+        file.close()
+
+    def _abandon(self) -> str:
+        """Close everything after an error; return what is to be said about the remains."""
+        if self._recorded is not None:
+            self._recorded.close()
+        if self._file is not None:
+            with contextlib.suppress(OSError, RigtoolError):  # what is in the file stays there
+                self._close_streams()
+            if self._file is not None:
+                self._file.close()
+                self._file = None
+        samples = sum(stream.written for stream in self._streams.values())
+        if not self._owns_part():
+            return f"{samples} samples that were recorded are lost" if samples else ""
+        if samples == 0 or self._is_copy:
+            self.part.unlink()
+            return ""
+        return (
+            f"{samples} samples that were recorded are kept in {self.part}; "
+            f"`rigtool recover {self.part}` makes a run file of them"
+        )
+
+
+def _describe_input(run: Run) -> provenance.Input:
+    return provenance.Input(
+        path=str(run.path),
+        command=run.command,
+        sha256=provenance.file_sha256(run.path),
+        content_sha256=run.content_sha256,
+    )

@@ -1,0 +1,107 @@
+"""Staircases on a clamped arm, from physics: quasi-static Dahl friction, heat, ripple, noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A motor with known constants on an arm; everything an ideal instrument would not show."""
+
+    torque_constant: float = 45.8e-3  # at 20 degC
+    coefficient: float = -1.16e-3
+    friction: float = 2.0e-3
+    stiffness: float = 15.0  # of the arm, N m/rad
+    presliding_angle: float = 8e-4
+    ripple: tuple[float, ...] = (0.004, 0.004, 0.001)  # relative, by order from the first
+    saturation: float = 0.002  # relative, 1/A, third order
+    amplifier_gain: float = 1.0
+    amplifier_offset: float = 1e-3
+    cubic: float = 0.0  # fault of the amplifier, 1/A2
+    heating: float = 0.022  # of the winding, K/(A2 s)
+    time_constant: float = 29.0
+    housing_drift: float = -0.01  # K/s
+    arm_length: float = 0.54
+    force_noise: float = 5e-4
+    current_noise: float = 3e-4
+    sample_time: float = 4e-3
+    step_time: float = 0.2
+    settle_time: float = 0.08
+
+    def record(
+        self,
+        temperatures: tuple[float, ...] = (20, 30, 40, 50),
+        angles: int = 8,
+        levels: Array | None = None,
+        *,
+        shifted: bool = True,
+        seed: int = 0,
+    ) -> dict[str, Array]:
+        """Return the channels of a recording with one staircase at each temperature and angle."""
+        rng = np.random.default_rng(seed)
+        if levels is None:
+            up = np.linspace(0, 4, 11)
+            levels = np.concatenate([[0.0], np.tile(np.concatenate([up[1:], up[-2::-1]]), 2)])
+        parts, clock = [], 0.0
+        for number, temperature in enumerate(temperatures):
+            for k in range(angles):
+                shift = number / len(temperatures) if shifted else 0.0
+                angle = 2 * np.pi * (k + shift) / angles
+                part = self._staircase(levels, temperature, angle, clock, rng)
+                clock = part["time"][-1] + 600.0
+                parts.append(part)
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+    def _staircase(
+        self, levels: Array, degc: float, angle: float, clock: float, rng: np.random.Generator
+    ) -> dict[str, Array]:
+        per_step = round(self.step_time / self.sample_time)
+        setpoint = np.repeat(levels, per_step)
+        n = len(setpoint)
+        time = np.arange(n) * self.sample_time
+        current = self.amplifier_gain * setpoint * (1 + self.cubic * setpoint**2)
+        current = current + self.amplifier_offset
+        housing = degc + self.housing_drift * time
+        winding = housing + self._winding_excess(current)
+        constant = self.torque_constant * (1 + self.coefficient * (winding - 20))
+        gain = 1 + sum(a * np.cos((k + 1) * angle + k) for k, a in enumerate(self.ripple))
+        gain = gain + self.saturation * np.cos(3 * angle) * np.abs(current)
+        drive = constant * current * gain
+        torque = self._arm_torque(drive[per_step - 1 :: per_step], per_step)
+        torque = torque + (drive - np.repeat(drive[per_step - 1 :: per_step], per_step))
+        return {
+            "time": clock + time,
+            "rotor_angle": np.full(n, angle),
+            "current_setpoint": setpoint,
+            "current": current + self.current_noise * rng.standard_normal(n),
+            "force": torque / self.arm_length + self.force_noise * rng.standard_normal(n),
+            "temperature": housing + 0.03 * rng.standard_normal(n),
+        }
+
+    def _winding_excess(self, current: Array) -> Array:
+        excess = np.zeros(len(current))
+        for j in range(1, len(current)):
+            change = self.heating * current[j] ** 2 - excess[j - 1] / self.time_constant
+            change -= self.housing_drift  # the winding lags behind the housing
+            excess[j] = excess[j - 1] + self.sample_time * change
+        return excess
+
+    def _arm_torque(self, drive: Array, per_step: int) -> Array:
+        """Move the arm in small steps until drive = arm torque + friction at each level."""
+        bristle, deflection, torque = 0.0, 0.0, []
+        step = self.presliding_angle / 200
+        for target in drive:
+            direction = (
+                1.0 if target > self.stiffness * deflection + self.friction * bristle else -1
+            )
+            while (target - self.stiffness * deflection - self.friction * bristle) * direction > 0:
+                deflection += direction * step
+                bristle += step / self.presliding_angle * (direction - bristle)
+            torque.append(target - self.friction * bristle)
+        return np.repeat(torque, per_step)

@@ -1,0 +1,237 @@
+"""Every command against input that cannot be right: a message, the exit code, and no output."""
+
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from rigtool.cli import main
+
+ROOT = Path(__file__).parents[2]
+FIXTURES = ROOT / "tests" / "fixtures"
+RECIPE = ROOT / "recipes" / "briaire-2006.toml"
+
+COMMANDS = {
+    "calibrate-kt": ("kt", []),
+    "stribeck": ("friction", ["--kt", "kt.h5"]),
+    "fft-ripple": ("ripple", ["--kt", "kt.h5"]),
+    "ilc-learn": ("tables", ["--kt", "kt.h5"]),
+    "measure-force": ("force", ["--kt", "kt.h5", "--tables", "tables.h5"]),
+}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Work among copies of the fixtures."""
+    for file in FIXTURES.glob("*.h5"):
+        shutil.copy(file, tmp_path)
+    shutil.copy(RECIPE, tmp_path / "rig.toml")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def refused(capsys):
+    """Return a function that runs a line which must fail; it gives the code and the message."""
+
+    def run(arguments):
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main(arguments)
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert "Traceback" not in err
+        assert "internal error" not in err
+        assert not Path("out.h5").exists()
+        return stop.value.code, err
+
+    return run
+
+
+@pytest.fixture(params=COMMANDS)
+def command(request, folder, refused):
+    """Return a function that runs one command on a source; it gives the code and the message."""
+    _, inputs = COMMANDS[request.param]
+
+    def run(source, *more, output="out.h5"):
+        return refused([request.param, str(source), *inputs, "-o", output, *more])
+
+    run.name = request.param
+    run.fixture = f"{COMMANDS[request.param][0]}.h5"
+    return run
+
+
+def test_recipe_with_four_mistakes(command, folder):
+    text = (folder / "rig.toml").read_text()
+    for right, wrong in {
+        "encoder_counts = 4000": "encoder_counts = -4",
+        "sample_time = 125e-6": 'sample_time = "fast"',
+        "moves = 20": "movs = 20",
+        "viscous_friction = 5.33e-5 ": "viscous_friction = -1 ",
+    }.items():
+        assert text.count(right) == 1
+        text = text.replace(right, wrong)
+    (folder / "rig.toml").write_text(text)
+    code, message = command("rig.toml")
+    assert code == 3
+    assert "4 mistakes" in message
+    for key in ("encoder_counts", "sample_time", "movs", "viscous_friction"):
+        number = next(i for i, line in enumerate(text.splitlines(), 1) if line.startswith(key))
+        assert f"rig.toml:{number}: " in message, key
+
+
+def test_recipe_of_another_kind(command):
+    code, message = command(ROOT / "pyproject.toml")
+    assert (code, "not a recipe of rigtool" in message) == (3, True)
+
+
+@pytest.mark.parametrize("name", ["none.toml", "none.h5"])
+def test_missing_file(command, name):
+    code, message = command(name)
+    assert code == 3
+    assert name in message
+
+
+def test_file_that_is_not_hdf5(command, folder):
+    (folder / "text.h5").write_text("time;torque\n0;1\n")
+    code, message = command("text.h5")
+    assert (code, "not an HDF5 file" in message) == (3, True)
+
+
+def test_truncated_file(command, folder):
+    whole = (folder / command.fixture).read_bytes()
+    (folder / "cut.h5").write_bytes(whole[: len(whole) // 2])
+    code, message = command("cut.h5")
+    assert (code, "cut.h5" in message) == (3, True)
+
+
+def test_file_of_a_newer_schema(command, folder):
+    with h5py.File(folder / command.fixture, "r+") as file:
+        file.attrs["schema_version"] = np.bytes_("99.0")
+    code, message = command(command.fixture)
+    assert code == 3
+    assert "schema version 99.0" in message
+
+
+def test_run_of_another_command(command):
+    other = "kt.h5" if command.name != "calibrate-kt" else "ripple.h5"
+    code, message = command(other)
+    assert code == 3
+    assert command.name in message
+
+
+def test_run_without_signals(command, folder):
+    # Results of a re-analysis hold no signals of their own: there is nothing to analyse in them.
+    _, inputs = COMMANDS[command.name]
+    with pytest.raises(SystemExit) as stop:
+        main([command.name, command.fixture, *inputs, "-o", "bare.h5", "-q"])
+    assert stop.value.code == 0
+    code, message = command("bare.h5")
+    assert code == 3
+    assert "recording" in message
+
+
+def test_output_that_exists_is_kept(command, folder):
+    (folder / "there.h5").write_bytes(b"mine")
+    code, message = command("rig.toml", output="there.h5")
+    assert (code, "--overwrite" in message) == (2, True)
+    assert (folder / "there.h5").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("output", ["nowhere/out.h5", "kt.h5/out.h5"])
+def test_output_folder_that_cannot_be_written(command, output):
+    code, message = command("rig.toml", output=output)
+    assert code == 2
+    assert "folder" in message
+
+
+def test_unknown_setting(command):
+    code, message = command("rig.toml", "--set", "rig.colour=red")
+    assert code == 3
+    assert "rig.colour" in message
+
+
+@pytest.mark.parametrize(
+    ("setting", "reason"),
+    [
+        ("rig.name=another", "briaire-2006"),
+        ("rig.encoder_counts=2000", "encoder"),
+        ("rig.attachment=pulley", "instrument"),
+    ],
+)
+def test_tables_learned_elsewhere(folder, refused, setting, reason):
+    line = ["measure-force", "rig.toml", "--kt", "kt.h5", "--tables", "tables.h5"]
+    code, message = refused([*line, "-o", "out.h5", "--set", setting])
+    assert code == 3
+    assert reason in message
+
+
+def test_full_disk(folder, refused):
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
+    try:
+        code, message = refused(["calibrate-kt", "rig.toml", "-o", "out.h5"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 1
+    assert "out.h5" in message
+
+
+def test_a_run_too_short_for_its_analysis(command, folder):
+    """A thousand samples of each recording, in a file that is otherwise sound."""
+    from rigtool.runfile import RunWriter, open_run
+
+    with open_run(command.fixture) as run:
+        specs = [
+            _shortened(recording) for recording in run.recordings.values() if recording.size > 0
+        ]
+        with RunWriter(
+            "short.h5",
+            command=run.command,
+            recipe=run.recipe,
+            recipe_text="",
+            recordings=[spec for spec, _ in specs],
+        ) as writer:
+            for spec, block in specs:
+                writer.append(spec.name, block)
+            writer.finish({}, {})
+    code, message = command("short.h5")
+    assert code == 4, message
+    assert len(message) > 20
+
+
+def _shortened(recording):
+    from rigtool.runfile import RecordingSpec
+
+    conditions = {name: (q.value, q.unit) for name, q in recording.conditions.items()}
+    spec = RecordingSpec(recording.name, recording.channels, conditions)
+    count = min(100, recording.size)
+    return spec, {name: recording.read(name, 0, count) for name in recording.units}
+
+
+def test_nan_in_a_signal(command, folder):
+    from rigtool.runfile import RunWriter, open_run
+
+    with open_run(command.fixture) as run:
+        specs = []
+        for recording in run.recordings.values():
+            spec, _ = _shortened(recording)
+            block = {name: recording.read(name) for name in recording.units}
+            block["current_setpoint"][len(block["time"]) // 2] = np.nan
+            specs.append((spec, block))
+        with RunWriter(
+            "nan.h5",
+            command=run.command,
+            recipe=run.recipe,
+            recipe_text="",
+            recordings=[spec for spec, _ in specs],
+        ) as writer:
+            for spec, block in specs:
+                writer.append(spec.name, block)
+            writer.finish({}, {})
+    code, message = command("nan.h5")
+    assert code == 3, message
+    assert "current_setpoint" in message

@@ -1,0 +1,151 @@
+"""`rigtool import`, as a user types it; the public data sets where they are at hand."""
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rigtool.runfile import open_run
+from tests.cli.test_run_commands import call
+from tests.runfile.mappings import TEXT, lines
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT / ".." / "shared" / "data"
+MAPPINGS = ROOT / "recipes" / "import"
+needs_data = pytest.mark.skipif(
+    not DATA.is_dir(), reason="the public data sets are not beside the repository"
+)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "map.toml").write_text(TEXT)
+    (tmp_path / "in").mkdir()
+    for name in ("a.csv", "b.txt", "README.md"):
+        (tmp_path / "in" / name).write_text("\n".join(lines()) + "\n")
+    return tmp_path
+
+
+def test_one_file(folder, capsys):
+    source, output = folder / "in" / "a.csv", folder / "a.h5"
+    arguments = ("import", source, "--map", folder / "map.toml", "-o", output)
+    assert call(capsys, *arguments) == (0, f"{output}: 50 samples\n", "")
+    assert call(capsys, *arguments)[0] == 2
+    assert call(capsys, *arguments, "--overwrite")[0] == 0
+    assert call(capsys, "verify", output) == (
+        0,
+        f"{output}: ok: import\n  {source}: ok: source\n",
+        "",
+    )
+    assert f"imported from {source}" in call(capsys, "info", output)[1]
+    source.write_text("1,2,3\n")
+    assert call(capsys, "verify", output)[0] == 3
+    source.unlink()
+    assert "is not there any more" in call(capsys, "verify", output)[1]
+
+
+def test_a_folder_becomes_a_folder(folder, capsys):
+    output = folder / "new" / "out"
+    arguments = ("import", folder / "in", "--map", folder / "map.toml", "-o", output)
+    assert call(capsys, *arguments)[0] == 0
+    assert sorted(os.listdir(output)) == ["a.h5", "b.h5"]
+    code, _, err = call(capsys, *arguments)
+    assert code == 2
+    assert "exists already" in err
+
+
+def test_several_folders_keep_their_names(folder, capsys):
+    (folder / "more").mkdir()
+    (folder / "in" / "a.csv").rename(folder / "more" / "b.csv")
+    arguments = ("import", folder / "in", folder / "more", "--map", folder / "map.toml")
+    assert call(capsys, *arguments, "-o", folder / "out")[0] == 0
+    found = sorted(str(path.relative_to(folder / "out")) for path in folder.glob("out/*/*"))
+    assert found == ["in/b.h5", "more/b.h5"]
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_one_bad_file_of_a_folder_and_nothing_is_written(folder, capsys, there):
+    (folder / "in" / "b.txt").write_text("1,2,3\n1,2\n")
+    output = folder / "new" / "out"
+    if there:
+        output.mkdir(parents=True)
+    arguments = ("import", folder / "in", "--map", folder / "map.toml", "-o", output)
+    code, out, err = call(capsys, *arguments)
+    assert (code, out) == (3, "")
+    assert f"{folder / 'in' / 'b.txt'}, line 2: has 2 fields" in err
+    assert output.parent.is_dir() == there
+    assert not there or not os.listdir(output)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["in/a.csv", "-o", "a.h5"], 3, "does not say itself what its columns mean"),
+        (["in/c.csv", "-o", "a.h5"], 3, "no such file or folder"),
+        (["in", "-o", "a.h5", "--map", "map.toml"], 2, "give a folder for them"),
+        (["in/a.csv", "-o", "in", "--map", "map.toml"], 2, "is a folder"),
+        (["in/a.csv", "-o", "a.h5", "--map", "no.toml"], 3, "no such mapping"),
+        (["in/a.csv", "in/a.csv", "-o", "out", "--map", "map.toml"], 2, "would both become"),
+        ([".", "-o", "out", "--map", "map.toml"], 3, "holds no file that ends in"),
+    ],
+)
+def test_what_a_user_may_get_wrong(folder, capsys, monkeypatch, arguments, code, message):
+    monkeypatch.chdir(folder)
+    found, out, err = call(capsys, "import", *arguments)
+    assert (found, out) == (code, "")
+    assert message in err
+
+
+def test_conditions_are_taken_from_the_name(folder, capsys):
+    text = TEXT + '[[conditions]]\nname = "load"\nunit = "N"\npattern = "load(\\\\d+)"\n'
+    (folder / "map.toml").write_text(text)
+    source = folder / "in" / "a.csv"
+    arguments = ("import", source, "--map", folder / "map.toml", "-o", folder / "a.h5")
+    code, _, err = call(capsys, *arguments)
+    assert code == 0
+    assert "its name does not tell the condition 'load'" in err
+    source = source.rename(folder / "load12.csv")
+    assert call(capsys, "import", source, *arguments[2:], "--overwrite")[0] == 0
+    with open_run(folder / "a.h5") as run:
+        assert run.recording("imported").condition("load") == 12.0
+
+
+@needs_data
+def test_instruments_of_the_mis_tool_set(tmp_path, capsys):
+    source = DATA / "mis-tool" / "Tool_4_Maryland_L_4"
+    start = time.perf_counter()
+    arguments = ("import", source, "--map", MAPPINGS / "mis-tool.toml", "-o", tmp_path / "tool4")
+    assert call(capsys, *arguments)[0] == 0
+    assert time.perf_counter() - start < 30
+    names = [f"{frequency}{load}.h5" for frequency in range(5) for load in range(10)]
+    assert sorted(os.listdir(tmp_path / "tool4")) == names
+    with open_run(tmp_path / "tool4" / "49.h5") as run:
+        recording = run.recording("imported")
+        assert recording.condition("load_number") == 9
+        assert recording.size == 20_000
+        np.testing.assert_array_equal(recording.read("current", 0, 2), [-0.039, -0.043])
+        expected = np.array([-202, -1914]) * 3.9811e-5
+        torque = recording.read("reference_torque", 0, 2)
+        np.testing.assert_allclose(torque, expected, rtol=1e-14, atol=0)
+
+
+@needs_data
+def test_every_file_of_the_other_sets(tmp_path, capsys):
+    cogging = DATA / "odrive-cogging" / "analysis" / "cogging_torque"
+    drive = DATA / "epos-stribeck" / "experiments" / "driveNo1" / "steady_state" / "0.096kg"
+    for source, name, count in (
+        (cogging / "slow2", "odrive-slow", 6),
+        (cogging / "slow2_slower", "odrive-slow", 4),
+        (cogging / "coggingmap_0", "odrive-map", 12),
+        (drive, "epos-stribeck", 32),
+    ):
+        output = tmp_path / source.name
+        arguments = ("import", source, "--map", MAPPINGS / f"{name}.toml", "-o", output, "-q")
+        assert call(capsys, *arguments)[0] == 0
+        assert len(os.listdir(output)) == count
+    # Without a mapping the export of EPOS Studio says all but the rig.
+    assert call(capsys, "import", drive, "-o", tmp_path / "bare", "-q")[0] == 0
+    with open_run(tmp_path / "bare" / "n10.h5") as run:
+        assert set(run.recording("imported").units) == {"time", "speed", "relative_torque"}

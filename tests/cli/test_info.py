@@ -1,0 +1,73 @@
+"""`rigtool info` on the run with everything."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from rigtool.cli.info import command
+from rigtool.errors import UsageError
+from rigtool.runfile import open_run
+from tests.runfile.whole_run import SIZE, write
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("info")
+    first = write(folder / "kt.h5", size=100)
+    return write(folder / "friction.h5", inputs=(first,))
+
+
+def test_one_screen(path):
+    found = CliRunner().invoke(command, [str(path)], catch_exceptions=False)
+    assert found.exit_code == 0
+    lines = found.output.splitlines()
+    assert len(lines) <= 30
+    with open_run(path) as run:
+        assert lines[0] == f"{path}: stribeck on {run.rig}"
+        assert f"made {run.provenance['date']} by rigtool" in lines[1]
+        assert lines[1].endswith("seed 1")
+    text = found.output
+    assert "kt.h5 (stribeck, content " in text
+    assert "  torque_constant  45.800(40) mN m/A" in text
+    assert "  arm_length       0.54 m  (no uncertainty: from the drawing)" in text
+    assert "  sweep at speed 3 rad/s, moves 20: 20000 samples, 1000 Hz, 20 s\n" in text
+    assert "    with time [s], current [A], encoder [count], limit_switch [1]\n" in text
+    assert "breakaway: positive [N m] over position (3)" in text
+    assert "friction_model: torque [N m], u [N m], count [1] over speed (2), position (50)" in text
+    assert "  the second position did not move" in text
+
+
+def test_json(path):
+    found = CliRunner().invoke(command, [str(path), "--json"], catch_exceptions=False)
+    data = json.loads(found.output)
+    assert set(data) >= {"results", "tables", "provenance", "notes"}
+    assert data["results"]["torque_constant"] == {
+        "value": 0.0458,
+        "unit": "N m/A",
+        "u": 4e-5,
+        "dof": 12.0,
+    }
+    assert data["results"]["not_found"]["value"] is None
+    assert data["tables"]["breakaway"]["axes"] == ["position"]
+    assert data["tables"]["breakaway"]["columns"]["positive"]["values"] == [2.4e-3, None, 5e-3]
+    assert data["provenance"]["inputs"][0]["command"] == "stribeck"
+    assert data["provenance"]["seed"] == "1"
+    sweep = data["recordings"]["sweep"]
+    assert sweep["size"] == SIZE
+    assert sweep["rate"] == pytest.approx(1000, rel=1e-9)
+    assert sweep["conditions"]["speed"] == {"value": 3.0, "unit": "rad/s"}
+    assert sweep["channels"]["encoder"] == "count"
+
+
+def test_plot(path, tmp_path):
+    output = tmp_path / "a.svg"
+    found = CliRunner().invoke(command, [str(path), "--plot", str(output)], catch_exceptions=False)
+    assert found.exit_code == 0
+    text = output.read_text()
+    assert "<svg" in text
+    again = CliRunner().invoke(command, [str(path), "--plot", str(output)])
+    assert isinstance(again.exception, UsageError)
+    wrong = CliRunner().invoke(command, [str(path), "--plot", str(tmp_path / "a.docx")])
+    assert isinstance(wrong.exception, UsageError)
+    assert [item.name for item in tmp_path.iterdir()] == ["a.svg"]

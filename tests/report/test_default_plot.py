@@ -1,0 +1,55 @@
+"""The default plot shows what is in the file."""
+
+import numpy as np
+import pytest
+
+from rigtool.errors import RunFileError
+from rigtool.report.default_plot import draw_default_plot
+from rigtool.runfile import RunWriter, open_run
+from tests.runfile.whole_run import SPECS, TABLES, samples
+
+
+def drawn(path, signals, tables):
+    with RunWriter(
+        path, command="stribeck", recipe=None, recipe_text=None, recordings=SPECS
+    ) as out:
+        for name, block in signals.items():
+            out.append(name, block)
+        out.finish({}, tables)
+    with open_run(path) as run:
+        return draw_default_plot(run).axes[0]
+
+
+def test_a_table_with_two_axes(tmp_path):
+    axes = drawn(tmp_path / "a.h5", {}, TABLES)
+    table = TABLES["friction_model"]
+    assert axes.get_title() == "stribeck: friction_model"
+    assert axes.get_xlabel() == "position (rad)"
+    assert axes.get_ylabel() == "torque (mN m)"
+    assert [line.get_label() for line in axes.lines] == ["speed 1 rad/s", "speed 2 rad/s"]
+    for line, torque in zip(axes.lines, table["torque"], strict=True):
+        np.testing.assert_array_equal(line.get_xdata(), table["position"])
+        np.testing.assert_allclose(line.get_ydata(), torque * 1e3, rtol=1e-12, atol=0)
+
+
+def test_a_table_with_one_axis(tmp_path):
+    axes = drawn(tmp_path / "a.h5", {}, {"breakaway": TABLES["breakaway"]})
+    (line,) = axes.lines
+    np.testing.assert_array_equal(line.get_ydata(), [2.4, np.nan, 5.0])
+
+
+def test_a_recording_loses_no_peak(tmp_path):
+    signals = samples(20_000)
+    signals["sweep"]["current"][12_345] = 50.0
+    axes = drawn(tmp_path / "a.h5", {"sweep": signals["sweep"]}, {})
+    assert axes.get_xlabel() == "time (s)"
+    assert axes.get_ylabel() == "current (A)"
+    (area,) = axes.collections
+    corners = area.get_paths()[0].vertices
+    assert corners[:, 1].max() == 50.0
+    assert abs(corners[corners[:, 1].argmax(), 0] - 12.345) < 0.011
+
+
+def test_nothing_to_draw(tmp_path):
+    with pytest.raises(RunFileError, match="neither tables nor signals"):
+        drawn(tmp_path / "a.h5", {}, {})

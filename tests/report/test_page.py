@@ -1,0 +1,67 @@
+import re
+from html.parser import HTMLParser
+
+from rigtool.report.build import build_report
+from rigtool.report.page import render_page
+
+VOID = {"meta", "img", "br"}
+
+
+class Checker(HTMLParser):
+    """Fails on tags that are not closed in order; collects what could refer outside."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.references: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in VOID:
+            self.open.append(tag)
+        self.references += [value for name, value in attrs if name in ("src", "href")]
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_page_is_well_formed_and_self_contained(make, open_all):
+    runs = open_all(make("measure-force", notes=("<b>5 & 6</b>",)), make("calibrate-kt"))
+    report = build_report(runs)
+    page = render_page(report)
+    checker = Checker()
+    checker.feed(page)
+    assert checker.open == []
+    assert len(checker.references) == len(report.pictures)
+    assert all(reference.startswith("data:image/svg+xml,") for reference in checker.references)
+    assert "url(" not in re.sub(r'src="[^"]*"', "", page)
+    text = "".join(checker.text)
+    assert "<b>5 & 6</b>" in text  # a note is text, whatever it looks like
+    for run, origin in zip(sorted(runs, key=lambda r: r.command), report.origins, strict=True):
+        assert run.content_sha256 in text
+        assert origin.file_sha256 in text
+    assert text.index("Remarks") < text.index("Table 8") < text.index("Fig. 58")
+
+
+def test_the_same_runs_give_the_same_bytes(make, open_all):
+    runs = open_all(make("ilc-learn"), make("stribeck"))
+    first, second = build_report(runs), build_report(runs)
+    assert render_page(first) == render_page(second)
+    assert [p.png for p in first.pictures] == [p.png for p in second.pictures]
+
+
+def test_nothing_of_the_machine_is_in_the_page(make, open_all, tmp_path):
+    page = render_page(build_report(open_all(make("calibrate-kt"))))
+    assert str(tmp_path) not in page
+
+
+def test_a_users_matplotlib_settings_change_nothing(make, open_all):
+    import matplotlib
+
+    runs = open_all(make("calibrate-kt"))
+    expected = build_report(runs).pictures
+    with matplotlib.rc_context({"lines.linewidth": 20, "font.size": 30, "axes.grid": False}):
+        assert build_report(runs).pictures == expected

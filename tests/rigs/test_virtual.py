@@ -1,0 +1,237 @@
+"""The virtual rig against closed forms, scipy's integrator and python-control."""
+
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from rigtool.analysis.plant import controller_sections
+from rigtool.errors import RecipeError
+from rigtool.recipe import load_recipe, parse_recipe
+from rigtool.rigs import Feedforward, Load, Task, open_rig
+from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.virtual.maps import MAP_SIZE, rotor_map
+
+RECIPE = Path(__file__).parents[2] / "recipes" / "briaire-2006.toml"
+
+# An ideal motor: what is not under test is switched off.
+IDEAL = [
+    "rig.attachment=pulley",
+    "virtual.motor.cogging=[]",
+    "virtual.motor.viscous_modulation=[]",
+    "virtual.motor.coulomb_friction=0",
+    "virtual.motor.static_friction=0",
+    "virtual.motor.friction_asymmetry=0",
+    "virtual.motor.viscous_friction=0",
+    "virtual.motor.friction_noise=0",
+    "virtual.motor.torque_constant_temperature_coefficient=0",
+    "virtual.amplifier.offset=0",
+    "virtual.amplifier.offset_ripple=[]",
+    "virtual.amplifier.gain_ripple=[]",
+    "virtual.amplifier.saturation_ripple=[]",
+    "virtual.sensors.current_noise=0",
+    "virtual.sensors.force_noise=0",
+    "virtual.sensors.temperature_noise=0",
+    "virtual.sensors.force_gain=1",
+    "virtual.sensors.force_resolution=0",
+    "virtual.eccentricity.offset=0",
+    "virtual.instrument.drift=0",
+    "virtual.instrument.stroke_noise=0",
+    "virtual.instrument.load_stroke_noise=0",
+]
+KT = 0.0458
+
+
+def rig_with(*overrides, stream="test"):
+    recipe, _ = load_recipe(RECIPE, [*IDEAL, *overrides])
+    return open_rig(recipe, KT, stream), recipe
+
+
+def perform(rig, task):
+    blocks = list(rig.perform(task))
+    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+
+
+def test_free_rotor_accelerates_as_newton_says():
+    rig, recipe = rig_with()
+    got = perform(rig, Task(CurrentSteps((0.01,), 0.5)))
+    acceleration = KT * 0.01 / recipe.virtual.motor.inertia
+    angle = got["encoder"][-1] * 2 * np.pi / 4000
+    # half a count, and the lag of the current loop
+    assert angle == pytest.approx(acceleration * 0.5**2 / 2, rel=2e-3)
+
+
+def test_clamped_arm_swings_as_an_integrator_says():
+    rig, recipe = rig_with()
+    rig.clamp(0.3)
+    got = perform(rig, Task(CurrentSteps((1.0,), 0.8), load=Load(clamped=True)))
+    arm, motor = recipe.virtual.arm, recipe.virtual.motor
+    inertia = arm.inertia + motor.inertia
+    lag = 1 / (2 * np.pi * recipe.virtual.amplifier.bandwidth_hz)
+
+    def swing(time, state):
+        angle, speed = state
+        torque = KT * (1 - np.exp(-time / lag))
+        return speed, (torque - arm.stiffness * angle - arm.damping * speed) / inertia
+
+    time = np.arange(len(got["force"])) * recipe.rig.sample_time
+    exact = solve_ivp(swing, (0, time[-1]), (0, 0), t_eval=time, rtol=1e-9, atol=1e-12)
+    force = (arm.stiffness * exact.y[0] + arm.damping * exact.y[1]) / recipe.rig.arm.length
+    np.testing.assert_allclose(got["force"], force, rtol=0, atol=0.01 * force.max())
+    assert got["force"][-1] == pytest.approx(KT / recipe.rig.arm.length, rel=1e-3)
+
+
+def test_closed_loop_follows_the_linear_model():
+    # The step response without friction, against python-control on the same loop.
+    rig, recipe = rig_with("rig.encoder_counts=40000000")
+    step = 0.01
+    rig.move_by(0.0)
+    got = perform(rig, Task(SpeedProfile((0, 1e-3, 0.3), (0, step / 0.2, step / 0.2))))
+    c, r = recipe.rig.controller, recipe.rig
+    sections = controller_sections(
+        crossover_hz=c.crossover_hz,
+        lead_ratio=c.lead_ratio,
+        integrator_hz=c.integrator_hz,
+        lowpass_hz=c.lowpass_hz,
+        lowpass_damping=c.lowpass_damping,
+        inertia=r.nominal_inertia,
+        sample_time=r.sample_time,
+    )
+    dt = r.sample_time
+    loop = control.tf([dt**2 / recipe.virtual.motor.inertia, 0], [1, -2, 1], dt)
+    alpha = 1 - np.exp(-2 * np.pi * recipe.virtual.amplifier.bandwidth_hz * dt)
+    loop = loop * control.tf([alpha, 0], [1, alpha - 1], dt)  # the current loop
+    for section in sections:
+        loop = loop * control.tf(list(section[:3]), list(section[3:]), dt)
+    # the encoder is read before the torque of the same sample moves the rotor
+    closed = control.feedback(loop * control.tf([1], [1, 0], dt), 1)
+    time = np.arange(len(got["encoder"])) * dt
+    start = got["position_setpoint"][0] - step / 0.2 * (0.5 * dt) ** 2 / 2e-3
+    expected = control.forced_response(
+        closed, T=time, inputs=got["position_setpoint"] - start
+    ).outputs
+    measured = got["encoder"] * 2 * np.pi / 40000000 - start
+    # The recorded count is that of the sample's start: one step of delay less than the output.
+    np.testing.assert_allclose(measured, expected, rtol=0, atol=2e-3 * np.ptp(measured))
+
+
+def test_constant_speed_needs_coulomb_and_viscous_torque():
+    rig, _ = rig_with(
+        "virtual.motor.coulomb_friction=2.3e-3",
+        "virtual.motor.static_friction=4e-3",
+        "virtual.motor.viscous_friction=5.33e-5",
+    )
+    for speed in (5.0, -20.0):
+        got = perform(rig, Task(SpeedProfile((0, 0.2, 2.0), (0, speed, speed)), record_every=80))
+        torque = KT * got["current_setpoint"][len(got["time"]) // 2 :].mean()
+        assert torque == pytest.approx(np.sign(speed) * 2.3e-3 + 5.33e-5 * speed, rel=2e-3)
+
+
+@pytest.mark.parametrize(("radial", "expected"), [(0.0, 4e-3), (22.0, 4e-3 + 22 * 4.77e-5)])
+def test_breakaway_comes_at_static_friction(radial, expected):
+    rig, _ = rig_with("virtual.motor.coulomb_friction=2.3e-3", "virtual.motor.static_friction=4e-3")
+    ramp = CurrentRamp(1e-3 / KT, 12e-3 / KT)
+    task = Task(ramp, load=Load(radial_force=radial), record_every=8, stop_angle=0.02)
+    got = perform(rig, task)
+    torque = KT * got["current_setpoint"]
+    assert torque[-1] == pytest.approx(expected, rel=0.03)
+    # Before that the shaft creeps by no more than the bristles allow.
+    creep = got["encoder"][torque < 0.9 * expected] * 2 * np.pi / 4000
+    assert np.ptp(creep) < 0.015
+
+
+def test_winding_settles_at_the_temperature_of_its_losses():
+    rig, recipe = rig_with(
+        "virtual.thermal.winding_capacity=0.5", "virtual.thermal.housing_capacity=2.0"
+    )
+    rig.clamp(0.0)
+    task = Task(CurrentSteps((2.0,), 40.0), load=Load(clamped=True), record_every=64)
+    got = perform(rig, task)
+    t = recipe.virtual.thermal
+    # Balance of heat with the resistance of warm copper (0.393 %/K), solved for the winding.
+    path = t.winding_to_housing + t.housing_to_ambient
+    cold = t.winding_resistance * 2.0**2
+    slope = 0.00393
+    winding = (t.ambient_degc + path * cold * (1 - 20 * slope)) / (1 - path * cold * slope)
+    loss = cold * (1 + slope * (winding - 20))
+    assert got["temperature"][-1] == pytest.approx(
+        t.ambient_degc + loss * t.housing_to_ambient, abs=0.02
+    )
+
+
+def test_loaded_grasper_swings_at_its_resonance():
+    rig, recipe = rig_with(
+        "rig.attachment=instrument",
+        "virtual.instrument.friction=0",
+        "virtual.instrument.tip_friction=0",
+        "virtual.instrument.load_friction=0",
+        "virtual.instrument.viscous_friction=0",
+        "virtual.instrument.damping=2e-4",
+        "rig.encoder_counts=4000000",
+        "rig.controller.crossover_hz=150",  # so stiff that the motor stands still
+        "rig.controller.lowpass_hz=1500",
+    )
+    force = 5.0
+    # Stop abruptly near the lower end and let it swing: gravity there adds to the stiffness.
+    stop = SpeedProfile((0, 0.5, 0.501, 3.5), (0.0, 0.2, 0.0, 0.0))
+    got = perform(rig, Task(stop, Feedforward(), Load(force=force), record_every=8))
+    swing = got["current_setpoint"][got["time"] - got["time"][0] > 0.6]
+    swing = swing - swing[-500:].mean()
+    crossings = np.flatnonzero(np.diff(np.sign(swing[: len(swing) // 2])))
+    frequency = (len(crossings) - 1) / 2 / (np.ptp(crossings) * 1e-3)
+    inertia = recipe.virtual.instrument.grasper_inertia + force / 9.81 * 0.02**2
+    stiffness = recipe.virtual.instrument.stiffness + force * 0.02  # cos of a small angle
+    assert frequency == pytest.approx(np.sqrt(stiffness / inertia) / 2 / np.pi, rel=0.03)
+
+
+def test_eccentric_pulleys_give_the_torque_of_appendix_j():
+    recipe, _ = load_recipe(
+        RECIPE, ["virtual.motor.cogging=[]", "virtual.amplifier.offset_ripple=[]"]
+    )
+    virtual = recipe.virtual
+    torque = rotor_map(virtual, virtual.amplifier, 0)[:, 3]
+    # thesis, Appendix J: 26.1 uN m, twice a turn
+    assert np.abs(torque).max() == pytest.approx(26.1e-6, rel=1e-3)
+    assert np.argmax(np.abs(np.fft.rfft(torque[:MAP_SIZE]))) == 2
+
+
+def test_same_seed_same_signals_another_seed_others():
+    def run(seed, stream="test"):
+        recipe, _ = load_recipe(RECIPE, [f"virtual.seed={seed}"])
+        rig = open_rig(recipe, KT, stream)
+        motion = Triangle(0, 2.67, 5.0, 0.3, 1)
+        return perform(rig, Task(motion, record_every=16))
+
+    first, again, other, elsewhere = run(3), run(3), run(4), run(3, "other")
+    for name, values in first.items():
+        np.testing.assert_array_equal(values, again[name])
+    assert not np.array_equal(first["current_setpoint"], other["current_setpoint"])
+    assert not np.array_equal(first["current"], elsewhere["current"])
+
+
+def test_power_cycle_changes_the_ripple_and_nothing_else():
+    recipe, _ = load_recipe(RECIPE)
+    virtual = recipe.virtual
+    before, again, after = (rotor_map(virtual, virtual.amplifier, k) for k in (0, 0, 1))
+    np.testing.assert_array_equal(before, again)
+    assert not np.allclose(before[:, 0], after[:, 0], rtol=0.05, atol=0)
+    np.testing.assert_array_equal(before[:, 3:], after[:, 3:])
+
+
+def test_recording_fewer_samples_gives_their_means():
+    whole, _ = rig_with()
+    fewer, _ = rig_with()
+    motion = SpeedProfile((0, 0.5, 1.0), (0, 10, 10))
+    fine, coarse = perform(whole, Task(motion)), perform(fewer, Task(motion, record_every=8))
+    for name in ("time", "encoder", "position_setpoint", "current_setpoint", "current"):
+        means = fine[name].reshape(-1, 8).mean(axis=1)
+        np.testing.assert_allclose(coarse[name], means, rtol=1e-9, atol=1e-12, err_msg=name)
+    assert np.all(np.mod(fine["encoder"], 1) == 0)
+
+
+def test_a_virtual_rig_needs_its_parameters():
+    recipe = parse_recipe("recipe = 1\n[rig]\nname = 'x'\n")
+    with pytest.raises(RecipeError, match=r"no table \[virtual\]"):
+        open_rig(recipe, KT, "test")

@@ -1,0 +1,229 @@
+"""Delimited text: what is good comes in exactly, what is bad is named by its line."""
+
+import gzip
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rigtool.errors import RunFileError
+from rigtool.recipe.mapping import FileLayout
+from rigtool.runfile import open_run
+from rigtool.runfile.importers.text import read_text
+from tests.runfile.mappings import ROWS, TEXT, columns, lines, take
+
+
+def read(path, name):
+    with open_run(path) as run:
+        return run.recording("imported").read(name)
+
+
+def write(path, text_lines, end="\n"):
+    path.write_text("\n".join(text_lines) + end)
+    return path
+
+
+def test_values_become_si(tmp_path):
+    source = write(tmp_path / "a.csv", ["% made by hand", *lines()])
+    take(source, tmp_path / "a.h5")
+    time, encoder, current = columns()
+    with open_run(tmp_path / "a.h5") as run:
+        assert (run.command, run.rig, run.recipe) == ("import", "bench", None)
+        assert run.provenance["source"] == str(source)
+        assert run.provenance["mapping"] == TEXT
+        assert run.result("lines_left_out").value == 0
+        recording = run.recording("imported")
+        assert recording.units == {"time": "s", "encoder": "count", "current": "A"}
+        assert recording.condition("torque_constant") == 0.045
+        np.testing.assert_allclose(recording.read("time"), time / 1000, rtol=1e-15, atol=0)
+        np.testing.assert_array_equal(recording.read("encoder"), encoder)
+        expected = -(10 * current + 2) / 1000
+        np.testing.assert_allclose(recording.read("current"), expected, rtol=1e-14, atol=0)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_files_of_all_systems(tmp_path, end, packed, encoding):
+    data = (end.join(["% µ", *lines()]) + end).encode(encoding)
+    source = tmp_path / ("a.TXT.gz" if packed else "a.TXT")
+    source.write_bytes(gzip.compress(data) if packed else data)
+    take(source, tmp_path / "a.h5")
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "encoder"), columns()[1])
+
+
+def test_what_pandas_writes(tmp_path):
+    """Another program's output, columns by name and in another order."""
+    time, encoder, current = columns()
+    frame = pd.DataFrame({"i / mA": current, "t": time, "note": "x", "q": encoder})
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    text = TEXT
+    for number, name in enumerate(("t", "q", "i / mA"), start=1):
+        text = text.replace(f"column = {number}", f'column = "{name}"')
+    take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+    expected = -(10 * current + 2) / 1000
+    np.testing.assert_allclose(read(tmp_path / "a.h5", "current"), expected, rtol=1e-14, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "decimal", "mark"), [(";", ",", ";"), ("\t", ".", "\\t"), ("  ", ".", None)]
+)
+def test_other_delimiters_and_decimal_marks(tmp_path, delimiter, decimal, mark):
+    rows = [
+        delimiter.join(field.replace(".", decimal) for field in line.split(",")) for line in lines()
+    ]
+    source = write(tmp_path / "a.dat", rows)
+    key = f'delimiter = "{mark or "whitespace"}"\ndecimal = "{decimal}"\n'
+    take(source, tmp_path / "a.h5", TEXT.replace("[file]\n", f"[file]\n{key}"))
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "encoder"), columns()[1])
+
+
+def test_a_sampling_rate_instead_of_a_time_column(tmp_path):
+    rows = lines()
+    rows[10] = "broken"
+    source = write(tmp_path / "a.csv", rows)
+    text = TEXT.replace('time = { column = 1, unit = "ms" }\n', "")
+    text = text.replace("[file]\n", "[file]\nsampling_rate_hz = 500\n")
+    take(source, tmp_path / "a.h5", text, skip_bad=True)
+    expected = np.delete(np.arange(ROWS) / 500, 10)
+    np.testing.assert_allclose(read(tmp_path / "a.h5", "time"), expected, rtol=1e-15, atol=0)
+
+
+def test_a_counter_that_overflows_goes_on(tmp_path):
+    truth = np.cumsum(np.r_[np.full(40, 300.0), np.full(40, -300.0)])
+    rows = [f"{k},{value % 4096},0" for k, value in enumerate(truth)]
+    source = write(tmp_path / "a.csv", rows)
+    text = TEXT.replace('column = 2, unit = "count"', 'column = 2, unit = "count", wraps_at = 4096')
+    take(source, tmp_path / "a.h5", text)
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "encoder"), truth)
+
+
+def damaged(kind):
+    """Lines with one fault, the number of the faulty line, and what is said of it."""
+    rows = lines()
+    if kind == "text":
+        rows[20] = "40,x12,0.1"
+        return rows, "\n", 21, "column 2 holds 'x12', no number"
+    if kind == "empty":
+        rows[20] = "40,,0.1"
+        return rows, "\n", 21, "column 2 holds '', no number"
+    if kind == "nan":
+        rows[20] = "40,nan,0.1"
+        return rows, "\n", 21, "column 2 holds 'nan', no number"
+    if kind == "cut":
+        rows[20] = "40,137"
+        return rows, "\n", 21, "has 2 fields, the others have 3"
+    if kind == "joined":
+        rows[20] = rows[20] + rows[21]
+        return rows, "\n", 21, "has 5 fields, the others have 3"
+    if kind == "backwards":
+        rows[20] = "3.0,137,0.1"
+        return rows, "\n", 21, "time does not rise"
+    if kind == "again":
+        rows[20] = "38.0,137,0.1"
+        return rows, "\n", 21, "time does not rise: 0.038 s after 0.038 s"
+    assert kind == "end"
+    return rows, "", ROWS, "the file ends within this line"
+
+
+KINDS = ("text", "empty", "nan", "cut", "joined", "backwards", "again", "end")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bad_line_is_named_and_nothing_is_written(tmp_path, kind):
+    rows, end, number, message = damaged(kind)
+    source = write(tmp_path / "a.csv", rows, end)
+    with pytest.raises(RunFileError) as caught:
+        take(source, tmp_path / "a.h5")
+    assert f"{source}, line {number}: {message}" in str(caught.value)
+    assert "--skip-bad-lines" in str(caught.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bad_lines_are_skipped_on_demand_and_counted(tmp_path, kind):
+    rows, end, number, _ = damaged(kind)
+    source = write(tmp_path / "a.csv", rows, end)
+    take(source, tmp_path / "a.h5", skip_bad=True)
+    with open_run(tmp_path / "a.h5") as run:
+        assert run.result("lines_left_out").value == 1
+        assert any(f"line {number}: " in note for note in run.notes)
+        encoder = run.recording("imported").read("encoder")
+    np.testing.assert_array_equal(encoder, np.delete(columns()[1], number - 1))
+
+
+def test_lines_are_counted_with_comments_and_empty_lines(tmp_path):
+    rows = ["% one", "", "% two", *lines()]
+    rows[13] = "20.0,1"
+    with pytest.raises(RunFileError, match="line 14: has 2 fields"):
+        take(write(tmp_path / "a.csv", rows), tmp_path / "a.h5")
+
+
+def test_one_wrong_time_costs_one_line(tmp_path):
+    """A time far in the future must not cost all that follows."""
+    rows = lines()
+    rows[5] = "9999999,32,0.1"
+    take(write(tmp_path / "a.csv", rows), tmp_path / "a.h5", skip_bad=True)
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "encoder"), np.delete(columns()[1], 5))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is empty"),
+        (b"% nothing\n", "holds no line of numbers"),
+        (b"1,2\n3,4\n", "no column 3, only 2 columns"),
+        (b"1,2,3\n", "needed are 2 or more"),
+        (b"\x1f\x8b\x08garbage", "damaged gzip"),
+        (b"\x00\xff" * 50, "has no column 2"),
+    ],
+)
+def test_files_that_hold_nothing_of_use(tmp_path, content, message):
+    (tmp_path / "a.csv").write_bytes(content)
+    with pytest.raises(RunFileError, match=message):
+        take(tmp_path / "a.csv", tmp_path / "a.h5")
+
+
+def test_a_missing_name_is_told_with_those_there(tmp_path):
+    source = write(tmp_path / "a.csv", ["t,q,i", *lines()])
+    text = TEXT.replace("column = 3", 'column = "amps"')
+    with pytest.raises(RunFileError, match=r"no column 'amps', only t, q, i"):
+        take(source, tmp_path / "a.h5", text)
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.lists(st.tuples(finite, finite, finite), min_size=1, max_size=30))
+def test_every_double_comes_in_exactly(tmp_path_factory, rows):
+    path = tmp_path_factory.mktemp("exact") / "a.csv"
+    write(path, [",".join(map(repr, row)) for row in rows])
+    raw = read_text(path, FileLayout(), [3, 1], skip_bad=False)
+    np.testing.assert_array_equal(raw.columns[1], [row[0] for row in rows])
+    np.testing.assert_array_equal(raw.columns[3], [row[2] for row in rows])
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.data())
+def test_no_damage_goes_in_unseen(tmp_path_factory, data):
+    """Whatever is written over a good file: what comes in is a part of the good lines."""
+    folder = tmp_path_factory.mktemp("damage")
+    good = "\n".join(["% x", *lines(12)]) + "\n"
+    start = data.draw(st.integers(0, len(good) - 1))
+    count = data.draw(st.integers(0, 30))
+    cut = data.draw(st.sampled_from(["", "x", "\n", ",", "nan", "\x00", "-", "e", '"', "1,2"]))
+    (folder / "a.csv").write_text(good[:start] + cut + good[start + count :])
+    known = dict(zip(good.split("\n")[1:], zip(*columns(12), strict=True), strict=False))
+    try:
+        raw = read_text(folder / "a.csv", FileLayout(comment="%"), [1, 2, 3], skip_bad=True)
+    except RunFileError:
+        return
+    text = (folder / "a.csv").read_text().split("\n")
+    for row, line in enumerate(raw.line):
+        values = [raw.columns[column][row] for column in (1, 2, 3)]
+        written = text[line - 1].partition("%")[0]
+        expected = known.get(written) or [float(x.strip().strip('"')) for x in written.split(",")]
+        assert values == list(expected)

@@ -1,0 +1,109 @@
+"""Runs in other formats, read back by other programs."""
+
+import os
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray
+from scipy.io import loadmat
+
+from rigtool.errors import RigtoolError, UsageError
+from rigtool.runfile import RunWriter, open_run
+from rigtool.runfile.export import export
+from tests.runfile.whole_run import SIZE, TABLES, samples
+
+
+def exported(run_path, path, part=None, overwrite=False):
+    with open_run(run_path) as run:
+        export(run, path, part, overwrite)
+    return path
+
+
+@pytest.mark.parametrize("part", ["sweep", "recordings/sweep"])
+def test_a_recording_as_csv(run_path, tmp_path, part):
+    frame = pd.read_csv(exported(run_path, tmp_path / "a.csv", part))
+    assert list(frame) == ["time [s]", "current [A]", "encoder [count]", "limit_switch [1]"]
+    assert len(frame) == SIZE
+    for (name, values), column in zip(samples()["sweep"].items(), frame, strict=True):
+        np.testing.assert_array_equal(frame[column].astype(values.dtype), values, name)
+
+
+def test_a_table_as_csv_has_a_line_for_each_point(run_path, tmp_path):
+    frame = pd.read_csv(exported(run_path, tmp_path / "a.csv", "friction_model"))
+    table = TABLES["friction_model"]
+    assert len(frame) == 100
+    wide = frame.pivot(index="speed [rad/s]", columns="position [rad]", values="torque [N m]")
+    np.testing.assert_array_equal(wide.index, table["speed"])
+    np.testing.assert_array_equal(wide.columns, table["position"])
+    np.testing.assert_array_equal(wide, table["torque"])
+    counts = frame.groupby("speed [rad/s]")["count [1]"].unique()
+    assert [item.tolist() for item in counts] == [[3], [4]]
+
+
+def test_results_as_csv(run_path, tmp_path):
+    frame = pd.read_csv(exported(run_path, tmp_path / "a.csv", "results"), index_col="name")
+    assert frame.loc["torque_constant", "value"] == 0.0458
+    assert frame.loc["torque_constant", "u"] == 4e-5
+    assert frame.loc["arm_length", "reason"] == "from the drawing"
+    assert np.isnan(frame.loc["not_found", "value"])
+
+
+def test_matlab(run_path, tmp_path):
+    data = loadmat(exported(run_path, tmp_path / "a.mat"), simplify_cells=True)
+    assert data["command"] == "stribeck"
+    assert data["results"]["torque_constant"]["value"] == 0.0458
+    assert data["results"]["torque_constant"]["unit"] == "N m/A"
+    table = data["tables"]["friction_model"]
+    np.testing.assert_array_equal(table["columns"]["torque"], TABLES["friction_model"]["torque"])
+    assert list(table["axes"]) == ["speed", "position"]
+    sweep = data["recordings"]["sweep"]
+    assert sweep["conditions"] == {"speed": 3.0, "moves": 20.0}
+    assert sweep["units"]["encoder"] == "count"
+    for name, values in samples()["sweep"].items():
+        np.testing.assert_array_equal(sweep["signals"][name], values)
+
+
+def test_netcdf(run_path, tmp_path):
+    path = exported(run_path, tmp_path / "a.nc")
+    with xarray.open_dataset(path, engine="h5netcdf", group="entry/recordings/holds") as data:
+        np.testing.assert_array_equal(data["torque"], samples()["holds"]["torque"])
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "message"),
+    [
+        ("a.parquet", None, "another package"),
+        ("a.xlsx", None, "'.xlsx'"),
+        ("a", None, "use one of .csv, .mat, .nc"),
+        ("a.mat", "sweep", "--part is for .csv"),
+        ("a.csv", None, "more than one thing: choose by --part from results, recordings/sweep"),
+        ("a.csv", "nothing", "has 0 parts 'nothing'"),
+    ],
+)
+def test_what_is_not_clear_is_asked(run_path, tmp_path, name, part, message):
+    with pytest.raises(UsageError, match=message):
+        exported(run_path, tmp_path / name, part)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_table_and_a_recording_of_one_name_are_told_apart(tmp_path):
+    path = tmp_path / "run.h5"
+    with RunWriter(path, command="x", recipe=None, recipe_text=None) as out:
+        out.finish({}, {"results": TABLES["breakaway"], "holds": TABLES["breakaway"]})
+    exported(path, tmp_path / "a.csv", "tables/holds")
+    assert (tmp_path / "a.csv").read_text().splitlines()[0] == "position [rad],positive [N m]"
+
+
+def test_an_existing_file_is_refused_and_kept(run_path, tmp_path):
+    (tmp_path / "a.csv").write_text("mine")
+    with pytest.raises(UsageError, match="--overwrite"):
+        exported(run_path, tmp_path / "a.csv", "sweep")
+    assert (tmp_path / "a.csv").read_text() == "mine"
+    exported(run_path, tmp_path / "a.csv", "results", overwrite=True)
+    assert (tmp_path / "a.csv").read_text().startswith("name,")
+
+
+def test_a_folder_that_is_not_there(run_path, tmp_path):
+    with pytest.raises(RigtoolError, match="No such file or directory"):
+        exported(run_path, tmp_path / "no" / "a.csv", "sweep")

@@ -1,0 +1,278 @@
+"""Files that are damaged, foreign, or of another kind: each is refused, with the reason."""
+
+import math
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from rigtool.errors import RunFileError
+from rigtool.runfile import RecordingSpec, RunWriter, open_run, provenance
+from rigtool.runfile.objects import make_group, make_text, set_attribute
+from tests.runfile.whole_run import SPECS, samples, write
+
+
+@pytest.fixture
+def copy(run_path: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(run_path, tmp_path / "copy.h5"))
+
+
+def change(path: Path, how: Callable[[h5py.File], None], *, reseal: bool = True) -> None:
+    """Change a file; seal it again, so that only the check in question can refuse it."""
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        how(file)
+        if reseal:
+            origin = file["entry/provenance"]
+            for name in ("content_sha256", "record_sha256"):
+                del origin[name]
+            provenance.seal(file)
+
+
+def refused(path: Path, message: str) -> None:
+    with pytest.raises(RunFileError, match=message) as caught:
+        open_run(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.exit_code == 3
+
+
+def test_no_file(tmp_path):
+    refused(tmp_path / "no.h5", "no such file")
+
+
+def test_a_folder(tmp_path):
+    refused(tmp_path, "is a folder")
+
+
+def test_an_empty_file(tmp_path):
+    (tmp_path / "a.h5").touch()
+    refused(tmp_path / "a.h5", "is empty")
+
+
+def test_not_hdf5(tmp_path):
+    (tmp_path / "a.h5").write_text("time,current\n0,1\n")
+    refused(tmp_path / "a.h5", "not an HDF5 file")
+
+
+@pytest.mark.parametrize("part", [0.01, 0.3, 0.7, 0.999])
+def test_truncated(copy, part):
+    data = copy.read_bytes()
+    copy.write_bytes(data[: int(len(data) * part)])
+    refused(copy, "truncated|cannot be read as HDF5")
+
+
+def test_hdf5_of_somebody_else(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = [1, 2]
+    refused(tmp_path / "a.h5", "rigtool import")
+
+
+def test_a_newer_major_version(copy):
+    change(copy, lambda file: set_attribute(file, "schema_version", "2.0"), reseal=False)
+    refused(copy, "version 2.0.*newer rigtool")
+
+
+def test_a_newer_minor_version_is_read(copy):
+    def extend(file: h5py.File) -> None:
+        set_attribute(file, "schema_version", "1.7")
+        make_text(file["entry"], "comment", "something that only 1.7 knows")
+        make_group(file["entry"], "weather", "NXcollection")
+
+    change(copy, extend)
+    with open_run(copy) as run:
+        assert run.command == "stribeck"
+
+
+def test_a_version_that_is_none(copy):
+    change(copy, lambda file: set_attribute(file, "schema_version", "soon"), reseal=False)
+    refused(copy, "'soon' is no version")
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda file: file["entry/results/torque_constant"].__setitem__((), 0.045),
+        lambda file: file["entry/results/torque_constant"].attrs.__setitem__(
+            "units", np.bytes_("N m")
+        ),
+        lambda file: file["entry/tables/breakaway/positive"].__setitem__(0, 0.0),
+        lambda file: set_attribute(file["entry/recordings/sweep/current"], "units", "mA"),
+        lambda file: file["entry/recordings/sweep/conditions/speed"].__setitem__((), 4.0),
+        lambda file: file["entry/provenance/seed"].__setitem__((), "2"),
+        lambda file: file["entry/provenance/inputs/0000/sha256"].__setitem__((), "0" * 64),
+        lambda file: file["entry"].__delitem__("notes"),
+        lambda file: file["entry/results"].move("torque_constant", "torque_constant_mean"),
+    ],
+)
+def test_an_edited_file(copy, edit):
+    change(copy, edit, reseal=False)
+    refused(copy, "own hash")
+
+
+def test_an_unfinished_run(tmp_path):
+    path = tmp_path / "run.h5"
+
+    def interrupted() -> None:
+        arguments = {"command": "stribeck", "recipe": None, "recipe_text": None}
+        with RunWriter(path, recordings=SPECS, **arguments) as out:
+            out.append("sweep", samples(10)["sweep"])
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    refused(Path(f"{path}.part"), "never finished.*recover")
+
+
+def test_a_run_that_is_being_written(tmp_path):
+    path = tmp_path / "run.h5"
+    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+        out.append("holds", samples(10)["holds"])
+        refused(Path(f"{path}.part"), "never finished|not closed")
+        out.finish({}, {})
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        (lambda f: f["entry"].__delitem__("command"), "lacks the text 'command'"),
+        (lambda f: f["entry/recordings/holds"].__delitem__("time"), "'time'"),
+        (lambda f: f["entry/results/arm_length"].attrs.__delitem__("units"), "'units'"),
+        (lambda f: f["entry/results/arm_length"].attrs.__delitem__("reason"), "uncertainty"),
+        (lambda f: f["entry/tables/breakaway"].attrs.__delitem__("axes"), "'axes'"),
+        (lambda f: set_attribute(f["entry/tables/breakaway"], "signal", "x"), "column 'x'"),
+        (lambda f: f["entry/recordings/holds/torque"].resize((7,)), "common length"),
+    ],
+)
+def test_a_structure_that_is_incomplete(copy, how, message):
+    change(copy, how)
+    refused(copy, message)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda g: g.__setitem__("x", h5py.ExternalLink("other.h5", "/x")), "leads elsewhere"),
+        (lambda g: g.__setitem__("x", h5py.SoftLink("/entry")), "leads elsewhere"),
+        (lambda g: g.__setitem__("x", g["/entry"]), "nested too deeply"),
+        (lambda g: g.create_dataset("x", (10**12,), "f8", chunks=(8192,)), "claims shape"),
+        (lambda g: g.create_dataset("x", (10**9,), "f8", chunks=(8192,)), "file can hold"),
+        (lambda g: g.create_dataset("x", (2**25,), "u1", chunks=(2**20,)), "beyond the"),
+        (lambda g: g.create_dataset("x", (5,), "f8", chunks=(10**7,), maxshape=(None,)), "chunks"),
+        (lambda g: g.create_dataset("x", (5,), "f2"), "float16"),
+        (lambda g: g.create_dataset("x", (5,), "?"), "the type bool"),
+        (lambda g: g.create_dataset("x", (5,), "c16"), "the type complex"),
+        (lambda g: g.create_dataset("x", (5,), h5py.ref_dtype), "the type object"),
+        (lambda g: g.create_dataset("x", (5,), "f8", compression="lzf"), "filter"),
+        (
+            lambda g: g.create_dataset("x", (5,), "f8", external=[("other.bin", 0, 40)]),
+            "in another file",
+        ),
+        (lambda g: g.__setitem__("x", np.dtype("f8")), "neither group nor dataset"),
+        (lambda g: g.attrs.create("x", np.zeros((200, 200), "u1")), "attribute"),
+        (lambda g: [g.create_group(f"g{i}") for i in range(10_001)], "members"),
+        (lambda g: g.create_dataset("x", data=h5py.Empty("f8")), "shape None"),
+        (lambda g: g.create_dataset("x", data=np.array([b"a", b"b"])), "array of texts"),
+        (lambda g: g.create_dataset("x", data="a"), "text of variable length"),
+        (lambda g: g.attrs.__setitem__("x", "a"), "text of variable length"),
+    ],
+)
+def test_what_no_run_file_holds(copy, make, message):
+    change(copy, lambda file: make(file["entry"]), reseal=False)
+    refused(copy, message)
+
+
+def test_a_virtual_dataset(copy):
+    def add(file: h5py.File) -> None:
+        layout = h5py.VirtualLayout((10,), "f8")
+        layout[:] = h5py.VirtualSource("other.h5", "x", (10,))
+        file["entry"].create_virtual_dataset("x", layout)
+
+    change(copy, add, reseal=False)
+    refused(copy, "in another file")
+
+
+def test_a_run_of_another_command(run_path):
+    with open_run(run_path) as run:
+        run.require_command("calibrate-kt", "stribeck")
+        with pytest.raises(RunFileError, match=r"is a run of stribeck, needed is.*calibrate-kt"):
+            run.require_command("calibrate-kt")
+
+
+def test_what_is_missing_is_named(run_path):
+    with open_run(run_path) as run:
+        with pytest.raises(RunFileError, match="no recording 'staircase', only sweep, holds"):
+            run.recording("staircase")
+        with pytest.raises(RunFileError, match="no channel 'force', only time, current"):
+            run.recording("sweep").read("force")
+        with pytest.raises(RunFileError, match="'radial_force', only speed, moves"):
+            run.recording("sweep").condition("radial_force")
+        with pytest.raises(RunFileError, match="no table 'x', only friction_model, breakaway"):
+            run.table("x")
+        with pytest.raises(RunFileError, match="no result 'x', only torque_constant"):
+            run.result("x")
+
+
+def test_recordings_by_prefix_leave_out_empty_ones(tmp_path):
+    channels = SPECS[1].channels
+    specs = [RecordingSpec(f"load_{number:03d}", channels) for number in range(4)]
+    path = tmp_path / "run.h5"
+    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=specs) as out:
+        for number in (2, 0):
+            out.append(f"load_{number:03d}", samples(10)["holds"])
+        out.finish({}, {})
+    with open_run(path) as run:
+        assert [item.name for item in run.recordings_named("load_")] == ["load_000", "load_002"]
+        assert run.recordings["load_001"].size == 0
+        assert run.recordings["load_001"].duration() == 0.0
+        assert math.isclose(run.recording("load_000").duration(), 9e-3, rel_tol=1e-12)
+        with pytest.raises(RunFileError, match="no recording 'load_001', only load_000, load_002"):
+            run.recording("load_001")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_signal_with_a_hole(tmp_path, bad):
+    path = tmp_path / "run.h5"
+    block = {"time": np.arange(100.0), "torque": np.zeros(100)}
+    block["torque"][40] = bad
+    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+        out.append("holds", block)
+        out.finish({}, {})
+    with open_run(path) as run:
+        recording = run.recording("holds")
+        with pytest.raises(RunFileError, match=r"'torque' of recording 'holds'.*at sample 40"):
+            recording.read("torque")
+        with pytest.raises(RunFileError, match="at sample 40"):
+            recording.read("torque", 30, 50)
+        assert recording.read("torque", 41).size == 59
+
+
+def test_large_numbers_are_no_hole(tmp_path):
+    path = tmp_path / "run.h5"
+    block = {"time": np.arange(2.0), "torque": np.full(2, 1.5e308)}
+    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+        out.append("holds", block)
+        out.finish({}, {})
+    with open_run(path) as run:
+        assert run.recording("holds").read("torque").tolist() == [1.5e308] * 2
+
+
+def test_a_damaged_chunk_is_named(tmp_path):
+    path = write(tmp_path / "run.h5")
+    with h5py.File(path, "r") as file:
+        chunk = file["entry/recordings/sweep/current"].id.get_chunk_info(1)
+    data = bytearray(path.read_bytes())
+    data[chunk.byte_offset + chunk.size // 2] ^= 0xFF
+    path.write_bytes(data)
+    with open_run(path) as run:
+        recording = run.recording("sweep")
+        assert recording.read("current", 0, 8192).size == 8192
+        with pytest.raises(RunFileError, match=r"channel 'current' of recording 'sweep'.*damaged"):
+            recording.read("current")
+
+
+def test_a_recipe_of_another_version_names_the_file(copy):
+    change(copy, lambda file: file["entry/provenance/recipe_resolved"].__setitem__((), "{}"))
+    with open_run(copy) as run, pytest.raises(RunFileError, match=f"{copy}.*recipe"):
+        _ = run.recipe

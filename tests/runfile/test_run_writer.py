@@ -1,0 +1,258 @@
+"""What happens to the output when things go wrong while it is written."""
+
+import os
+import resource
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from rigtool.errors import InsufficientDataError, RigtoolError, UsageError
+from rigtool.quantity import Quantity
+from rigtool.runfile import RunWriter, open_run
+from tests.runfile.whole_run import SPECS, samples, write
+
+
+def writer(path: Path, **options) -> RunWriter:
+    arguments = {"command": "stribeck", "recipe": None, "recipe_text": None}
+    return RunWriter(path, **(arguments | {"recordings": SPECS} | options))
+
+
+def test_an_existing_output_is_refused_before_anything_happens(tmp_path):
+    path = write(tmp_path / "run.h5", size=10)
+    before = path.read_bytes()
+    with pytest.raises(UsageError, match="--overwrite"):
+        writer(path)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["run.h5"]
+
+
+def test_overwrite_replaces_it(tmp_path):
+    path = write(tmp_path / "run.h5", size=10)
+    with writer(path, recordings=(), overwrite=True) as out:
+        out.finish({"answer": Quantity(42.0, "1", 1.0)}, {})
+    with open_run(path) as run:
+        assert list(run.results) == ["answer"]
+    assert os.listdir(tmp_path) == ["run.h5"]
+
+
+def test_a_failure_leaves_the_earlier_output_alone(tmp_path):
+    path = write(tmp_path / "run.h5", size=10)
+    before = path.read_bytes()
+    with pytest.raises(ZeroDivisionError), writer(path, overwrite=True):
+        raise ZeroDivisionError
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["run.h5"]
+
+
+def test_an_earlier_output_that_a_viewer_holds_is_not_touched(tmp_path):
+    path = write(tmp_path / "run.h5", size=10)
+    with h5py.File(path, "r") as viewer:
+        write(path, size=20, overwrite=True)
+        assert viewer["entry/recordings/sweep/time"].shape == (10,)
+    with open_run(path) as run:
+        assert run.recording("sweep").size == 20
+
+
+def test_failing_before_the_first_sample_leaves_nothing(tmp_path):
+    with pytest.raises(ValueError, match="away"), writer(tmp_path / "run.h5"):
+        raise ValueError("away")
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("after", ["append", "recording", "recorded"])
+def test_failing_later_keeps_every_sample_and_says_so(tmp_path, after):
+    path = tmp_path / "run.h5"
+    signals = samples(10_000)
+
+    def fail() -> None:
+        with writer(path) as out:
+            out.append("sweep", signals["sweep"])
+            if after != "append":
+                getattr(out, after)(*(["sweep"] if after == "recording" else []))
+            raise InsufficientDataError("the sweep does not carry it")
+
+    with pytest.raises(InsufficientDataError) as caught:
+        fail()
+    assert os.listdir(tmp_path) == ["run.h5.part"]
+    note = "\n".join(caught.value.__notes__)
+    assert "10000 samples" in note
+    assert f"rigtool recover {path}.part" in note
+    with h5py.File(f"{path}.part", "r") as file:
+        for name, values in signals["sweep"].items():
+            np.testing.assert_array_equal(file[f"entry/recordings/sweep/{name}"], values)
+
+
+def test_a_part_of_an_earlier_run_is_not_lost(tmp_path):
+    path = tmp_path / "run.h5"
+    part = tmp_path / "run.h5.part"
+    part.write_bytes(b"samples of a rig that was taken apart")
+    with pytest.raises(UsageError, match="recover"):
+        writer(path)
+    assert part.exists()
+    write(path, size=10, overwrite=True)
+    assert os.listdir(tmp_path) == ["run.h5"]
+
+
+def test_results_that_cannot_be_stored_leave_the_samples(tmp_path):
+    path = tmp_path / "run.h5"
+    with writer(path) as out:
+        out.append("sweep", samples(100)["sweep"])
+        with pytest.raises(ValueError, match="letters"):
+            out.finish({"a name with spaces": Quantity(1.0, "1", 1.0)}, {})
+        assert sorted(os.listdir(tmp_path)) == ["run.h5.part"]
+        out.finish({"a_name_without": Quantity(1.0, "1", 1.0)}, {})
+    with open_run(path) as run:
+        np.testing.assert_array_equal(
+            run.recording("sweep").read("time"), samples(100)["sweep"]["time"]
+        )
+
+
+def test_leaving_without_finish_is_a_mistake(tmp_path):
+    with pytest.raises(RuntimeError, match="finish"), writer(tmp_path / "run.h5"):
+        pass
+
+
+def test_two_writers_of_one_output_do_not_mix(tmp_path):
+    path = tmp_path / "run.h5"
+
+    def both() -> None:
+        with writer(path) as first:
+            first.append("sweep", samples(50)["sweep"])
+            with pytest.raises(UsageError, match="being written"):
+                writer(path)
+            with writer(path, overwrite=True) as second:
+                second.append("sweep", samples(70)["sweep"])
+                second.finish({}, {})
+            first.finish({}, {})
+
+    with pytest.raises(RigtoolError, match="another program") as caught:
+        both()
+    assert "50 samples that were recorded are lost" in caught.value.__notes__[0]
+    assert os.listdir(tmp_path) == ["run.h5"]
+    with open_run(path) as run:
+        assert run.recording("sweep").size == 70
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [("nowhere/run.h5", "does not exist"), ("folder", "is a folder"), ("file/run.h5", "exist")],
+)
+def test_a_place_that_cannot_be_written(tmp_path, place, message):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match=message):
+        writer(tmp_path / place)
+
+
+def test_an_input_is_not_overwritten(tmp_path):
+    path = write(tmp_path / "run.h5", size=10)
+    with open_run(path) as run, pytest.raises(UsageError, match="another name"):
+        writer(path, inputs=[run], overwrite=True)
+
+
+def test_a_folder_that_refuses_ends_with_a_message(tmp_path, monkeypatch):
+    # Root may write everywhere, so the refusal is staged.
+    def refuse(*arguments: object, **options: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(RigtoolError, match="Permission denied"), writer(tmp_path / "run.h5"):
+        pass
+    monkeypatch.undo()
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("block", "message"),
+    [
+        ({"time": np.zeros(3)}, "has channels"),
+        ({"time": np.zeros(3), "torque": np.zeros(2)}, "differ in shape"),
+        ({"time": np.zeros((3, 1)), "torque": np.zeros((3, 1))}, "differ in shape"),
+        ({"time": np.zeros(3), "torque": np.zeros(3), "more": np.zeros(3)}, "has channels"),
+    ],
+)
+def test_a_block_that_does_not_fit(tmp_path, block, message):
+    with pytest.raises(ValueError, match=message), writer(tmp_path / "run.h5") as out:
+        out.append("holds", block)
+
+
+def test_a_number_that_its_type_cannot_hold(tmp_path):
+    block = samples(3)["sweep"] | {"encoder": np.array([0.0, np.nan, 1.0])}
+    with pytest.raises(RigtoolError, match="encoder"), writer(tmp_path / "run.h5") as out:
+        out.append("sweep", block)
+
+
+def test_a_recording_that_was_read_back_is_complete(tmp_path):
+    with writer(tmp_path / "run.h5") as out:
+        out.append("holds", samples(10)["holds"])
+        assert out.recording("holds").size == 10
+        with pytest.raises(RuntimeError, match="grow"):
+            out.append("holds", samples(10)["holds"])
+        out.finish({}, {})
+
+
+FILL = textwrap.dedent(
+    """
+    import resource, sys
+    from pathlib import Path
+    from rigtool.errors import RigtoolError
+    from tests.runfile.test_run_writer import writer
+    from tests.runfile.whole_run import RESULTS, TABLES, samples
+
+    limit = int(sys.argv[2])
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    try:
+        with writer(Path(sys.argv[1]), overwrite=True) as out:
+            for _ in range(20):
+                for name, block in samples(5000).items():
+                    out.append(name, block)
+            out.finish(RESULTS, TABLES)
+    except RigtoolError as error:
+        print(error, *getattr(error, "__notes__", ()))
+    """
+)
+
+
+@pytest.mark.parametrize("limit", [100, 3000, 300_000, 600_000, 800_000, 1_000_000])
+def test_a_full_disk(tmp_path, limit):
+    path = tmp_path / "run.h5"
+    path.write_bytes(b"the earlier output")
+    found = subprocess.run(
+        [sys.executable, "-c", FILL, str(path), str(limit)],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    )
+    assert (found.returncode, found.stderr) == (0, "")
+    assert "the disk is full" in found.stdout
+    assert path.read_bytes() == b"the earlier output"
+    left = set(os.listdir(tmp_path)) - {"run.h5"}
+    assert left == ({"run.h5.part"} if "are kept" in found.stdout else set())
+    if left:
+        with h5py.File(f"{path}.part", "r") as file:
+            group = file["entry/recordings"]
+            total = sum(group[name]["time"].shape[0] for name in group)
+            assert f"{total} samples" in found.stdout
+            for name in group:
+                assert np.isfinite(group[name]["time"][:]).all()
+    if limit >= 600_000:
+        assert left, "there was room for some samples"
+
+
+def test_a_disk_with_just_enough_room(tmp_path):
+    # The limit of the test above is not always hit, or it would prove nothing.
+    path = tmp_path / "run.h5"
+    done = subprocess.run(
+        [sys.executable, "-c", FILL, str(path), str(10_000_000)],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    )
+    assert (done.returncode, done.stdout) == (0, "")
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
+    assert 800_000 < path.stat().st_size < 10_000_000
