@@ -28,6 +28,7 @@ CHANNELS = {
     "current": ("A", "f4", "as the amplifier measures it"),
     "feedforward_current": ("A", "f4", "part from acceleration and friction model"),
     "table_current": ("A", "f4", "part from the learned table"),
+    "signal_current": ("A", "f4", "part that repeats with time: excitation, or what was learned"),
     "temperature": ("degC", "f4", "of the motor's cooling body"),
     "force": ("N", "f4", "force gauge at the end of the arm"),
     "rotor_angle": ("rad", "f4", "angle of the shaft in the arm's clamp"),
@@ -39,13 +40,16 @@ CHANNELS = {
 class Feedforward:
     """What is added to the controller's output, computed from the set point [Fig. 31, 33, 36].
 
-    torque = inertia * a + coulomb * tanh(v / (1 rad/s)) + viscous * v + table(position, v), N m.
+    torque = inertia * a + coulomb * tanh(v / (1 rad/s)) + viscous * v + table(position, v)
+    + signal(t), N m. `signal` (n,) N m holds one value a sample of the loop; it starts with the
+    task and repeats: an excitation, or what was learned along a trajectory [Fig. 37].
     """
 
     inertia: float = 0.0
     coulomb: float = 0.0
     viscous: float = 0.0
     table: LookupTable | None = None
+    signal: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

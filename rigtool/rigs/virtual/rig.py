@@ -128,8 +128,10 @@ class VirtualRig:
         total = round(motion.duration / dt)
         block = kernel.TICK * every * max(1, BLOCK // (kernel.TICK * every))
         for first in range(0, total, block):
-            time: Array = (np.arange(first, min(first + block, total), dtype=np.float64) + 0.5) * dt
+            steps = np.arange(first, min(first + block, total))
+            time: Array = (steps + 0.5) * dt
             signals = self._setpoints(motion, task, time, origin)
+            signals["signal_current"] = self._signal(task, steps)
             out = np.zeros((len(time) // every, 5))
             done = kernel.run(
                 parameters,
@@ -140,7 +142,9 @@ class VirtualRig:
                 self._section_state,
                 closed_loop,
                 signals["loop_input"],
-                signals["feedforward_current"] + signals["table_current"],
+                signals["feedforward_current"]
+                + signals["table_current"]
+                + signals["signal_current"],
                 rng.standard_normal((len(time) // kernel.TICK + 1, 2)),
                 rng.standard_normal((512, 3)),
                 task.stop_angle or 0.0,
@@ -182,6 +186,14 @@ class VirtualRig:
             "table_current": table / self._assumed_torque_constant,
         }
 
+    def _signal(self, task: Task, steps: NDArray[np.int64]) -> Array:
+        """Return the current of the task's own signal at these samples of it, (n,)."""
+        signal = task.feedforward.signal
+        if signal is None or isinstance(task.motion, OpenLoop):
+            return np.zeros(len(steps))
+        current: Array = signal[steps % len(signal)] / self._assumed_torque_constant
+        return current
+
     def _recorded(
         self,
         signals: dict[str, Array],
@@ -210,6 +222,7 @@ class VirtualRig:
             + sensors.current_noise * average * rng.standard_normal(rows),
             "feedforward_current": mean("feedforward_current"),
             "table_current": mean("table_current"),
+            "signal_current": mean("signal_current"),
             "temperature": out[:, kernel.TEMPERATURE]
             + sensors.temperature_noise * rng.standard_normal(rows),
         }
