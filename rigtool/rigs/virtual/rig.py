@@ -129,7 +129,7 @@ class VirtualRig:
         block = kernel.TICK * every * max(1, BLOCK // (kernel.TICK * every))
         for first in range(0, total, block):
             steps = np.arange(first, min(first + block, total))
-            time: Array = (steps + 0.5) * dt
+            time = (steps.astype(np.float64) + 0.5) * dt
             signals = self._setpoints(motion, task, time, origin)
             signals["signal_current"] = self._signal(task, steps)
             out = np.zeros((len(time) // every, 5))
