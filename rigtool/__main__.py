@@ -1,4 +1,4 @@
-"""`python -m rigtool`."""
+"""`python -m rigtool` is the command line as well."""
 
 from rigtool.cli import main
 

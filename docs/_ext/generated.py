@@ -1,0 +1,157 @@
+"""Pages that are made from the code: one a command, from its help, and the recipes' models."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from rigtool.cli import COMMANDS, rigtool
+
+# -- commands
+
+
+def command_page(name: str) -> str:
+    """Return the page of a command: its help, as the command prints it, and its options."""
+    command = rigtool.get_command(click.Context(rigtool), name)
+    assert command is not None
+    context = click.Context(command, info_name=f"rigtool {name}")
+    text = (command.help or "").replace("\b\n", "")
+    usage = " ".join(["rigtool", name, *command.collect_usage_pieces(context)])
+    lines = [f"# rigtool {name}", "", f"```text\n{usage}\n```", "", *_paragraphs(text)]
+    lines += ["## Options", "", "| option | meaning |", "| --- | --- |"]
+    for parameter in command.get_params(context):
+        record = parameter.get_help_record(context)
+        if record is not None:
+            option, meaning = (_in_table(part) for part in record)
+            lines.append(f"| `{option}` | {meaning} |")
+    lines += ["", "## Example", "", "```sh", *examples(command), "```", ""]
+    return "\n".join(lines)
+
+
+def examples(command: click.Command) -> list[str]:
+    """Return the lines of a command's example."""
+    epilog = (command.epilog or "").splitlines()
+    return [line.strip() for line in epilog if line.startswith("  ")]
+
+
+def _paragraphs(text: str) -> Iterator[str]:
+    for paragraph in text.split("\n\n"):
+        yield " ".join(line.strip() for line in paragraph.splitlines())
+        yield ""
+
+
+def _in_table(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def command_list() -> str:
+    """Return the page that lists all commands."""
+    rows = [f"| [{name}]({name}.md) | {what} |" for name, what in COMMANDS.items()]
+    names = "\n".join(COMMANDS)
+    return "\n".join(
+        [
+            "# Commands",
+            "",
+            "In the order of use. Each page is made from the command's own `--help`.",
+            "",
+            "| command | what it does |",
+            "| --- | --- |",
+            *rows,
+            "",
+            f"```{{toctree}}\n:hidden:\n\n{names}\n```",
+            "",
+        ]
+    )
+
+
+# -- recipes
+
+
+def recipes_page() -> str:
+    """Return every table and value of a recipe, from the models that read it."""
+    from rigtool.recipe import Mapping, Recipe
+
+    parts = [
+        "# Recipes",
+        "",
+        "A recipe is a TOML file: a rig, and what to do on it. Every value that is not given has "
+        "the default below; an unknown key is refused. `--set table.key=value` changes one value "
+        "for one call. Angles are in rad, torques in N m, times in s where nothing else is said.",
+        "",
+        *_tables(Recipe, ""),
+        "# Mappings of imports",
+        "",
+        *_tables(Mapping, ""),
+    ]
+    return "\n".join(parts)
+
+
+def _tables(model: type[BaseModel], path: str) -> Iterator[str]:
+    below: list[tuple[str, type[BaseModel]]] = []
+    rows = []
+    for name, field in model.model_fields.items():
+        inner = _models(field.annotation)
+        where = f"{path}.{name}" if path else name
+        below += [(where, one) for one in inner]
+        if not inner:
+            meaning = _in_table(field.description or "")
+            rows.append(f"| `{name}` | {_default(field)} | {meaning} |")
+    if path:
+        yield f"## `[{path}]`"
+        yield ""
+    for paragraph in (model.__doc__ or "").strip().split("\n\n"):
+        yield " ".join(paragraph.split())
+        yield ""
+    if rows:
+        yield from ("| key | default | meaning |", "| --- | --- | --- |", *rows, "")
+    for where, one in below:
+        yield from _tables(one, where)
+
+
+def _models(annotation: object) -> list[type[BaseModel]]:
+    """Return the models that a field holds, itself or in a list, none for a plain value."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [one for part in typing.get_args(annotation) for one in _models(part)]
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return "required"
+    value = field.get_default(call_default_factory=True, validated_data={})
+    if value is None:
+        return "none"
+    if isinstance(value, tuple):
+        return "`[" + ", ".join(str(item) for item in value) + "]`"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"
+
+
+# -- the site
+
+
+def write(folder: Path) -> None:
+    """Write the generated pages, where they changed."""
+    pages = {f"commands/{name}.md": command_page(name) for name in COMMANDS}
+    pages["commands/index.md"] = command_list()
+    pages["recipes.md"] = recipes_page()
+    for name, text in pages.items():
+        path = folder / name
+        path.parent.mkdir(exist_ok=True)
+        if not path.exists() or path.read_text() != text:
+            path.write_text(text)
+    for path in (folder / "commands").glob("*.md"):
+        if f"commands/{path.name}" not in pages:
+            path.unlink()
+
+
+def setup(app: typing.Any) -> dict[str, bool]:
+    """Write the pages before Sphinx looks for them."""
+    app.connect("builder-inited", lambda app: write(Path(app.srcdir)))
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,31 @@
+"""Settings of the documentation site; `make docs` builds it into build/docs."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+project = "rigtool"
+author = "the rigtool authors"
+version = release = version_of("rigtool")
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "generated", "mathml"]
+exclude_patterns = ["_ext"]
+source_suffix = {".md": "markdown"}
+
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
+myst_heading_anchors = 3
+
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+
+html_theme = "furo"
+html_title = f"rigtool {version}"
+html_math_renderer = "mathml"
+html_copy_source = False
+html_show_sphinx = False
+templates_path: list[str] = []
+suppress_warnings = ["myst.strikethrough"]
