@@ -1,5 +1,6 @@
 # make tables   the whole chain on the virtual rig: Tables 8 and 9 beside the published ones
 # make test     style, types and tests
+# make docs     the documentation as a site, in build/docs
 # make fixtures store the fixtures anew; make bench measures speed; make clean removes results
 
 PYTHON ?= python3
@@ -14,7 +15,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: tables test fixtures bench clean
+.PHONY: tables test docs fixtures bench clean
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -61,6 +62,9 @@ test: $(INSTALLED)
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 	.venv/bin/pytest
+
+docs: $(INSTALLED)
+	.venv/bin/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
 
 fixtures: $(INSTALLED)
 	.venv/bin/python tests/fixtures/make.py

@@ -16,6 +16,7 @@ import click
 from rigtool.errors import RigtoolError
 
 COMMANDS = {
+    "recipe": "Copy a recipe that comes with rigtool, to change it.",
     "calibrate-kt": "Find the torque constant against temperature.",
     "stribeck": "Find friction: Coulomb, viscous, static, and breakaway around the turn.",
     "fft-ripple": "Measure torque ripple by order of rotation, speed and torque.",

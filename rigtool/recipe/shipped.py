@@ -1,0 +1,51 @@
+"""Recipes that come with rigtool: in a checkout beside the package, else where pip put them."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+from rigtool.errors import UsageError
+
+FOLDER = "share/rigtool/recipes"
+"""Where a wheel carries them, under the environment's folder of data."""
+
+
+def shipped_recipes() -> dict[str, Path]:
+    """Return the path of each recipe by its name: the file's path without its suffix."""
+    beside = Path(__file__).parents[2] / "recipes"
+    if beside.is_dir():
+        return {
+            path.relative_to(beside).with_suffix("").as_posix(): path
+            for path in sorted(beside.rglob("*.toml"))
+        }
+    try:
+        files = distribution("rigtool").files or []
+    except PackageNotFoundError:
+        return {}
+    found = {}
+    for file in files:
+        _, folder, name = file.as_posix().partition(f"{FOLDER}/")
+        if folder and name.endswith(".toml"):
+            found[name.removesuffix(".toml")] = Path(str(file.locate()))
+    return dict(sorted(found.items()))
+
+
+def shipped_recipe(name: str) -> str:
+    """Return the text of a recipe; `UsageError` for one that does not come with rigtool."""
+    known = shipped_recipes()
+    if name not in known:
+        raise UsageError(f"no recipe {name} comes with rigtool; there is {', '.join(known)}")
+    return known[name].read_text(encoding="utf-8")
+
+
+def copy_recipe(name: str, output: str, *, overwrite: bool = False) -> None:
+    """Write a recipe to a file; `UsageError` where it exists and must stay, or cannot be made."""
+    text = shipped_recipe(name)
+    try:
+        with Path(output).open("w" if overwrite else "x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise UsageError(f"{output} exists: give another name, or --overwrite") from None
+    except OSError as error:
+        raise UsageError(f"{output} cannot be written: {error.strerror}") from None
