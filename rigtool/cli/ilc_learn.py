@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 @source_arguments
 @run_option("--kt", "Run of calibrate-kt: current to torque.", required=True)
 @run_option("--friction", "Run of stribeck: feed its friction forward while learning.")
+@run_option("--plant", "Run of identify-plant: the measured plant instead of the nominal one.")
+@click.option(
+    "--learning-filter",
+    type=click.Choice(["zpetc", "frf"]),
+    help="L: zero-phase inverse of the model (the recipe's default), or of the measured response.",
+)
 @click.option(
     "--implementation",
     default="C",
@@ -37,6 +43,8 @@ def command(
     output: str,
     kt: str,
     friction: str | None,
+    plant: str | None,
+    learning_filter: str | None,
     implementation: str,
     options: CommonOptions,
 ) -> None:
@@ -50,6 +58,8 @@ def command(
     from rigtool.procedures.session import run_command
 
     ilc_learn.require_implementation(implementation)
-    with open_inputs(kt=kt, friction=friction) as inputs:
+    if learning_filter is not None:
+        options = options.with_override(f"ilc_learn.learning_filter={learning_filter}")
+    with open_inputs(kt=kt, friction=friction, plant=plant) as inputs:
         outcome = run_command(ilc_learn, sources, output, options=options, inputs=inputs)
     print_outcome(outcome, output, options)

@@ -12,7 +12,7 @@ from rigtool.analysis.plant import position_loop
 from rigtool.errors import InsufficientDataError
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
-from rigtool.runfile import Column, Table
+from rigtool.runfile import Column, Run, Table
 
 FREQUENCIES = 400
 """Points of the frequency axis, from DC to half the sampling rate."""
@@ -26,6 +26,11 @@ class Design:
 
     learning: Learning
     criterion: Convergence
+    origin: str
+
+    def notes(self) -> tuple[str, ...]:
+        """Say what T rests on."""
+        return (self.origin,)
 
     def results(self) -> dict[str, Quantity]:
         """Return what describes the filters in numbers."""
@@ -72,15 +77,18 @@ class Design:
         }
 
 
-def design(recipe: Recipe) -> Design:
-    """Return the filters for the recipe's loop, from what the bench knows of it.
+def design(recipe: Recipe, plant: Run | None = None) -> Design:
+    """Return the filters for the recipe's loop, from the plant that identify-plant measured.
 
-    Raises `InsufficientDataError` where the loop is unstable or learning would not converge.
+    Without `plant` it is the nominal inertia. `ilc_learn.learning_filter` says which L. Raises
+    `InsufficientDataError` where the loop is unstable or learning would not converge.
     """
     settings, rig = recipe.ilc_learn, recipe.rig
     loop = position_loop(
         **rig.controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
     )
+    if plant is not None:
+        plant.require_command("identify-plant")
     if not loop.stable:
         raise InsufficientDataError(
             f"the position loop is unstable with the nominal inertia {rig.nominal_inertia:.4g} "
@@ -98,7 +106,11 @@ def design(recipe: Recipe) -> Design:
     frequency = np.concatenate([[0.0], np.geomspace(nyquist * 1e-5, nyquist, FREQUENCIES - 1)])
     criterion = convergence(learning, frequency)
     criterion.require()
-    return Design(learning, criterion)
+    origin = (
+        "T is computed from the recipe's controller and its nominal inertia, "
+        f"{rig.nominal_inertia:.4g} kg m2; the plant was not measured"
+    )
+    return Design(learning, criterion, origin)
 
 
 def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -97,10 +97,16 @@ def _specs(
 
 
 def measure(
-    rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, friction: Run | None = None
+    rig: Rig,
+    recipe: Recipe,
+    recorder: RunWriter,
+    *,
+    kt: Run,
+    friction: Run | None = None,
+    plant: Run | None = None,
 ) -> None:
     """Learn at each speed, build the table, and move again with the table switched on."""
-    learning = design(recipe).learning
+    learning = design(recipe, plant).learning
     plain = feedforward(recipe.rig.nominal_inertia, friction_results(friction))
     kinds: dict[str, list[RecordingSpec]] = {"learn": [], "low": [], "validate": []}
     for spec in recordings(recipe):
@@ -135,12 +141,17 @@ def _motion(recipe: Recipe, spec: RecordingSpec) -> Triangle:
 
 
 def analyse(
-    runs: Sequence[Run], recipe: Recipe, *, kt: Run, friction: Run | None = None
+    runs: Sequence[Run],
+    recipe: Recipe,
+    *,
+    kt: Run,
+    friction: Run | None = None,
+    plant: Run | None = None,
 ) -> Outcome:
     """Learn from the stored moves, and say what remained with the table switched on."""
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: ilc-learn takes one, with all its speeds")
-    run, torque_constant, filters = runs[0], torque_per_ampere(kt).value, design(recipe)
+    run, torque_constant, filters = runs[0], torque_per_ampere(kt).value, design(recipe, plant)
     fed = friction_results(friction)
     recorded = _found(run, "learn")
     _require_feedforward(recorded[0], recipe, torque_constant, fed)
@@ -157,7 +168,7 @@ def analyse(
             **remaining.tables(),
             **filters.tables(),
         },
-        (*_notes(recipe, learned.table), *remaining.notes(learned.table)),
+        (*_notes(learned.table), *filters.notes(), *remaining.notes(learned.table)),
     )
 
 
@@ -297,13 +308,11 @@ def _require_feedforward(
         )
 
 
-def _notes(recipe: Recipe, table: LookupTable) -> tuple[str, ...]:
+def _notes(table: LookupTable) -> tuple[str, ...]:
     low, high = math.degrees(table.position[0]), math.degrees(table.position[-1])
     return (
         f"learned from {low:.4g} to {high:.4g} deg of the motor at up to "
         f"{table.speed[-1]:.4g} rad/s; the table does not extrapolate",
-        f"T is computed from the recipe's controller and its nominal inertia, "
-        f"{recipe.rig.nominal_inertia:.4g} kg m2; the plant was not measured",
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -19,3 +19,7 @@ class CommonOptions:
     overwrite: bool = False
     seed: int | None = None
     overrides: tuple[str, ...] = ()
+
+    def with_override(self, override: str) -> CommonOptions:
+        """Return the options with one more `key=value`, which counts above those given so far."""
+        return replace(self, overrides=(*self.overrides, override))

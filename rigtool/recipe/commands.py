@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -85,6 +85,9 @@ class IlcLearn(Section):
     robustness_hz: float = Field(100.0, gt=0, description="cut-off of the Q filter, Hz")
     robustness_order: int = Field(4, ge=1, le=10, description="of the Butterworth in Q")
     learning_factor: float = Field(1.0, gt=0, lt=2, description="p in f + p L q")
+    learning_filter: Literal["zpetc", "frf"] = Field(
+        "zpetc", description="L: zero-phase inverse of the model, or inverse of the measured FRF"
+    )
     cancel_radius: float = Field(
         0.999, gt=0, lt=1, description="zeros of T outside are not cancelled by ZPETC"
     )
