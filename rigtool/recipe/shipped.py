@@ -13,8 +13,9 @@ FOLDER = "share/rigtool/recipes"
 
 def shipped_recipes() -> dict[str, Path]:
     """Return the path of each recipe by its name: the file's path without its suffix."""
-    beside = Path(__file__).parents[2] / "recipes"
-    if beside.is_dir():
+    checkout = Path(__file__).parents[2]
+    if (checkout / "pyproject.toml").exists():
+        beside = checkout / "recipes"
         return {
             path.relative_to(beside).with_suffix("").as_posix(): path
             for path in sorted(beside.rglob("*.toml"))
