@@ -37,6 +37,9 @@ COMMAND = "import"
 RECORDING = "imported"
 MAP = "map"
 
+SELF_DESCRIBED = ((is_epos, read_epos),)
+"""Formats whose files say what their columns mean: how one is recognised, and what reads it."""
+
 LISTED = 5
 """Bad lines that a note names."""
 
@@ -139,9 +142,10 @@ def _import_file(
 
 def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, Mapping, list[str]]:
     """Return columns, the mapping with signals, and notes."""
-    if is_epos(source):
-        bare = Mapping(mapping=1, rig={"name": stem(source)})
-        return read_epos(source, mapping or bare, skip_bad)
+    for recognised, read in SELF_DESCRIBED:
+        if recognised(source):
+            bare = Mapping(mapping=1, rig={"name": stem(source)})
+            return read(source, mapping or bare, skip_bad)
     if mapping is None or not mapping.signals:
         raise RunFileError(
             f"{source}: does not say itself what its columns mean: give --map with a mapping file "
