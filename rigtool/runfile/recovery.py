@@ -82,7 +82,12 @@ def _open_unfinished(path: Path) -> Run:
             # Its writer was killed: such a file opens only as one that is being written.
             file = open_hdf5(path, swmr=True)
         except RunFileError:
-            raise error from None
+            if not path.is_file():
+                raise error from None
+            raise RunFileError(
+                f"{path}: does not open even as a file that is being written: its run was killed "
+                "before the first sample, or it is damaged: nothing to recover"
+            ) from error
     try:
         with guard(path, "the file"):
             require_schema(file, path)

@@ -1,111 +1,194 @@
-"""A writer that is killed at any moment loses nothing that it had synced."""
+"""An acquisition that is killed at any moment loses nothing that it had synced."""
 
+import bisect
 import json
 import os
 import random
 import signal
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 import pytest
 
+import rigtool.cli as cli
 from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import RunWriter, open_run, writer
 from rigtool.runfile.recovery import recover
-from tests.runfile.whole_run import RESULTS, SPECS, TABLES, samples, write
+from tests.runfile.whole_run import SPECS, samples, write
 
-BLOCKS = 10
-KILLS = 55
+ROOT = Path(__file__).parents[2]
+RECIPE, FIXTURES = ROOT / "recipes" / "briaire-2006.toml", ROOT / "tests" / "fixtures"
+KILLS = 17
+
+# Short, but each with several recordings of more than a chunk.
+COMMANDS = {
+    "stribeck": (
+        "stribeck.hold_speeds=[5, 12, 30]",
+        "stribeck.hold_revolutions=1",
+        "stribeck.hold_time=0.1",
+        "stribeck.sweep_time=3",
+        "stribeck.breakaway_positions=3",
+        "stribeck.radial_force=0",
+        "stribeck.record_every=4",
+    ),
+    "ilc-learn": (
+        "ilc_learn.moves=6",
+        "ilc_learn.speeds_rev_per_s=[3, 6]",
+        "ilc_learn.low_speeds_rev_per_s=[]",
+    ),
+    "measure-force": (
+        "measure_force.forces=[0.25]",
+        "measure_force.cycles=3",
+        "measure_force.extra_cycles=1",
+        "measure_force.speed_rev_per_s=0.4",
+        "measure_force.record_every=4",
+    ),
+}
 
 
-def acquire(path: Path, log: int) -> None:
-    """Record blocks and finish; write the samples by recording to `log` after each sync."""
-
-    class Logged(RunWriter):
-        def _sync(self, force: bool = False) -> None:
-            before = self._synced
-            super()._sync(force)
-            if self._synced != before:
-                counts = {name: stream.written for name, stream in self._streams.items()}
-                os.write(log, json.dumps(counts).encode() + b"\n")
-
-    block = samples(5000)
-    with Logged(
-        path, command="x", recipe=None, recipe_text=None, recordings=SPECS, overwrite=True
-    ) as out:
-        for _ in range(BLOCKS):
-            for name in ("sweep", "holds"):
-                out.append(name, block[name])
-        out.finish(RESULTS, TABLES)
+def command_line(command: str, output: Path) -> list[str]:
+    inputs = ["--kt", str(FIXTURES / "kt.h5")]
+    if command == "measure-force":
+        inputs += ["--tables", str(FIXTURES / "tables.h5")]
+    sets = [item for value in COMMANDS[command] for item in ("--set", value)]
+    line = [command, str(RECIPE), "-o", str(output), *inputs, *sets]
+    return [*line, "--seed", "3", "-q", "--overwrite"]
 
 
-def acquire_and_kill(path: Path, syncs: int | None, pause: float = 0.0) -> list[dict[str, int]]:
-    """Run `acquire` in a process of its own and kill it some time after so many syncs.
+def call(line: list[str]) -> int:
+    """Run a command in this process; return its exit code."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        cli.main(line)
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else 1
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
-    Returns what each sync had written. With `syncs` None it is left alone.
+
+def report_syncs(log: int) -> None:
+    """Let every writer tell the samples of each recording to `log` after each sync."""
+    sync = RunWriter._sync
+
+    def reporting(self: RunWriter, force: bool = False) -> None:
+        before = self._synced
+        sync(self, force)
+        if self._synced != before:
+            counts = {name: stream.written for name, stream in self._streams.items()}
+            os.write(log, json.dumps(counts).encode() + b"\n")
+
+    RunWriter._sync = reporting  # type: ignore[method-assign]
+    # The virtual rig is a thousand times faster than a real one, which syncs every chunk.
+    writer.SYNC_INTERVAL = 0.0
+
+
+@dataclass(frozen=True)
+class Acquisition:
+    """What a command did: exit code (minus the signal), samples at each sync, and when it was."""
+
+    code: int
+    synced: list[dict[str, int]]
+    times: list[float]
+
+
+def acquire(line: list[str], kill_after: int | None = None, pause: float = 0.0) -> Acquisition:
+    """Run a command in a process of its own; kill it `pause` s after so many syncs, if told.
+
+    A fork has everything imported and compiled: what is left to kill is the acquisition.
     """
+    begin = time.perf_counter()
     reading, log = os.pipe()
     child = os.fork()
     if child == 0:
+        code = 99
         try:
             os.close(reading)
-            acquire(path, log)
+            report_syncs(log)
+            code = call(line)
         finally:
-            os._exit(0)
+            os._exit(code)
     os.close(log)
-    lines = []
+    lines, times = [], []
+
+    def read(stream: TextIO) -> None:
+        for text in stream:
+            lines.append(text)
+            times.append(time.perf_counter() - begin)
+            if len(lines) == kill_after:
+                return
+
     with os.fdopen(reading) as stream:
-        if syncs is not None:
-            lines = [stream.readline() for _ in range(syncs)]
+        if kill_after != 0:
+            read(stream)
+        if kill_after is not None:
             time.sleep(pause)
             os.kill(child, signal.SIGKILL)
-        lines += stream.readlines()
-    os.waitpid(child, 0)
-    return [json.loads(line) for line in lines if line.endswith("\n")]
+            kill_after = None
+            read(stream)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    times.append(time.perf_counter() - begin)
+    return Acquisition(code, [json.loads(text) for text in lines if text.endswith("\n")], times)
 
 
-def check_samples(path: Path, synced: dict[str, int]) -> int:
-    expected = {
-        name: {key: np.tile(values, BLOCKS) for key, values in block.items()}
-        for name, block in samples(5000).items()
-    }
-    with open_run(path) as run:
-        for name, recording in run.recordings.items():
-            assert recording.size >= synced.get(name, 0)
-            for channel, values in expected[name].items():
-                np.testing.assert_array_equal(recording.read(channel), values[: recording.size])
-        return sum(recording.size for recording in run.recordings.values())
+def recovered(part: Path, output: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, int]:
+    """Run `rigtool recover`; return how many samples it says that it brought back."""
+    code = call(["recover", str(part), "-o", str(output), "--overwrite"])
+    said = capsys.readouterr()
+    if code == 3:  # killed before a chunk was whole
+        assert "nothing to recover" in said.err
+        return {}
+    assert code == 0, said.err
+    assert "damaged" not in said.err
+    counts = (line.removesuffix(" samples").rpartition(": ") for line in said.out.splitlines())
+    return {name: int(count) for name, _, count in counts}
 
 
-def test_killed_at_any_moment(tmp_path, monkeypatch):
-    monkeypatch.setattr(writer, "SYNC_INTERVAL", 0.0)
-    path = tmp_path / "run.h5"
-    begin = time.perf_counter()
-    total_syncs = len(acquire_and_kill(path, None))
-    step = (time.perf_counter() - begin) / total_syncs
-    earlier = path.read_bytes()
+def require_beginning(path: Path, counts: dict[str, int], whole: Path) -> None:
+    """Each recording must hold the first `counts` samples of that of the whole run."""
+    with open_run(path) as found, open_run(whole) as expected:
+        assert {name: item.size for name, item in found.recordings.items()} == counts
+        for name, recording in found.recordings.items():
+            for channel in recording.channels:
+                np.testing.assert_array_equal(
+                    recording.read_stored(channel.name),
+                    expected.recordings[name].read_stored(channel.name, 0, counts[name]),
+                )
+
+
+@pytest.mark.parametrize("command", list(COMMANDS))
+def test_a_command_killed_at_any_moment(tmp_path, capsys, command):
+    path, back, whole = (tmp_path / name for name in ("run.h5", "back.h5", "whole.h5"))
+    part = Path(f"{path}.part")
+    assert call(command_line(command, whole)) == 0  # imports and compiles
+    undisturbed = acquire(command_line(command, whole))
+    assert undisturbed.code == 0
+    syncs = undisturbed.times[:-1]
+    with open_run(whole) as run:
+        content = run.content_sha256
+    earlier = (FIXTURES / "kt.h5").read_bytes()
     luck = random.Random(20061)
     outcomes = {"finished": 0, "recovered": 0, "nothing": 0}
     for _ in range(KILLS):
+        part.unlink(missing_ok=True)
         path.write_bytes(earlier)
-        inode = path.stat().st_ino
-        logged = acquire_and_kill(path, luck.randint(0, total_syncs), luck.uniform(0, 2 * step))
-        synced = logged[-1] if logged else {}
-        if path.stat().st_ino != inode:
-            assert check_samples(path, {}) == 2 * 5000 * BLOCKS
+        moment = luck.uniform(0, undisturbed.times[-1])
+        passed = bisect.bisect(syncs, moment)
+        killed = acquire(command_line(command, path), passed, moment - ([0.0, *syncs][passed]))
+        witness = killed.synced[-1] if killed.synced else {}
+        if path.read_bytes() != earlier:
+            with open_run(path) as run:
+                assert run.content_sha256 == content
             outcomes["finished"] += 1
-        else:
-            assert path.read_bytes() == earlier
-            if any(synced.values()):
-                found = recover(f"{path}.part", tmp_path / "back.h5", overwrite=True)
-                assert found.lost == 0
-                total = check_samples(tmp_path / "back.h5", synced)
-                assert total == sum(found.samples.values())
-                outcomes["recovered"] += 1
-            else:
-                outcomes["nothing"] += 1
-    assert sum(outcomes.values()) == KILLS
+            continue
+        assert killed.code == -signal.SIGKILL
+        counts = recovered(part, back, capsys) if part.exists() else {}
+        assert all(counts.get(name, 0) >= count for name, count in witness.items())
+        if counts:
+            require_beginning(back, counts, whole)
+        outcomes["recovered" if counts else "nothing"] += 1
     # Most moments are in the middle of it, or the test would prove little.
     assert outcomes["recovered"] >= KILLS // 2, outcomes
 
