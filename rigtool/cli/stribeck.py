@@ -18,7 +18,7 @@ from rigtool.procedures.options import CommonOptions
     "stribeck",
     epilog=example(
         "rigtool stribeck recipes/briaire-2006.toml --kt kt.h5 -o friction.h5",
-        "rigtool stribeck imported/10.h5 imported/20.h5 imported/n10.h5 -o friction.h5",
+        "rigtool stribeck imported/*.h5 -o friction.h5",
     ),
 )
 @source_arguments

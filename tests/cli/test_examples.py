@@ -1,0 +1,110 @@
+"""Every example in a command's help does what it says, in a folder that has what it names."""
+
+import shutil
+import signal
+from glob import glob
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+
+import rigtool.cli as cli
+from tests.cli.test_run_commands import interrupted
+from tests.fixtures.make import SHORT
+from tests.procedures.imported_runs import SLOW, slow_turn, take
+from tests.runfile.test_import_epos import write as write_epos
+
+ROOT = Path(__file__).parents[2]
+FIXTURES = ROOT / "tests" / "fixtures"
+
+SHORTENED = {
+    "calibrate-kt": "kt",
+    "stribeck": "friction",
+    "fft-ripple": "ripple",
+    "ilc-learn": "tables",
+    "measure-force": "force",
+}
+"""Settings of `make fixtures` that shorten an example on a recipe."""
+
+
+def examples():
+    for name in cli.COMMANDS:
+        command = cli.rigtool.get_command(click.Context(cli.rigtool), name)
+        for line in (command.epilog or "").splitlines():
+            if line.strip().startswith("rigtool "):
+                yield line.strip()
+
+
+@pytest.fixture
+def bench(tmp_path, monkeypatch):
+    """Return a folder with the recipes, the stored runs and what else the examples name."""
+    shutil.copytree(ROOT / "recipes", tmp_path / "recipes")
+    for path in FIXTURES.glob("*.h5"):
+        shutil.copy(path, tmp_path)
+    shutil.copy(tmp_path / "kt.h5", tmp_path / "kt-again.h5")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def prepare(bench, line):
+    """Make what an example reads beside the stored runs."""
+    if "imported/comp_0.h5" in line:
+        files = {"off_0": slow_turn(0, 0.0), "on_0": slow_turn(1, 0.8)}
+        off, on = take(bench, SLOW, files)
+        (bench / "imported").mkdir()
+        shutil.copy(off, bench / "imported" / "nocomp_0.h5")
+        shutil.copy(on, bench / "imported" / "comp_0.h5")
+    elif "stribeck imported/" in line:
+        hold(bench, (-20, -10, -5, 5, 10, 20))
+    elif "run07.csv" in line:
+        rows = np.column_stack([np.arange(50) / 1000, *np.arange(450.0).reshape(9, 50)])
+        np.savetxt(bench / "run07.csv", rows, delimiter=",")
+    elif "epos-exports/" in line:
+        (bench / "epos-exports").mkdir()
+        write_epos(bench / "epos-exports" / "10.csv")
+    elif "kt.h5.part" in line:
+        (bench / "kt.h5").unlink()
+        interrupted(bench / "kt.h5")
+
+
+def hold(bench, speeds):
+    """Import runs at constant speeds against 2 mN m of Coulomb friction."""
+    text = """mapping = 1
+[rig]
+name = "held"
+[signals]
+time = { column = "t", unit = "s" }
+speed = { column = "v", unit = "rad/s" }
+torque = { column = "m", unit = "N m" }
+"""
+    random, time = np.random.default_rng(1), np.arange(0, 4, 0.01)
+    files = {}
+    for speed in speeds:
+        torque = 2e-3 * np.sign(speed) + 5e-5 * speed + random.normal(0, 1e-5, len(time))
+        files[f"at{speed}"] = {"t": time, "v": np.full(len(time), float(speed)), "m": torque}
+    take(bench, text, files)
+    (bench / "runs").rename(bench / "imported")
+
+
+@pytest.mark.parametrize("line", list(examples()))
+def test_the_example_runs(bench, line, capsys):
+    prepare(bench, line)
+    _, name, *words = line.split()
+    arguments = [found for word in words for found in (sorted(glob(word)) or [word])]
+    if "recipes/briaire-2006.toml" in arguments and name in SHORTENED:
+        for setting in SHORT[SHORTENED[name]]:
+            arguments += ["--set", setting]
+    if "-o" in arguments and "--overwrite" not in arguments:
+        output = bench / arguments[arguments.index("-o") + 1]
+        if output.is_file():
+            output.unlink()
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as caught:
+            cli.main([name, *arguments])
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert caught.value.code == 0, capsys.readouterr().err
+    if "-o" in arguments:
+        assert (bench / arguments[arguments.index("-o") + 1]).exists()
