@@ -1,19 +1,18 @@
-"""A run in other formats: CSV for one part of it, MATLAB and netCDF for the whole."""
+"""A run in other formats: CSV and Parquet for one part of it, MATLAB and netCDF for the whole."""
 
 from __future__ import annotations
 
-import csv
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.quantity import Quantity
-from rigtool.runfile import schema
+from rigtool.runfile import frames, schema
 from rigtool.runfile.model import Table
 from rigtool.runfile.reader import Recording, Run
 from rigtool.runfile.storage import storage_errors
@@ -23,14 +22,16 @@ _MAT_LIMIT = 2**31
 
 
 def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite: bool) -> None:
-    """Write a run in the format that the name of `output` ends with: .csv, .mat or .nc.
+    """Write a run in the format that the name of `output` ends with: .csv, .parquet, .mat or .nc.
 
-    `part` chooses what a .csv shall hold: `results`, `recordings/NAME` or `tables/NAME`, or the
-    bare name. Raises `UsageError` where the choice is open, or the output exists.
+    `part` chooses what a .csv or .parquet shall hold: `results`, `recordings/NAME` or
+    `tables/NAME`, or the bare name. Raises `UsageError` where the choice is open, or the output
+    exists.
     """
     output = Path(output)
     formats: dict[str, Callable[[Path], None]] = {
-        ".csv": lambda path: _write_csv(run, path, part),
+        ".csv": lambda path: frames.write_csv(frames.choose(run, part), path),
+        ".parquet": lambda path: frames.write_parquet(frames.choose(run, part), path),
         ".mat": lambda path: _write_mat(run, path),
         # A run file is a netCDF-4 file: HDF5 with dimension scales.
         ".nc": lambda path: _copy(run, path),
@@ -39,10 +40,18 @@ def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite
     if write is None:
         raise UsageError(
             f"{output}: cannot be told what to write by its ending {output.suffix!r}: use one of "
-            f"{', '.join(formats)} (.parquet would need another package; pandas reads the .csv)"
+            f"{', '.join(formats)}"
         )
-    if part is not None and output.suffix != ".csv":
-        raise UsageError(f"{output}: holds the whole run; --part is for .csv")
+    if part is not None and output.suffix not in (".csv", ".parquet"):
+        raise UsageError(f"{output}: holds the whole run; --part is for .csv and .parquet")
+    write_new(output, overwrite, write)
+
+
+def write_new(output: Path, overwrite: bool, write: Callable[[Path], None]) -> None:
+    """Let `write` make a file beside `output`, that takes its name when it is whole.
+
+    Raises `UsageError` where the output exists, unless `overwrite`.
+    """
     if output.exists() and not overwrite:
         raise UsageError(f"{output}: exists already: give another name, or --overwrite")
     beside = output.with_name(output.name + ".tmp")
@@ -56,67 +65,6 @@ def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite
 
 def _copy(run: Run, path: Path) -> None:
     shutil.copyfile(run.path, path)
-
-
-def _write_csv(run: Run, path: Path, part: str | None) -> None:
-    chosen = _choose(run, part)
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        if isinstance(chosen, Recording):
-            _write_recording(chosen, stream)
-        elif isinstance(chosen, Table):
-            _write_table(chosen, stream)
-        else:
-            _write_results(chosen, stream)
-
-
-def _choose(run: Run, part: str | None) -> Recording | Table | dict[str, Quantity]:
-    parts: dict[str, Recording | Table | dict[str, Quantity]] = {}
-    if run.results:
-        parts[schema.RESULTS] = dict(run.results)
-    parts.update({f"{schema.RECORDINGS}/{name}": item for name, item in run.recordings.items()})
-    parts.update({f"{schema.TABLES}/{name}": table for name, table in run.tables.items()})
-    found = [
-        name for name in parts if part is None or name == part or name.rpartition("/")[2] == part
-    ]
-    if len(found) != 1:
-        what = "holds more than one thing" if part is None else f"has {len(found)} parts {part!r}"
-        raise UsageError(f"{run.path}: {what}: choose by --part from {', '.join(parts) or 'none'}")
-    return parts[found[0]]
-
-
-def _write_results(results: dict[str, Quantity], stream: TextIO) -> None:
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["name", "value", "unit", "u", "dof", "reason"])
-    for name, q in results.items():
-        writer.writerow([name, q.value, q.unit, q.u, q.dof, q.reason])
-
-
-def _write_recording(recording: Recording, stream: TextIO) -> None:
-    import pandas as pd
-
-    head = [f"{name} [{unit}]" for name, unit in recording.units.items()]
-    csv.writer(stream, lineterminator="\n").writerow(head)
-    for start in range(0, recording.size, schema.CHUNK):
-        stop = min(start + schema.CHUNK, recording.size)
-        block = {name: recording.read_stored(name, start, stop) for name in recording.units}
-        pd.DataFrame(block).to_csv(stream, header=False, index=False, lineterminator="\n")
-
-
-def _write_table(table: Table, stream: TextIO) -> None:
-    """Write one line for each point of the axes; columns with fewer axes repeat."""
-    import pandas as pd
-
-    head = [f"{name} [{column.unit}]" for name, column in table.columns.items()]
-    csv.writer(stream, lineterminator="\n").writerow(head)
-    columns = {}
-    for name, column in table.columns.items():
-        if name in table.axes:
-            shape = [1] * len(table.shape)
-            shape[table.axes.index(name)] = -1
-        else:
-            shape = [*column.values.shape, *[1] * (len(table.shape) - column.values.ndim)]
-        columns[name] = np.broadcast_to(column.values.reshape(shape), table.shape).ravel()
-    pd.DataFrame(columns).to_csv(stream, header=False, index=False, lineterminator="\n")
 
 
 def _write_mat(run: Run, path: Path) -> None:

@@ -76,3 +76,6 @@ def test_export(tmp_path, capsys):
     assert len(csv.read_text().splitlines()) == 101
     assert call(capsys, "export", path, "--part", "holds", "-o", csv)[0] == 2
     assert call(capsys, "export", path, "-o", tmp_path / "a.parquet")[0] == 2
+    parquet = tmp_path / "holds.parquet"
+    assert call(capsys, "export", path, "--part", "holds", "-o", parquet) == (0, "", "")
+    assert call(capsys, "export", path, "-o", tmp_path / "a.xlsx")[0] == 2
