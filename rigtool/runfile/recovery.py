@@ -69,7 +69,7 @@ def _output(part: Path, output: str | os.PathLike[str] | None, overwrite: bool) 
     found = part.with_suffix("") if output is None else Path(output)
     if found.exists() and not overwrite:
         raise UsageError(f"{found}: exists already: give another name with -o, or --overwrite")
-    if found.exists() and found.samefile(part):
+    if found.exists() and part.exists() and found.samefile(part):
         raise UsageError(f"{found}: is what is to be recovered: give another name with -o")
     return found
 

@@ -269,6 +269,8 @@ def test_what_cannot_be_recovered(tmp_path):
         recover(path, tmp_path / "b.h5")
     with pytest.raises(UsageError, match="with -o"):
         recover(path)
+    with pytest.raises(RunFileError, match="no such file"):
+        recover(tmp_path / "run.h5.part", overwrite=True)
     (tmp_path / "x.h5.part").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(500))
     with pytest.raises(RunFileError, match=r"x\.h5\.part"):
         recover(tmp_path / "x.h5.part")
