@@ -1,6 +1,13 @@
 """Recipes: a rig and what to do on it, in TOML. Every default lives in the models here."""
 
-from rigtool.recipe.commands import CalibrateKt, FftRipple, IlcLearn, MeasureForce, Stribeck
+from rigtool.recipe.commands import (
+    CalibrateKt,
+    FftRipple,
+    IdentifyPlant,
+    IlcLearn,
+    MeasureForce,
+    Stribeck,
+)
 from rigtool.recipe.load import (
     Recipe,
     load_recipe,
@@ -15,6 +22,7 @@ from rigtool.recipe.virtual import Virtual
 __all__ = [
     "CalibrateKt",
     "FftRipple",
+    "IdentifyPlant",
     "IlcLearn",
     "Mapping",
     "MeasureForce",

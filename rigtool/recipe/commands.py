@@ -68,6 +68,51 @@ class FftRipple(Section):
     record_every: int = Field(4, ge=1, description="samples averaged into a recorded one")
 
 
+class IdentifyPlant(Section):
+    """Frequency response of the plant by a multisine, while the shaft moves [7.2.3, Fig. 35]."""
+
+    speeds: tuple[Positive, ...] = Field(
+        (10, 15), min_length=1, description="while turning freely, both directions, rad/s"
+    )
+    stroke_speeds: tuple[Positive, ...] = Field(
+        (4.4,), min_length=1, description="the same on a limited angle (instrument), about, rad/s"
+    )
+    realisations: int = Field(3, ge=1, description="sets of random phases at each speed")
+    periods: int = Field(16, ge=2, description="of the multisine, in each direction and set")
+    period: float = Field(0.25, gt=0, description="of the multisine, s")
+    settle_time: float = Field(0.1, ge=0, description="left out after each change of speed, s")
+    lines: int = Field(40, ge=8, description="frequencies, evenly in logarithm, at most")
+    frequency_min: float = Field(4.0, gt=0, description="lowest excited frequency, Hz")
+    frequency_max: float = Field(400.0, gt=0, description="highest excited frequency, Hz")
+    swing: float = Field(
+        0.5, gt=0, lt=1, description="peak of the excited speed, relative to the shaft's speed"
+    )
+    current_share: float = Field(
+        0.5, gt=0, lt=1, description="of the current limit that the excitation may use"
+    )
+    angle: float = Field(180.0, gt=0, description="of a stroke at the output, deg (instrument)")
+    turn_angle: float = Field(20.0, gt=0, description="used to reverse at each end, deg")
+
+    @model_validator(mode="after")
+    def _frequencies_fit_period(self) -> IdentifyPlant:
+        if self.frequency_min * self.period < 1 - 1e-9:
+            raise ValueError(
+                f"frequency_min {self.frequency_min} Hz has less than one cycle in the period of "
+                f"{self.period} s: raise either"
+            )
+        if self.frequency_max <= self.frequency_min:
+            raise ValueError(
+                f"frequency_max {self.frequency_max} Hz must be above frequency_min "
+                f"{self.frequency_min} Hz"
+            )
+        if 2 * self.turn_angle >= self.angle:
+            raise ValueError(
+                f"turn_angle {self.turn_angle} deg at both ends leaves nothing of the angle "
+                f"{self.angle} deg: lower it"
+            )
+        return self
+
+
 class IlcLearn(Section):
     """Learning by position and speed on a limited angle [7.2.4.2]."""
 

@@ -13,7 +13,14 @@ from pydantic import ValidationError
 
 from rigtool.errors import RecipeError, UsageError
 from rigtool.recipe.base import Section
-from rigtool.recipe.commands import CalibrateKt, FftRipple, IlcLearn, MeasureForce, Stribeck
+from rigtool.recipe.commands import (
+    CalibrateKt,
+    FftRipple,
+    IdentifyPlant,
+    IlcLearn,
+    MeasureForce,
+    Stribeck,
+)
 from rigtool.recipe.rig import Rig
 from rigtool.recipe.virtual import Virtual
 
@@ -29,6 +36,7 @@ class Recipe(Section):
     calibrate_kt: CalibrateKt = CalibrateKt()
     stribeck: Stribeck = Stribeck()
     fft_ripple: FftRipple = FftRipple()
+    identify_plant: IdentifyPlant = IdentifyPlant()
     ilc_learn: IlcLearn = IlcLearn()
     measure_force: MeasureForce = MeasureForce()
 
