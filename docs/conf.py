@@ -11,16 +11,12 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 project = "rigtool"
 author = "the rigtool authors"
 version = release = version_of("rigtool")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.viewcode", "generated", "mathml"]
+extensions = ["myst_parser", "generated", "mathml"]
 exclude_patterns = ["_ext"]
 source_suffix = {".md": "markdown"}
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
-
-autodoc_default_options = {"members": True, "member-order": "bysource"}
-autodoc_typehints = "signature"
-autodoc_preserve_defaults = True
 
 html_theme = "furo"
 html_title = f"rigtool {version}"

@@ -1,7 +1,8 @@
-"""Pages that are made from the code: one a command, from its help, and the recipes' models."""
+"""Pages made from the code: commands by their help, recipes by their models, modules."""
 
 from __future__ import annotations
 
+import ast
 import typing
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ import click
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+import rigtool as rigtool_package
 from rigtool.cli import COMMANDS, rigtool
 
 # -- commands
@@ -133,6 +135,72 @@ def _default(field: FieldInfo) -> str:
     return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"
 
 
+# -- modules
+
+ROOMS = {
+    "analysis": "Pure numerics: arrays in, frozen dataclasses out.",
+    "runfile": "HDF5: writer, reader, provenance, recovery, importers, exports.",
+    "rigs": "Where signals come from.",
+    "procedures": "What the bench does, and which analysis reads it.",
+    "report": "Tables, figures, one page.",
+}
+"""Folders of the package that others program against, from the bottom up."""
+
+
+def room_page(room: str) -> str:
+    """Return what is public in a folder of the package, with docstrings as they stand."""
+    package = Path(rigtool_package.__file__).parent
+    lines = [f"# rigtool.{room}", "", ROOMS[room], ""]
+    for path in sorted((package / room).rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        name = ".".join(("rigtool", *path.relative_to(package).with_suffix("").parts))
+        lines += [f"## {name.removesuffix('.__init__')}", "", *_quoted(tree)]
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+                lines += [f"```python\n{_signature(node)}\n```", "", *_quoted(node)]
+    return "\n".join(lines)
+
+
+def _signature(node: ast.FunctionDef | ast.ClassDef) -> str:
+    """Return the head of a function or class, and of its public methods."""
+    if isinstance(node, ast.FunctionDef):
+        returns = f" -> {ast.unparse(node.returns)}" if node.returns else ""
+        return f"def {node.name}({ast.unparse(node.args)}){returns}"
+    bases = ", ".join(ast.unparse(base) for base in node.bases)
+    lines = [f"class {node.name}({bases}):" if bases else f"class {node.name}:"]
+    for item in node.body:
+        if isinstance(item, ast.AnnAssign):
+            lines.append(f"    {ast.unparse(item.target)}: {ast.unparse(item.annotation)}")
+        elif isinstance(item, ast.FunctionDef) and not item.name.startswith("_"):
+            lines.append(f"    {_signature(item)}")
+    return "\n".join(lines)
+
+
+def _quoted(node: ast.Module | ast.FunctionDef | ast.ClassDef) -> list[str]:
+    text = ast.get_docstring(node)
+    return ["```text", text, "```", ""] if text else []
+
+
+def room_list() -> str:
+    """Return the page that lists the folders."""
+    rows = [f"| [rigtool.{room}]({room}.md) | {what} |" for room, what in ROOMS.items()]
+    return "\n".join(
+        [
+            "# Modules",
+            "",
+            "What is public, with the equations and sources in its docstrings. Imports point down: "
+            "`analysis` knows no file, no recipe and no command.",
+            "",
+            "| folder | what it holds |",
+            "| --- | --- |",
+            *rows,
+            "",
+            "```{toctree}\n:hidden:\n\n" + "\n".join(ROOMS) + "\n```",
+            "",
+        ]
+    )
+
+
 # -- the site
 
 
@@ -141,14 +209,17 @@ def write(folder: Path) -> None:
     pages = {f"commands/{name}.md": command_page(name) for name in COMMANDS}
     pages["commands/index.md"] = command_list()
     pages["recipes.md"] = recipes_page()
+    pages |= {f"modules/{room}.md": room_page(room) for room in ROOMS}
+    pages["modules/index.md"] = room_list()
     for name, text in pages.items():
         path = folder / name
         path.parent.mkdir(exist_ok=True)
         if not path.exists() or path.read_text() != text:
             path.write_text(text)
-    for path in (folder / "commands").glob("*.md"):
-        if f"commands/{path.name}" not in pages:
-            path.unlink()
+    for made in ("commands", "modules"):
+        for path in (folder / made).glob("*.md"):
+            if f"{made}/{path.name}" not in pages:
+                path.unlink()
 
 
 def setup(app: typing.Any) -> dict[str, bool]:
