@@ -10,13 +10,13 @@ from __future__ import annotations
 import errno
 import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
 
-from rigtool.errors import RigtoolError, UsageError
+from rigtool.errors import RigtoolError
 
 _FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
 _ERRNO = re.compile(r"errno = (\d+)")
@@ -35,22 +35,6 @@ def storage_errors(path: Path) -> Iterator[None]:
         if _ERRNO.search(str(error)) is None:
             raise
         raise RigtoolError(f"{path}: cannot be written: {_reason(error)}") from error
-
-
-def write_new(output: Path, overwrite: bool, write: Callable[[Path], None]) -> None:
-    """Let `write` make a file beside `output`, then give it that name in one step.
-
-    Raises `UsageError` where the output exists and shall not be replaced.
-    """
-    if output.exists() and not overwrite:
-        raise UsageError(f"{output}: exists already: give another name, or --overwrite")
-    beside = output.with_name(output.name + ".tmp")
-    with storage_errors(output):
-        try:
-            write(beside)
-            os.replace(beside, output)
-        finally:
-            beside.unlink(missing_ok=True)
 
 
 def reserve(handle: int, size: int) -> None:
