@@ -28,7 +28,7 @@ def command_page(name: str) -> str:
     lines += ["## Options", "", "| option | meaning |", "| --- | --- |"]
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)
-        if record is not None:
+        if record is not None and isinstance(parameter, click.Option):
             option, meaning = (_in_table(part) for part in record)
             lines.append(f"| `{option}` | {meaning} |")
     lines += ["", "## Example", "", "```sh", *examples(command), "```", ""]
@@ -86,7 +86,7 @@ def recipes_page() -> str:
         "for one call. Angles are in rad, torques in N m, times in s where nothing else is said.",
         "",
         *_tables(Recipe, ""),
-        "# Mappings of imports",
+        "## Mappings of imports",
         "",
         *_tables(Mapping, ""),
     ]
