@@ -1,8 +1,9 @@
 """Disturbance torque by position and speed, as the learned table holds it [Fig. 49, 53].
 
 torque(p, v) = bilinear interpolation in the table; below the lowest learned speed the row of that
-speed, multiplied by the amplitude table. Position and speed are clamped to the learned range: the
-table does not extrapolate, `covers` says where it is valid.
+speed, multiplied by the amplitude table. A table with a period holds one whole turn, and position
+counts modulo that period. Otherwise position, and always speed, is clamped to the learned range:
+the table does not extrapolate, `covers` says where it is valid.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ class LookupTable:
     `position` (n,) rad, uniform and rising; `speed` (m,) rad/s, rising, without zero; `torque`
     (m, n) N m. `low_speed` (k,) rad/s starts at 0 and ends at the lowest learned speed;
     `amplitude` (k,) multiplies the row of that speed, in either direction. A direction that was
-    not learned has torque zero, and is not covered. Raises ValueError where this does not hold.
+    not learned has torque zero, and is not covered. `period` rad, where the motion is periodic:
+    positions then cover it once, its end left out, and the last entry is followed by the first.
+    Raises ValueError where this does not hold.
     """
 
     position: Array
@@ -30,19 +33,26 @@ class LookupTable:
     torque: Array
     low_speed: Array
     amplitude: Array
+    period: float | None = None
     _speeds: Array = field(init=False, repr=False)
     _rows: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._check()
         speeds, rows = self._with_low_speeds()
+        if self.period is not None:
+            rows = np.ascontiguousarray(np.column_stack([rows, rows[:, 0]]))
         object.__setattr__(self, "_speeds", speeds)
         object.__setattr__(self, "_rows", rows)
 
     def evaluate(self, position: Array, speed: Array) -> Array:
-        """Return the torque at each set point (n,), N m; positions outside are clamped."""
-        start, count = self.position[0], self.position.size
-        step = (self.position[-1] - start) / (count - 1)
+        """Return the torque at each set point (n,), N m; what lies outside is clamped."""
+        start, count = self.position[0], self._rows.shape[1]
+        if self.period is None:
+            step = (self.position[-1] - start) / (count - 1)
+        else:
+            step = self.period / (count - 1)
+            position = start + (position - start) % self.period
         # Both coordinates in entries of the table; the cell is the one to the lower left.
         across = np.clip((position - start) / step, 0.0, count - 1.0)
         along = np.interp(speed, self._speeds, np.arange(float(self._speeds.size)))
@@ -65,9 +75,10 @@ class LookupTable:
         """Say for each set point (n,) whether it lies within what was learned."""
         # A set point at the edge may be off by rounding: allow a millionth of a step.
         step = (self.position[-1] - self.position[0]) / (self.position.size - 1)
-        within = (position >= self.position[0] - 1e-6 * step) & (
-            position <= self.position[-1] + 1e-6 * step
-        )
+        within = np.ones(np.shape(position), dtype=np.bool_)
+        if self.period is None:
+            within &= position >= self.position[0] - 1e-6 * step
+            within &= position <= self.position[-1] + 1e-6 * step
         slack = 1e-6 * self.low_speed[-1]
         within &= (speed >= self._speeds[0] - slack) & (speed <= self._speeds[-1] + slack)
         covered: NDArray[np.bool_] = within
@@ -99,6 +110,13 @@ class LookupTable:
         steps = np.diff(self.position)
         if steps.size < 1 or not (steps > 0).all() or np.ptp(steps) > 1e-6 * steps.max():
             raise ValueError("positions of a lookup table must rise in equal steps")
+        if self.period is not None and not np.isclose(
+            steps.mean() * self.position.size, self.period, rtol=1e-6, atol=0
+        ):
+            raise ValueError(
+                f"{self.position.size} positions of a lookup table, {steps.mean():.6g} rad apart, "
+                f"must cover its period of {self.period:.6g} rad once"
+            )
         if self.speed.size < 1 or not (np.diff(self.speed) > 0).all() or (self.speed == 0).any():
             raise ValueError("speeds of a lookup table must rise and not contain zero")
         shape = (self.speed.size, self.position.size)

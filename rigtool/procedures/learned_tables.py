@@ -19,6 +19,9 @@ from rigtool.runfile import Column, Run, Table
 COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
 """Results that say with which friction feed-forward a table was learned, where with any."""
 
+PERIOD = "lookup_period"
+"""Result that says after which angle a table repeats, rad, where it does."""
+
 
 def tables_of(
     table: LookupTable, u: NDArray[np.float64], amplitudes: Amplitudes
@@ -52,6 +55,13 @@ def tables_of(
     return {"lookup": lookup, "amplitude": amplitude}
 
 
+def period_results(table: LookupTable) -> dict[str, Quantity]:
+    """Return the period of a learned table under the name of this module; empty without one."""
+    if table.period is None:
+        return {}
+    return {PERIOD: Quantity(table.period, "rad", reason="the table holds one turn by definition")}
+
+
 def friction_results(friction: Run | None) -> dict[str, Quantity]:
     """Return Coulomb and viscous friction of a run of `stribeck` under the names of this module.
 
@@ -80,6 +90,7 @@ def lookup_table_from(run: Run) -> LookupTable:
             torque=lookup["torque"],
             low_speed=amplitude["low_speed"],
             amplitude=amplitude["amplitude"],
+            period=run.results[PERIOD].value if PERIOD in run.results else None,
         )
     except (KeyError, ValueError) as error:
         raise RunFileError(

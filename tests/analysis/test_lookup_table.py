@@ -101,6 +101,57 @@ def test_is_continuous_through_standstill_and_between_rows():
     assert np.abs(np.diff(torque)).max() <= steepest * 0.001 * (1 + 1e-9)
 
 
+TURN = np.arange(64) * (2 * np.pi / 64)
+
+
+def turn_table(seed=0, start=0.0):
+    torque = np.random.default_rng(seed).normal(0, 2e-3, (len(SPEED), len(TURN)))
+    return table(position=start + TURN, torque=torque, period=2 * np.pi)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    position=st.floats(-20, 20),
+    speed=st.floats(-20, 20),
+    turns=st.integers(-1000, 1000),
+    start=st.floats(-3, 3),
+)
+def test_a_table_with_a_period_repeats_after_each_turn(position, speed, turns, start):
+    learned = turn_table(start=start)
+    here = learned.evaluate(np.array([position]), np.array([speed]))
+    there = learned.evaluate(np.array([position + 2 * np.pi * turns]), np.array([speed]))
+    # steepest: 15 mN m between entries; the angle itself is rounded
+    np.testing.assert_allclose(there, here, rtol=0, atol=1e-12)
+    assert learned.covers(np.array([position]), np.array([speed])).all()
+    assert not learned.covers(np.array([position]), np.array([20.1])).any()
+
+
+def test_a_periodic_table_is_that_of_scipy_with_its_first_entry_again_at_the_end():
+    learned = turn_table()
+    rows = [*learned.torque[:3], learned.torque[2] * AMPLITUDE[2], learned.torque[2] * AMPLITUDE[1]]
+    rows += [np.zeros(64), *(a * learned.torque[3] for a in AMPLITUDE[1:3]), *learned.torque[3:]]
+    speeds = [-20, -7, -1.5, -0.9, -0.4, 0, 0.4, 0.9, 1.5, 8, 20]
+    grid = (speeds, np.append(TURN, 2 * np.pi))
+    expected = RegularGridInterpolator(grid, np.column_stack([rows, np.array(rows)[:, 0]]))
+    rng = np.random.default_rng(3)
+    position, speed = rng.uniform(0, 2 * np.pi, 2000), rng.uniform(-20, 20, 2000)
+    np.testing.assert_allclose(
+        learned.evaluate(position, speed),
+        expected(np.column_stack([speed, position])),
+        rtol=1e-9,
+        atol=1e-12,
+    )
+
+
+def test_a_periodic_table_is_continuous_over_its_seam():
+    learned = turn_table()
+    position = np.linspace(-0.3, 0.3, 6001)
+    torque = learned.evaluate(position, np.full(len(position), 8.0))
+    closed = np.append(learned.torque[4], learned.torque[4][0])
+    steepest = np.abs(np.diff(closed)).max() / (2 * np.pi / 64)
+    assert np.abs(np.diff(torque)).max() <= steepest * 1e-4 * (1 + 1e-6)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -113,6 +164,7 @@ def test_is_continuous_through_standstill_and_between_rows():
         ({"low_speed": LOW[:-1], "amplitude": AMPLITUDE[:-1]}, "from 0 to 1.5"),
         ({"low_speed": LOW[:-1]}, "each with an amplitude"),
         ({"amplitude": np.array([0.5, 1, 1, 1])}, "start at 0"),
+        ({"period": 2 * np.pi}, "cover its period of 6.28319 rad once"),
     ],
 )
 def test_a_table_that_makes_no_sense_is_refused(changes, message):
