@@ -16,7 +16,8 @@ class Quantity:
     """A value with its unit and standard uncertainty (GUM 2.3.1).
 
     `u` is None where no uncertainty can be stated; `reason` then says why. `dof` is None where
-    the degrees of freedom are not known or infinite.
+    the degrees of freedom are not known or infinite. Raises `ValueError` for neither `u` nor
+    `reason`, and for a negative `u`.
     """
 
     value: float

@@ -47,7 +47,8 @@ def find_ramps(
     """Find the ramps in a recording and the torque at which each breaks the shaft away.
 
     `time` (n,) in s, `angle` of the shaft in rad, `torque` in N m; `threshold` is the motion that
-    counts as breakaway, rad. A ramp begins where torque falls back or time has a gap.
+    counts as breakaway, rad. A ramp begins where torque falls back or time has a gap. Raises
+    `InsufficientDataError` where there is none.
     """
     t, shaft, effort = require_signals(16, time=time, angle=angle, torque=torque)
     size = np.abs(effort)

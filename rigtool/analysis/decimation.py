@@ -4,6 +4,7 @@ A low-pass FIR filter (sinc, Kaiser window) is evaluated at every M-th sample on
 sampling frequency f, what lies below 0.05 f keeps its size within 4e-5, and what lies above 0.95 f,
 which would appear there under a false frequency, is reduced to 4e-5 of it. Before the first and
 after the last sample a signal goes on as its point reflection, as in `scipy.signal.filtfilt`.
+Window and length: J. F. Kaiser, Proc. IEEE Symp. Circuits and Systems 1974, 20-23.
 """
 
 from __future__ import annotations

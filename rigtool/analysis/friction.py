@@ -255,6 +255,7 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
     """Raise where the curve has structure that no friction model explains (Appendix C).
 
     `fits` are of both directions, so that a constant torque drops out of their mean, or of one.
+    The error is an `InsufficientDataError`.
     """
     coulomb = float(np.mean([fit.coulomb[0] for fit in fits]))
     coulomb_u = math.hypot(*(fit.coulomb[1] for fit in fits)) / len(fits)

@@ -46,7 +46,7 @@ class TransferFunction:
 
     @classmethod
     def from_z(cls, num: ArrayLike, den: ArrayLike, sample_time: float) -> TransferFunction:
-        """Take polynomials in z, highest power first."""
+        """Take polynomials in z (m,) and (n,), highest power first."""
         return cls(_shift(num, 1.0), _shift(den, 1.0), sample_time)
 
     @property

@@ -2,6 +2,7 @@
 
 A block is used and forgotten: what is kept are time and integral of the torque where the rotor
 passes from one cell of the turn into the next, so that memory grows with revolutions, not samples.
+Synchronous (time domain) averaging: S. Braun, Acustica 32, 69-77, 1975.
 """
 
 from __future__ import annotations

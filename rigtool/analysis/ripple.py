@@ -62,7 +62,10 @@ class Rms:
 
 @dataclass(frozen=True, eq=False)
 class Ripple:
-    """Ripple of one running condition: `waveforms` (revolutions, positions), offset removed."""
+    """Ripple of one running condition: `waveforms` (revolutions, positions), offset removed.
+
+    Raises `InsufficientDataError` for fewer than 2 revolutions.
+    """
 
     waveforms: Array
 
@@ -112,7 +115,7 @@ class Ripple:
 
 
 def remove_offset(waveforms: Array) -> Ripple:
-    """Take the mean over all revolutions off: friction and load, not ripple."""
+    """Take the mean off waveforms (revolutions, positions): friction and load, not ripple."""
     return Ripple(waveforms - waveforms.mean())
 
 

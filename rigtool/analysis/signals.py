@@ -41,14 +41,15 @@ def require_signals(minimum: int = 1, **signals: ArrayLike) -> tuple[Array, ...]
 
 
 def require_rising(time: Array) -> float:
-    """Return the usual sample time, s; raise where `time` does not rise throughout."""
+    """Return the usual sample time, s, of a `time` (n,); raise where it does not rise throughout."""
     return float(np.median(rising_steps(time)))
 
 
 def rising_steps(time: Array, first: int = 0) -> Array:
     """Return the steps of a rising time (n,), (n-1,) in s; raise where it does not rise.
 
-    `first` is the number of the first sample, where a block of a longer signal is given.
+    `first` is the number of the first sample, where a block of a longer signal is given. The
+    error is an `InsufficientDataError`.
     """
     steps: Array = np.diff(time)
     if steps.size and steps.min() <= 0:

@@ -123,7 +123,8 @@ class Linearity:
 def amplifier_linearity(plateaus: Plateaus) -> Linearity:
     """Fit the amplifier's DC characteristic through the means of each level [7.1.1].
 
-    `deviation` is the largest distance of a level's mean from the line, A.
+    `deviation` is the largest distance of a level's mean from the line, A. Raises
+    `InsufficientDataError` for fewer than 3 levels.
     """
     step = LEVEL_TOLERANCE * float(np.ptp(plateaus.current_setpoint))
     order = np.argsort(plateaus.current_setpoint, kind="stable")

@@ -74,7 +74,10 @@ class Common:
 
 
 def arrange(plateaus: Plateaus) -> Stairs:
-    """Lay the plateaus out by staircase; raise where one cannot tell friction from slope."""
+    """Lay the plateaus out by staircase.
+
+    Raises `InsufficientDataError` where one cannot tell friction from slope.
+    """
     length = np.bincount(plateaus.staircase)
     first = np.concatenate([[0], np.cumsum(length)[:-1]])
     place = np.minimum(np.arange(length.max())[None, :], length[:, None] - 1) + first[:, None]

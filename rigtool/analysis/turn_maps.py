@@ -65,7 +65,7 @@ def map_orders(position: Array, values: Array, orders: int) -> Orders:
 
 
 def match_maps(reference: Orders, other: Orders) -> Match:
-    """Compare two maps by their orders 1..m (m,)."""
+    """Compare two maps by their orders 1..m (m,); `InsufficientDataError` where one is constant."""
     if not np.any(reference) or not np.any(other):
         raise InsufficientDataError("a map is constant: there is no ripple to compare")
     correlation, shift, best, scale = match_orders(reference, other)

@@ -34,6 +34,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
 
     The angles of one temperature lie between those of the others: together they resolve more
     orders of the amplifier's ripple, while each temperature still averages over a whole turn.
+    Raises `RecipeError` for currents above the rig's limit.
     """
     settings = recipe.calibrate_kt
     if settings.current_max > recipe.rig.current_limit:

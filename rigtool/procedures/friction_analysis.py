@@ -160,7 +160,10 @@ def _fit_holds(
 
 
 def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
-    """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,)."""
+    """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,).
+
+    Raises `InsufficientDataError` where no direction can be fitted.
+    """
     fits, reasons = {}, []
     for sign in (1, -1):
         chosen = speed * sign > 0

@@ -66,7 +66,10 @@ class Group:
 
 
 def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
-    """Find the orders of each condition and compare conditions; or compare maps."""
+    """Find the orders of each condition and compare conditions; or compare maps.
+
+    Raises `UsageError` for maps and recordings together, and for a linear axis.
+    """
     maps = [MAP in run.tables for run in runs]
     if all(maps):
         return compare_maps(runs)

@@ -277,7 +277,10 @@ def load_mapping(path: str | Path) -> tuple[Mapping, str]:
 
 
 def parse_mapping(text: str, name: str = "mapping") -> Mapping:
-    """Turn the text of a mapping into its model; `name` stands in messages."""
+    """Turn the text of a mapping into its model; `name` stands in messages.
+
+    Raises `RecipeError` with every mistake and its line.
+    """
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

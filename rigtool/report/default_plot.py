@@ -26,7 +26,10 @@ _MOST_LINES = 12
 
 
 def write_default_plot(run: Run, output: str | os.PathLike[str], *, overwrite: bool) -> None:
-    """Draw a run's default plot into a file; raises `RunFileError` where there is nothing."""
+    """Draw a run's default plot into a file.
+
+    Raises `RunFileError` where there is nothing to draw, `UsageError` for a file that cannot be.
+    """
     output = Path(output)
     if output.suffix not in FORMATS:
         raise UsageError(f"{output}: cannot be drawn, use one of {', '.join(FORMATS)}")

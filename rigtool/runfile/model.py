@@ -14,7 +14,10 @@ from rigtool.runfile import schema
 
 @dataclass(frozen=True)
 class Channel:
-    """One recorded signal: `dtype` is u1, i4, f4 or f8 in the file; readers always get f8."""
+    """One recorded signal: `dtype` is u1, i4, f4 or f8 in the file; readers always get f8.
+
+    Raises `ValueError` for another type or a name that cannot be stored.
+    """
 
     name: str
     unit: str
@@ -35,7 +38,7 @@ class RecordingSpec:
     """A recording before it is made: its channels on one `time`, and under which conditions.
 
     `conditions` maps a name to (value, unit), e.g. `{"speed": (3.0, "rad/s")}`. A viewer plots the
-    first channel other than `time`.
+    first channel other than `time`. Raises `ValueError` for names or channels that do not fit.
     """
 
     name: str

@@ -35,7 +35,10 @@ class Stream:
         self.written = 0
 
     def append(self, block: Mapping[str, NDArray[Any]]) -> None:
-        """Take samples; they wait until `write`."""
+        """Take samples; they wait until `write`.
+
+        Raises `ValueError` for channels that do not fit, `RuntimeError` once it was read back.
+        """
         if self.complete:
             raise RuntimeError(f"recording {self._name} was read back: it cannot grow any more")
         if set(block) != set(self._dtypes):

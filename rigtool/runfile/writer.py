@@ -92,6 +92,7 @@ class RunWriter:
         self._synced = -SYNC_INTERVAL
         self._unsynced = 0
         self._finished = False
+        self._line: str | None = None
 
     def __enter__(self) -> Self:
         with storage_errors(self.path):
@@ -126,7 +127,8 @@ class RunWriter:
     def append(self, recording: str, block: Mapping[str, NDArray[Any]]) -> None:
         """Add samples to a recording: one array for each of its channels, all of one length.
 
-        Whole chunks go to the file, the rest waits. Raises `RigtoolError` where the disk refuses.
+        Whole chunks go to the file, the rest waits. Raises `RigtoolError` where the disk refuses,
+        `RuntimeError` once the recordings were read back.
         """
         if self._file is None or self._recorded is not None:
             raise RuntimeError("nothing can be appended once the recordings were read back")
@@ -136,6 +138,10 @@ class RunWriter:
             with storage_errors(self.path):
                 self._write(stream, stream.waiting - stream.waiting % schema.CHUNK)
                 self._sync()
+
+    def note_line(self, report: str) -> None:
+        """Keep with the run what happened on the serial line of its rig: JSON, from the rig."""
+        self._line = report
 
     def recording(self, name: str) -> Recording:
         """Return what was recorded under this name; it is complete then and cannot grow."""
@@ -179,6 +185,7 @@ class RunWriter:
                     for stream in self._streams.values():
                         stream.seal(file)
                     layout.write_footer(file, results, tables, notes)
+                    provenance.note_line(file, self._line)
                     provenance.seal(file)
                     flush(file)
                 sync_path(new)

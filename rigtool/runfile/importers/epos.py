@@ -52,7 +52,8 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
     """Return the columns of an export, the mapping filled with the signals that it names, notes.
 
     Torque in percent becomes N m where `mapping` tells the rated torque. A mapping with signals of
-    its own keeps them: columns by the names in the file, `time` the first.
+    its own keeps them: columns by the names in the file, `time` the first. Raises `RunFileError`
+    for a header or lines that are damaged.
     """
     lines = split_lines(decode(read_bytes(path)), None)
     header = _header(path, lines)

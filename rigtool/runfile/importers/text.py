@@ -73,7 +73,10 @@ def read_numbers(
     names: Sequence[str],
     skip_bad: bool,
 ) -> Raw:
-    """Read columns of lines that hold numbers; `names` are those of all columns, or none."""
+    """Read columns of lines that hold numbers; `names` are those of all columns, or none.
+
+    Raises `RunFileError` for bad lines, and where no line holds numbers.
+    """
     if not lines.text:
         raise RunFileError(f"{path}: holds no line of numbers: check comment and header_lines")
     delimiter = None if layout.delimiter == WHITESPACE else layout.delimiter
