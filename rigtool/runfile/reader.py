@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 BLOCK = 8 * schema.CHUNK
 """Samples that `Recording.blocks` reads at a time: what fits a processor's cache."""
 
+_CHUNK_CACHE = {"rdcc_nbytes": 2 * 8 * schema.CHUNK, "rdcc_nslots": 101}
+"""Two chunks for each open signal: blocks end where chunks do, so that none is read twice, and
+HDF5's own 8 MiB would only push the samples out of the processor's cache."""
+
 _DAMAGED = "restore it from a copy, or make it anew"
 
 
@@ -111,9 +115,9 @@ class Recording:
                 "this channel mapped"
             )
         with guard(self._path, f"channel {channel!r} of recording {self.name!r}"):
-            dataset = self._file[self._group.values[channel].path]
-            stored: NDArray[np.generic] = dataset[start : self.size if stop is None else stop]
-        return stored
+            return tree.read_samples(
+                self._group.values[channel], start, self.size if stop is None else stop
+            )
 
     def sha256(self, channel: str) -> str | None:
         """Return the stored hash of a channel's samples; None in an unfinished run."""
@@ -279,7 +283,7 @@ def open_hdf5(path: str | os.PathLike[str], *, swmr: bool = False) -> h5py.File:
         what = "is empty" if size == 0 else "is not an HDF5 file"
         raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
     try:
-        return h5py.File(path, "r", locking="best-effort", swmr=swmr)
+        return h5py.File(path, "r", locking="best-effort", swmr=swmr, **_CHUNK_CACHE)
     except Exception as error:
         raise RunFileError(f"{path}: {_open_problem(path, str(error))}") from error
 

@@ -9,7 +9,9 @@ objects, and the high-level one takes five times as long.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import h5py
@@ -22,13 +24,18 @@ from rigtool.runfile import schema
 
 @dataclass(frozen=True)
 class Values:
-    """A dataset: `kind` is 'str' or a numpy type; `value` is None for the samples of a signal."""
+    """A dataset: `kind` is 'str' or a numpy type; `value` is None for the samples of a signal.
+
+    A signal stays open as `handle`, for `read_samples`: to find it again takes longer than to read
+    a second of it.
+    """
 
     path: str
     attributes: dict[str, Any]
     kind: str
     shape: tuple[int, ...]
     value: Any
+    handle: Any = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -64,15 +71,26 @@ def load(file: h5py.File, path: str = "/") -> Group:
     return _Loader(file).group(file[path].id, path, 0)
 
 
+def read_samples(signal: Values, start: int, stop: int) -> NDArray[np.generic]:
+    """Return samples start..stop (stop excluded) of a signal as they are stored."""
+    count = max(0, min(stop, signal.shape[0]) - start)
+    samples = np.empty(count, signal.kind)
+    if count:
+        chosen = h5py.h5s.create_simple(signal.shape)
+        chosen.select_hyperslab((start,), (count,))
+        signal.handle.read(h5py.h5s.create_simple((count,)), chosen, samples)
+    return samples
+
+
 def root_text(file: h5py.File, name: str) -> str | None:
     """Return a text attribute of a file of anybody's; None where it is not as rigtool writes it."""
-    if name not in file.attrs:
+    if not h5py.h5a.exists(file.id, name.encode()):
         return None
-    info = h5py.check_string_dtype(file.attrs.get_id(name).dtype)
-    if info is None or info.length is None:
+    attribute = h5py.h5a.open(file.id, name.encode())
+    kind = attribute.get_type()
+    if not _is_fixed_text(kind) or attribute.shape != ():
         return None
-    value = file.attrs[name]
-    return value.decode() if isinstance(value, bytes) else str(value)
+    return str(_decoded(_read(attribute.read, (), kind)))
 
 
 def is_signal(path: str) -> bool:
@@ -100,11 +118,12 @@ class _Loader:
         if len(handle) > schema.MAX_MEMBERS:
             raise self._refuse(path, f"has {len(handle)} members, above {schema.MAX_MEMBERS}")
         found = Group(path, self._attributes(handle, path), {}, {})
-        for name in h5py.Group(handle):
-            if handle.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
+        for raw in handle:
+            name = raw.decode()
+            if handle.links.get_info(raw).type != h5py.h5l.TYPE_HARD:
                 raise self._refuse(path, f"has a link {name!r} that leads elsewhere")
             below = f"{path.rstrip('/')}/{name}"
-            member = h5py.h5o.open(handle, name.encode())
+            member = h5py.h5o.open(handle, raw)
             if isinstance(member, h5py.h5g.GroupID):
                 found.groups[name] = self.group(member, below, depth + 1)
             elif isinstance(member, h5py.h5d.DatasetID):
@@ -114,21 +133,24 @@ class _Loader:
         return found
 
     def _values(self, handle: Any, path: str) -> Values:
-        dtype = handle.dtype
-        text = self._is_text(dtype, path)
+        kind = handle.get_type()
+        text = self._is_text(kind, path)
+        dtype = None if text else handle.dtype
         shape = handle.shape
-        self._check(handle, path, shape, dtype, text)
-        value = None
-        if not is_signal(path):
-            self._budget -= math.prod(shape)
-            if self._budget < 0:
-                limit = schema.MAX_TABLE_VALUES
-                raise self._refuse(path, f"is beyond the {limit} values a file may hold in tables")
-            array = np.empty(shape, dtype)
-            handle.read(h5py.h5s.ALL, h5py.h5s.ALL, array)
-            value = _decoded(array) if text else array
-        kind = "str" if text else dtype.str
-        return Values(path, self._attributes(handle, path), kind, shape, value)
+        self._check(handle, path, shape, dtype)
+        attributes = self._attributes(handle, path)
+        if is_signal(path) and dtype is not None:
+            return Values(path, attributes, dtype.str, shape, None, handle)
+        self._budget -= math.prod(shape)
+        if self._budget < 0:
+            limit = schema.MAX_TABLE_VALUES
+            raise self._refuse(path, f"is beyond the {limit} values a file may hold in tables")
+        read = partial(handle.read, h5py.h5s.ALL, h5py.h5s.ALL)
+        if dtype is None:
+            return Values(path, attributes, "str", shape, _decoded(_read(read, shape, kind)))
+        array = np.empty(shape, dtype)
+        read(array)
+        return Values(path, attributes, dtype.str, shape, array)
 
     def _attributes(self, handle: Any, path: str) -> dict[str, Any]:
         names: list[bytes] = []
@@ -141,28 +163,22 @@ class _Loader:
             shape, kind = attribute.shape, attribute.get_type()
             if math.prod(shape) > schema.MAX_ATTRIBUTE_VALUES:
                 raise self._refuse(path, f"has an attribute {name!r} of shape {shape}")
-            if isinstance(kind, h5py.h5t.TypeStringID) and not kind.is_variable_str():
-                # A thousand files have some ten thousand of these: the short way pays.
-                array = np.empty(shape, f"S{kind.get_size()}")
-                attribute.read(array, kind)
-                found[name.decode()] = _decoded(array)
+            if self._is_text(kind, path):
+                found[name.decode()] = _decoded(_read(attribute.read, shape, kind))
                 continue
-            dtype = attribute.dtype
-            text = self._is_text(dtype, path)
-            array = np.empty(shape, dtype)
+            array = np.empty(shape, attribute.dtype)
             attribute.read(array)
-            found[name.decode()] = _decoded(array) if text else array.tolist()
+            found[name.decode()] = array.tolist()
         return found
 
-    def _is_text(self, dtype: np.dtype[Any], path: str) -> bool:
-        info = h5py.check_string_dtype(dtype)
-        if info is not None and info.length is None:
+    def _is_text(self, kind: Any, path: str) -> bool:
+        if isinstance(kind, h5py.h5t.TypeStringID) and kind.is_variable_str():
             # It would be in a heap, which has no checksum: HDF5 can search a damaged one for ever.
             raise self._refuse(path, "has text of variable length")
-        return info is not None
+        return _is_fixed_text(kind)
 
-    def _check(self, handle: Any, path: str, shape: Any, dtype: np.dtype[Any], text: bool) -> None:
-        """Refuse what no run file holds, from the dataset's header alone."""
+    def _check(self, handle: Any, path: str, shape: Any, dtype: np.dtype[Any] | None) -> None:
+        """Refuse what no run file holds, from the dataset's header alone; no dtype is for text."""
         if shape is None or math.prod(shape) > schema.MAX_SAMPLES:
             raise self._refuse(path, f"claims shape {shape}, above {schema.MAX_SAMPLES} values")
         plist = handle.get_create_plist()
@@ -172,7 +188,7 @@ class _Loader:
         for index in range(plist.get_nfilters()):
             if plist.get_filter(index)[0] not in _FILTERS:
                 raise self._refuse(path, f"uses the filter {plist.get_filter(index)[3]!r}")
-        if text:
+        if dtype is None:
             if shape != ():
                 raise self._refuse(path, f"is an array of texts, {shape}")
             return
@@ -191,6 +207,17 @@ class _Loader:
             f"{self._name}: {path} {why}: no run file of rigtool has that; the file is damaged or "
             "comes from elsewhere: restore it from a copy, or make it anew"
         )
+
+
+def _is_fixed_text(kind: Any) -> bool:
+    return isinstance(kind, h5py.h5t.TypeStringID) and not kind.is_variable_str()
+
+
+def _read(read: Callable[..., None], shape: tuple[int, ...], kind: Any) -> NDArray[np.bytes_]:
+    """Read text of a fixed length; told its type, h5py need not look for it again."""
+    array = np.empty(shape, f"S{kind.get_size()}")
+    read(array, kind)
+    return array
 
 
 def _decoded(array: NDArray[Any]) -> Any:
