@@ -165,7 +165,8 @@ def coefficients(waveforms: Array, orders: int) -> NDArray[np.complex128]:
     """Return amplitude*exp(i phase) of each order 1..`orders` and revolution.
 
     `waveforms` (revolutions, positions) are means over equal cells of the turn; what comes back is
-    (revolutions, orders), of amplitude*cos(k angle + phase).
+    (revolutions, orders), of amplitude*cos(k angle + phase). Raises `ValueError` for orders that
+    the positions do not tell.
     """
     positions = waveforms.shape[1]
     if not 1 <= orders < positions / 2:

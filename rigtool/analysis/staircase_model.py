@@ -159,7 +159,7 @@ def friction_state(setpoint: Array, travel: Array, transition: float) -> tuple[A
 
 
 def design_matrix(stairs: Stairs, transition: float | None, current: Array) -> Array:
-    """Return the columns of (1), (m, p, 2) without friction or (m, p, 4) with."""
+    """Return the columns of (1) for staircases (m, p): (m, p, 2) without friction, or (m, p, 4)."""
     columns = [current, stairs.weight]
     if transition is not None:
         a, b = friction_state(stairs.setpoint, stairs.travel, transition)
@@ -171,7 +171,8 @@ def fit_common(stairs: Stairs, coefficient: float) -> Common:
     """Return s and tau by variable projection; `coefficient` is c of (1), 1/K.
 
     A column i |i| beside those of (1) takes up what the amplifier's ripple adds at one rotor
-    angle; it would otherwise be mistaken for heat.
+    angle; it would otherwise be mistaken for heat. Raises `InsufficientDataError` where torque
+    does not follow current.
     """
     count = len(stairs.setpoint)
     dof = int(stairs.weight.sum()) - 6 * count

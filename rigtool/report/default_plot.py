@@ -46,7 +46,10 @@ def write_default_plot(run: Run, output: str | os.PathLike[str], *, overwrite: b
 
 
 def draw_default_plot(run: Run) -> Figure:
-    """Return the plot of the first table with values, else of the first recording with samples."""
+    """Return the plot of the first table with values, else of the first recording with samples.
+
+    Raises `RunFileError` where there is neither.
+    """
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.add_subplot()
     tables = [(name, table) for name, table in run.tables.items() if table[table.signal].size]
