@@ -58,6 +58,11 @@ def common_options(function: Function) -> Function:
 
     @debug_option
     @click.option(
+        "--spy", metavar="FILE", help="Write every byte on the serial line, with time stamps."
+    )
+    @click.option("--yes", is_flag=True, help="Move a rig on a serial line without asking first.")
+    @click.option("--dry-run", is_flag=True, help="Say what would move, and move nothing.")
+    @click.option(
         "--set",
         "overrides",
         multiple=True,
@@ -78,6 +83,9 @@ def common_options(function: Function) -> Function:
         overwrite: bool,
         seed: int | None,
         overrides: tuple[str, ...],
+        dry_run: bool,
+        yes: bool,
+        spy: str | None,
         **kwargs: Any,
     ) -> Any:
         options = CommonOptions(
@@ -87,6 +95,9 @@ def common_options(function: Function) -> Function:
             overwrite=overwrite,
             seed=seed,
             overrides=overrides,
+            dry_run=dry_run,
+            yes=yes,
+            spy=spy,
         )
         return function(*args, options=options, **kwargs)
 

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) -> None:
     """Print what a command found and stored in `output`: results on stdout, remarks on stderr."""
+    if options.dry_run:
+        for note in outcome.notes:
+            click.echo(note)
+        return
     if options.json:
         with open_run(output) as run:
             origin = run.provenance

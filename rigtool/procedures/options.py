@@ -10,7 +10,9 @@ class CommonOptions:
     """The options that all commands share, as `rigtool.cli.options` collects them.
 
     `progress` says whether progress bars are drawn (stderr is a terminal and nobody objected).
-    `overrides` are the `key=value` texts of `--set`.
+    `overrides` are the `key=value` texts of `--set`. `dry_run` says what would move and moves
+    nothing; `yes` lets a rig on a serial line move without asking; `spy` is a file for every byte
+    on that line.
     """
 
     json: bool = False
@@ -19,6 +21,9 @@ class CommonOptions:
     overwrite: bool = False
     seed: int | None = None
     overrides: tuple[str, ...] = ()
+    dry_run: bool = False
+    yes: bool = False
+    spy: str | None = None
 
     def with_override(self, override: str) -> CommonOptions:
         """Return the options with one more `key=value`, which counts above those given so far."""

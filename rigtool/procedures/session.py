@@ -15,8 +15,11 @@ from rigtool.errors import RunFileError, UsageError
 from rigtool.procedures.calibration import torque_per_ampere
 from rigtool.procedures.options import CommonOptions
 from rigtool.procedures.outcome import Outcome
+from rigtool.procedures.rehearsal import dry_run, rehearse, require_offered
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import CHANNELS, Rig, Task, open_rig
+from rigtool.rigs.bench import Bench
+from rigtool.rigs.serial.rig import SerialRig
 from rigtool.runfile import Channel, RecordingSpec, Run, RunWriter, open_run
 
 IMPORTED = "import"
@@ -97,8 +100,13 @@ def _measure(
     if options.seed is not None:
         overrides.append(f"virtual.seed={options.seed}")
     recipe, text = load_recipe(source, overrides)
-    seed = recipe.virtual.seed if recipe.virtual is not None else None
-    rig = open_rig(recipe, _assumed_torque_constant(recipe, inputs), procedure.COMMAND)
+    on_line = recipe.rig.source == "serial"
+    seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
+    constant = _assumed_torque_constant(recipe, inputs)
+    if options.dry_run:
+        return dry_run(procedure, recipe, constant, inputs)
+    bench = Bench(yes=options.yes, spy=options.spy)
+    rig = open_rig(recipe, constant, procedure.COMMAND, bench)
     plan = procedure.recordings(recipe)
     writer = _WatchedWriter(
         output,
@@ -111,10 +119,30 @@ def _measure(
         overwrite=options.overwrite,
     )
     with writer, _progress(options, plan, writer):
-        procedure.measure(rig, recipe, writer, **inputs)
+        with rig:
+            if isinstance(rig, SerialRig):
+                _permit(rig, procedure, recipe, constant, inputs)
+            procedure.measure(rig, recipe, writer, **inputs)
+        if isinstance(rig, SerialRig):
+            writer.note_line(rig.report())
         outcome = procedure.analyse([writer.recorded()], recipe, **inputs)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
+
+
+def _permit(
+    rig: SerialRig,
+    procedure: Procedure,
+    recipe: Recipe,
+    torque_constant: float,
+    inputs: Mapping[str, Run],
+) -> None:
+    """Refuse what this rig cannot do or must not, show the rest, and let somebody agree."""
+    assert recipe.serial is not None
+    plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
+    require_offered(rig, plan, procedure.COMMAND)
+    plan.check(recipe.serial.limits)
+    rig.permit(str(plan))
 
 
 def _analyse_stored(

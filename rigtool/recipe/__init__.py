@@ -17,6 +17,7 @@ from rigtool.recipe.load import (
 )
 from rigtool.recipe.mapping import Mapping, load_mapping
 from rigtool.recipe.rig import Rig
+from rigtool.recipe.serial import Serial
 from rigtool.recipe.virtual import Virtual
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "MeasureForce",
     "Recipe",
     "Rig",
+    "Serial",
     "Stribeck",
     "Virtual",
     "load_mapping",

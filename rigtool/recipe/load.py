@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import ValidationError, model_validator
 
 from rigtool.errors import RecipeError, UsageError
 from rigtool.recipe.base import Section
@@ -22,6 +22,7 @@ from rigtool.recipe.commands import (
     Stribeck,
 )
 from rigtool.recipe.rig import Rig
+from rigtool.recipe.serial import Serial
 from rigtool.recipe.virtual import Virtual
 
 RECIPE_VERSION = 1
@@ -33,12 +34,22 @@ class Recipe(Section):
     recipe: int
     rig: Rig
     virtual: Virtual | None = None
+    serial: Serial | None = None
     calibrate_kt: CalibrateKt = CalibrateKt()
     stribeck: Stribeck = Stribeck()
     fft_ripple: FftRipple = FftRipple()
     identify_plant: IdentifyPlant = IdentifyPlant()
     ilc_learn: IlcLearn = IlcLearn()
     measure_force: MeasureForce = MeasureForce()
+
+    @model_validator(mode="after")
+    def _has_its_source(self) -> Recipe:
+        if self.rig.source == "serial" and self.serial is None:
+            raise ValueError(
+                'rig.source is "serial" and there is no table [serial]: add one with driver, port '
+                "and [serial.limits]"
+            )
+        return self
 
     def resolved(self) -> str:
         """Return the recipe with all defaults filled in, as canonical JSON."""
@@ -61,7 +72,10 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> tuple[Recipe
 
 
 def parse_recipe(text: str, name: str = "recipe", overrides: Sequence[str] = ()) -> Recipe:
-    """Turn the text of a recipe into its model; `name` stands in messages."""
+    """Turn the text of a recipe into its model; `name` stands in messages.
+
+    Raises `RecipeError` with every mistake and its line.
+    """
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -142,6 +156,8 @@ def describe_mistakes(
             message = "is not a key that this table knows; remove it or correct its spelling"
         elif item["type"] == "missing":
             message = "is missing; add it"
+        elif not path:  # tables that do not go together: the whole recipe is what was got
+            dotted = kind
         else:
             message = f"{message}, got {item['input']!r}"
         where = f"{name}, --set" if ".".join(path) in set_keys else _where(name, path, lines)

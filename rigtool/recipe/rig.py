@@ -69,7 +69,9 @@ class Rig(Section):
     """The rig as its owner describes it."""
 
     name: str = Field(min_length=1, description="which rig this is; tables belong to one rig")
-    source: Literal["virtual"] = Field("virtual", description="where signals come from")
+    source: Literal["virtual", "serial"] = Field(
+        "virtual", description="where signals come from: equations of [virtual], line of [serial]"
+    )
     attachment: Attachment = Field(
         "instrument", description="what the motor drives: its bare pulley, or the instrument"
     )

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from types import TracebackType
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,20 @@ CHANNELS = {
     "rotor_angle": ("rad", "f4", "angle of the shaft in the arm's clamp"),
 }
 """Unit, type in the file and meaning of each channel a rig may offer."""
+
+
+NEEDS = {
+    "closed_loop": "follow a set point of position",
+    "open_loop": "follow a current with the position loop open",
+    "feedforward": "add a torque that is computed from the set point",
+    "table": "add a learned table",
+    "signal": "add a torque signal sample by sample",
+    "load": "hang a load, or pull at the shaft",
+    "clamp": "clamp the arm on the force gauge",
+    "soak": "bring the motor to a temperature",
+    "power_cycle": "switch the amplifier off and on",
+}
+"""What a command may ask of a rig, beside channels; `Rig.lacks` answers."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +98,27 @@ class Task:
 
 
 class Rig(Protocol):
-    """A motor, an encoder and a current amplifier under position control."""
+    """A motor, an encoder and a current amplifier under position control.
+
+    A context manager: whatever ends the `with` block leaves the motor without current.
+    """
+
+    def __enter__(self) -> Self:
+        """Connect; nothing moves."""
+        ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop, switch off and let go of the line."""
+        ...
+
+    def lacks(self, need: str) -> str | None:
+        """Return why this one of `NEEDS`, or this channel, is not offered; None where it is."""
+        ...
 
     def perform(self, task: Task) -> Iterator[Block]:
         """Run a task and yield its signals in blocks; moves to the motion's start first."""

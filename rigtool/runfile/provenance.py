@@ -54,7 +54,10 @@ class Source:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Who made a run, when, with what, from what; `argv` as a shell line, a package a line."""
+    """Who made a run, when, with what, from what; `argv` as a shell line, a package a line.
+
+    `line` is JSON: what happened on the serial line of a rig; written once the signals are in.
+    """
 
     program: str
     version: str
@@ -70,6 +73,7 @@ class Provenance:
     source: str | None = None
     source_sha256: str | None = None
     mapping: str | None = None
+    line: str | None = None
 
 
 def collect(
@@ -134,6 +138,12 @@ def restore(fields: Mapping[str, Any]) -> Provenance:
     known["packages"] = "\n".join(" ".join(item) for item in fields["packages"].items())
     known["inputs"] = tuple(Input(**item) for item in fields["inputs"])
     return Provenance(**known)
+
+
+def note_line(file: h5py.File, report: str | None) -> None:
+    """Write what happened on the serial line into a run that is complete but for its hashes."""
+    if report is not None:
+        make_text(file[schema.ENTRY][schema.PROVENANCE], "line", report)
 
 
 def seal(file: h5py.File) -> None:

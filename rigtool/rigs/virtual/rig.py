@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,17 @@ class VirtualRig:
         self._state["direction"] = 1.0
         ambient = self._virtual.thermal.ambient_degc
         self._state["winding_degc"] = self._state["housing_degc"] = ambient
+
+    def __enter__(self) -> Self:
+        """Connect: nothing to do for equations."""
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        """Let go: nothing to do for equations."""
+
+    def lacks(self, need: str) -> str | None:
+        """Return None: equations offer everything."""
+        return None
 
     # -- what the bench does between recordings
 

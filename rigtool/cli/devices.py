@@ -1,0 +1,42 @@
+"""`rigtool devices`: which serial ports there are, and what answers on them."""
+
+from __future__ import annotations
+
+import click
+
+from rigtool.cli.options import debug_option, example, json_option
+
+
+@click.command(epilog=example("rigtool devices", "rigtool devices socket://rig.local:7000"))
+@click.argument("ports", metavar="[PORT]...", nargs=-1)
+@click.option("--driver", "drivers", multiple=True, help="Ask for this kind of device only.")
+@json_option
+@debug_option
+def command(ports: tuple[str, ...], drivers: tuple[str, ...], as_json: bool) -> None:
+    """List serial ports and say what answers on them.
+
+    Asks on all ports of this computer, or on those given (any URL of pyserial). Nothing moves and
+    nothing is changed; but a device that takes every byte for a command may be disturbed by
+    questions that are not for it: name its port's driver then.
+    """
+    import json
+    from dataclasses import asdict
+
+    from rigtool.errors import UsageError
+    from rigtool.rigs.serial.drivers import available
+    from rigtool.rigs.serial.ports import find_devices
+
+    for name in drivers:
+        if name not in available():
+            raise UsageError(f"--driver {name}: there is none; use one of {', '.join(available())}")
+    found = []
+    for device in find_devices(ports, drivers):
+        found.append(device)
+        if not as_json:
+            answer = f"{device.driver}: {device.identity}" if device.driver else device.problem
+            about = f" ({device.description})" if device.description else ""
+            click.echo(f"{device.port}{about}: {answer or 'nothing answers'}")
+    if as_json:
+        click.echo(json.dumps([asdict(device) for device in found], indent=2))
+    elif not found:
+        click.echo("no serial ports on this computer", err=True)

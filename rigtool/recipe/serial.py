@@ -1,0 +1,73 @@
+"""A rig on a serial line: which drive, on which port, and what it must never exceed.
+
+Limits have no defaults: only who stands at the bench knows what the rig can take.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from rigtool.recipe.base import Section
+
+Driver = Literal["target", "odrive", "moteus", "maxon", "replay"]
+
+
+class Limits(Section):
+    """What the drive must never exceed: checked before a motion, set in the drive, watched."""
+
+    current: float = Field(gt=0, description="of the motor, either sign, A")
+    speed: float = Field(gt=0, description="of the motor shaft, either sign, rad/s")
+    position: tuple[float, float] = Field(
+        description="lowest and highest of the motor shaft, on the drive's own zero, rad"
+    )
+    temperature_degc: float = Field(description="of the motor, where it is measured, degC")
+    duration: float = Field(gt=0, description="of one motion, s")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Limits:
+        if not self.position[0] < self.position[1]:
+            raise ValueError(f"position must be [lowest, highest], got {list(self.position)}")
+        return self
+
+
+class Instrument(Section):
+    """An instrument beside the drive, or the operator who reads one."""
+
+    driver: str = Field(
+        description='protocol, e.g. "mark10", "scpi", "number-lines"; "operator" asks who is there'
+    )
+    port: str | None = Field(None, description="its own serial port; none for the operator")
+    baud_rate: int | None = Field(None, gt=0, description="bit/s; none for the protocol's usual")
+    scale: float = Field(
+        1.0, description="factor on what it reads; negative where its sign is the other way"
+    )
+    offset: float = Field(0.0, description="added to what it reads, in the unit of the channel")
+
+
+class Serial(Section):
+    """The drive of a rig, or a target that runs the loop, at the end of a serial line."""
+
+    driver: Driver = Field(description="what speaks at the other end of the line")
+    port: str = Field(
+        min_length=1,
+        description='"/dev/ttyACM0", "COM5", any URL of pyserial; for "replay" a file of --spy',
+    )
+    baud_rate: int | None = Field(None, gt=0, description="bit/s; none for the driver's usual")
+    node: int = Field(0, ge=0, description="axis or address of the drive on this line")
+    limits: Limits
+    watchdog: float = Field(
+        0.25, gt=0, le=10, description="the drive stops by itself after silence this long, s"
+    )
+    log: Literal["memory", "stream"] = Field(
+        "memory", description="a target keeps its log until the run is over, or sends it meanwhile"
+    )
+    position_gain: float = Field(
+        10.0, gt=0, description="of the host, where a drive takes speeds only, (rad/s)/rad"
+    )
+    force: Instrument | None = Field(None, description="force gauge at the end of the arm")
+    temperature: Instrument | None = Field(None, description="thermometer on the motor")
+    operator: bool = Field(
+        True, description="somebody is there to hang loads, clamp, heat and switch off"
+    )

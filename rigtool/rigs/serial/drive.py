@@ -1,0 +1,101 @@
+"""What a motor drive on a serial line has to offer, so that the host can run motions on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from rigtool.recipe.serial import Limits
+
+Mode = Literal["position", "velocity", "current"]
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """What a drive can do, known once it is connected.
+
+    `channels` are those of a `Sample` that it fills: some of `current`, `current_setpoint`,
+    `temperature`. Position is always there. `feedforward` says whether a current may be added in
+    the modes `position` and `velocity`.
+    """
+
+    modes: frozenset[Mode]
+    feedforward: bool
+    channels: frozenset[str]
+
+
+@dataclass(frozen=True)
+class SetPoint:
+    """What a drive is to do now: rad and rad/s of the motor shaft, A.
+
+    `current` is the whole in mode `current`, otherwise what is added (feed-forward). A drive that
+    takes a torque multiplies it by its own torque constant, so that this current flows.
+    """
+
+    position: float = 0.0
+    speed: float = 0.0
+    current: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a drive measured, at `time` of `Line.now`; NaN where it does not tell.
+
+    rad (unwrapped, on the drive's own zero), rad/s, A, degC of the motor. Signs are such that a
+    positive current pushes towards a rising position.
+    """
+
+    time: float
+    position: float
+    speed: float = math.nan
+    current: float = math.nan
+    current_setpoint: float = math.nan
+    temperature: float = math.nan
+
+
+class Drive(Protocol):
+    """A drive behind a `Line`. Each method may raise `HardwareError`; see `rigs.serial`."""
+
+    def connect(self) -> str:
+        """Identify the device and return it in a line: kind, firmware, serial number.
+
+        Nothing moves and nothing changes. Raises `HardwareError` where something else answers, or
+        a drive reports an error that its owner has to look at.
+        """
+        ...
+
+    @property
+    def abilities(self) -> Abilities:
+        """What it can do; asked after `connect`."""
+        ...
+
+    def configure(self, limits: Limits, watchdog: float) -> list[str]:
+        """Set limits and watchdog [s] in the drive; remember what was there before.
+
+        Returns what the drive cannot watch by itself, in words; the host watches everything anyway.
+        """
+        ...
+
+    def enable(self, mode: Mode) -> None:
+        """Close the power stage in this mode, at rest where the shaft is."""
+        ...
+
+    def step(self, setpoint: SetPoint) -> Sample:
+        """Send a set point, feed the watchdog, and measure: once each period of the loop."""
+        ...
+
+    def read(self) -> Sample:
+        """Measure, whatever state the drive is in; nothing moves."""
+        ...
+
+    def halt(self) -> None:
+        """Stop at once and switch the power stage off, whatever state the drive is in.
+
+        Called in any state, also twice, also after errors on the line: tries again by itself.
+        """
+        ...
+
+    def restore(self) -> None:
+        """Bring back what `configure` changed; called after `halt`, also when nothing was."""
+        ...

@@ -1,0 +1,105 @@
+"""What goes wrong on a line, at will: for tests, and to try out a bench before it bites.
+
+A `Fault` acts on the bytes that the device sends or gets. Numbers of writes count from 0, those of
+the device, or with `towards="device"` those of the host.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Kind = Literal["flip", "lose", "double", "cut", "silence", "late", "pull", "reset", "refuse"]
+
+
+class Pulled(Exception):
+    """The cable is out: the server closes its side and ends."""
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong.
+
+    flip, lose, double: bits or bytes, each byte with this `probability`, or the byte in the middle
+        of write number `at`.
+    cut: of write `at` only the first half arrives.
+    silence: from write `at`, for `duration` s, nothing arrives.
+    late: write `at` arrives together with, and before, the next one.
+    pull, reset, refuse: at write `at` the cable is pulled; the device restarts; it refuses what
+        it is asked from then on, for `count` requests.
+    """
+
+    kind: Kind
+    at: int = 0
+    probability: float = 0.0
+    duration: float = float("inf")
+    count: int = 1
+    towards: Literal["host", "device"] = "host"
+    seed: int = 1
+
+
+class Faults:
+    """Applies faults to the writes in one direction."""
+
+    def __init__(
+        self, faults: tuple[Fault, ...], towards: str, act: Callable[[Fault], None]
+    ) -> None:
+        self._faults = [fault for fault in faults if fault.towards == towards]
+        self._act = act
+        self._random = [np.random.default_rng(fault.seed) for fault in self._faults]
+        self._write = 0
+        self._since: dict[int, float] = {}
+        self._held = b""
+
+    def apply(self, data: bytes) -> bytes:
+        """Return what arrives of a write; raises `Pulled` where nothing ever will again."""
+        if not data:
+            return data
+        number, self._write = self._write, self._write + 1
+        data, held, self._held = data, self._held, b""
+        for index, fault in enumerate(self._faults):
+            if fault.kind in ("flip", "lose", "double"):
+                data = self._disturb(data, fault, self._random[index], number)
+            elif fault.kind == "silence":
+                data = self._silence(data, index, fault, number)
+            elif number == fault.at:
+                data = self._once(data, fault)
+        return held + data
+
+    def _once(self, data: bytes, fault: Fault) -> bytes:
+        if fault.kind == "cut":
+            return data[: len(data) // 2]
+        if fault.kind == "late":
+            self._held = data
+            return b""
+        if fault.kind == "pull":
+            raise Pulled
+        self._act(fault)
+        return b"" if fault.kind == "reset" else data
+
+    def _silence(self, data: bytes, index: int, fault: Fault, number: int) -> bytes:
+        if number < fault.at:
+            return data
+        since = self._since.setdefault(index, time.monotonic())
+        return b"" if time.monotonic() - since < fault.duration else data
+
+    def _disturb(
+        self, data: bytes, fault: Fault, random: np.random.Generator, number: int
+    ) -> bytes:
+        if fault.probability > 0:
+            hit = np.flatnonzero(random.random(len(data)) < fault.probability)
+        else:
+            hit = np.array([len(data) // 2] if number == fault.at else [], dtype=np.int64)
+        if hit.size == 0:
+            return data
+        values = np.frombuffer(data, np.uint8).copy()
+        if fault.kind == "flip":
+            values[hit] ^= (1 << random.integers(0, 8, hit.size)).astype(np.uint8)
+            return values.tobytes()
+        if fault.kind == "lose":
+            return np.delete(values, hit).tobytes()
+        return np.insert(values, hit, values[hit]).tobytes()

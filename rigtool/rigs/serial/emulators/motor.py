@@ -1,0 +1,63 @@
+"""A shaft with inertia and friction behind an emulated drive, turning in real time."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+
+STEP = 2e-4
+"""Longest step of integration, s."""
+
+
+@dataclass
+class Motor:
+    """J dw/dt = Kt i - fc sign(w) - fv w; SI units. Current follows at once, within its limit.
+
+    `gain_position` (rad/s)/rad and `gain_speed` A/(rad/s) close the drive's loops.
+    """
+
+    inertia: float = 1.5e-5
+    torque_constant: float = 0.045
+    coulomb: float = 2.3e-3
+    viscous: float = 5e-5
+    gain_position: float = 60.0
+    gain_speed: float = 0.06
+    current_limit: float = 10.0
+    position: float = 0.0
+    speed: float = 0.0
+    current: float = 0.0
+    current_setpoint: float = 0.0
+    _then: float = field(default_factory=time.monotonic)
+
+    def advance(self, mode: str | None, position: float, speed: float, current: float) -> None:
+        """Turn until now under a set point: `mode` position, velocity, current, or None for off.
+
+        In position and velocity mode `current` [A] is added to what the loops ask.
+        """
+        now = time.monotonic()
+        span, self._then = now - self._then, now
+        steps = max(1, math.ceil(min(span, 1.0) / STEP))
+        dt = min(span, 1.0) / steps
+        for _ in range(steps):
+            self._step(dt, mode, position, speed, current)
+
+    def _step(
+        self, dt: float, mode: str | None, position: float, speed: float, current: float
+    ) -> None:
+        asked = current
+        if mode is None:
+            asked = 0.0
+        elif mode != "current":
+            wanted = speed
+            if mode == "position":
+                wanted += self.gain_position * (position - self.position)
+            asked += self.gain_speed * (wanted - self.speed)
+        self.current_setpoint = min(max(asked, -self.current_limit), self.current_limit)
+        self.current = self.current_setpoint
+        torque = self.torque_constant * self.current - self.viscous * self.speed
+        # Coulomb friction brakes, and never turns the shaft backwards
+        free = self.speed + dt * torque / self.inertia
+        brake = dt * self.coulomb / self.inertia
+        self.speed = math.copysign(max(0.0, abs(free) - brake), free)
+        self.position += dt * self.speed

@@ -1,0 +1,222 @@
+"""An emulated device on a pseudo-terminal, or on a TCP socket, in a thread of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import threading
+from collections.abc import Iterator
+
+from rigtool.errors import HardwareError
+from rigtool.rigs.serial.emulators.faults import Fault, Faults, Pulled
+
+TICK = 0.002
+"""Longest time between two calls of `Emulator.idle`, s."""
+
+CHUNK = 65536
+
+
+class Emulator:
+    """A device: bytes in, bytes out. Subclass it and fill in `receive`, perhaps the others.
+
+    All methods are called from the server's thread. Bytes arrive in pieces of any size: keep what
+    is no whole request yet.
+    """
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes from the host and return what is answered."""
+        raise NotImplementedError
+
+    def idle(self) -> bytes:
+        """Return what is sent without being asked; called every `TICK` s at least.
+
+        Here watchdogs run out and motors turn.
+        """
+        return b""
+
+    def reset(self) -> None:
+        """Restart, as after a loss of power; what was set is forgotten."""
+
+    def refuse(self, count: int) -> None:
+        """Refuse the next `count` requests, as the device would with an error of its own."""
+
+
+class Server:
+    """Serves an emulator; `port` is what the host opens. End it with `stop`."""
+
+    def __init__(self, emulator: Emulator, faults: tuple[Fault, ...] = ()) -> None:
+        self.emulator = emulator
+        self.port = ""
+        self.error: BaseException | None = None
+        self._out = Faults(faults, "host", self._act)
+        self._in = Faults(faults, "device", self._act)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="emulator", daemon=True)
+
+    def start(self) -> None:
+        """Open the port and serve."""
+        self._open()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End serving and close the port."""
+        self._stop.set()
+        self._thread.join()
+
+    def wait(self) -> None:
+        """Serve until interrupted."""
+        while self._thread.is_alive():
+            self._thread.join(0.2)
+
+    def _act(self, fault: Fault) -> None:
+        if fault.kind == "reset":
+            self.emulator.reset()
+        elif fault.kind == "refuse":
+            self.emulator.refuse(fault.count)
+
+    def _serve(self) -> None:
+        try:
+            while not self._stop.is_set():
+                ready = self._ready(TICK)
+                if ready and (data := self._read()):
+                    self._send(self.emulator.receive(self._in.apply(data)))
+                self._send(self.emulator.idle())
+        except Pulled:
+            pass
+        except OSError as error:
+            self.error = error
+        except BaseException as error:  # a mistake in an emulator: tests look here
+            self.error = error
+            raise
+        finally:
+            self._close()
+
+    def _send(self, data: bytes) -> None:
+        data = self._out.apply(data)
+        while data and not self._stop.is_set():
+            data = data[self._write(data) :]
+
+    # -- how bytes get there
+
+    def _open(self) -> None:
+        raise NotImplementedError
+
+    def _ready(self, timeout: float) -> bool:
+        raise NotImplementedError
+
+    def _read(self) -> bytes:
+        raise NotImplementedError
+
+    def _write(self, data: bytes) -> int:
+        raise NotImplementedError
+
+    def _close(self) -> None:
+        raise NotImplementedError
+
+
+class PtyServer(Server):
+    """An emulator on a pseudo-terminal; `port` is its path."""
+
+    def _open(self) -> None:
+        try:
+            import pty
+            import tty
+        except ImportError:
+            raise HardwareError(
+                "this system has no pseudo-terminals: serve the emulator with --tcp"
+            ) from None
+        self._master, self._slave = pty.openpty()
+        # Raw, and our own slave stays open: else a client that closes breaks the master's reads.
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(self._slave)
+
+    def _ready(self, timeout: float) -> bool:
+        return bool(select.select([self._master], [], [], timeout)[0])
+
+    def _read(self) -> bytes:
+        return os.read(self._master, CHUNK)
+
+    def _write(self, data: bytes) -> int:
+        try:
+            return os.write(self._master, data)
+        except BlockingIOError:  # the host does not read at present: a real line would lose this
+            select.select([], [self._master], [], TICK)
+            return 0
+
+    def _close(self) -> None:
+        os.close(self._slave)
+        os.close(self._master)
+
+
+class TcpServer(Server):
+    """An emulator on a TCP socket, one host at a time; `port` is a URL of pyserial."""
+
+    def __init__(
+        self, emulator: Emulator, faults: tuple[Fault, ...] = (), address: str = "127.0.0.1:0"
+    ) -> None:
+        super().__init__(emulator, faults)
+        self._address = address
+        self._host: socket.socket | None = None
+
+    def _open(self) -> None:
+        name, _, number = self._address.rpartition(":")
+        try:
+            self._listening = socket.create_server((name, int(number)))
+        except (OSError, ValueError, OverflowError) as error:
+            raise HardwareError(
+                f"--tcp {self._address}: cannot listen there: {error}; give HOST:PORT"
+            ) from None
+        name, number = self._listening.getsockname()[:2]
+        self.port = f"socket://{name}:{number}"
+
+    def _ready(self, timeout: float) -> bool:
+        waiting = self._listening if self._host is None else self._host
+        if not select.select([waiting], [], [], timeout)[0]:
+            return False
+        if self._host is None:
+            self._host, _ = self._listening.accept()
+            self._host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return False
+        return True
+
+    def _read(self) -> bytes:
+        assert self._host is not None
+        try:
+            data = self._host.recv(CHUNK)
+        except ConnectionError:
+            data = b""
+        if not data:
+            self._hang_up()
+        return data
+
+    def _write(self, data: bytes) -> int:
+        if self._host is None:
+            return len(data)
+        try:
+            return self._host.send(data)
+        except ConnectionError:
+            self._hang_up()
+            return len(data)
+
+    def _hang_up(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+    def _close(self) -> None:
+        self._hang_up()
+        self._listening.close()
+
+
+@contextlib.contextmanager
+def serve(emulator: Emulator, *faults: Fault, tcp: bool = False) -> Iterator[Server]:
+    """Serve an emulator while the `with` block runs: on a pseudo-terminal, or on a TCP socket."""
+    server = TcpServer(emulator, faults) if tcp else PtyServer(emulator, faults)
+    server.start()
+    try:
+        yield server
+    finally:
+        server.stop()

@@ -1,0 +1,311 @@
+"""A serial line: one request at a time, each with a deadline, retries that are counted.
+
+Everything that speaks to hardware goes through a `Line`: so every byte can be written to a spy
+file, and a port `replay://FILE` plays such a file back. Errors are `HardwareError`s: `LineTimeout`
+and `DamagedReply` concern one reply, and a request that may be repeated is; `LineLost` is final.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rigtool.errors import HardwareError
+from rigtool.rigs.serial.spy import Event, Replay, Spy
+
+T = TypeVar("T")
+
+REPLAY = "replay://"
+POLL = 0.01
+"""Longest that one read of the port waits, s: deadlines are kept as closely."""
+
+QUIET = 0.02
+"""Silence after which what is left of an older reply has passed, s."""
+
+LONGEST_REPLY = 1 << 20
+"""Bytes without an end of line after which whatever sends them is not what was expected."""
+
+
+class LineTimeout(HardwareError):
+    """Nothing, or only a part, came within the time."""
+
+
+class DamagedReply(HardwareError):
+    """What came is not a whole reply to what was asked: checksum, length, sequence or form."""
+
+
+class LineLost(HardwareError):
+    """The port is gone, or nothing sensible comes any more in spite of retries."""
+
+
+@dataclass
+class LineCounts:
+    """What happened on a line; goes into the run file."""
+
+    requests: int = 0
+    retries: int = 0
+    timeouts: int = 0
+    damaged: int = 0
+    stray_bytes: int = 0
+    bytes_sent: int = 0
+    bytes_received: int = 0
+
+    def as_dict(self) -> dict[str, int]:
+        """Return the counts by name."""
+        return asdict(self)
+
+
+class Line:
+    """An open serial port, closed as a context manager. `port` may be any URL of pyserial.
+
+    Raises `HardwareError` where it cannot be opened, with the remedy. Timeouts are in s.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud_rate: int = 115200,
+        *,
+        timeout: float = 0.2,
+        retries: int = 3,
+        spy: str | Path | None = None,
+        driver: str = "unknown",
+    ) -> None:
+        self.port = port
+        self.timeout = timeout
+        self.retries = retries
+        self.counts = LineCounts()
+        self.opened = time.monotonic()
+        self._port = _open(port, baud_rate)
+        self._buffer = bytearray()
+        self._spy = Spy(spy, driver) if spy is not None else None
+
+    def __enter__(self) -> Line:
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the port; closing twice does no harm."""
+        with contextlib.suppress(OSError):  # it may be gone already
+            self._port.close()
+        if self._spy is not None:
+            self._spy.close()
+            self._spy = None
+
+    # -- time
+
+    def now(self) -> float:
+        """Return the time since the line was opened, s, for set points and time stamps.
+
+        Played back from a spy file it is the time as it was then: use it for whatever enters a
+        command or a recording, and for nothing else.
+        """
+        if isinstance(self._port, Replay) and (then := self._port.clock()) is not None:
+            return then
+        now = time.monotonic() - self.opened
+        self._note(".", b"", now)
+        return now
+
+    def sleep_until(self, moment: float) -> None:
+        """Wait until `now` would return this, s; a played-back line does not wait."""
+        if not isinstance(self._port, Replay):
+            time.sleep(max(0.0, moment - (time.monotonic() - self.opened)))
+
+    # -- bytes
+
+    def write(self, data: bytes) -> None:
+        """Send bytes. Raises `LineLost` where the port is gone or takes nothing any more."""
+        try:
+            self._port.write(data)
+        except HardwareError:
+            raise
+        except OSError as error:
+            raise self._lost(error) from None
+        self.counts.bytes_sent += len(data)
+        self._note(">", data)
+
+    def read_some(self, timeout: float | None = None) -> bytes:
+        """Return what has come, at least a byte; empty after the timeout, s."""
+        if self._buffer:
+            data = bytes(self._buffer)
+            self._buffer.clear()
+            return data
+        return self._receive(self._deadline(timeout))
+
+    def read_exactly(self, size: int, timeout: float | None = None) -> bytes:
+        """Return this many bytes; raises `LineTimeout` where they do not come."""
+        self._fill(lambda: len(self._buffer) >= size, f"{size} bytes", timeout)
+        return self._take(size)
+
+    def read_until(self, end: bytes = b"\n", timeout: float | None = None) -> bytes:
+        """Return bytes up to and with `end`; raises `LineTimeout` where it does not come."""
+        self._fill(lambda: end in self._buffer, f"the end {end!r}", timeout)
+        return self._take(self._buffer.index(end) + len(end))
+
+    def give_back(self, data: bytes) -> None:
+        """Put bytes back that belong to what follows."""
+        self._buffer[:0] = data
+
+    def settle(self, quiet: float = QUIET) -> int:
+        """Drop what comes until the line is silent; return and count how many bytes that were."""
+        dropped = len(self._buffer)
+        self._buffer.clear()
+        limit = time.monotonic() + max(1.0, quiet)
+        while time.monotonic() < limit:
+            data = self._receive(time.monotonic() + quiet)
+            if not data:
+                break
+            dropped += len(data)
+        self.counts.stray_bytes += dropped
+        return dropped
+
+    # -- requests
+
+    def exchange(
+        self,
+        request: bytes,
+        receive: Callable[[], T],
+        *,
+        retries: int | None = None,
+        settle: bool = True,
+    ) -> T:
+        """Send a request and return what `receive` makes of the reply.
+
+        `receive` reads from this line and raises `LineTimeout` or `DamagedReply` where there is no
+        valid reply; then the line is left to settle and the request is repeated, `retries` times,
+        which is counted. A request that must not be done twice has `retries=0`. Raises `LineLost`
+        at last.
+        """
+        attempts = 1 + (self.retries if retries is None else retries)
+        self.counts.requests += 1
+        for attempt in range(attempts):
+            if attempt:
+                self.counts.retries += 1
+                if settle:
+                    self.settle()
+            self.write(request)
+            try:
+                return receive()
+            except LineTimeout as error:
+                self.counts.timeouts += 1
+                problem: HardwareError = error
+            except DamagedReply as error:
+                self.counts.damaged += 1
+                problem = error
+        raise LineLost(
+            f"{self.port}: no valid reply to {request[:40]!r} in {attempts} "
+            f"attempt{'s' if attempts > 1 else ''}: {problem}; check power, cable, baud rate, and "
+            "that no other program reads from this port"
+        )
+
+    def ask(
+        self,
+        request: bytes,
+        accept: Callable[[bytes], T | None],
+        *,
+        end: bytes = b"\n",
+        timeout: float | None = None,
+        retries: int | None = None,
+    ) -> T:
+        """Send a request and return what `accept` makes of the line that answers it.
+
+        `accept` gets a line without its end and returns None where that is not the answer to this
+        request, e.g. a late one to an older question: the next line is tried until the timeout. It
+        raises `DamagedReply` where the request is to be repeated, `HardwareError` where it was
+        refused. See `exchange`.
+        """
+
+        def receive() -> T:
+            deadline = self._deadline(timeout)
+            while True:
+                line = self.read_until(end, max(0.0, deadline - time.monotonic()))
+                answer = accept(line.removesuffix(end).rstrip(b"\r"))
+                if answer is not None:
+                    return answer
+                self.counts.stray_bytes += len(line)
+
+        return self.exchange(request, receive, retries=retries)
+
+    # -- inside
+
+    def _deadline(self, timeout: float | None) -> float:
+        return time.monotonic() + (self.timeout if timeout is None else timeout)
+
+    def _fill(self, enough: Callable[[], bool], what: str, timeout: float | None) -> None:
+        deadline = self._deadline(timeout)
+        while not enough():
+            data = self._receive(deadline)
+            if not data:
+                got = bytes(self._buffer[:40])
+                raise LineTimeout(f"{self.port}: {what} did not come in time, only {got!r}")
+            self._buffer += data
+            if len(self._buffer) > LONGEST_REPLY:
+                raise DamagedReply(f"{self.port}: {len(self._buffer)} bytes came without {what}")
+
+    def _take(self, size: int) -> bytes:
+        data = bytes(self._buffer[:size])
+        del self._buffer[:size]
+        return data
+
+    def _receive(self, deadline: float) -> bytes:
+        """Return what has come on the port, at least a byte; empty after the deadline."""
+        while True:
+            try:
+                data: bytes = self._port.read(max(1, self._port.in_waiting))
+            except HardwareError:
+                raise
+            except OSError as error:
+                raise self._lost(error) from None
+            if data:
+                self.counts.bytes_received += len(data)
+                self._note("<", data)
+                return data
+            if time.monotonic() >= deadline:
+                return b""
+
+    def _note(self, kind: str, data: bytes, now: float | None = None) -> None:
+        if self._spy is not None:
+            moment = time.monotonic() - self.opened if now is None else now
+            self._spy.note(Event(moment, kind, data))
+
+    def _lost(self, error: OSError) -> LineLost:
+        return LineLost(
+            f"{self.port}: the line is lost ({error}): cable pulled, device switched off or reset"
+        )
+
+
+def _open(port: str, baud_rate: int) -> Any:
+    if port.startswith(REPLAY):
+        return Replay(port.removeprefix(REPLAY))
+    import serial
+
+    try:
+        return serial.serial_for_url(
+            port, baudrate=baud_rate, timeout=POLL, write_timeout=1.0, exclusive=True
+        )
+    except (OSError, ValueError) as error:
+        raise HardwareError(f"{port}: cannot be opened: {_why(error)}") from None
+
+
+def _why(error: OSError | ValueError) -> str:
+    number = getattr(error, "errno", None)
+    text = str(error)
+    if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in text:
+        return "another program has it open: close that one"
+    if number == errno.ENOENT or "FileNotFoundError" in text:
+        return "there is no such port; `rigtool devices` lists those there are"
+    if number == errno.EACCES or "PermissionError" in text:
+        return (
+            "permission denied: on Linux your user must be in the group of the port (often "
+            "dialout); on Windows another program has it open"
+        )
+    if "Connection refused" in text or number == errno.ECONNREFUSED:
+        return "nothing listens at this address"
+    return text

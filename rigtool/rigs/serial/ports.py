@@ -1,0 +1,64 @@
+"""Which ports there are, and what answers on them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rigtool.errors import HardwareError
+from rigtool.rigs.serial.drivers import available, driver_module
+from rigtool.rigs.serial.line import Line
+
+PROBE_TIME = 0.15
+"""Longest wait for an answer to a question that only one kind of device understands, s."""
+
+
+@dataclass(frozen=True)
+class Device:
+    """A port and what is known of it: `driver` and `identity` are empty where nothing answers.
+
+    `problem` says why a port could not be asked.
+    """
+
+    port: str
+    description: str
+    driver: str = ""
+    identity: str = ""
+    problem: str = ""
+
+
+def list_ports() -> list[tuple[str, str]]:
+    """Return the serial ports of this computer, each with what the system calls it."""
+    from serial.tools import list_ports
+
+    return sorted((item.device, item.description or "") for item in list_ports.comports())
+
+
+def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iterator[Device]:
+    """Ask on these ports, or on all of this computer, which of these drivers' devices answers.
+
+    Only questions are asked: nothing moves and nothing is changed.
+    """
+    known = dict(list_ports())
+    for port in ports or known:
+        yield _ask_on(port, known.get(port, ""), drivers or available())
+
+
+def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
+    problem = ""
+    for name in drivers:
+        module = driver_module(name)
+        try:
+            with Line(port, module.BAUD_RATE, timeout=PROBE_TIME, retries=0) as line:
+                line.settle()
+                identity = module.probe(line)
+        except HardwareError as error:
+            problem = str(error) if "cannot be opened" in str(error) else ""
+            if problem:
+                break
+            time.sleep(PROBE_TIME / 5)  # what the last question may still bring about
+            continue
+        if identity:
+            return Device(port, description, name, identity)
+    return Device(port, description, problem=problem)

@@ -1,0 +1,286 @@
+"""What all rigs on a serial line share: limits, permission, the operator, the way out."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import HardwareError
+from rigtool.recipe import Recipe
+from rigtool.rigs.base import NEEDS, Block, Load, Task
+from rigtool.rigs.bench import Bench
+from rigtool.rigs.motion import Move
+from rigtool.rigs.serial import safety
+from rigtool.rigs.serial.instruments import Gauge, open_gauge
+from rigtool.rigs.serial.line import Line
+
+Array = NDArray[np.float64]
+
+SETTLE_TIME = 0.5
+"""Added to each move between recordings, s."""
+
+
+class SerialRig(ABC):
+    """A rig behind a `Line`, as a context manager: on any exit it is stopped, off and restored.
+
+    Subclasses fill in `_connect`, `_execute`, `_halt`, `_restore`, `_position` and `_reason`.
+    """
+
+    def __init__(self, recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> None:
+        assert recipe.serial is not None
+        self._recipe, self._settings = recipe, recipe.serial
+        self._limits = recipe.serial.limits
+        self._torque_constant = torque_constant
+        self._use, self._bench = use, bench
+        self._line: Line | None = None
+        self._identity = ""
+        self._permitted = False
+        self._load = Load()
+        self._clamp_angle = math.nan
+        self._gauges: dict[str, Gauge] = {
+            name: open_gauge(name, settings, bench.operator)
+            for name, settings in (
+                ("force", recipe.serial.force),
+                ("temperature", recipe.serial.temperature),
+            )
+            if settings is not None
+        }
+        self.missing = 0  # samples that were never received
+        self.notes: list[str] = []
+
+    # -- for subclasses
+
+    @abstractmethod
+    def _open_line(self) -> Line:
+        """Open the line with the driver's own settings."""
+
+    @abstractmethod
+    def _connect(self) -> str:
+        """Identify, set limits and watchdog; return the identity. Nothing moves."""
+
+    @abstractmethod
+    def _execute(self, task: Task) -> Iterator[Block]:
+        """Run a checked and permitted task; on an exception, leave the rest to `_halt`."""
+
+    @abstractmethod
+    def _halt(self) -> None:
+        """Stop and switch off, whatever state."""
+
+    @abstractmethod
+    def _restore(self) -> None:
+        """Bring back changed settings."""
+
+    @abstractmethod
+    def _position(self) -> float:
+        """Return where the shaft is, rad."""
+
+    @abstractmethod
+    def _reason(self, need: str) -> str | None:
+        """Return why a need or channel is not offered by what is on the line, None where it is."""
+
+    def _set_load(self, load: Load) -> None:
+        """Bring about what acts from outside; the operator does, unless the rig can."""
+        self._ask_for_load(load)
+
+    @property
+    def line(self) -> Line:
+        """The open line."""
+        assert self._line is not None, "use the rig as a context manager"
+        return self._line
+
+    # -- in and out
+
+    def __enter__(self) -> Self:
+        """Connect, identify, set limits and watchdog; nothing moves."""
+        self._line = self._open_line()
+        try:
+            for gauge in self._gauges.values():
+                gauge.__enter__()
+            self._identity = self._connect()
+        except BaseException as error:
+            self.__exit__(type(error), error, error.__traceback__)
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Stop, switch off, restore, let go. What fails here is said, and hides no error."""
+        problems = []
+        with safety.uninterrupted():
+            for what, act in (("stop", self._halt), ("restore its settings", self._restore)):
+                try:
+                    act()
+                except HardwareError as failure:
+                    problems.append(f"the drive could not be told to {what}: {failure}")
+                    break  # the line is gone: what follows would only wait
+            for gauge in self._gauges.values():
+                gauge.__exit__(None, None, None)
+            if self._line is not None:
+                self._line.close()
+        if problems:
+            text = (
+                f"{'; '.join(problems)}. Its watchdog stops it after {self._settings.watchdog:g} s "
+                "of silence: see that it stands still before you touch it"
+            )
+            if error is None:
+                raise HardwareError(text)
+            error.add_note(text)
+
+    # -- what is offered
+
+    def lacks(self, need: str) -> str | None:
+        """Return why a need or channel is not offered; None where it is."""
+        if need in self._gauges or need == "rotor_angle":
+            return None
+        reason = self._reason(need)
+        if reason is not None and need in ("load", "clamp", "soak", "power_cycle"):
+            if self._settings.operator:
+                return None
+            return f"{reason}, and serial.operator is false: nobody is there to {NEEDS[need]}"
+        return reason
+
+    def permit(self, plan: str) -> None:
+        """Show what is about to happen, and let the operator agree to it."""
+        self._bench.permit(f"{self._identity} on {self.line.port}\n{plan}")
+        self._permitted = True
+
+    @property
+    def position(self) -> float:
+        """Where the shaft is, rad."""
+        return self._position()
+
+    def report(self) -> str:
+        """Return what is to be kept about the line with a run, as JSON."""
+        facts: dict[str, Any] = {
+            "driver": self._settings.driver,
+            "port": self._settings.port,
+            "identity": self._identity,
+            "missing_samples": self.missing,
+            **self.line.counts.as_dict(),
+            **self._facts(),
+        }
+        return json.dumps(facts, sort_keys=True)
+
+    def _facts(self) -> Mapping[str, Any]:
+        """Return what a subclass adds to the report."""
+        return {}
+
+    # -- motions
+
+    def perform(self, task: Task) -> Iterator[Block]:
+        """Run a task and yield its signals in blocks; moves to the motion's start first."""
+        self._require_permission(task)
+        self._set_load(task.load)
+        for gauge in self._gauges.values():
+            gauge.begin()
+        watch = safety.Watch(self._limits, self._recipe.rig.encoder_counts)
+        complete = False
+        try:
+            for block in self._execute(task):
+                self._add_instruments(block, task.load)
+                problem = watch.problem(block)
+                if problem:
+                    with safety.uninterrupted():
+                        self._halt()
+                    yield block
+                    raise HardwareError(problem)
+                yield block
+            complete = True
+        finally:
+            if not complete:
+                with safety.uninterrupted():
+                    self._halt_quietly()
+
+    def move_by(self, angle: float) -> None:
+        """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
+        speed = safety.speed_of_moves(self._limits)
+        for _ in self.perform(Task(Move(angle, SETTLE_TIME + abs(angle) / speed), load=self._load)):
+            pass
+
+    def _require_permission(self, task: Task) -> None:
+        rig = self._recipe.rig
+        found = safety.extremes(task, self._position(), rig.sample_time, self._torque_constant)
+        safety.check(found, self._limits, f"{type(task.motion).__name__}")
+        if not self._permitted:
+            self.permit(f"{type(task.motion).__name__}: {found}")
+
+    def _halt_quietly(self) -> None:
+        # The error that led here is the one to tell; leaving the rig tries again, and tells.
+        with contextlib.suppress(HardwareError):
+            self._halt()
+
+    def _add_instruments(self, block: Block, load: Load) -> None:
+        for name, gauge in self._gauges.items():
+            block[name] = gauge.at(self._host_time(block["time"]))
+        if load.clamped and "rotor_angle" not in block:
+            block["rotor_angle"] = np.full(len(block["time"]), self._clamp_angle)
+
+    def _host_time(self, time: Array) -> Array:
+        """Return `time.monotonic()` at these times of the bench clock, s."""
+        return self.line.opened + time
+
+    # -- the operator
+
+    def clamp(self, angle: float) -> None:
+        """Clamp the arm with the shaft at this angle, rad."""
+        degrees = math.degrees(angle)
+        here = math.degrees(self._position())
+        self._bench.operator.done(
+            f"Clamp the arm on the force gauge with the shaft at {degrees:.1f} deg (now "
+            f"{here:.1f} deg)"
+        )
+        self._clamp_angle = self._position()
+
+    def soak(self, temperature_degc: float) -> None:
+        """Wait until the motor has this temperature throughout, degC."""
+        self._bench.operator.done(
+            f"Bring the motor to {temperature_degc:g} degC and wait until it has it throughout"
+        )
+
+    def power_cycle(self) -> None:
+        """Switch the amplifier off and on: it calibrates itself anew."""
+        self._halt()
+        self._bench.operator.done("Switch the amplifier off and on again")
+        self._reconnect()
+
+    def _reconnect(self) -> None:
+        self.line.settle()
+        self._identity = self._connect()
+
+    def _ask_for_load(self, load: Load) -> None:
+        if load == self._load:
+            return
+        asked = describe_load(load, self._recipe.rig.attachment)
+        self._halt()
+        self._bench.operator.done(asked)
+        self._load = load
+
+
+def describe_load(load: Load, attachment: str) -> str:
+    """Return what the operator has to do for a load, as a request."""
+    parts = []
+    if load.force:
+        where = "the grasper" if attachment == "instrument" else "the cord on the pulley"
+        parts.append(f"hang {load.force:g} N ({load.force / 9.81 * 1e3:.1f} g) on {where}")
+    if load.torque:
+        parts.append(f"load the shaft with {load.torque * 1e3:g} mN m (weight on a cord)")
+    if load.radial_force:
+        parts.append(f"pull the shaft sideways with {load.radial_force:g} N")
+    if not parts:
+        parts.append("take all loads off")
+    if load.clamped:
+        parts.append("leave the arm clamped on the force gauge")
+    text = ", ".join(parts)
+    return text[0].upper() + text[1:]

@@ -1,0 +1,156 @@
+"""A drive that exists nowhere, with the simplest protocol that has all a driver needs.
+
+Lines of text: `m` measures, `s MODE POSITION SPEED CURRENT` sets and measures, `e MODE` enables,
+`h` halts, `l VALUE` sets the limit of current, `w SECONDS` the watchdog, `i` identifies. Answers
+end with a checksum, the sum of all bytes.
+"""
+
+import time
+
+from rigtool.errors import HardwareError
+from rigtool.rigs.serial.drive import Abilities, Sample, SetPoint
+from rigtool.rigs.serial.emulators.motor import Motor
+from rigtool.rigs.serial.emulators.server import Emulator
+from rigtool.rigs.serial.line import DamagedReply
+
+BAUD_RATE = 115200
+
+
+def make_drive(line, recipe):
+    return ToyDrive(line)
+
+
+def probe(line):
+    return line.ask(b"i\n", lambda text: text.decode() if text.startswith(b"toy") else None)
+
+
+def sealed(text):
+    return f"{text} {sum(text.encode()) % 256}\n".encode()
+
+
+class ToyEmulator(Emulator):
+    def __init__(self, watchdog_works=True):
+        self.motor = Motor()
+        self.log = []
+        self.watchdog_works = watchdog_works
+        self.reset()
+
+    def reset(self):
+        self.buffer = b""
+        self.mode, self.target = None, (0.0, 0.0, 0.0)
+        self.limit, self.watchdog, self.fed = 20.0, 0.0, time.monotonic()
+        self.refusals = 0
+        self.session = 0
+
+    def refuse(self, count):
+        self.refusals = count
+
+    def receive(self, data):
+        self.buffer += data
+        *lines, self.buffer = self.buffer.split(b"\n")
+        return b"".join(self.answer(line.decode("latin-1").split()) for line in lines)
+
+    def idle(self):
+        self.turn()
+        if self.mode and self.watchdog and time.monotonic() - self.fed > self.watchdog:
+            self.mode = None
+            self.log.append("watchdog")
+        return b""
+
+    def turn(self):
+        self.motor.advance(self.mode, *self.target)
+
+    def measured(self):
+        self.turn()
+        m = self.motor
+        return sealed(f"m {m.position!r} {m.speed!r} {m.current!r} {m.current_setpoint!r}")
+
+    def answer(self, words):
+        self.fed = time.monotonic()
+        match words:
+            case ["i"]:
+                return sealed("toy 1")
+            case ["m"]:
+                return self.measured()
+            case _ if self.refusals:
+                self.refusals -= 1
+                return sealed("refused")
+            case ["s", _, *numbers]:
+                self.target = tuple(float(number) for number in numbers)
+                return self.measured() if self.mode else sealed("off")
+            case ["e", mode]:
+                self.turn()
+                self.mode = mode
+                self.target = (self.motor.position, 0.0, 0.0)
+            case ["h"]:
+                self.turn()
+                self.mode = None
+                self.log.append("halt")
+            case ["l", value]:
+                old, self.limit = self.limit, float(value)
+                self.motor.current_limit = self.limit
+                self.log.append(f"limit {value}")
+                return sealed(f"ok {old!r}")
+            case ["w", value]:
+                self.watchdog = float(value) if self.watchdog_works else 0.0
+            case _:
+                return b"what?\n"
+        return sealed("ok")
+
+
+class ToyDrive:
+    abilities = Abilities(
+        frozenset({"position", "velocity", "current"}),
+        True,
+        frozenset({"current", "current_setpoint"}),
+    )
+
+    def __init__(self, line):
+        self.line = line
+        self.before = None
+        self.mode = None
+
+    def ask(self, request, kind, **options):
+        def accept(text):
+            body, _, check = text.rpartition(b" ")
+            if not check.isdigit() or int(check) != sum(body) % 256:
+                raise DamagedReply(f"{text!r}: wrong checksum")
+            if body.startswith(b"refused"):
+                raise HardwareError("toy: refuses")
+            if body.startswith(b"off"):
+                raise HardwareError("toy: is switched off: watchdog or reset")
+            return body.split()[1:] if body.startswith(kind) else None
+
+        return self.line.ask(request, accept, **options)
+
+    def connect(self):
+        return "toy " + self.ask(b"i\n", b"toy")[0].decode()
+
+    def configure(self, limits, watchdog):
+        if self.before is None:
+            self.before = float(self.ask(f"l {limits.current!r}\n".encode(), b"ok")[0])
+        self.ask(f"w {watchdog!r}\n".encode(), b"ok")
+        return ["has no limit of speed"]
+
+    def enable(self, mode):
+        self.mode = mode
+        self.ask(f"e {mode}\n".encode(), b"ok")
+
+    def step(self, setpoint: SetPoint):
+        numbers = f"{setpoint.position!r} {setpoint.speed!r} {setpoint.current!r}"
+        return self.sample(self.ask(f"s {self.mode} {numbers}\n".encode(), b"m"))
+
+    def read(self):
+        return self.sample(self.ask(b"m\n", b"m"))
+
+    def sample(self, words):
+        position, speed, current, asked = (float(word) for word in words)
+        return Sample(self.line.now(), position, speed, current, asked)
+
+    def halt(self):
+        self.ask(b"h\n", b"ok")
+
+    def restore(self):
+        if self.before is not None:
+            self.ask(f"l {self.before!r}\n".encode(), b"ok")
+            self.before = None
