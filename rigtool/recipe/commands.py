@@ -83,9 +83,9 @@ class IdentifyPlant(Section):
     settle_time: float = Field(0.1, ge=0, description="left out after each change of speed, s")
     lines: int = Field(40, ge=8, description="frequencies, evenly in logarithm, at most")
     frequency_min: float = Field(4.0, gt=0, description="lowest excited frequency, Hz")
-    frequency_max: float = Field(400.0, gt=0, description="highest excited frequency, Hz")
+    frequency_max: float = Field(250.0, gt=0, description="highest excited frequency, Hz")
     swing: float = Field(
-        0.5, gt=0, lt=1, description="peak of the excited speed, relative to the shaft's speed"
+        0.7, gt=0, lt=1, description="peak of the excited speed, relative to the shaft's speed"
     )
     current_share: float = Field(
         0.5, gt=0, lt=1, description="of the current limit that the excitation may use"
