@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from rigtool.recipe.base import Section
+from rigtool.recipe.turning import Trajectory, Turning
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -114,8 +115,11 @@ class IdentifyPlant(Section):
 
 
 class IlcLearn(Section):
-    """Learning by position and speed on a limited angle [7.2.4.2]."""
+    """Learning by position and speed; speeds, moves and angles are those of C [7.2.4]."""
 
+    implementation: Literal["A", "B", "C", "D", "standard"] = Field(
+        "C", description="way to learn, by the thesis's letter"
+    )
     speeds_rev_per_s: tuple[Positive, ...] = Field(
         (0.2, 1, 2, 3, 4, 5), min_length=1, description="learned in both directions, rev/s"
     )
@@ -130,12 +134,20 @@ class IlcLearn(Section):
     robustness_hz: float = Field(100.0, gt=0, description="cut-off of the Q filter, Hz")
     robustness_order: int = Field(4, ge=1, le=10, description="of the Butterworth in Q")
     learning_factor: float = Field(1.0, gt=0, lt=2, description="p in f + p L q")
+    iterations: int | None = Field(
+        None, ge=1, description="learning runs at most; without it A and standard ten, others one"
+    )
+    validation: bool = Field(
+        False, description="also sweep, and turn at speeds that were not learned, table off and on"
+    )
     learning_filter: Literal["zpetc", "frf"] = Field(
         "zpetc", description="L: zero-phase inverse of the model, or inverse of the measured FRF"
     )
     cancel_radius: float = Field(
         0.999, gt=0, lt=1, description="zeros of T outside are not cancelled by ZPETC"
     )
+    turning: Turning = Turning()
+    trajectory: Trajectory = Trajectory()
 
     @model_validator(mode="after")
     def _turn_fits_end(self) -> IlcLearn:
