@@ -131,17 +131,28 @@ def turn_spectrum(waveforms: Array, orders: int) -> Spectrum:
     """Return the orders 1..`orders` of what repeats in turns (turns, positions).
 
     One turn alone does not show what repeats: then the noise floor of an order is that of the
-    orders around it, whose median amplitude is sqrt(ln 2) of the rms (Rayleigh distribution).
+    orders around it.
     """
     if len(waveforms) > 1:
         return spectrum(remove_offset(waveforms), orders)
     found = coefficients(waveforms, orders)[0]
     amplitude = np.abs(found)
-    floor = np.empty(orders)
-    for index in range(orders):
+    floor = neighbours_floor(amplitude)
+    return Spectrum(np.arange(1.0, orders + 1), amplitude, np.angle(found), floor)
+
+
+def neighbours_floor(amplitude: Array) -> Array:
+    """Return the noise floor of orders 1, 2, ... (m,) that the amplitudes around each tell.
+
+    Their median is sqrt(ln 2) of the rms where they are noise (Rayleigh distribution). Zero where
+    there is one order alone.
+    """
+    orders = len(amplitude)
+    floor = np.zeros(orders)
+    for index in range(orders if orders > 1 else 0):
         around = np.r_[max(0, index - NEIGHBOURS) : index, index + 1 : index + 1 + NEIGHBOURS]
         floor[index] = np.median(amplitude[around[around < orders]]) / math.sqrt(math.log(2))
-    return Spectrum(np.arange(1.0, orders + 1), amplitude, np.angle(found), floor)
+    return floor
 
 
 def reduction(reference: Spectrum, other: Spectrum) -> tuple[Array, Array]:
