@@ -1,0 +1,272 @@
+"""Functions of motion that make a load model: position, speed, direction, way since reversal.
+
+All are smooth, without unit, and pass the same low-pass as the signals that they explain, so that
+the equation still holds between them:
+
+    splines in position, for each direction          ripple, friction that depends on position
+    speed and its logarithm                          viscous and Stribeck friction
+    acceleration                                     inertia
+    exp(-way since reversal / length)                pre-sliding: friction that builds up [Dahl]
+    cos and sin of orders of the encoder's turn      ripple of the motor, half orders included
+
+P. R. Dahl, AIAA Journal 14(12) 1675-1682, 1976: friction approaches its level with the way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rigtool.analysis.force import lowpass_at
+from rigtool.analysis.signals import require_rising, require_signals
+from rigtool.errors import InsufficientDataError
+
+Array = NDArray[np.float64]
+
+WORK_RATE = 40
+"""Samples for each period of the cut-off at which functions are computed."""
+
+ROW_RATE = 10
+"""Samples for each period of the cut-off that are kept, after the low-pass."""
+
+SPEED_BAND = 2
+"""The position passes this many times the bandwidth before it is differentiated."""
+
+STANDSTILL = 0.05
+"""Speeds below this part of the highest are near standstill: friction is undetermined there."""
+
+OUTLIER = 2.0
+"""A speed beyond this many times the recording's 95th percentile is a transient, such as homing."""
+
+ORDERS = tuple(k / 2 for k in range(1, 9))
+"""Orders of the encoder's turn; halves are of teeth that meet again every second turn."""
+
+TURNS = 2.0
+"""Fewer turns than this tell no orders: position says it all."""
+
+LENGTHS = tuple(2.0**-k for k in range(3, 8))
+"""Lengths of pre-sliding that are tried, in parts of the stroke."""
+
+SPLINES = {"offset": 32, "load": 10, "load_squared": 5, "speed": 5}
+"""Splines along the stroke, by what they modulate; how smooth they are is for the data to say."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """How a shaft moved: rows (n,) at even times, s; position in rad or m, speed, acceleration.
+
+    `direction` is near 1 or -1 while moving; `reversed_at` (n,) is the position of the last
+    reversal; `regular` marks rows that are no part of a transient. `factor` and `rate` turn rows
+    into more finely spaced ones: arrays named `fine_*` (m,) are before the low-pass.
+    """
+
+    time: Array
+    position: Array
+    speed: Array
+    acceleration: Array
+    regular: NDArray[np.bool_]
+    fine_position: Array
+    fine_speed: Array
+    rate: float
+    factor: int
+    bandwidth_hz: float
+
+    def thin(self, fine: Array) -> Array:
+        """Return signals (..., m) low-passed, at the rows (..., n)."""
+        thinned: Array = lowpass_at(self.rate, fine, self.bandwidth_hz)[..., :: self.factor]
+        return thinned
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What makes position, speed and torque numbers near 1; `turn` is 0 where orders tell nothing.
+
+    `low` and `high` bound the position, `standstill` is the speed below which the direction is
+    undetermined, `lengths` are those of pre-sliding, in the unit of position.
+    """
+
+    low: float
+    high: float
+    speed: float
+    standstill: float
+    acceleration: float
+    torque: float
+    turn: float
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        """Lengths of pre-sliding in the unit of position."""
+        return tuple(part * (self.high - self.low) for part in LENGTHS)
+
+
+def block_means(values: Array, size: int) -> Array:
+    """Return means of `size` samples each (n // size,): a first, coarse low-pass."""
+    count = len(values) // size
+    means: Array = values[: count * size].reshape(count, size).mean(axis=1)
+    return means
+
+
+def follow(
+    time: ArrayLike, position: ArrayLike, bandwidth_hz: float, *signals: ArrayLike
+) -> tuple[Path, list[Array]]:
+    """Return the path of a recording, and other signals at its rows, low-passed without phase.
+
+    Signals are (n,), at a constant rate. Raises `InsufficientDataError` where rate or length do not
+    carry the bandwidth.
+    """
+    arrays = {f"signal {i}": signal for i, signal in enumerate(signals)}
+    t, p, *rest = require_signals(20, time=time, position=position, **arrays)
+    step = require_rising(t)
+    size = max(1, math.floor(1 / (step * WORK_RATE * bandwidth_hz) * (1 + 1e-6)))
+    t, p, *rest = (block_means(values, size) for values in (t, p, *rest))
+    rate = 1 / (step * size)
+    factor = max(1, round(rate / (ROW_RATE * bandwidth_hz)))
+    smooth = lowpass_at(rate, p, min(SPEED_BAND * bandwidth_hz, 0.45 * rate))
+    speed = np.gradient(smooth, 1 / rate)
+    rows = slice(None, None, factor)
+    slow = np.gradient(lowpass_at(rate, p, bandwidth_hz), 1 / rate)
+    path = Path(
+        time=t[rows],
+        position=lowpass_at(rate, p, bandwidth_hz)[rows],
+        speed=slow[rows],
+        acceleration=np.gradient(slow, 1 / rate)[rows],
+        regular=~_transient(speed, round(rate / bandwidth_hz))[rows],
+        fine_position=p,
+        fine_speed=speed,
+        rate=rate,
+        factor=factor,
+        bandwidth_hz=bandwidth_hz,
+    )
+    return path, [path.thin(values) for values in rest]
+
+
+def _transient(speed: Array, memory: int) -> NDArray[np.bool_]:
+    """Mark speeds far beyond the usual ones, and what the low-pass spreads them to."""
+    magnitude = np.abs(speed)
+    wild = magnitude > OUTLIER * max(float(np.percentile(magnitude, 95)), 1e-300)
+    if not wild.any():
+        return wild
+    spread: NDArray[np.bool_] = np.convolve(wild, np.ones(2 * memory + 1), "same") > 0.5
+    return spread
+
+
+def find_scales(paths: Sequence[Path], torques: Sequence[Array], turn: float) -> Scales:
+    """Return the scales of recordings; `turn` is one turn of the encoder in the unit of position.
+
+    Raises `InsufficientDataError` where nothing moves or no load acts.
+    """
+    position = np.concatenate([path.position[path.regular] for path in paths])
+    speed = np.abs(np.concatenate([path.speed[path.regular] for path in paths]))
+    torque = np.concatenate([t[path.regular] for path, t in zip(paths, torques, strict=True)])
+    low, high = float(position.min()), float(position.max())
+    highest = float(np.percentile(speed, 99))
+    load = float(np.max(np.abs(torque)))
+    if not (high > low and highest > 0):
+        raise InsufficientDataError("nothing moves in these recordings: record strokes to and fro")
+    if load == 0:
+        raise InsufficientDataError("the reference torque is zero throughout: apply loads")
+    acceleration = np.concatenate([path.acceleration[path.regular] for path in paths])
+    return Scales(
+        low=low,
+        high=high,
+        speed=highest,
+        standstill=STANDSTILL * highest,
+        acceleration=max(float(np.percentile(np.abs(acceleration), 99)), 1e-300),
+        torque=load,
+        turn=turn if turn > 0 and high - low >= TURNS * turn else 0.0,
+    )
+
+
+def splines(place: Array, count: int) -> Array:
+    """Return cubic B-splines (n, count) along 0..1; beyond the ends they stay as they are there."""
+    from scipy.interpolate import BSpline
+
+    knots = np.concatenate([np.zeros(3), np.linspace(0, 1, count - 2), np.ones(3)])
+    matrix: Array = BSpline.design_matrix(np.clip(place, 0, 1), knots, 3).toarray()
+    return matrix
+
+
+def motion_functions(path: Path, scales: Scales, direction: float = 0.0) -> dict[str, Array]:
+    """Return the functions by group, each (n, columns), at the rows of a path.
+
+    `direction` 1 or -1 is taken as the direction throughout, without memory of reversals: the two
+    give the edges of the dead band; 0 takes it from the motion.
+    """
+    speed = path.fine_speed / scales.speed
+    rest = scales.standstill / scales.speed
+    place = (path.fine_position - scales.low) / (scales.high - scales.low)
+    magnitude = np.abs(speed)
+    way = np.full_like(speed, direction) if direction else speed / np.hypot(speed, rest)
+    sides = np.stack([(1 + way) / 2, (1 - way) / 2])
+    slowness = np.log(np.hypot(magnitude, rest))
+    # What is not yet there of the friction, from the way since the reversal
+    memory = np.zeros((len(scales.lengths), len(way)))
+    if not direction:
+        memory = _since_reversal(path, scales) * np.sign(speed)
+    groups = {
+        "offset": _sided(splines(place, SPLINES["offset"]).T, sides),
+        "load": _sided(splines(place, SPLINES["load"]).T, sides),
+        "load_squared": _sided(splines(place, SPLINES["load_squared"]).T, sides),
+        "viscous": _sided(splines(place, SPLINES["speed"]).T * magnitude, sides),
+        "stribeck": _sided(splines(place, SPLINES["speed"]).T * slowness, sides),
+        "load_speed": _sided(np.stack([magnitude, slowness]), sides),
+        "inertia": np.gradient(path.fine_speed, 1 / path.rate)[None] / scales.acceleration,
+        "memory": _sided(memory, sides),
+        "load_memory": _sided(memory, sides),
+    }
+    if scales.turn:
+        angle = path.fine_position * (2 * math.pi / scales.turn)
+        waves = [f(order * angle) for order in ORDERS for f in (np.cos, np.sin)]
+        groups["ripple"] = _sided(np.stack(waves), sides)
+        groups["load_ripple"] = np.stack(waves)
+    return {name: path.thin(columns).T for name, columns in groups.items()}
+
+
+LOAD_POWER = {"load": 1, "load_squared": 2, "load_speed": 1, "load_memory": 1, "load_ripple": 1}
+"""Power of the torque that a group is multiplied by; others stand alone."""
+
+SPLINE_COUNT = {
+    "offset": SPLINES["offset"],
+    "load": SPLINES["load"],
+    "load_squared": SPLINES["load_squared"],
+    "viscous": SPLINES["speed"],
+    "stribeck": SPLINES["speed"],
+}
+"""Columns of one direction, of groups whose neighbouring columns belong together."""
+
+
+def _sided(columns: Array, sides: Array) -> Array:
+    """Return columns (k, m) for each direction (2, m) by itself: (2 k, m)."""
+    product: Array = (sides[:, None, :] * columns[None]).reshape(-1, columns.shape[1])
+    return product
+
+
+def _since_reversal(path: Path, scales: Scales) -> Array:
+    """Return exp(-way since the last reversal / length), one row a length, (k, m)."""
+    speed, place = path.fine_speed, path.fine_position
+    sign = np.where(np.abs(speed) >= scales.standstill, np.sign(speed), 0.0)
+    decided = np.flatnonzero(sign)
+    lengths = np.array(scales.lengths)[:, None]
+    if not len(decided):
+        return np.zeros((len(lengths), len(speed)))
+    turned = decided[1:][np.diff(sign[decided]) != 0]
+    before = decided[:-1][np.diff(sign[decided]) != 0]
+    # Where the direction changes between two decided samples, the extreme is the reversal.
+    start = place.copy()
+    start[:] = np.nan
+    for first, last in zip(before, turned, strict=True):
+        part = place[first : last + 1]
+        extreme = int(np.argmax(part) if sign[first] > 0 else np.argmin(part))
+        start[first + extreme] = part[extreme]
+    known = np.flatnonzero(np.isfinite(start))
+    if not len(known):
+        return np.zeros((len(lengths), len(speed)))
+    latest = np.searchsorted(known, np.arange(len(place)), side="right") - 1
+    way = np.abs(place - start[known[np.maximum(latest, 0)]])
+    way[latest < 0] = math.inf  # what was before the recording is not known: as if long ago
+    decay: Array = np.exp(-way / lengths)
+    return decay
