@@ -18,11 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.analysis.measured_loop import MeasuredLoop
 from rigtool.analysis.plant import ComplexArray, TransferFunction
 from rigtool.errors import InsufficientDataError
 
@@ -30,6 +31,19 @@ Array = NDArray[np.float64]
 
 UNIT_CIRCLE_MARGIN = 1e-9
 """A cancelled zero this close to the unit circle would make L infinite at its frequency."""
+
+
+class Inverse(Protocol):
+    """A learning filter L, whichever way it was made."""
+
+    @property
+    def advance(self) -> int:
+        """Samples by which L is advanced in time."""
+        ...
+
+    def response(self, frequency: Array, *, shifted: bool = True) -> ComplexArray:
+        """Return L (n,) at these frequencies, Hz; without `advance` where not `shifted`."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,14 +136,22 @@ def robustness_gain(frequency: Array, *, cutoff_hz: float, order: int, sample_ti
 class Learning:
     """All that one learning update needs: the loop T, L, and the settings of Q and p.
 
-    `cutoff_hz` and `order` are of the Butterworth in Q, `factor` is p.
+    `cutoff_hz` and `order` are of the Butterworth in Q, `factor` is p. `system` is the model of T;
+    `measured` is the loop around the measured plant, where there is one.
     """
 
     system: TransferFunction
-    inverse: LearningFilter
+    inverse: Inverse
     cutoff_hz: float
     order: int
     factor: float
+    measured: MeasuredLoop | None = None
+
+    def loop_response(self, frequency: Array) -> ComplexArray:
+        """Return T (n,) at these frequencies, Hz: measured if it was, else the model's."""
+        if self.measured is None:
+            return self.system.response(frequency)
+        return self.measured.complementary_sensitivity(frequency)
 
     def robustness(self, frequency: Array) -> Array:
         """Return the gain of Q (n,) at these frequencies, Hz."""
@@ -168,10 +190,15 @@ class Learning:
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """|Q (1 - p L T)| (n,) over frequency (n,), Hz; its largest value and where that is."""
+    """|Q (1 - p L T)| (n,) over frequency (n,), Hz; its largest value and where that is.
+
+    `bound` (n,) is what it may be for any plant that the measured response allows; None where the
+    plant was not measured.
+    """
 
     frequency: Array
     magnitude: Array
+    bound: Array | None = None
 
     @property
     def peak(self) -> float:
@@ -183,6 +210,16 @@ class Convergence:
         """Frequency of the largest value, Hz."""
         return float(self.frequency[np.argmax(self.magnitude)])
 
+    @property
+    def bound_peak(self) -> float:
+        """Largest value of the bound; NaN where there is none."""
+        return float("nan") if self.bound is None else float(self.bound.max())
+
+    @property
+    def bound_frequency(self) -> float:
+        """Frequency of the bound's largest value, Hz; NaN where there is none."""
+        return float("nan") if self.bound is None else float(self.frequency[np.argmax(self.bound)])
+
     def require(self) -> None:
         """Raise `InsufficientDataError` unless the criterion is below one everywhere (eq. 12)."""
         if not self.peak < 1:
@@ -192,10 +229,27 @@ class Convergence:
                 "ilc_learn.robustness_hz or ilc_learn.learning_factor, or raise "
                 "ilc_learn.cancel_radius towards 1"
             )
+        if self.bound is not None and not self.bound_peak < 1:
+            raise InsufficientDataError(
+                f"learning may not converge: over the uncertainty of the measured plant "
+                f"|Q (1 - p L T)| reaches {self.bound_peak:.3g} at {self.bound_frequency:.4g} Hz "
+                f"(with the plant as found {self.peak:.3g} at most) and must be below 1 at all "
+                "frequencies; lower ilc_learn.robustness_hz, or measure the plant better there: "
+                "raise identify_plant.periods, or identify_plant.frequency_max"
+            )
 
 
 def convergence(learning: Learning, frequency: Array) -> Convergence:
     """Return the criterion of thesis eq. 12, section 7.2.4.2, at these frequencies (n,), Hz."""
-    loop = learning.inverse.response(frequency) * learning.system.response(frequency)
-    magnitude = learning.robustness(frequency) * np.abs(1 - learning.factor * loop)
-    return Convergence(np.asarray(frequency, dtype=np.float64), magnitude)
+    inverse, robustness = learning.inverse.response(frequency), learning.robustness(frequency)
+    left = np.abs(1 - learning.factor * inverse * learning.loop_response(frequency))
+    bound = None
+    if learning.measured is not None:
+        doubt = learning.measured.doubt(frequency)
+        bound = robustness * (left + learning.factor * _product(np.abs(inverse), doubt))
+    return Convergence(np.asarray(frequency, dtype=np.float64), robustness * left, bound)
+
+
+def _product(gain: Array, doubt: Array) -> Array:
+    """Return gain times doubt, zero where nothing is learned, however doubtful the plant is."""
+    return np.multiply(gain, doubt, out=np.zeros(len(gain)), where=gain > 0)
