@@ -114,6 +114,28 @@ class IdentifyPlant(Section):
         return self
 
 
+class LearnLoads(Section):
+    """Known loads that implementation D learns from, lifted and lowered as measure_force does."""
+
+    forces: tuple[Positive, ...] = Field(
+        (0.03, 0.12, 0.5, 1.5, 3.0),
+        min_length=2,
+        description="hung on in turn, N; the largest one bounds what can be measured",
+    )
+    speeds_rev_per_s: tuple[Positive, ...] = Field(
+        (0.2, 0.5, 1, 2), min_length=1, description="of the output, rev/s"
+    )
+    cycles: int = Field(30, ge=4, description="rising and falling, for each load and speed")
+    record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
+
+    @model_validator(mode="after")
+    def _loads_and_speeds_differ(self) -> LearnLoads:
+        for name, values in (("forces", self.forces), ("speeds_rev_per_s", self.speeds_rev_per_s)):
+            if len(set(values)) < len(values):
+                raise ValueError(f"{name} lists a value twice: each is learned once")
+        return self
+
+
 class IlcLearn(Section):
     """Learning by position and speed; speeds, moves and angles are those of C [7.2.4]."""
 
@@ -148,6 +170,7 @@ class IlcLearn(Section):
     )
     turning: Turning = Turning()
     trajectory: Trajectory = Trajectory()
+    loads: LearnLoads = LearnLoads()
 
     @model_validator(mode="after")
     def _turn_fits_end(self) -> IlcLearn:
@@ -189,6 +212,11 @@ class MeasureForce(Section):
     turn_angle: float = Field(20.0, gt=0, description="used to reverse at each end, deg")
     measure_angle: float = Field(90.0, gt=0, description="output angle of the reading, deg")
     lowpass_hz: float = Field(5.0, gt=0, description="zero-phase low-pass on all signals, Hz")
+    correction: Literal["none", "load", "full"] = Field(
+        "none",
+        description="none as the thesis; load: friction that grows with load; full: also compliance, "
+        "ripple by current, temperature (tables of implementation D)",
+    )
     zero: bool = Field(
         True, description="take the mean reading without load off the others, as a gauge is zeroed"
     )
