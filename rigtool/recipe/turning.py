@@ -23,10 +23,6 @@ class Turning(Section):
     one_speed_rev_per_s: float = Field(1.0, gt=0, description="at which A learns, rev/s")
     revolutions: int = Field(20, ge=3, description="averaged at each speed")
     low_speed_revolutions: int = Field(3, ge=3, description="the same for the low speeds")
-    between_rev_per_s: tuple[Positive, ...] = Field(
-        (0.07, 0.3, 0.7, 1.5, 2.5, 3.5, 4.5),
-        description="speeds to validate at that were not learned, rev/s",
-    )
     sweep_time: float = Field(60.0, gt=0, description="from one end of the speeds to the other, s")
     record_every: int = Field(4, ge=1, description="samples averaged into a recorded one")
 
@@ -38,12 +34,9 @@ class Turning(Section):
                 f"low_speeds_rev_per_s holds {max(self.low_speeds_rev_per_s)}, all of them must be "
                 f"below the lowest of speeds_rev_per_s, {lowest}"
             )
-        every = (*self.low_speeds_rev_per_s, *self.speeds_rev_per_s, *self.between_rev_per_s)
+        every = (*self.low_speeds_rev_per_s, *self.speeds_rev_per_s)
         if len(set(every)) < len(every):
-            raise ValueError(
-                "a speed is listed twice in speeds_rev_per_s, low_speeds_rev_per_s and "
-                "between_rev_per_s"
-            )
+            raise ValueError("a speed is listed twice in speeds_rev_per_s and low_speeds_rev_per_s")
         if self.one_speed_rev_per_s not in self.speeds_rev_per_s:
             raise ValueError(
                 f"one_speed_rev_per_s {self.one_speed_rev_per_s} must be one of speeds_rev_per_s"
