@@ -214,8 +214,8 @@ class MeasureForce(Section):
     lowpass_hz: float = Field(5.0, gt=0, description="zero-phase low-pass on all signals, Hz")
     correction: Literal["none", "load", "full"] = Field(
         "none",
-        description="none as the thesis; load: friction that grows with load; full: also compliance, "
-        "ripple by current, temperature (tables of implementation D)",
+        description="none as the thesis; load: friction that grows with load; full: also "
+        "compliance, ripple by current, temperature (tables of implementation D)",
     )
     zero: bool = Field(
         True, description="take the mean reading without load off the others, as a gauge is zeroed"
@@ -228,3 +228,14 @@ class MeasureForce(Section):
     )
     extra_cycles: int = Field(5, ge=1, description="for these two loads")
     record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
+
+
+class Suspension(Section):
+    """Known forces pull at the motor, a micrometer reads how far its leaf springs give [App. E]."""
+
+    forces: tuple[Positive, ...] = Field(
+        (2, 4, 6, 8, 10, 12, 14, 16, 18, 20), min_length=4, description="in turn, N"
+    )
+    speeds_rev_per_s: tuple[Positive, ...] = Field(
+        (0.2, 5), min_length=1, description="at which torques of the pulleys are stated, rev/s"
+    )
