@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
-from rigtool.cli.options import debug_option, example
+from rigtool.cli.options import debug_option, example, open_inputs, run_option
 
 
 @click.command(
@@ -12,21 +14,56 @@ from rigtool.cli.options import debug_option, example
         "rigtool export friction.h5 --part tables/friction_model -o friction.csv",
         "rigtool export friction.h5 --part recordings/holds -o holds.parquet",
         "rigtool export friction.h5 -o friction.mat",
+        "rigtool export tables.h5 -o table.h",
     )
 )
 @click.argument("path", metavar="RUN.h5")
-@click.option("-o", "--output", required=True, metavar="FILE", help=".csv, .parquet, .mat or .nc.")
+@click.option(
+    "-o", "--output", required=True, metavar="FILE", help=".csv, .parquet, .mat, .nc, .h, .json."
+)
 @click.option("--part", metavar="NAME", help="Of a table: results, recordings/NAME or tables/NAME.")
+@click.option(
+    "--format",
+    "wanted",
+    type=click.Choice(["c", "c-int16", "table", "moteus", "odrive", "fourier"]),
+    help="Of a learned table, where the ending of FILE does not say it.",
+)
+@click.option("--speed", type=float, help="For moteus, odrive, fourier: of the motor, rad/s.")
+@run_option("--kt", "For moteus and odrive: run of calibrate-kt, current to torque.")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @debug_option
-def command(path: str, output: str, part: str | None, overwrite: bool) -> None:
-    """Write a run as CSV, Parquet, MATLAB or netCDF file.
+def command(
+    path: str,
+    output: str,
+    part: str | None,
+    wanted: str | None,
+    speed: float | None,
+    kt: str | None,
+    overwrite: bool,
+) -> None:
+    """Write a run as CSV, Parquet, MATLAB or netCDF file, or a learned table for others to use.
 
     A .csv holds one part of the run, units in its head; so does a .parquet, units in its metadata
     (it needs pyarrow: pip install rigtool[parquet]). .mat and .nc hold all of it.
+
+    A learned table (of ilc-learn) becomes a C header with its interpolation (.h; --format c-int16
+    for half the size), a .csv or .json, or with --format: moteus, the 1024 codes of that drive's
+    cogging table (.cfg); odrive, 3600 values of the turn; fourier, the orders that stand out of
+    the noise; table, a .mat of the table alone. What is lost by fewer digits is told.
     """
+    from rigtool.procedures.table_export import chosen_format, export_table
     from rigtool.runfile import open_run
     from rigtool.runfile.export import export
 
-    with open_run(path) as run:
-        export(run, output, part, overwrite)
+    with open_run(path) as run, open_inputs(kt=kt) as inputs:
+        chosen = chosen_format(run, Path(output), part, wanted)
+        if chosen is None:
+            if speed is not None or kt is not None:
+                raise click.UsageError("--speed and --kt are for learned tables: give --format")
+            export(run, output, part, overwrite)
+            return
+        remarks = export_table(
+            run, Path(output), chosen, speed=speed, kt=inputs.get("kt"), overwrite=overwrite
+        )
+    for remark in remarks:
+        click.echo(f"Note: {remark}", err=True)
