@@ -61,7 +61,7 @@ def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
     found *= np.exp(-1j * order * turn.start)
     amplitude = np.abs(found)
     even = math.sqrt(2 / highest * float(np.mean(turn.u**2)))
-    rounding = np.finfo(np.float64).eps * float(np.abs(turn.values).max())
+    rounding = 10 * np.finfo(np.float64).eps * float(np.abs(turn.values).max())
     floor = np.maximum(max(even, rounding), neighbours_floor(amplitude))
     clear = amplitude > CLEAR * floor
     if not clear.any():
