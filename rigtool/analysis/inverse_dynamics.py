@@ -2,13 +2,11 @@
 
     torque = J a + fv v + fc sign(v) + offset
 
-Torque and all regressors pass the same smoothing kernel, so that the equation still holds between
-them and the band limit biases nothing (Gautier, Proc. IEEE ICRA 1997, 3284-3289; Swevers, Verdonck
-& De Schutter, IEEE Control Systems 27(5) 58-71, 2007); speed and acceleration are the position
-convolved with the kernel's derivatives (`smoothing`). Near standstill friction is not that of
-sliding: samples of which the kernel sees too much of it are left out. The covariance allows for
-residuals that are correlated in time (`correlated`), and for what the residuals show beside the
-model (`model_doubt`): a function of speed (Stribeck), or of position (spring, ripple, load).
+on the terms that `motion_terms` makes of recordings. The covariance allows for residuals that are
+correlated in time (`correlated`), and for what the residuals show beside the model (`model_doubt`):
+friction that is no straight line over speed (Stribeck), a function of position (spring, ripple,
+load). The offset is the constant torque over the positions that were visited: on less than a turn,
+ripple has a mean.
 
 A linear axis is the same with position in m and force in N: J in kg, fv in N s/m.
 """
@@ -20,53 +18,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rigtool.analysis.correlated import independent_samples, long_run_covariance
-from rigtool.analysis.model_doubt import own_part, structure
-from rigtool.analysis.signals import require_signals
-from rigtool.analysis.smoothing import (
-    CUTOFF,
-    Smoother,
-    noise_of_derivatives,
-    position_noise,
-    resample,
-)
+from rigtool.analysis.model_doubt import TIMES, curvature, own_part, structure
+from rigtool.analysis.motion_terms import Motion
+from rigtool.analysis.smoothing import CUTOFF
 from rigtool.errors import InsufficientDataError
 
 Array = NDArray[np.float64]
 
 PARAMETERS = ("inertia", "viscous", "coulomb", "offset")
 
-NARROWEST = 2.0
-"""Standard deviation of the kernel in samples, at least."""
-
-WIDEST = 1 / 40
-"""Standard deviation of the kernel as part of the recording, at most."""
-
-GROWTH = 1.15
-"""Kernels are tried that widen by this factor."""
-
-NOISE_SHARE = 1e-3
-"""Part of the acceleration's power that may be noise of the position: it biases inertia so much."""
-
 NO_ACCELERATION = 0.1
 """From this part of noise on, there is no acceleration to tell inertia by."""
-
-MOTION = 0.99
-"""Part of the speed's power that is below the frequency of the motion."""
-
-HARMONICS = 10
-"""The kernel passes this many times the frequency of the motion: sign(v) has harmonics."""
-
-STANDSTILL = 0.05
-"""Speeds below this part of the highest are near standstill, as are those within their noise."""
-
-SURE = 5.0
-"""A speed beyond this many standard deviations of its noise has a known sign."""
-
-SLIDING = 0.98
-"""Part of the kernel's weight that must be on samples that slide."""
 
 ONE_WAY = 0.01
 """With less than this part of the samples in one direction, the motion is in the other only."""
@@ -77,33 +42,11 @@ TOLD_APART = 0.01
 EXPLAINED = 0.5
 """Part of the torque's variance that the model must explain."""
 
-SHORTEST = 50
-"""Samples that a recording needs, and smoothed samples that a fit needs."""
-
 ONE_FREQUENCY = 0.99
 """Correlation of position and acceleration from which on the motion has one frequency."""
 
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """One recording, smoothed: rows are equally far apart in time, `spacing` s.
-
-    `design` (n, 4) for J, fv, fc, offset; `torque` (n,); `position` (n,); `used` (n,); `noise` are
-    the standard deviations of speed and acceleration that the position's noise makes; `cutoff` in
-    Hz; `samples` were recorded, `left_out` of them serve nothing; `resampled` says that the time
-    axis was irregular.
-    """
-
-    design: Array
-    torque: Array
-    position: Array
-    used: NDArray[np.bool_]
-    spacing: float
-    noise: tuple[float, float]
-    cutoff: float
-    samples: int
-    left_out: int
-    resampled: bool
+SHORTEST = 50
+"""Smoothed samples that a fit needs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,80 +82,6 @@ class Dynamics:
         return torque
 
 
-# -- regressors
-
-
-def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> Motion:
-    """Return the regressors of a recording: signals (n,), time in s, position in rad or m.
-
-    An irregular time axis is resampled first. Raises `InsufficientDataError` where nothing moves,
-    or the recording is too short.
-    """
-    t, shaft, effort = require_signals(SHORTEST, time=time, position=position, torque=torque)
-    step, known, (shaft, effort) = resample(t, shaft, effort)
-    density = position_noise(shaft, step)
-    smoother = _smoother(shaft, step, density)
-    noise = noise_of_derivatives(density, smoother.width)
-    speed = smoother(shaft, 1)
-    highest = float(np.percentile(np.abs(speed), 99))
-    if highest <= SURE * noise[0]:
-        raise InsufficientDataError(
-            f"nothing moves: the highest speed is {highest:.3g} (SI), {SURE:g} times its noise of "
-            f"{noise[0]:.3g} is needed; move faster or further"
-        )
-    # The speed between its samples, for the place where it changes its sign.
-    places = smoother.places(len(shaft))
-    everywhere = np.interp(np.arange(len(shaft)), places, speed)
-    sliding = known & (np.abs(everywhere) >= max(STANDSTILL * highest, SURE * noise[0]))
-    used = smoother(sliding.astype(np.float64)) >= SLIDING
-    design = np.column_stack(
-        [smoother(shaft, 2), speed, smoother(np.sign(everywhere)), np.ones(len(speed))]
-    )
-    return Motion(
-        design=design,
-        torque=smoother(effort),
-        position=shaft[places],
-        used=used,
-        spacing=smoother.every * step,
-        noise=noise,
-        cutoff=smoother.cutoff,
-        samples=len(t),
-        left_out=max(0, len(t) - int(used.sum()) * smoother.every),
-        resampled=len(shaft) != len(t) or not known.all(),
-    )
-
-
-def _smoother(position: Array, step: float, density: float) -> Smoother:
-    """Return the narrowest kernel that keeps noise out of the acceleration and passes the motion.
-
-    Not narrower than the motion needs: the rest of the band is other dynamics. Where none keeps the
-    noise out, the one with the least part of it is taken.
-    """
-    widest = max(len(position) * step * WIDEST, NARROWEST * step)
-    best, least = Smoother(step, NARROWEST * step), math.inf
-    width = best.width
-    while width <= widest:
-        smoother = Smoother(step, width)
-        acceleration = smoother(position, 2)
-        power = max(float(np.mean(acceleration**2)), 1e-300)
-        share = noise_of_derivatives(density, width)[1] ** 2 / power
-        if share < least:
-            best, least = smoother, share
-        if share <= NOISE_SHARE:
-            break
-        width *= GROWTH
-    frequency = _highest_frequency(best(position, 1), best.every * step)
-    return Smoother(step, max(best.width, min(CUTOFF / (HARMONICS * frequency), widest)))
-
-
-def _highest_frequency(signal: Array, spacing: float) -> float:
-    """Return the frequency below which `MOTION` of a signal's power is, Hz."""
-    power = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(len(signal)))) ** 2
-    total = np.cumsum(power)
-    first = int(np.searchsorted(total, MOTION * total[-1]))
-    return max(first, 1) / (len(signal) * spacing)
-
-
 # -- fit
 
 
@@ -237,33 +106,48 @@ def identify(motions: Sequence[Motion]) -> Dynamics:
     chosen = slice(1 if without else 0, 4)
     solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
     residual = torque - design[:, chosen] @ solution
-    independent = _independent(motions, residual)
-    within, dof = long_run_covariance(design[:, chosen], residual, independent)
-    by = {}
-    for name, over in (("speed", _speed(motions)), ("position", _centred(motions))):
-        share, doubt = structure(over[used], residual[used], design[used, chosen], independent)
-        by[name] = share
-        within = within + np.diag(doubt**2)
-    parameters, covariance = np.full(4, math.nan), np.full((4, 4), math.nan)
-    parameters[chosen], covariance[chosen, chosen] = solution, within
+    covariance, dof = long_run_covariance(
+        design[:, chosen], residual, _independent(motions, residual)
+    )
+    doubt, by_speed, by_position = _doubt(motions, design[:, chosen], residual, weight)
+    doubts = np.zeros(4)
+    doubts[chosen] = doubt
     if not without:
         # Noise in a regressor draws its parameter towards zero: by how much is in doubt.
-        covariance[0, 0] += (noise / own_part(design, 0) * parameters[0]) ** 2
+        doubts[0] = math.hypot(doubts[0], noise / own_part(design, 0) * solution[0])
+    parameters, total = np.full(4, math.nan), np.full((4, 4), math.nan)
+    parameters[chosen] = solution
+    total[chosen, chosen] = covariance + np.diag(doubts[chosen] ** 2)
     level = torque - weight * float(np.sum(torque * weight) / np.sum(weight**2))
     power = float(np.sum(residual**2))
     found = Dynamics(
         parameters=parameters,
-        covariance=covariance,
+        covariance=total,
         dof=dof,
         residual_rms=math.sqrt(power / float(np.sum(weight**2))),
         explained=1 - power / max(float(np.sum(level**2)), 1e-300),
-        by_speed=by["speed"],
-        by_position=by["position"],
+        by_speed=by_speed,
+        by_position=by_position,
         single_frequency=_single_frequency(motions),
         without_inertia=without,
     )
     _require_model(found)
     return found
+
+
+def _doubt(
+    motions: Sequence[Motion], design: Array, residual: Array, weight: Array
+) -> tuple[Array, float, float]:
+    """Return the doubt about each parameter that the residuals leave, (p,).
+
+    And the parts of their power that are a function of speed, and of position.
+    """
+    used, times = weight > 0, _times(motions)
+    speed, position = _speed(motions), _centred(motions)
+    by_speed, _ = structure(speed[used], residual[used], design[used], times[used])
+    by_position, doubt = structure(position[used], residual[used], design[used], times[used])
+    bent = curvature(speed, weight, residual, design, _independent(motions, residual))
+    return np.hypot(doubt, bent), by_speed, by_position
 
 
 def _require_friction(design: Array) -> None:
@@ -332,6 +216,15 @@ def _independent(motions: Sequence[Motion], residual: Array) -> float:
         lag = max(1, round(2 * CUTOFF / motion.cutoff / motion.spacing))
         total += independent_samples(part, motion.used, lag)
     return total
+
+
+def _times(motions: Sequence[Motion]) -> NDArray[np.intp]:
+    """Return the number of the part of the recordings to which each row belongs."""
+    parts = [
+        np.arange(len(m.torque)) * TIMES // len(m.torque) + TIMES * number
+        for number, m in enumerate(motions)
+    ]
+    return np.concatenate(parts)
 
 
 def _speed(motions: Sequence[Motion]) -> Array:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.analysis.friction import separate_offset
-from rigtool.analysis.inverse_dynamics import Dynamics, Motion, identify
+from rigtool.analysis.inverse_dynamics import Dynamics, identify
+from rigtool.analysis.motion_terms import Motion
 from rigtool.procedures.friction_results import DIRECTIONS, NOT_SEPARATED, Found
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table

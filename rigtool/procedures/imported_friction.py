@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.analysis.holds import Holds, find_holds, pool
-from rigtool.analysis.inverse_dynamics import Motion, band_limit
+from rigtool.analysis.motion_terms import Motion, band_limit
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.procedures.friction_analysis import fit_directions, separate
 from rigtool.procedures.friction_dynamics import add_dynamics
