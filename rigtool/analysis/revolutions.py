@@ -48,7 +48,7 @@ class Revolutions:
         time = np.concatenate([self._time, time])
         torque = np.concatenate([self._torque, torque])
         advance = np.concatenate([self._advance, advance])
-        if np.diff(advance).min(initial=0.0) < 0:
+        if np.any(advance[1:] < advance[:-1]):
             # An encoder may step back by a count; its running maximum only advances.
             advance = np.maximum.accumulate(advance)
         areas = rising_steps(time, self._samples - self._time.size)

@@ -60,7 +60,8 @@ class Welch:
         centred *= self._window
         np.fft.rfft(centred, axis=1, out=spectra)
         parts = spectra.view(np.float64)  # real, imaginary, real..
-        self._power += np.einsum("ij,ij->j", parts, parts).reshape(-1, 2).sum(axis=1)
+        squares = np.einsum("ij,ij->j", parts, parts)
+        self._power += squares[::2] + squares[1::2]
         self._count += count
 
     def spectrum(self, sample_time: float) -> PowerSpectrum:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import keyword
+import os
 import signal
 import sys
 import traceback
@@ -15,6 +16,10 @@ import click
 
 from rigtool.errors import RigtoolError
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+"""For numpy and scipy, which are imported later. Their matrices are small here: more threads would
+only wait in a busy loop, and round differently on another number of cores."""
+
 COMMANDS = {
     "recipe": "Copy a recipe that comes with rigtool, to change it.",
     "calibrate-kt": "Find the torque constant against temperature.",
@@ -23,6 +28,7 @@ COMMANDS = {
     "identify-plant": "Measure the frequency response of the plant; fit inertia and friction.",
     "ilc-learn": "Learn the disturbance that repeats with position and speed.",
     "measure-force": "Measure known loads, reading force from current.",
+    "suspension": "Measure the motor's leaf springs; compute what eccentric pulleys do.",
     "report": "Write tables, figures and one page from any run files.",
     "import": "Make run files of measured data from other rigs.",
     "info": "Show what a run file holds.",

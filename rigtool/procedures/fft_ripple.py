@@ -172,10 +172,11 @@ def _ripple(
         for time, encoder, current in recording.blocks(
             "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
         ):
-            torque = torque_constant * current
-            collected.add(time, encoder / recipe.rig.encoder_counts, torque)
+            encoder /= recipe.rig.encoder_counts
+            current *= torque_constant
+            collected.add(time, encoder, current)
             if welch is not None:
-                welch.add(torque)
+                welch.add(current)
         return remove_offset(collected.waveforms(recipe.fft_ripple.revolutions))
     except InsufficientDataError as error:
         raise InsufficientDataError(f"recording {recording.name}: {error}") from None
