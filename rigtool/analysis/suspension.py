@@ -48,46 +48,45 @@ class LeafSprings:
 
 @dataclass(frozen=True, eq=False)
 class SpringCurve:
-    """A straight line through measured readings: force = stiffness * deflection + offset.
+    """A straight line through measured readings: deflection = force / stiffness + offset.
 
-    `stiffness` in N/m and `offset` in N with standard uncertainties; `residual` (n,) N is what the
-    line leaves, with `dof` degrees of freedom.
+    `stiffness` in N/m with its standard uncertainty, `offset` in m; `deflection` (n,) m is that of
+    the line, `dof` are its degrees of freedom.
     """
 
     stiffness: float
     stiffness_u: float
     offset: float
-    offset_u: float
-    residual: Array
+    deflection: Array
     dof: int
 
 
-def spring_curve(deflection: ArrayLike, force: ArrayLike) -> SpringCurve:
-    """Fit a spring constant to deflections (n,), m, and forces (n,), N.
+def spring_curve(force: ArrayLike, deflection: ArrayLike) -> SpringCurve:
+    """Fit a spring constant to deflections (n,), m, that known forces (n,), N, make [Fig. 70].
 
-    Least squares of the force on the deflection; uncertainties from the scatter about the line.
-    Raises `InsufficientDataError` where the readings are too few or all at one deflection.
+    Least squares of the deflection, which is what errs, on the force; the uncertainty comes from
+    the scatter about the line. Raises `InsufficientDataError` where the readings are too few, all
+    at one force, or tell no spring.
     """
-    x, y = require_signals(FEWEST, deflection=deflection, force=force)
+    x, y = require_signals(FEWEST, force=force, deflection=deflection)
     centred = x - x.mean()
     spread = float(centred @ centred)
     if spread <= (1e-9 * float(np.abs(x).max())) ** 2 * x.size:
         raise InsufficientDataError(
-            f"all {x.size} deflections are {x[0]:.4g} m: pull with different forces"
+            f"all {x.size} forces are {x[0]:.4g} N: pull with different forces"
         )
-    stiffness = float(centred @ y) / spread
-    offset = float(y.mean()) - stiffness * float(x.mean())
-    residual = y - offset - stiffness * x
+    compliance = float(centred @ y) / spread
+    offset = float(y.mean()) - compliance * float(x.mean())
+    residual = y - offset - compliance * x
     dof = x.size - 2
-    variance = float(residual @ residual) / dof
-    return SpringCurve(
-        stiffness,
-        math.sqrt(variance / spread),
-        offset,
-        math.sqrt(variance * (1 / x.size + float(x.mean()) ** 2 / spread)),
-        residual,
-        dof,
-    )
+    u = math.sqrt(float(residual @ residual) / dof / spread)
+    if compliance <= 3 * u:
+        raise InsufficientDataError(
+            f"the motor gives way by {compliance:.3g} m/N with u = {u:.2g}, at least 3 u are "
+            "needed: pull harder, read more finely, or check the sign"
+        )
+    stiffness = 1 / compliance
+    return SpringCurve(stiffness, stiffness**2 * u, offset, y - residual, dof)
 
 
 def eccentric_torque(

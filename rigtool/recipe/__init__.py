@@ -7,6 +7,7 @@ from rigtool.recipe.commands import (
     IlcLearn,
     MeasureForce,
     Stribeck,
+    Suspension,
 )
 from rigtool.recipe.load import (
     Recipe,
@@ -31,6 +32,7 @@ __all__ = [
     "Rig",
     "Serial",
     "Stribeck",
+    "Suspension",
     "Virtual",
     "load_mapping",
     "load_recipe",

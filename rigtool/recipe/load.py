@@ -20,6 +20,7 @@ from rigtool.recipe.commands import (
     IlcLearn,
     MeasureForce,
     Stribeck,
+    Suspension,
 )
 from rigtool.recipe.rig import Rig
 from rigtool.recipe.serial import Serial
@@ -39,6 +40,7 @@ class Recipe(Section):
     stribeck: Stribeck = Stribeck()
     fft_ripple: FftRipple = FftRipple()
     identify_plant: IdentifyPlant = IdentifyPlant()
+    suspension: Suspension = Suspension()
     ilc_learn: IlcLearn = IlcLearn()
     measure_force: MeasureForce = MeasureForce()
 

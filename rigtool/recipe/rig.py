@@ -65,6 +65,22 @@ class ForceArm(Section):
     )
 
 
+class Suspension(Section):
+    """Leaf springs that carry the motor, and pulleys out of centre [App. E, J]."""
+
+    elasticity: float = Field(2.1e11, gt=0, description="modulus of the leaf springs, Pa")
+    elasticity_relative_u: float = Field(0.02, ge=0, description="its relative uncertainty")
+    length: float = Field(gt=0, description="of a leaf spring between its clamps, m")
+    width: float = Field(gt=0, description="of a leaf spring, m")
+    thickness: float = Field(gt=0, description="of a leaf spring, m")
+    dimension_u: float = Field(1e-4, ge=0, description="standard uncertainty of these two, m")
+    thickness_u: float = Field(1e-5, ge=0, description="standard uncertainty of the thickness, m")
+    mass: float = Field(gt=0, description="of the motor and what moves with it, kg")
+    pretension: float = Field(gt=0, description="with which the springs pull, N")
+    motor_eccentricity: float = Field(ge=0, description="of the pulley on the motor, m")
+    tool_eccentricity: float = Field(ge=0, description="of the pulley on the instrument, m")
+
+
 class Rig(Section):
     """The rig as its owner describes it."""
 
@@ -84,6 +100,7 @@ class Rig(Section):
     controller: Controller = Controller()
     instrument: Instrument = Instrument()
     arm: ForceArm = ForceArm()
+    suspension: Suspension | None = None
 
     @property
     def nominal_inertia(self) -> float:

@@ -83,6 +83,7 @@ class Sensors(Section):
     force_gain: float = Field(1.0, gt=0, description="gauge reading per newton")
     force_resolution: float = Field(1e-3, ge=0, description="N")
     temperature_noise: float = Field(0.0, ge=0, description="std a sample, K")
+    micrometer_error: float = Field(0.0, ge=0, description="std of a reading, m")
 
 
 class Arm(Section):

@@ -33,6 +33,7 @@ CHANNELS = {
     "temperature": ("degC", "f4", "of the motor's cooling body"),
     "force": ("N", "f4", "force gauge at the end of the arm"),
     "rotor_angle": ("rad", "f4", "angle of the shaft in the arm's clamp"),
+    "deflection": ("m", "f8", "of the motor on its leaf springs, by a micrometer"),
 }
 """Unit, type in the file and meaning of each channel a rig may offer."""
 

@@ -54,23 +54,28 @@ def test_at_the_eigenfrequency_spring_and_mass_cancel(stiffness, mass, angle):
 
 def test_the_curve_agrees_with_scipy():
     rng = np.random.default_rng(1)
-    deflection = np.linspace(0, 1e-3, 11)
-    force = 14.5e3 * deflection + 0.2 + rng.normal(0, 0.05, 11)
-    found, theirs = spring_curve(deflection, force), linregress(deflection, force)
-    assert found.stiffness == pytest.approx(theirs.slope, rel=1e-9)
-    assert found.stiffness_u == pytest.approx(theirs.stderr, rel=1e-9)
-    assert found.offset_u == pytest.approx(theirs.intercept_stderr, rel=1e-9)
+    force = np.linspace(0, 20, 11)
+    deflection = force / 14.5e3 + 1e-5 + rng.normal(0, 5e-6, 11)
+    found, theirs = spring_curve(force, deflection), linregress(force, deflection)
+    assert found.stiffness == pytest.approx(1 / theirs.slope, rel=1e-9)
+    assert found.stiffness_u == pytest.approx(theirs.stderr / theirs.slope**2, rel=1e-9)
+    assert found.offset == pytest.approx(theirs.intercept, rel=1e-9)
     assert abs(found.stiffness - 14.5e3) < 3 * found.stiffness_u
     assert found.dof == 9
 
 
 @pytest.mark.parametrize(
-    ("deflection", "force", "message"),
-    [([1e-3] * 5, range(5), "different forces"), ([0, 1, 2], [0, 1, 2], "too few")],
+    ("force", "deflection", "message"),
+    [
+        ([2] * 5, range(5), "different forces"),
+        ([0, 1, 2], [0, 1, 2], "too few"),
+        (range(5), [0, 1, 0, 1, 0], "pull harder"),
+        (range(5), [0, -1, -2, -3, -4], "check the sign"),
+    ],
 )
-def test_readings_that_carry_no_stiffness(deflection, force, message):
+def test_readings_that_carry_no_stiffness(force, deflection, message):
     with pytest.raises(InsufficientDataError, match=message):
-        spring_curve(deflection, force)
+        spring_curve(force, deflection)
 
 
 def test_no_frequency_without_a_mass():

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rigtool.report.figures import force, learning, motor, ripple, style
+from rigtool.report.figures import force, learning, motor, plant, ripple, style, suspension
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -84,6 +84,28 @@ PLOTS = (
         motor.torque_speed_viscous,
     ),
     Plot(
+        35,
+        "identify-plant",
+        ("frequency_response", "fit"),
+        "Frequency response of the plant, and its mass line",
+        plant.measured_plant,
+    ),
+    Plot(
+        39,
+        "identify-plant",
+        ("frequency_response", "fit"),
+        "Fitted and measured frequency response of the plant",
+        plant.fitted_plant,
+    ),
+    Plot(
+        40,
+        "ilc-learn",
+        ("transfer",),
+        "Complementary sensitivity T and learning filter L, its inverse",
+        plant.learning_filter,
+    ),
+    Plot(41, "ilc-learn", ("convergence",), "Convergence criterion", plant.convergence),
+    Plot(
         50,
         "ilc-learn",
         ("lookup",),
@@ -128,6 +150,27 @@ PLOTS = (
     Plot(62, "measure-force", ("shift",), "High torque: the peak is shifted", force.shift),
     Plot(
         63, "measure-force", ("hysteresis",), "Lifting and lowering a mass", force.lifting_lowering
+    ),
+    Plot(
+        76,
+        "identify-plant",
+        ("frequency_response", "sensitivities"),
+        "Open loop and sensitivities with the measured plant",
+        plant.open_loop,
+    ),
+    Plot(
+        70,
+        "suspension",
+        ("spring_curve",),
+        "Spring constant of the motor's suspension",
+        suspension.spring_curve,
+    ),
+    Plot(
+        75,
+        "suspension",
+        ("eccentric_torque",),
+        "Disturbance torque due to pulley eccentricity",
+        suspension.eccentric_torque,
     ),
 )
 """In the order of the thesis."""

@@ -81,6 +81,22 @@ class VirtualRig:
         """Return None: equations offer everything."""
         return None
 
+    @property
+    def position(self) -> float:
+        """What the encoder shows, rad."""
+        count = 2 * math.pi / self._rig.encoder_counts
+        return math.floor(self._state["angle"][0] / count) * count
+
+    @property
+    def temperature(self) -> float:
+        """Temperature of the housing, degC."""
+        return float(self._state["housing_degc"][0])
+
+    def use_controller(self, sections: Array) -> None:
+        """Take these second-order sections, (n, 6), instead of those of the recipe."""
+        self._sections = np.array(sections)
+        self._section_state = np.zeros((len(self._sections), 2))
+
     # -- what the bench does between recordings
 
     def move_by(self, angle: float) -> None:
@@ -165,7 +181,7 @@ class VirtualRig:
             )
             if closed_loop:
                 self._setpoint = float(signals["position_setpoint"][-1])
-            yield self._recorded(signals, out, done, every, task.load.clamped, rng)
+            yield self._recorded(signals, out, done, every, task.load, rng)
             self._time += done * dt
             if done < len(time):
                 return
@@ -212,7 +228,7 @@ class VirtualRig:
         out: Array,
         done: int,
         every: int,
-        clamped: bool,
+        load: Load,
         rng: np.random.Generator,
     ) -> Block:
         """Average the set points as the kernel averaged the rest, and add the sensors' noise."""
@@ -238,7 +254,11 @@ class VirtualRig:
             "temperature": out[:, kernel.TEMPERATURE]
             + sensors.temperature_noise * rng.standard_normal(rows),
         }
-        if clamped:
+        if load.radial_force:
+            spring = self._virtual.eccentricity.spring_constant
+            error = sensors.micrometer_error * rng.spawn(1)[0].standard_normal()  # one reading
+            block["deflection"] = np.full(rows, load.radial_force / spring + error)
+        if load.clamped:
             force = sensors.force_gain * out[:, kernel.ARM_TORQUE] / self._rig.arm.length
             force = force + sensors.force_noise * rng.standard_normal(rows)
             if sensors.force_resolution > 0:
