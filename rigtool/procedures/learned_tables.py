@@ -19,9 +19,6 @@ from rigtool.runfile import Column, Run, Table
 COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
 """Results that say with which friction feed-forward a table was learned, where with any."""
 
-PERIOD = "table_period"
-"""Result that says after which angle a table repeats, rad; absent where it covers a range."""
-
 PERIOD = "lookup_period"
 """Result that says after which angle a table repeats, rad, where it does."""
 
@@ -63,13 +60,6 @@ def period_results(table: LookupTable) -> dict[str, Quantity]:
     if table.period is None:
         return {}
     return {PERIOD: Quantity(table.period, "rad", reason="the table holds one turn by definition")}
-
-
-def period_results(table: LookupTable) -> dict[str, Quantity]:
-    """Return the period of a table as a result, empty where it covers a range."""
-    if table.period is None:
-        return {}
-    return {PERIOD: Quantity(table.period, "rad", reason="a turn of the motor, exactly")}
 
 
 def friction_results(friction: Run | None) -> dict[str, Quantity]:
