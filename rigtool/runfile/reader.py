@@ -28,7 +28,7 @@ from rigtool.runfile.model import Channel, Column, Table
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
 
-BLOCK = 16 * schema.CHUNK
+BLOCK = 8 * schema.CHUNK
 """Samples that `Recording.blocks` reads at a time: what fits a processor's cache."""
 
 _CHUNK_CACHE = {"rdcc_nbytes": 2 * 8 * schema.CHUNK, "rdcc_nslots": 101}
