@@ -18,7 +18,14 @@ from rigtool.runfile.provenance import file_sha256
 if TYPE_CHECKING:
     from rigtool.runfile import Run
 
-ORDER = ("calibrate-kt", "stribeck", "fft-ripple", "ilc-learn", "measure-force")
+ORDER = (
+    "calibrate-kt",
+    "stribeck",
+    "fft-ripple",
+    "identify-plant",
+    "ilc-learn",
+    "measure-force",
+)
 """Commands in the order in which a report shows their runs."""
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import itertools
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.quantity import display_unit
@@ -78,8 +79,18 @@ def _draw_table(axes: Axes, table: Table) -> None:
         axes.plot(table[along], lines[index], ".-", ms=3, lw=1, label=labels[index])
     if len(lines) > 1:
         axes.legend(fontsize="small")
+    _scale(axes, np.asarray(table[along]), along, signal.values)
     axes.set_xlabel(_label(along, table.columns[along].unit))
     axes.set_ylabel(_label(table.signal, unit))
+
+
+def _scale(axes: Axes, places: NDArray[Any], along: str, values: NDArray[Any]) -> None:
+    """Let a response over frequency have logarithmic axes, where that is possible."""
+    if along != "frequency" or not places.size or places.min() <= 0:
+        return
+    axes.set_xscale("log")
+    if np.nanmin(values) > 0:
+        axes.set_yscale("log")
 
 
 def _labels(table: Table) -> list[str]:

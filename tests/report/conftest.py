@@ -124,7 +124,27 @@ def learned() -> tuple[dict[str, Quantity], dict[str, Table]]:
     position = np.arange(425, 1276) * 2 * math.pi / 4000
     torque = 12e-3 * np.sign(speed)[:, None] + 1e-3 * np.sin(2 * position)
     waves = {"speed": (speed, "rad/s"), "position": (position, "rad")}
+    frequency = np.concatenate([[0.0], np.geomspace(0.1, 4000, 30)])
+    phase = -frequency / 100
+    axis = {"frequency": (frequency, "Hz")}
     return {"residual_peak": Quantity(0.4e-3, "N m", 1e-5)}, {
+        "convergence": table(
+            "frequency",
+            "magnitude",
+            **axis,
+            magnitude=(np.exp(-frequency / 100) / 2, "1"),
+            bound=(np.full(31, np.nan), "1"),
+        ),
+        "transfer": table(
+            "frequency",
+            "t_magnitude",
+            **axis,
+            t_magnitude=(np.exp(-frequency / 100), "1"),
+            t_phase=(phase, "rad"),
+            l_magnitude=(np.exp(frequency / 100), "1"),
+            l_phase=(-phase, "rad"),
+            l_shifted_phase=(-phase, "rad"),
+        ),
         "lookup": table(
             "speed position",
             "torque",
@@ -141,6 +161,40 @@ def learned() -> tuple[dict[str, Quantity], dict[str, Table]]:
             residual=(0.03 * torque, "N m"),
         ),
     }
+
+
+def plant() -> tuple[dict[str, Quantity], dict[str, Table]]:
+    frequency = np.geomspace(4, 250, 20)
+    value = 1 / (1.566e-5 * (2 * np.pi * frequency) ** 2)
+    turn = np.full(20, -np.pi)
+    axis = {"frequency": (frequency, "Hz")}
+    response = table(
+        "frequency",
+        "magnitude",
+        **axis,
+        magnitude=(value, "rad/(N m)"),
+        phase=(turn, "rad"),
+        radius=(0.01 * value, "rad/(N m)"),
+        used=(np.arange(20) > 0, "1"),
+    )
+    fit = table(
+        "frequency",
+        "magnitude",
+        **axis,
+        magnitude=(value, "rad/(N m)"),
+        phase=(turn, "rad"),
+        mass_line=(value, "rad/(N m)"),
+    )
+    curves = {}
+    for name in ("open_loop", "t", "s"):
+        curves[f"{name}_magnitude"] = (value, "1")
+        curves[f"{name}_phase"] = (turn, "rad")
+    loop = table("frequency", "t_magnitude", **axis, **curves)
+    results = {
+        "inertia": Quantity(1.5665e-5, "kg m2", 8e-9, 11),
+        "mass_line_crossing": Quantity(40.2, "Hz", 0.01, 11),
+    }
+    return results, {"frequency_response": response, "fit": fit, "sensitivities": loop}
 
 
 def force(attachment: str = "instrument") -> tuple[dict[str, Quantity], dict[str, Table]]:
@@ -204,6 +258,7 @@ CONTENTS = {
     "calibrate-kt": calibration,
     "stribeck": friction,
     "fft-ripple": ripple,
+    "identify-plant": plant,
     "ilc-learn": learned,
     "measure-force": force,
 }

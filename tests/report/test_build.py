@@ -8,7 +8,14 @@ from rigtool.report.formats import csv_text
 from rigtool.report.tables import force_table, results_table
 from rigtool.runfile import RunWriter
 
-COMMANDS = ("calibrate-kt", "stribeck", "fft-ripple", "ilc-learn", "measure-force")
+COMMANDS = (
+    "calibrate-kt",
+    "stribeck",
+    "fft-ripple",
+    "identify-plant",
+    "ilc-learn",
+    "measure-force",
+)
 
 
 def cells(table, key):
@@ -73,7 +80,7 @@ def test_the_order_of_the_files_does_not_matter(make, open_all, no_figures):
 
 def test_every_figure_of_the_thesis_is_there(make, open_all):
     report = build_report(open_all(*map(make, COMMANDS)))
-    numbers = [20, *range(22, 29), 30, 32, 34, 50, 56, *range(58, 64)]
+    numbers = [20, *range(22, 29), 30, 32, 34, 35, 39, 40, 41, 50, 56, *range(58, 64), 76]
     assert [picture.number for picture in report.pictures] == numbers
     for picture in report.pictures:
         assert picture.png.startswith(b"\x89PNG")

@@ -1,0 +1,152 @@
+"""Figures 35, 39, 76 and 40, 41: the plant, its loop, the learning filter and its convergence."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.report.figures import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from rigtool.runfile import Run, Table
+
+FREQUENCY = "frequency [Hz]"
+MAGNITUDE = "magnitude [dB]"
+PHASE = "phase [deg]"
+HEIGHT = 4.6
+
+
+def measured_plant(run: Run) -> Figure:
+    """Fig. 35: measured response of the plant with its uncertainty, and the mass line."""
+    figure, magnitude, phase = _bode()
+    _measured(run.table("frequency_response"), magnitude, phase)
+    fit = _within(run, run.table("fit"))
+    crossing = run.result("mass_line_crossing").value
+    magnitude.plot(
+        fit["frequency"],
+        decibel(fit["mass_line"]),
+        color=style.GREY,
+        ls="--",
+        label=f"mass line, 0 dB at {crossing:.3g} Hz",
+    )
+    style.legend_above(magnitude, 2)
+    return figure
+
+
+def fitted_plant(run: Run) -> Figure:
+    """Fig. 39: simulated (the fit) and measured response of the plant."""
+    figure, magnitude, phase = _bode()
+    _measured(run.table("frequency_response"), magnitude, phase)
+    fit = _within(run, run.table("fit"))
+    magnitude.plot(fit["frequency"], decibel(fit["magnitude"]), color=style.ORANGE, label="fit")
+    phase.plot(fit["frequency"], degrees(fit["phase"]), color=style.ORANGE)
+    style.legend_above(magnitude, 2)
+    return figure
+
+
+def open_loop(run: Run) -> Figure:
+    """Fig. 76: controller times plant, and what it makes of the loop."""
+    figure, magnitude, phase = _bode()
+    table = _within(run, run.table("sensitivities"))
+    for name, colour, label in (
+        ("open_loop", style.BLUE, "open loop"),
+        ("t", style.ORANGE, "T"),
+        ("s", style.GREEN, "S"),
+    ):
+        frequency = table["frequency"]
+        magnitude.plot(frequency, decibel(table[f"{name}_magnitude"]), color=colour, label=label)
+        phase.plot(frequency, degrees(table[f"{name}_phase"]), color=colour)
+    style.legend_above(magnitude, 3)
+    return figure
+
+
+def learning_filter(run: Run) -> Figure:
+    """Fig. 40, right: T and the learning filter L, with and without its phase advance."""
+    figure, magnitude, phase = _bode()
+    whole = run.table("transfer")
+    # Close to half the sampling rate T goes to zero: nothing to see.
+    table = _positive(whole, 0.25 * float(whole["frequency"][-1]))
+    frequency = table["frequency"]
+    magnitude.plot(frequency, decibel(table["t_magnitude"]), color=style.BLUE, label="T")
+    magnitude.plot(frequency, decibel(table["l_magnitude"]), color=style.ORANGE, label="L")
+    phase.plot(frequency, degrees(table["t_phase"]), color=style.BLUE)
+    phase.plot(frequency, degrees(table["l_phase"]), color=style.ORANGE, ls=":")
+    phase.plot(frequency, degrees(table["l_shifted_phase"]), color=style.ORANGE)
+    style.legend_above(magnitude, 2)
+    return figure
+
+
+def convergence(run: Run) -> Figure:
+    """Fig. 41: the convergence criterion; dashed: its bound over the plant's uncertainty."""
+    figure, axes = style.one_panel(FREQUENCY, "|Q (1 − p L T)| [dB]")
+    table = _positive(run.table("convergence"))
+    frequency = table["frequency"]
+    axes.plot(frequency, decibel(table["magnitude"]), label="criterion")
+    if "bound" in table and np.isfinite(table["bound"]).any():
+        axes.plot(
+            frequency,
+            decibel(table["bound"]),
+            color=style.ORANGE,
+            ls="--",
+            label="over the plant's uncertainty",
+        )
+    axes.axhline(0, color=style.GREY, lw=0.8, label="limit")
+    axes.set_xscale("log")
+    peak = float(np.nanmax(decibel(table["magnitude"])))
+    axes.set_ylim(min(peak, 0.0) - 80, 5)
+    style.legend_above(axes, 3)
+    return figure
+
+
+def decibel(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return magnitudes in dB; a gap (NaN) where they are zero or have no value."""
+    magnitude = np.where(np.asarray(values) > 0, values, np.nan)
+    return np.asarray(20 * np.log10(magnitude), dtype=np.float64)
+
+
+def degrees(phase: NDArray[Any]) -> NDArray[np.float64]:
+    """Return a phase without jumps in degrees, between -270 and 90 where it begins."""
+    first = 2 * np.pi * np.ceil(phase[0] / (2 * np.pi) - 0.25)
+    return np.asarray(np.degrees(phase - first), dtype=np.float64)
+
+
+def _bode() -> tuple[Figure, Axes, Axes]:
+    figure, (magnitude, phase) = style.panels(2, FREQUENCY, [MAGNITUDE, PHASE], HEIGHT)
+    magnitude.set_xscale("log")
+    return figure, magnitude, phase
+
+
+def _measured(table: Table, magnitude: Axes, phase: Axes) -> None:
+    """Draw a measured response; pale where a line was not used."""
+    frequency, value, radius = (table[name] for name in ("frequency", "magnitude", "radius"))
+    used = table["used"] == 1
+    turns = degrees(table["phase"])
+    low = np.maximum(value - radius, 1e-3 * value)
+    magnitude.fill_between(
+        frequency, decibel(low), decibel(value + radius), color=style.SKY, alpha=0.4, lw=0
+    )
+    around = np.degrees(np.arcsin(np.minimum(radius / value, 1)))
+    phase.fill_between(frequency, turns - around, turns + around, color=style.SKY, alpha=0.4, lw=0)
+    for lines, colour, label in ((used, style.BLUE, "measured"), (~used, style.GREY, "not used")):
+        if lines.any():
+            magnitude.plot(frequency[lines], decibel(value[lines]), ".", color=colour, label=label)
+            phase.plot(frequency[lines], turns[lines], ".", color=colour)
+
+
+def _within(run: Run, table: Table) -> dict[str, NDArray[Any]]:
+    """Return the columns of a table around the frequencies that were measured."""
+    measured = run.table("frequency_response")["frequency"]
+    frequency = table["frequency"]
+    keep = (frequency >= measured[0] / 2) & (frequency <= 2 * measured[-1])
+    return {name: column.values[keep] for name, column in table.columns.items()}
+
+
+def _positive(table: Table, highest: float = np.inf) -> dict[str, NDArray[Any]]:
+    """Return the columns of a table without frequency zero, up to a highest one."""
+    keep = (table["frequency"] > 0) & (table["frequency"] <= highest)
+    return {name: column.values[keep] for name, column in table.columns.items()}
