@@ -15,6 +15,7 @@ COMMANDS = {
     "kt": ["calibrate-kt"],
     "friction": ["stribeck", "--kt", "kt.h5"],
     "ripple": ["fft-ripple", "--kt", "kt.h5"],
+    "plant": ["identify-plant", "--kt", "kt.h5"],
     "tables": ["ilc-learn", "--kt", "kt.h5"],
     "force": ["measure-force", "--kt", "kt.h5", "--tables", "tables.h5"],
 }

@@ -17,6 +17,7 @@ COMMANDS = {
     "calibrate-kt": ("kt", []),
     "stribeck": ("friction", ["--kt", "kt.h5"]),
     "fft-ripple": ("ripple", ["--kt", "kt.h5"]),
+    "identify-plant": ("plant", ["--kt", "kt.h5"]),
     "ilc-learn": ("tables", ["--kt", "kt.h5"]),
     "measure-force": ("force", ["--kt", "kt.h5", "--tables", "tables.h5"]),
 }
