@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -226,7 +226,7 @@ def learn(
     earlier model, keeps its choices. Raises `InsufficientDataError` where the recordings do not
     tell how effort grows with load.
     """
-    problem = _Problem.of(observations, turn)
+    problem = _Problem.of(observations, turn).weighted()
     if degree is None:
         degree = problem.choose()
     return problem.model(degree)
@@ -257,6 +257,7 @@ class _Problem:
     scales: Scales
     bandwidth_hz: float
     effort_scale: float
+    weight: Array
     groups: dict[str, NDArray[np.intp]]
     power: NDArray[np.intp]
     rows: Array
@@ -268,8 +269,7 @@ class _Problem:
     place: Array
     fold: NDArray[np.intp]
     recording: NDArray[np.intp]
-    normal: Array
-    right: Array
+    sums: _Sums
     levels: int
 
     @staticmethod
@@ -311,8 +311,10 @@ class _Problem:
         scale = float(np.std(effort)) or 1.0
         number = np.repeat(np.arange(len(used)), [np.count_nonzero(mask) for mask in used])
         fold = np.array(folds)[number]
-        sums = [(rows[fold == f], effort[fold == f] / scale) for f in range(max(folds) + 1)]
+        ones = np.ones(len(effort))
+        part = 2 * fold + (speed < 0)
         return _Problem(
+            weight=ones,
             scales=scales,
             bandwidth_hz=paths[0].bandwidth_hz,
             effort_scale=scale,
@@ -328,10 +330,20 @@ class _Problem:
             / (scales.high - scales.low),
             fold=fold,
             recording=number,
-            normal=np.stack([x.T @ x for x, _ in sums]),
-            right=np.stack([x.T @ y for x, y in sums]),
+            sums=_Sums.of(rows, effort / scale, ones, part),
             levels=levels,
         )
+
+    def weighted(self) -> _Problem:
+        """Return the problem with rows weighted by the scatter that a first fit shows."""
+        degree = dict.fromkeys(("offset", "load", "viscous", "stribeck"), START)
+        residual, _ = self.held_out(degree)
+        scatter = _fit_scatter(residual, self.speed, self.torque)
+        weight = 1 / _scatter(scatter, self.speed, self.torque)
+        weight /= weight.mean()
+        part = 2 * self.fold + (self.speed < 0)
+        sums = _Sums.of(self.rows, self.effort, weight, part)
+        return replace(self, weight=weight, sums=sums)
 
     # -- one choice of degrees
 
@@ -360,27 +372,35 @@ class _Problem:
             start += len(block)
         return matrix
 
-    def weights(
-        self, degree: Mapping[str, float], without: int | None = None
-    ) -> tuple[Array, Array]:
-        """Return weights (k,) and the inverse (k, k), one fold left out."""
+    def inverse(self, degree: Mapping[str, float], without: int | None = None) -> Array:
+        """Return the inverse of the normal matrix (k, k), one fold left out."""
         from scipy.linalg import cho_factor, cho_solve
 
+        matrix, _ = self._equations(degree, without)
+        inverse: Array = cho_solve(cho_factor(matrix), np.eye(len(matrix)))
+        return inverse
+
+    def weights(self, degree: Mapping[str, float], without: int | None = None) -> Array:
+        """Return weights (k,), one fold left out."""
+        from scipy.linalg import cho_factor, cho_solve
+
+        matrix, right = self._equations(degree, without)
+        weights: Array = cho_solve(cho_factor(matrix, check_finite=False), right)
+        return weights
+
+    def _equations(self, degree: Mapping[str, float], without: int | None) -> tuple[Array, Array]:
         use = self.columns(degree)
-        keep = [f for f in range(len(self.normal)) if f != without]
-        count = (
-            int(np.count_nonzero(self.fold != without)) if without is not None else len(self.fold)
-        )
-        matrix = self.normal[keep].sum(axis=0)[np.ix_(use, use)] + count * self.penalty(degree)
-        inverse: Array = cho_solve(cho_factor(matrix), np.eye(len(use)))
-        return inverse @ self.right[keep].sum(axis=0)[use], inverse
+        keep = [f for f in range(len(self.sums.rows)) if f != without]
+        normal = self.sums.normal[keep].sum(axis=(0, 1))[np.ix_(use, use)]
+        right: Array = self.sums.right[keep].sum(axis=(0, 1))[use]
+        return normal + self.sums.rows[keep].sum() * self.penalty(degree), right
 
     def held_out(self, degree: Mapping[str, float]) -> tuple[Array, Array]:
         """Return residual of effort and slope (n,) of folds that were left out of the learning."""
         use = self.columns(degree)
         residual, slope = np.empty_like(self.effort), np.empty_like(self.effort)
-        for fold in range(len(self.normal)):
-            weights, _ = self.weights(degree, fold)
+        for fold in range(len(self.sums.rows)):
+            weights = self.weights(degree, fold)
             rows = self.fold == fold
             residual[rows] = self.effort[rows] - self.rows[np.ix_(rows, use)] @ weights
             slope[rows] = self.slopes[np.ix_(rows, use)] @ weights
@@ -393,9 +413,19 @@ class _Problem:
         return error
 
     def cost(self, degree: Mapping[str, float]) -> float:
-        """Return the logarithm of the error at levels left out, mean of both directions."""
-        error = self.error(*self.held_out(degree)) ** 2
-        return float(sum(math.log(np.mean(error[s * self.speed > 0])) for s in (1, -1))) / 4
+        """Return the logarithm of the residual at levels left out, mean of both directions."""
+        use = self.columns(degree)
+        power = np.zeros(2)
+        for fold in range(len(self.sums.rows)):
+            weights = self.weights(degree, fold)
+            for side in (0, 1):
+                normal = self.sums.normal[fold, side][np.ix_(use, use)]
+                right = self.sums.right[fold, side, use]
+                power[side] += self.sums.power[fold, side] + weights @ (
+                    normal @ weights - 2 * right
+                )
+        total = self.sums.rows.sum(axis=0)
+        return float(np.mean(np.log(np.maximum(power / total, 1e-300)))) / 2
 
     def choose(self) -> dict[str, float]:
         """Return the degree of each group that is of use, one group after the other."""
@@ -422,17 +452,17 @@ class _Problem:
     def model(self, degree: Mapping[str, float]) -> LoadModel:
         """Return the model of these degrees with its uncertainty."""
         use = self.columns(degree)
-        weights, inverse = self.weights(degree)
+        weights, inverse = self.weights(degree), self.inverse(degree)
         rows = self.rows[:, use]
         residual, slope = self.held_out(degree)
         scores = self._scores(rows, residual)
         covariance = _cluster_covariance(inverse, scores)
         scatter = _fit_scatter(self.effort - rows @ weights, self.speed, self.torque)
         variance = np.empty_like(residual)
-        for fold in range(len(self.normal)):
+        for fold in range(len(self.sums.rows)):
             inside = self.fold == fold
             left = np.unique(self.recording[~inside])
-            within = _cluster_covariance(self.weights(degree, fold)[1], scores[left])
+            within = _cluster_covariance(self.inverse(degree, fold), scores[left])
             variance[inside] = np.einsum("ij,jk,ik->i", rows[inside], within, rows[inside])
         variance += _scatter(scatter, self.speed, self.torque)
         side = (self.speed < 0).astype(int)
@@ -466,7 +496,7 @@ class _Problem:
         scores = np.zeros((int(self.recording.max()) + 1, rows.shape[1]))
         for number in range(len(scores)):
             mask = self.recording == number
-            scores[number] = rows[mask].T @ residual[mask]
+            scores[number] = rows[mask].T @ (self.weight * residual)[mask]
         return scores
 
     def _common(self, error: Array, mask: Mask) -> float:
@@ -475,6 +505,41 @@ class _Problem:
         return (
             float(np.std([part.mean() for part in means], ddof=1)) if len(means) > 1 else math.nan
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Weighted sums over the rows of each fold and direction, all that a choice needs.
+
+    `normal` (f, 2, k, k), `right` (f, 2, k), `power` (f, 2) and `rows` (f, 2), for residuals
+    power - 2 w.right + w.normal.w.
+    """
+
+    normal: Array
+    right: Array
+    power: Array
+    rows: Array
+
+    @staticmethod
+    def of(rows: Array, effort: Array, weight: Array, part: NDArray[np.intp]) -> _Sums:
+        """Gather them: `part` (n,) is twice the fold, plus one where the speed is negative."""
+        count, size = int(part.max()) // 2 + 1, rows.shape[1]
+        found = _Sums(
+            np.zeros((count, 2, size, size)),
+            np.zeros((count, 2, size)),
+            np.zeros((count, 2)),
+            np.zeros((count, 2)),
+        )
+        for number in range(2 * count):
+            mask = part == number
+            place = divmod(number, 2)
+            columns, y = rows[mask], effort[mask]
+            scaled = columns * weight[mask, None]
+            found.normal[place] = scaled.T @ columns
+            found.right[place] = scaled.T @ y
+            found.power[place] = float(np.sum(weight[mask] * y**2))
+            found.rows[place] = float(np.sum(weight[mask]))
+        return found
 
 
 def _folds(observations: Sequence[Observation]) -> tuple[list[int], int]:
