@@ -20,7 +20,7 @@ rest.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,11 +160,15 @@ def friction_state(setpoint: Array, travel: Array, transition: float) -> tuple[A
 
 def design_matrix(stairs: Stairs, transition: float | None, current: Array) -> Array:
     """Return the columns of (1) for staircases (m, p): (m, p, 2) without friction, or (m, p, 4)."""
-    columns = [current, stairs.weight]
-    if transition is not None:
-        a, b = friction_state(stairs.setpoint, stairs.travel, transition)
-        columns += [-a * stairs.weight, -b * stairs.weight]
-    return np.stack(columns, axis=2)
+    return np.stack([current, stairs.weight, *friction_columns(stairs, transition)], axis=2)
+
+
+def friction_columns(stairs: Stairs, transition: float | None) -> tuple[Array, ...]:
+    """Return the columns of (1) for friction, two of (m, p), or none."""
+    if transition is None:
+        return ()
+    a, b = friction_state(stairs.setpoint, stairs.travel, transition)
+    return -a * stairs.weight, -b * stairs.weight
 
 
 def fit_common(stairs: Stairs, coefficient: float) -> Common:
@@ -182,13 +186,20 @@ def fit_common(stairs: Stairs, coefficient: float) -> Common:
             "the fit by: use more steps"
         )
 
-    def misfit(transition: float | None, time_constant: float) -> float:
+    # A search moves one of s and tau: what follows from the other is kept.
+    friction = lru_cache(maxsize=1)(partial(friction_columns, stairs))
+
+    @lru_cache(maxsize=1)
+    def currents(time_constant: float) -> tuple[Array, Array, Array]:
         heat, warmth = winding(stairs, time_constant)
         drift = warmth - mean_of(warmth, stairs.weight)[:, None]
         current = stairs.current * (1 + coefficient * drift)
-        beside = np.stack([current * heat, current * np.abs(current)], axis=2)
-        design = np.concatenate([design_matrix(stairs, transition, current), beside], axis=2)
-        q, _ = np.linalg.qr(design)
+        return current, current * heat, current * np.abs(current)
+
+    def misfit(transition: float | None, time_constant: float) -> float:
+        current, *beside = currents(time_constant)
+        columns = [current, stairs.weight, *friction(transition), *beside]
+        q, _ = np.linalg.qr(np.stack(columns, axis=2))
         fitted = np.einsum("mpc,mc->mp", q, np.einsum("mpc,mp->mc", q, stairs.torque))
         return float(np.sum((stairs.torque - fitted) ** 2))
 

@@ -93,18 +93,18 @@ def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
 
 def _pool(parts: Sequence[Plateaus]) -> Plateaus:
     """Put the plateaus of several runs behind each other, their clocks too."""
-    pooled = parts[0]
+    placed = [parts[0]]
     for part in parts[1:]:
-        later = pooled.end[-1] - part.begin[0] + 3600.0
-        part = replace(
-            part,
-            begin=part.begin + later,
-            end=part.end + later,
-            staircase=part.staircase + pooled.staircase[-1] + 1,
-        )
-        fields = vars(pooled)
-        pooled = Plateaus(**{n: np.concatenate([fields[n], vars(part)[n]]) for n in fields})
-    return pooled
+        before = placed[-1]
+        later = before.end[-1] - part.begin[0] + 3600.0
+        moved = {
+            "begin": part.begin + later,
+            "end": part.end + later,
+            "staircase": part.staircase + before.staircase[-1] + 1,
+        }
+        placed.append(replace(part, **moved))
+    names = vars(parts[0])
+    return Plateaus(**{name: np.concatenate([vars(p)[name] for p in placed]) for name in names})
 
 
 def _results(found: Calibration) -> dict[str, Quantity]:

@@ -7,6 +7,7 @@ Variable-length text would sit in a heap without one: HDF5 follows a damaged hea
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import h5py
@@ -39,13 +40,16 @@ def set_attribute(
 def make_text(parent: h5py.Group, name: str, value: str) -> None:
     """Create a dataset with one text."""
     data = value.encode()
-    dtype = _text_type(len(data))
-    _make_scalar(parent, name, np.array(data, dtype=dtype), dtype, len(data) <= _COMPACT_LIMIT)
+    kind = h5py.h5t.py_create(_text_type(len(data)), logical=True)
+    handle = _create_scalar(parent, name, kind, len(data) <= _COMPACT_LIMIT)
+    handle.write(h5py.h5s.ALL, h5py.h5s.ALL, np.array(data, f"S{kind.get_size()}"), kind)
 
 
 def make_number(parent: h5py.Group, name: str, value: float, unit: str) -> h5py.Dataset:
     """Create a dataset with one number."""
-    dataset = _make_scalar(parent, name, value, schema.DTYPES["f8"], True)
+    kind = h5py.h5t.py_create(schema.DTYPES["f8"])
+    dataset = h5py.Dataset(_create_scalar(parent, name, kind, True))
+    dataset[()] = value
     set_attribute(dataset, "units", unit)
     return dataset
 
@@ -55,15 +59,16 @@ def _text_type(length: int) -> np.dtype[Any]:
     return dtype
 
 
-def _make_scalar(
-    parent: h5py.Group, name: str, value: Any, dtype: np.dtype[Any], compact: bool
-) -> h5py.Dataset:
+def _create_scalar(parent: h5py.Group, name: str, kind: Any, compact: bool) -> Any:
+    """Create a dataset of one value; h5py's own interface takes several times as long."""
+    space = h5py.h5s.create(h5py.h5s.SCALAR)
+    return h5py.h5d.create(parent.id, name.encode(), kind, space, _scalar_plist(compact))
+
+
+@cache
+def _scalar_plist(compact: bool) -> Any:
     plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     plist.set_obj_track_times(False)
     if compact:
         plist.set_layout(h5py.h5d.COMPACT)
-    space = h5py.h5s.create(h5py.h5s.SCALAR)
-    kind = h5py.h5t.py_create(dtype, logical=True)
-    dataset = h5py.Dataset(h5py.h5d.create(parent.id, name.encode(), kind, space, plist))
-    dataset[()] = value
-    return dataset
+    return plist
