@@ -80,8 +80,8 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     if is_linear(recordings[0]):
         raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to lay over")
     effort = effort_of(recordings[0], kt)
-    turns = [_turns(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
-    groups = _groups(recordings, turns)
+    turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
+    groups = groups_of(recordings, turns)
     widest = max(group.gap for group in groups)
     orders = ORDERS if widest == 0 else min(ORDERS, int(1 / (2 * widest)))
     for group in groups:
@@ -99,7 +99,8 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     return Outcome(_results(groups, pairs, effort), tables, tuple(notes))
 
 
-def _turns(recording: Recording, run: Run, kt: Run | None) -> Turns:
+def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
+    """Lay a recording over the turn, in `POSITIONS` cells; what the motor does is its torque."""
     angle = position_of(recording) / (2 * math.pi)
     try:
         return find_turns(recording.read("time"), angle, effort_of(recording, kt).values, POSITIONS)
@@ -107,7 +108,7 @@ def _turns(recording: Recording, run: Run, kt: Run | None) -> Turns:
         raise InsufficientDataError(f"{run.path}: {error}") from None
 
 
-def _groups(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[Group]:
+def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[Group]:
     """Put together what was recorded under the same conditions and at the same speed."""
     found: list[tuple[dict[str, float], list[Turns]]] = []
     for recording, here in zip(recordings, turns, strict=True):

@@ -77,7 +77,22 @@ def friction_results(friction: Run | None) -> dict[str, Quantity]:
 
 
 def lookup_table_from(run: Run) -> LookupTable:
-    """Return the learned table of a run of `ilc-learn`.
+    """Return the learned table of a run of `ilc-learn`, in N m.
+
+    Raises `RunFileError` where the run is of another command or its table is broken.
+    """
+    table = stored_table_from(run)
+    lookup = run.table("lookup")
+    unit = lookup.columns[lookup.signal].unit
+    if unit != "N m":
+        raise RunFileError(
+            f"{run.path}: its learned table holds {unit}, not torque: learn it with --kt"
+        )
+    return table
+
+
+def stored_table_from(run: Run) -> LookupTable:
+    """Return the learned table of a run of `ilc-learn`, in whatever unit it holds.
 
     Raises `RunFileError` where the run is of another command or its table is broken.
     """
@@ -87,7 +102,7 @@ def lookup_table_from(run: Run) -> LookupTable:
         return LookupTable(
             position=lookup["position"],
             speed=lookup["speed"],
-            torque=lookup["torque"],
+            torque=lookup[lookup.signal],
             low_speed=amplitude["low_speed"],
             amplitude=amplitude["amplitude"],
             period=run.results[PERIOD].value if PERIOD in run.results else None,

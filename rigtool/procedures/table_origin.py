@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rigtool.analysis.lookup_table import LookupTable
 from rigtool.analysis.quantised_table import Loss
-from rigtool.procedures.learned_tables import COULOMB, VISCOUS, lookup_table_from
+from rigtool.procedures.learned_tables import COULOMB, VISCOUS, stored_table_from
 from rigtool.quantity import Quantity
 from rigtool.runfile import Run
 
@@ -59,7 +59,7 @@ class LearnedTable:
 
 def learned_table_from(run: Run) -> LearnedTable:
     """Return the learned table of a run of ilc-learn; raises `RunFileError` where it has none."""
-    table = lookup_table_from(run)
+    table = stored_table_from(run)
     stored = run.table("lookup")
     signal = stored.columns[stored.signal]
     recipe, made = run.recipe, run.provenance
