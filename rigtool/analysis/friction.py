@@ -291,32 +291,42 @@ class Offset:
     separated: bool
 
 
-def separate_offset(level: Array, middle: Array, u: Array) -> Offset:
+def separate_offset(level: Array, middle: Array, u: Array, speed: Array) -> Offset:
     """Tell a constant torque from friction that differs between directions.
 
     Both shift the middle between the torques of the two directions, but asymmetry does so in
-    proportion to the friction: middle = offset + asymmetry * level. `level` (n,) is half the
-    distance between the two directions without its viscous part, `middle` (n,) half their sum,
-    `u` its standard uncertainty, N m; from different speeds, breakaway, and radial loads.
+    proportion to the friction: middle = offset + asymmetry * level + slope * speed, the slope being
+    half the difference in viscous friction. `level` (n,) is half the distance between the two
+    directions without its viscous part, `middle` (n,) half their sum, `u` its standard uncertainty,
+    N m; from different `speed`, rad/s, breakaway (speed 0), and radial loads.
     """
     weight = 1 / u
-    mean = float(np.average(middle, weights=weight**2))
-    mean_u = 1 / math.sqrt(float(np.sum(weight**2)))
     typical = float(np.average(level, weights=weight**2))
-    if len(level) >= 3 and np.ptp(level) > SPANNED * typical:
-        design = np.column_stack([np.ones(len(level)), level])
-        inverse = np.linalg.pinv(design * weight[:, None])
-        offset, asymmetry = inverse @ (middle * weight)
-        residual = (middle - design @ np.array([offset, asymmetry])) * weight
-        scale = max(1.0, float(residual @ residual) / (len(level) - 2))
-        offset_u, asymmetry_u = np.sqrt(np.sum(inverse**2, axis=1) * scale)
+    ones = np.ones(len(level))
+    slope = [speed] if len(level) >= 3 and np.ptp(speed) > 0 else []
+    if len(level) >= 3 + len(slope) and np.ptp(level) > SPANNED * typical:
+        (offset, asymmetry), (offset_u, asymmetry_u) = _weighted(
+            np.column_stack([ones, level, *slope]), middle, weight
+        )
         if asymmetry_u < TOLD_APART:
-            doubt = PROPORTIONAL * abs(float(asymmetry))
+            doubt = PROPORTIONAL * abs(asymmetry)
             return Offset(
-                (float(offset), math.hypot(float(offset_u), doubt * typical)),
-                (float(asymmetry), math.hypot(float(asymmetry_u), doubt)),
+                (offset, math.hypot(offset_u, doubt * typical)),
+                (asymmetry, math.hypot(asymmetry_u, doubt)),
                 True,
             )
     # All friction is much the same here: the middle may be offset, asymmetry, or both.
+    (mean, *_), (mean_u, *_) = _weighted(np.column_stack([ones, *slope]), middle, weight)
     doubt = max(abs(mean) / typical, TOLD_APART)
     return Offset((mean, math.hypot(mean_u, doubt * typical)), (0.0, doubt), False)
+
+
+def _weighted(design: Array, values: Array, weight: Array) -> tuple[list[float], list[float]]:
+    """Return the first two parameters (or the one) of a weighted fit, and their uncertainties."""
+    inverse = np.linalg.pinv(design * weight[:, None])
+    parameters = inverse @ (values * weight)
+    residual = (values - design @ parameters) * weight
+    # Points that scatter more than their uncertainties say are believed (Birge ratio).
+    scale = max(1.0, float(residual @ residual) / max(len(values) - design.shape[1], 1))
+    u = np.sqrt(np.sum(inverse**2, axis=1) * scale)
+    return [float(p) for p in parameters[:2]], [float(x) for x in u[:2]]

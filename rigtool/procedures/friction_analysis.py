@@ -223,13 +223,13 @@ def separate(
         mean_by_speed(holds.speed[k] * sign, holds.torque[k], holds.u[k])
         for sign, k in ((1, holds.speed > 0), (-1, holds.speed < 0))
     )
-    level, middle, u = [], [], []
+    level, middle, u, speeds = [], [], [], []
     for speed, up, up_u in zip(*forward, strict=True):
         j = int(np.argmin(np.abs(backward[0] - speed)))
         if speed < lowest or abs(backward[0][j] - speed) > 0.01 * speed:
             continue
-        viscous = (fits[1].viscous[0] - fits[-1].viscous[0]) * speed
-        middle.append((up + backward[1][j] - viscous) / 2)
+        speeds.append(float(speed))
+        middle.append((up + backward[1][j]) / 2)
         u.append(math.hypot(up_u, backward[2][j]) / 2)
         # From the fits: a noisy level would itself look like asymmetry.
         level.append(float(np.mean([fit.level(np.array(speed)) for fit in fits.values()])))
@@ -239,9 +239,12 @@ def separate(
             level.append(breakaway.level.value)
             middle.append(mean.value)
             u.append(mean.u)
+            speeds.append(0.0)
     if not level:
         return None
-    return separate_offset(np.array(level), np.array(middle), np.maximum(u, 1e-12))
+    return separate_offset(
+        np.array(level), np.array(middle), np.maximum(u, 1e-12), np.array(speeds)
+    )
 
 
 # -- breakaway

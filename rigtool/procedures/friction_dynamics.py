@@ -41,7 +41,7 @@ def add_dynamics(motions: Sequence[Motion], found: Found) -> None:
     offset, offset_u = dynamics.estimate("offset")
     # One motion has one level of friction: asymmetry of it looks like a constant torque.
     level = max(coulomb, u, 1e-300)
-    told = separate_offset(np.array([level]), np.array([offset]), np.array([offset_u]))
+    told = separate_offset(np.array([level]), np.array([offset]), np.array([offset_u]), np.zeros(1))
     for direction in DIRECTIONS.values():
         total = math.hypot(u, told.offset[1])
         found.add(f"coulomb_friction_{direction}", (coulomb, total), "N m", dof)

@@ -212,7 +212,7 @@ def test_a_constant_torque_above_friction_is_no_wrong_sign():
 
 def test_offset_and_asymmetry_are_told_apart_by_levels_of_friction():
     level = np.array([2.3e-3, 2.4e-3, 3.7e-3, 4.75e-3])
-    found = separate_offset(level, -0.4e-3 + 0.12 * level, np.full(4, 1e-5))
+    found = separate_offset(level, -0.4e-3 + 0.12 * level, np.full(4, 1e-5), np.zeros(4))
     assert found.separated
     assert_allclose(found.offset[0], -0.4e-3, rtol=1e-9)
     assert_allclose(found.asymmetry[0], 0.12, rtol=1e-9)
@@ -220,11 +220,32 @@ def test_offset_and_asymmetry_are_told_apart_by_levels_of_friction():
 
 
 def test_one_level_of_friction_leaves_offset_and_asymmetry_together():
-    found = separate_offset(np.full(5, 2.3e-3), np.full(5, 0.1e-3), np.full(5, 1e-5))
+    found = separate_offset(np.full(5, 2.3e-3), np.full(5, 0.1e-3), np.full(5, 1e-5), np.zeros(5))
     assert not found.separated
     assert_allclose(found.offset[0], 0.1e-3, rtol=1e-9)
     assert found.offset[1] >= 0.1e-3
     assert found.asymmetry[0] == 0
+
+
+@pytest.mark.parametrize("spanned", [0.1e-3, 1.5e-3])
+def test_offset_and_asymmetry_scatter_by_their_uncertainty(spanned):
+    """Viscous friction that differs between directions is told by the same speeds."""
+    random = np.random.default_rng(11)
+    speed = np.array([0.2, 0.5, 1, 2, 3, 5, 8, 12, 16, 20, 25, 30])
+    level = 2.3e-3 + spanned * np.exp(-((speed / 1.0) ** 2))
+    u = np.full(len(speed), 2e-5)
+    errors = []
+    for _ in range(300):
+        middle = -0.05e-3 + 0.01 * level + 4e-6 * speed + random.normal(0, u)
+        found = separate_offset(level, middle, u, speed)
+        (offset, offset_u), (asymmetry, asymmetry_u) = found.offset, found.asymmetry
+        errors.append([(offset + 0.05e-3) / offset_u, (asymmetry - 0.01) / asymmetry_u])
+        assert found.separated == (spanned > 1e-3)
+    scatter = np.sqrt(np.mean(np.square(errors), axis=0))
+    if spanned > 1e-3:
+        assert np.all((scatter > 0.8) & (scatter < 1.15)), scatter
+    else:
+        assert np.all(scatter < 1), scatter
 
 
 # -- torque against speed
