@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 GRID_COUNTS = 10
 """Distance of the points at which curves are stored, quad counts."""
 
+ZERO_AGAIN = "zero_again"
+"""Recording without load after all loads (correction full): zero is known before and after."""
+
 SIGNIFICANCE = 0.05
 """Shapiro-Wilk probability below which readings are said not to be normally distributed."""
 

@@ -18,7 +18,8 @@ from rigtool.analysis.force import find_cycles, kept_factor, lowpass_at, reading
 from rigtool.analysis.signals import require_rising, rising_steps
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.procedures.calibration import torque_per_ampere
-from rigtool.procedures.force_results import Reading, loads_outcome
+from rigtool.procedures.force_results import ZERO_AGAIN, Reading, loads_outcome
+from rigtool.procedures.health import require_health
 from rigtool.procedures.instrument_results import instrument_outcome
 from rigtool.procedures.learned_tables import feedforward_from, require_same_rig
 from rigtool.procedures.outcome import Outcome
@@ -47,8 +48,6 @@ RATE_SAMPLES = 8192
 """Samples that the sampling frequency is taken from."""
 
 HYSTERESIS, SHIFT = "hysteresis", "shift"
-MAX_TRACKING_ERROR = 0.1
-"""Largest distance of rotor and set point at which a position still means something, rad."""
 
 
 # -- measuring
@@ -61,6 +60,8 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
         (f"load_{number:03d}", force, settings.cycles)
         for number, force in enumerate((0.0, *settings.forces))
     ]
+    if settings.correction == "full":
+        plan.append((ZERO_AGAIN, 0.0, settings.cycles))
     if recipe.rig.attachment == "instrument":
         plan += [
             (HYSTERESIS, settings.hysteresis_force, settings.extra_cycles),
@@ -116,7 +117,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
             "measure-force recorded its signals"
         )
     loads = [_read(recording, recipe, constant.value) for recording in recorded]
-    outcome = loads_outcome(loads, recipe, constant, _table_u(tables, recipe))
+    outcome = _corrected(run, loads, recipe, constant, kt=kt, tables=tables)
     extra, failed = {}, []
     for name in (HYSTERESIS, SHIFT):
         if name in run.recordings and run.recordings[name].size:
@@ -130,6 +131,23 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
         {**outcome.tables, **more.tables},
         (*_input_notes(kt, tables), *outcome.notes, *failed, *more.notes),
     )
+
+
+def _corrected(
+    run: Run, loads: list[Reading], recipe: Recipe, constant: Quantity, *, kt: Run, tables: Run
+) -> Outcome:
+    """Return Table 8 or 9, with the disturbance of the load taken off as the recipe says."""
+    correction, table_u = recipe.measure_force.correction, _table_u(tables, recipe)
+    if correction == "none":
+        return loads_outcome(loads, recipe, constant, table_u)
+    from rigtool.procedures import corrected_force
+
+    if correction == "load":
+        corrected, friction_u = corrected_force.without_load_friction(loads, recipe, tables)
+        outcome = loads_outcome(corrected, recipe, constant, table_u)
+        return corrected_force.load_outcome(outcome, friction_u)
+    base = loads_outcome(loads, recipe, constant, table_u)
+    return corrected_force.full_outcome(run, base, recipe, kt, tables)
 
 
 def _read(recording: Recording, recipe: Recipe, torque_constant: float) -> Reading:
@@ -162,7 +180,7 @@ def _filtered(recording: Recording, recipe: Recipe) -> Array:
     cutoff, per_count = recipe.measure_force.lowpass_hz, 2 * math.pi / recipe.rig.encoder_counts
     rate, last, samples = _rate(recording), np.zeros(0), 0
     collected = Decimator(factor := kept_factor(rate, cutoff), 3)
-    largest = farthest = 0.0
+    largest = farthest = controlled = 0.0
     for time, asked, encoder, setpoint, feedforward, table in recording.blocks(*SIGNALS):
         rising_steps(np.concatenate([last, time]), samples - last.size)
         last, samples = time[-1:], samples + time.size
@@ -171,8 +189,11 @@ def _filtered(recording: Recording, recipe: Recipe) -> Array:
         farthest = max(farthest, _largest(setpoint))
         asked -= feedforward
         asked -= table
+        controlled = max(controlled, _largest(asked))
         collected.add(encoder, asked, table)
-    _require_health(recipe, largest, farthest)
+    require_health(
+        recipe, largest_current=largest, largest_controller=controlled, distance=farthest
+    )
     return lowpass_at(rate / factor, collected.finish(), cutoff)
 
 
@@ -185,30 +206,11 @@ def _largest(values: Array) -> float:
     return float(max(values.max(), -values.min()))
 
 
-def _require_health(recipe: Recipe, asked: float, distance: float) -> None:
-    """Raise `InsufficientDataError` where the loop did not do what its current is read for.
-
-    `asked` is the largest current set point, A, and `distance` the largest one of rotor and set
-    point, rad.
-    """
-    limit = recipe.rig.current_limit
-    if asked >= 0.999 * limit:
-        raise InsufficientDataError(
-            f"the current set point reaches the limit of {limit} A, so the current no longer "
-            "tells the torque: use a smaller force"
-        )
-    if distance > MAX_TRACKING_ERROR:
-        raise InsufficientDataError(
-            f"the rotor is up to {distance:.3g} rad off its set point, more than "
-            f"{MAX_TRACKING_ERROR} rad, so the loop does not hold it: check the encoder and "
-            "[rig.controller]"
-        )
-
-
 def _require_inputs(recipe: Recipe, kt: Run, tables: Run) -> None:
     """Raise `RunFileError` unless calibration and tables belong to the recipe's rig.
 
-    A calibration that does not say its rig is taken on trust: it is one number, of any source.
+    With a correction also unless the tables hold it, `InsufficientDataError` at another speed. A
+    calibration that does not say its rig is taken on trust: it is one number, of any source.
     """
     kt.require_command("calibrate-kt")
     if kt.rig not in (None, recipe.rig.name):
@@ -217,6 +219,10 @@ def _require_inputs(recipe: Recipe, kt: Run, tables: Run) -> None:
             f"{recipe.rig.name}: calibrate this one"
         )
     require_same_rig(tables, recipe)
+    if recipe.measure_force.correction != "none":
+        from rigtool.procedures.corrected_force import corrects
+
+        corrects(tables, recipe)
 
 
 def _constant_at_one_angle(kt: Run) -> Quantity:

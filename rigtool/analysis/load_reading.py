@@ -1,0 +1,145 @@
+"""The load that a learned disturbance explains a motor's torque by: read from whole strokes.
+
+Of a load F r sin(a) every point of a stroke tells a part. The load is the one whose expected torque
+(`disturbance`) fits the straight part of the strokes best, the recording's own friction level being
+free: rising and falling strokes together then tell the load, whatever friction did meanwhile. Close
+to the solution that is a weighted mean over the stroke,
+
+    load = sum over points of weight * torque
+
+so that each cycle, with the load or without, has a reading of its own and their scatter is known.
+For comparison the reading at one angle of the rising strokes is kept, the thesis's way [8.2], with
+the same disturbance taken off.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.analysis.disturbance import Comparison, Disturbance
+from rigtool.analysis.loaded_cycles import LoadedCycles
+from rigtool.analysis.steady_mean import steady_u
+from rigtool.errors import InsufficientDataError
+
+Array = NDArray[np.float64]
+
+STEP = 0.01
+"""Change of the load for a derivative, relative, or as part of the largest learned load."""
+
+SMALLEST_STEP = 1e-4
+ROUNDS = 20
+CONVERGED = 1e-5
+"""Change at which a load is found, in parts of the largest learned one."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadReading:
+    """A load, N m at 90 degrees, by whole strokes and at one angle.
+
+    `moment` and its standard uncertainty `u` with `dof`; `components` of u by source. `cycles` (m,)
+    are single readings of it, `at_angle` (m,) those at
+    one angle of each rising stroke. `dead_band` is half the difference of rising and falling torque
+    there: at a standstill friction may hold that much either way. `rms` is what the model leaves.
+    """
+
+    moment: float
+    u: float
+    dof: float
+    components: dict[str, float]
+    cycles: Array
+    at_angle: Array
+    dead_band: float
+    rms: float
+
+
+def read_load(disturbance: Disturbance, comparison: Comparison, angle: float) -> LoadReading:
+    """Read the load of a comparison; `angle` rad of the output is that of the single readings.
+
+    Raises `InsufficientDataError` where no load explains the torque.
+    """
+    moment, weight, left = _solve(disturbance, comparison)
+    loaded = comparison.loaded
+    over_period = np.zeros(len(loaded.setpoint))
+    over_period[comparison.rows] = weight
+    over_period = loaded.lowpass(over_period)  # acts on torques that are not low-passed
+    cycles = moment + (loaded.torque - loaded.mean) @ over_period
+    scatter_u, scatter_dof = steady_u(cycles)
+    zeros = [steady_u(each.torque @ over_period) for each in comparison.unloaded]
+    zero_u = math.hypot(*(u for u, _ in zeros)) / len(zeros)
+    rows = comparison.rows
+    by = disturbance.sensitivity(comparison, moment)[:, rows] @ weight
+    rms = float(np.sqrt(np.mean(left**2)))
+    components = {
+        "scatter": scatter_u,
+        "zero": zero_u,
+        "disturbance": math.sqrt(max(0.0, float(by @ disturbance.covariance @ by))),
+        "misfit": rms
+        * float(np.linalg.norm(weight))
+        * math.sqrt(len(rows) / comparison.independent),
+    }
+    u = math.hypot(*components.values())
+    zero_dof = sum(dof for _, dof in zeros)
+    return LoadReading(
+        moment=moment,
+        u=u,
+        dof=u**4 / (scatter_u**4 / scatter_dof + zero_u**4 / zero_dof),
+        components=components,
+        cycles=cycles,
+        at_angle=_at_angle(disturbance, comparison, moment, angle),
+        dead_band=_dead_band(loaded, angle),
+        rms=rms,
+    )
+
+
+def _solve(disturbance: Disturbance, comparison: Comparison) -> tuple[float, Array, Array]:
+    """Return the load, N m, the weight of each row in it, and what is left at the rows, N m."""
+    rows, scale = comparison.rows, disturbance.torque
+    own = comparison.nuisance[:, rows]
+    shape = np.vstack([comparison.zero_error[rows], own])
+    moment = float(np.linalg.pinv(shape.T)[0] @ comparison.torque[rows])
+    for _ in range(ROUNDS):
+        expected = disturbance.expected(comparison, moment)[rows]
+        step = max(STEP * abs(moment), SMALLEST_STEP * scale)
+        slope = (disturbance.expected(comparison, moment + step)[rows] - expected) / step
+        matrix = np.vstack([slope, own]).T
+        weight = np.linalg.pinv(matrix)[0]
+        difference = comparison.torque[rows] - expected
+        change = float(weight @ difference)
+        if abs(change) <= CONVERGED * scale:
+            left = difference - matrix @ (np.linalg.pinv(matrix) @ difference)
+            return moment + change, weight, left
+        if abs(moment + change) > 3 * scale:
+            break
+        moment += change
+    raise InsufficientDataError(
+        f"no load up to three times the largest learned one, {scale * 1e3:.4g} mN m, explains the "
+        "torque: learn with larger loads, or check that the tables are of this rig"
+    )
+
+
+def _at_angle(
+    disturbance: Disturbance, comparison: Comparison, moment: float, angle: float
+) -> Array:
+    """Return the load that each rising stroke shows at one angle (cycles,), N m."""
+    loaded, unloaded = comparison.loaded, comparison.unloaded[0]
+    rotor = angle * loaded.drive.angle_ratio
+    here, there = loaded.crossing(rotor, 1), unloaded.crossing(rotor, 1)
+    zero = unloaded.lowpass(comparison.unloaded_torque)
+    shown = loaded.at(loaded.lowpass(loaded.torque), here) - unloaded.at(zero, there)
+    step = max(STEP * abs(moment), SMALLEST_STEP * disturbance.torque)
+    expected = disturbance.expected(comparison, moment)
+    slope = (disturbance.expected(comparison, moment + step) - expected) / step
+    # The model compares equal times; the thesis's reading compares equal angles.
+    moved = loaded.at(zero, here) - unloaded.at(zero, there)
+    found: Array = moment + (shown - loaded.at(expected, here) - moved) / loaded.at(slope, here)
+    return found
+
+
+def _dead_band(loaded: LoadedCycles, angle: float) -> float:
+    mean, rotor = loaded.lowpass(loaded.mean), angle * loaded.drive.angle_ratio
+    rising, falling = (loaded.at(mean, loaded.crossing(rotor, sign)) for sign in (1, -1))
+    return float(abs(rising - falling)) / 2
