@@ -22,20 +22,34 @@ from rigtool.procedures.options import CommonOptions
 @source_arguments
 @run_option("--kt", "Run file of calibrate-kt.", required=True)
 @run_option("--tables", "Run file of ilc-learn, of this rig and attachment.", required=True)
+@click.option(
+    "--correction",
+    type=click.Choice(["none", "load", "full"]),
+    help="Of what a load does to the reading; load and full need tables of implementation D. "
+    "[default: the recipe's: none]",
+)
 @common_options
 def command(
-    sources: tuple[str, ...], output: str, kt: str, tables: str, options: CommonOptions
+    sources: tuple[str, ...],
+    output: str,
+    kt: str,
+    tables: str,
+    correction: str | None,
+    options: CommonOptions,
 ) -> None:
     """Measure known loads, reading force from current.
 
     Lifts and lowers each load of the recipe with the learned table switched on; reads the torque at
     one angle of each rising stroke: mean, scatter, error. With an instrument, also friction that
-    grows with load, and stiffness.
+    grows with load, and stiffness. --correction load takes friction that grows with load off this
+    reading; full reads whole strokes, with compliance, ripple by current and motor temperature.
     """
     from rigtool.cli.printing import print_outcome
     from rigtool.procedures import measure_force
     from rigtool.procedures.session import run_command
 
+    if correction is not None:
+        options = options.with_override(f"measure_force.correction={correction}")
     with open_inputs(kt=kt, tables=tables) as inputs:
         outcome = run_command(measure_force, sources, output, options=options, inputs=inputs)
     print_outcome(outcome, output, options)
