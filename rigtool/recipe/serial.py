@@ -68,6 +68,9 @@ class Serial(Section):
     )
     force: Instrument | None = Field(None, description="force gauge at the end of the arm")
     temperature: Instrument | None = Field(None, description="thermometer on the motor")
+    deflection: Instrument | None = Field(
+        None, description="micrometer at the motor on its leaf springs"
+    )
     operator: bool = Field(
         True, description="somebody is there to hang loads, clamp, heat and switch off"
     )

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-import queue
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,13 +18,13 @@ from numpy.typing import NDArray
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
-from rigtool.rigs.base import Block, Task
+from rigtool.rigs.base import NEEDS, Block, Task
 from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move, OpenLoop
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
 from rigtool.rigs.serial.line import Line
-from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig
+from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
 
 Array = NDArray[np.float64]
 
@@ -133,9 +132,9 @@ class HostedRig(SerialRig):
         if need in ("current", "current_setpoint", "temperature") and need not in able.channels:
             more = ": add [serial.temperature]" if need == "temperature" else ""
             return f"this {name} does not tell its {need}{more}"
-        if need == "force":
-            return "there is no force gauge: add [serial.force]"
-        return None
+        if need in ("force", "deflection"):
+            return f"a {name} does not measure it: add [serial.{need}]"
+        return None if need in (*NEEDS, *COLUMNS) else f"a {name} does not record it"
 
     def _facts(self) -> Mapping[str, Any]:
         rate = self._ticks / self._driven if self._driven > 0 else 0.0
@@ -148,7 +147,7 @@ class HostedRig(SerialRig):
 
     # -- motions
 
-    def _execute(self, task: Task) -> Iterator[Block]:
+    def _execute(self, task: Task) -> Generator[Block, None, None]:
         motion = task.motion
         if not isinstance(motion, OpenLoop) and motion.start is not None:
             angle = motion.start - self._position()
@@ -161,20 +160,10 @@ class HostedRig(SerialRig):
 
     def _run(self, task: Task) -> Iterator[Block]:
         """Drive a task in a thread of its own, and hand on what it measures."""
-        blocks: queue.Queue[Block | BaseException | None] = queue.Queue()
-        stop = threading.Event()
-        loop = _Loop(self, task, blocks.put, stop)
-        thread = threading.Thread(target=loop.run, name="rig", daemon=True)
-        thread.start()
+        loop = _Loop(self, task)
         try:
-            while (item := blocks.get()) is not None:
-                if isinstance(item, BaseException):
-                    raise item
-                yield item
+            yield from in_thread(loop.run)
         finally:
-            stop.set()
-            with safety.uninterrupted():
-                thread.join()
             self._ticks += loop.ticks
             self._late += loop.late
             self._longest_gap = max(self._longest_gap, loop.longest_gap)
@@ -189,14 +178,8 @@ class HostedRig(SerialRig):
 class _Loop:
     """One motion, tick by tick."""
 
-    def __init__(
-        self,
-        rig: HostedRig,
-        task: Task,
-        put: Callable[[Block | BaseException | None], None],
-        stop: threading.Event,
-    ) -> None:
-        self._rig, self._task, self._put, self._stop = rig, task, put, stop
+    def __init__(self, rig: HostedRig, task: Task) -> None:
+        self._rig, self._task = rig, task
         self._drive, self._line = rig.drive, rig.line
         self._recipe = rig._recipe
         self._watch = safety.Watch(rig._limits, self._recipe.rig.encoder_counts)
@@ -204,19 +187,19 @@ class _Loop:
         self.ticks = self.late = 0
         self.longest_gap = self.elapsed = 0.0
 
-    def run(self) -> None:
-        """Run to the end, or until stopped; the last thing put is None or an exception."""
+    def run(self, put: Callable[[Block], None], stop: threading.Event) -> None:
+        """Run to the end, or until stopped; whatever is wrong, the drive is halted first."""
+        self._put = put
         try:
-            self._ticking()
-            self._hand_on()
-            self._put(None)
-        except BaseException as error:
+            self._ticking(stop)
+        except BaseException:
             with contextlib.suppress(HardwareError):  # leaving the rig tries again, and tells
                 self._drive.halt()
+            raise
+        finally:
             self._hand_on()
-            self._put(error)
 
-    def _ticking(self) -> None:
+    def _ticking(self, stop: threading.Event) -> None:
         task, line, rig = self._task, self._line, self._rig
         dt = self._recipe.rig.sample_time
         open_loop = isinstance(task.motion, OpenLoop)
@@ -230,7 +213,7 @@ class _Loop:
         start = line.now()
         last, here = start, begin
         for tick in range(round(motion.duration / dt)):
-            if self._stop.is_set():
+            if stop.is_set():
                 self._drive.halt()
                 return
             line.sleep_until(start + tick * dt)

@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rigtool.errors import HardwareError
+from rigtool.rigs.serial.sockets import Socket
 from rigtool.rigs.serial.spy import Event, Replay, Spy
 
 T = TypeVar("T")
 
 REPLAY = "replay://"
+SOCKET = "socket://"
 POLL = 0.01
 """Longest that one read of the port waits, s: deadlines are kept as closely."""
 
@@ -107,8 +109,8 @@ class Line:
         Played back from a spy file it is the time as it was then: use it for whatever enters a
         command or a recording, and for nothing else.
         """
-        if isinstance(self._port, Replay) and (then := self._port.clock()) is not None:
-            return then
+        if isinstance(self._port, Replay):
+            return self._port.clock()
         now = time.monotonic() - self.opened
         self._note(".", b"", now)
         return now
@@ -117,6 +119,11 @@ class Line:
         """Wait until `now` would return this, s; a played-back line does not wait."""
         if not isinstance(self._port, Replay):
             time.sleep(max(0.0, moment - (time.monotonic() - self.opened)))
+
+    def pause(self, seconds: float) -> None:
+        """Wait this long, s; a played-back line does not wait."""
+        if not isinstance(self._port, Replay):
+            time.sleep(seconds)
 
     # -- bytes
 
@@ -267,7 +274,7 @@ class Line:
                 self.counts.bytes_received += len(data)
                 self._note("<", data)
                 return data
-            if time.monotonic() >= deadline:
+            if time.monotonic() >= deadline or isinstance(self._port, Replay):
                 return b""
 
     def _note(self, kind: str, data: bytes, now: float | None = None) -> None:
@@ -287,6 +294,8 @@ def _open(port: str, baud_rate: int) -> Any:
     import serial
 
     try:
+        if port.startswith(SOCKET):
+            return Socket(port.removeprefix(SOCKET), POLL)
         return serial.serial_for_url(
             port, baudrate=baud_rate, timeout=POLL, write_timeout=1.0, exclusive=True
         )

@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import queue
+import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
@@ -43,6 +46,7 @@ class SerialRig(ABC):
         self._line: Line | None = None
         self._identity = ""
         self._permitted = False
+        self._running: Generator[Block, None, None] | None = None
         self._load = Load()
         self._clamp_angle = math.nan
         self._gauges: dict[str, Gauge] = {
@@ -50,10 +54,11 @@ class SerialRig(ABC):
             for name, settings in (
                 ("force", recipe.serial.force),
                 ("temperature", recipe.serial.temperature),
+                ("deflection", recipe.serial.deflection),
             )
             if settings is not None
         }
-        self.missing = 0  # samples that were never received
+
         self.notes: list[str] = []
 
     # -- for subclasses
@@ -67,7 +72,7 @@ class SerialRig(ABC):
         """Identify, set limits and watchdog; return the identity. Nothing moves."""
 
     @abstractmethod
-    def _execute(self, task: Task) -> Iterator[Block]:
+    def _execute(self, task: Task) -> Generator[Block, None, None]:
         """Run a checked and permitted task; on an exception, leave the rest to `_halt`."""
 
     @abstractmethod
@@ -119,6 +124,8 @@ class SerialRig(ABC):
         """Stop, switch off, restore, let go. What fails here is said, and hides no error."""
         problems = []
         with safety.uninterrupted():
+            if self._running is not None:
+                self._running.close()
             for what, act in (("stop", self._halt), ("restore its settings", self._restore)):
                 try:
                     act()
@@ -167,7 +174,7 @@ class SerialRig(ABC):
             "driver": self._settings.driver,
             "port": self._settings.port,
             "identity": self._identity,
-            "missing_samples": self.missing,
+            "missing_samples": 0,
             **self.line.counts.as_dict(),
             **self._facts(),
         }
@@ -186,22 +193,21 @@ class SerialRig(ABC):
         for gauge in self._gauges.values():
             gauge.begin()
         watch = safety.Watch(self._limits, self._recipe.rig.encoder_counts)
+        self._running = blocks = self._execute(task)
         complete = False
         try:
-            for block in self._execute(task):
+            for block in blocks:
                 self._add_instruments(block, task.load)
                 problem = watch.problem(block)
                 if problem:
-                    with safety.uninterrupted():
-                        self._halt()
+                    self._break_off()
                     yield block
                     raise HardwareError(problem)
                 yield block
             complete = True
         finally:
             if not complete:
-                with safety.uninterrupted():
-                    self._halt_quietly()
+                self._break_off()
 
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
@@ -216,9 +222,14 @@ class SerialRig(ABC):
         if not self._permitted:
             self.permit(f"{type(task.motion).__name__}: {found}")
 
-    def _halt_quietly(self) -> None:
-        # The error that led here is the one to tell; leaving the rig tries again, and tells.
-        with contextlib.suppress(HardwareError):
+    def _break_off(self) -> None:
+        """End a motion before its end. Errors are left to `__exit__`, which tries again, and tells.
+
+        Whatever thread has the line lets go of it first.
+        """
+        with safety.uninterrupted(), contextlib.suppress(HardwareError):
+            if self._running is not None:
+                self._running.close()
             self._halt()
 
     def _add_instruments(self, block: Block, load: Load) -> None:
@@ -260,12 +271,41 @@ class SerialRig(ABC):
         self._identity = self._connect()
 
     def _ask_for_load(self, load: Load) -> None:
-        if load == self._load:
+        before, self._load = self._load, load
+        # An arm that was just clamped needs no word; the rest is as it was or is to be changed.
+        if load in (before, replace(before, clamped=True)):
             return
-        asked = describe_load(load, self._recipe.rig.attachment)
         self._halt()
-        self._bench.operator.done(asked)
-        self._load = load
+        self._bench.operator.done(describe_load(load, self._recipe.rig.attachment))
+
+
+def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) -> Iterator[Block]:
+    """Yield the blocks that `work(put, stop)` puts, from a thread of its own.
+
+    So nothing that is done with a block disturbs the line. `work` returns soon once `stop` is set:
+    that happens where the caller gives up. What it raises is raised here, after its last block.
+    """
+    blocks: queue.Queue[Block | BaseException | None] = queue.Queue()
+    stop = threading.Event()
+
+    def run() -> None:
+        try:
+            work(blocks.put, stop)
+            blocks.put(None)
+        except BaseException as error:
+            blocks.put(error)
+
+    thread = threading.Thread(target=run, name="line", daemon=True)
+    thread.start()
+    try:
+        while (item := blocks.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        stop.set()
+        with safety.uninterrupted():
+            thread.join()
 
 
 def describe_load(load: Load, attachment: str) -> str:
@@ -280,7 +320,7 @@ def describe_load(load: Load, attachment: str) -> str:
         parts.append(f"pull the shaft sideways with {load.radial_force:g} N")
     if not parts:
         parts.append("take all loads off")
-    if load.clamped:
-        parts.append("leave the arm clamped on the force gauge")
+    where = "clamped on" if load.clamped else "away from"
+    parts.append(f"see that the arm is {where} the force gauge")
     text = ", ".join(parts)
     return text[0].upper() + text[1:]

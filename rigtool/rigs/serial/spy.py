@@ -8,7 +8,6 @@ The first line says what was at the other end: `# rigtool spy 1 driver=... baud_
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from pathlib import Path
 from typing import NamedTuple
@@ -79,20 +78,24 @@ class Replay:
     def __init__(self, path: str | Path) -> None:
         self.driver, events = read_spy(path)
         self._path = path
-        self._events = deque(event for event in events if event.kind != ".")
-        self._clock = deque(event.time for event in events if event.kind == ".")
+        self._events = deque(events)
         self._said = bytearray()
-        self.timeout: float | None = None
+        self._now = 0.0
 
-    def clock(self) -> float | None:
-        """Return the next reading of the clock as it was then; None past the last."""
-        return self._clock.popleft() if self._clock else None
+    def clock(self) -> float:
+        """Return the reading of the clock as it was at this point, s."""
+        if self._events:
+            self._now = self._events[0].time
+            if self._events[0].kind == ".":
+                self._events.popleft()
+        return self._now
 
     def write(self, data: bytes) -> int:
         """Compare with what was sent then; what was received then can be read afterwards."""
         self._said += data
         while self._said:
-            self._skip_unread()
+            while self._events and self._events[0].kind != ">":
+                self._events.popleft()  # what arrived then, and was dropped unread
             if not self._events:
                 raise HardwareError(
                     f"{self._path}: the record ends here, the host goes on with {data[:40]!r}"
@@ -111,9 +114,8 @@ class Replay:
         return len(data)
 
     def read(self, size: int = 1) -> bytes:
-        """Return what was received at this point; nothing, after the timeout, where it was not."""
-        if not self._events or self._events[0].kind != "<":
-            time.sleep(min(self.timeout or 0.0, 0.01))
+        """Return what was received at this point; nothing where nothing was."""
+        if not self.in_waiting:
             return b""
         event = self._events.popleft()
         if len(event.data) > size:
@@ -127,8 +129,3 @@ class Replay:
 
     def close(self) -> None:
         """Nothing to close."""
-
-    def _skip_unread(self) -> None:
-        # Bytes that arrived then and were never asked for, e.g. dropped as stray.
-        while self._events and self._events[0].kind == "<":
-            self._events.popleft()

@@ -25,6 +25,9 @@ class Emulator:
     is no whole request yet.
     """
 
+    busy = False
+    """Whether `idle` has work to do at once."""
+
     def receive(self, data: bytes) -> bytes:
         """Take bytes from the host and return what is answered."""
         raise NotImplementedError
@@ -79,7 +82,7 @@ class Server:
     def _serve(self) -> None:
         try:
             while not self._stop.is_set():
-                ready = self._ready(TICK)
+                ready = self._ready(0.0 if self.emulator.busy else TICK)
                 if ready and (data := self._read()):
                     self._send(self.emulator.receive(self._in.apply(data)))
                 self._send(self.emulator.idle())

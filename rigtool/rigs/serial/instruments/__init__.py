@@ -1,7 +1,7 @@
 """Instruments beside the drive: force gauges and thermometers, or an operator who reads one.
 
-A gauge fills one channel (`force` [N] or `temperature` [degC]). It reads on its own line, in its
-own thread, and is asked afterwards what it read at the times of the samples.
+A gauge fills one channel (`force` [N], `temperature` [degC] or `deflection` [m]). It reads on its
+own line, in its own thread, and is asked afterwards what it read at the times of the samples.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rigtool.errors import RecipeError
 from rigtool.recipe.serial import Instrument
+from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.bench import Operator
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ class OperatorGauge:
 
     def begin(self) -> None:
         """Ask for the reading."""
-        unit = {"force": "N", "temperature": "degC"}[self._channel]
+        unit = CHANNELS[self._channel][0]
         reading = self._operator.reading(self._channel, unit)
         self._value = self._settings.scale * reading + self._settings.offset
 
@@ -64,7 +65,7 @@ class OperatorGauge:
 
 
 def open_gauge(channel: str, settings: Instrument, operator: Operator) -> Gauge:
-    """Return the gauge that a recipe names for `force` or `temperature`; not connected yet."""
+    """Return the gauge that a recipe names for a channel; not connected yet."""
     if settings.driver == "operator":
         return OperatorGauge(channel, settings, operator)
     raise RecipeError(

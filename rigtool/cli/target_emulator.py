@@ -1,0 +1,47 @@
+"""`rigtool target-emulator`: the virtual rig behind the host-target link."""
+
+from __future__ import annotations
+
+import click
+
+from rigtool.cli.options import debug_option, example
+
+
+@click.command(
+    epilog=example("rigtool target-emulator recipes/briaire-2006.toml --tcp 127.0.0.1:7000")
+)
+@click.argument("recipe", metavar="RECIPE.toml")
+@click.option("--tcp", metavar="HOST:PORT", help="Serve there instead of a pseudo-terminal.")
+@click.option("--paced", is_flag=True, help="In real time; else as fast as it can simulate.")
+@click.option("--forgetful", is_flag=True, help="Forget samples once they are streamed.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the virtual rig.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change the recipe.")
+@debug_option
+def command(
+    recipe: str,
+    tcp: str | None,
+    paced: bool,
+    forgetful: bool,
+    seed: int | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """Serve the virtual rig of a recipe over the host-target link.
+
+    Prints the port that a rig's recipe names (serial.port) and serves until Ctrl-C. Written for
+    trying out recipes, and as a pattern for firmware: docs/target-link.md.
+    """
+    from rigtool.recipe import load_recipe
+    from rigtool.rigs.serial.emulators.server import PtyServer, Server, TcpServer
+    from rigtool.rigs.serial.emulators.target import TargetEmulator
+
+    more = () if seed is None else (f"virtual.seed={seed}",)
+    emulator = TargetEmulator(
+        load_recipe(recipe, (*overrides, *more))[0], paced=paced, keeps_log=not forgetful
+    )
+    server: Server = PtyServer(emulator) if tcp is None else TcpServer(emulator, address=tcp)
+    server.start()
+    click.echo(server.port)
+    try:
+        server.wait()
+    finally:
+        server.stop()

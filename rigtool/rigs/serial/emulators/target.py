@@ -1,0 +1,423 @@
+"""A target that serves the virtual rig over the host-target link (docs/target-link.md)."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from rigtool.errors import RigtoolError
+from rigtool.recipe import Recipe
+from rigtool.rigs.base import Block, Feedforward, Load, Task
+from rigtool.rigs.motion import Move
+from rigtool.rigs.serial import target_link as link
+from rigtool.rigs.serial.emulators.server import Emulator
+from rigtool.rigs.serial.frames import Frame, Splitter, encode
+from rigtool.rigs.serial.safety import Watch
+from rigtool.rigs.serial.target_link import Ability, Kind, Refusal, Slot, State
+from rigtool.rigs.virtual import VirtualRig
+
+NAME = "rigtool target emulator"
+
+STREAMED = 64
+"""Samples in a streamed frame at most: what a small target keeps for it."""
+
+
+class _Refused(Exception):
+    """The request is answered with a refusal."""
+
+    def __init__(self, text: str, code: Refusal = Refusal.NOT_NOW) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class TargetEmulator(Emulator):
+    """The virtual rig of a recipe behind the link.
+
+    It simulates as fast as it can, or in real time where `paced`. `keeps_log` false forgets samples
+    once they are streamed; `log_bytes` is the memory for them.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        *,
+        paced: bool = False,
+        keeps_log: bool = True,
+        log_bytes: int = 1 << 28,
+        max_payload: int = 4096,
+    ) -> None:
+        self._recipe, self._paced = recipe, paced
+        self._keeps_log, self._log_bytes = keeps_log, log_bytes
+        self._max_payload = max_payload
+        self._boot = 0
+        self.reset()
+        _warm_up(recipe)
+
+    # -- as a device
+
+    def reset(self) -> None:
+        """Restart: the session, what went up and the log are forgotten."""
+        self._boot += 1
+        self._splitter = Splitter()
+        self._answered: tuple[int, bytes] | None = None
+        self._session = False
+        self._refusals = 0
+        self._objects: dict[Slot, bytes] = {}
+        self._growing: dict[Slot, bytearray] = {}
+        self.rig: VirtualRig | None = None
+        self.state, self.text = State.OFF, ""
+        self._fed = time.monotonic()
+        self._watchdog = 0.0
+        self._signals: Iterator[Block] = iter(())
+        self._log = bytearray()
+        self._sample = link.sample_type(0)
+        self._mask = 0
+        self._streams = False
+        self._sent = self._first = 0
+        self._clock = self._started = 0.0
+        self._period = 1.0
+        self._position = self._current = self._temperature = float("nan")
+        self._move: float | None = None
+
+    def refuse(self, count: int) -> None:
+        """Refuse the next requests."""
+        self._refusals = count
+
+    def receive(self, data: bytes) -> bytes:
+        """Answer the requests in what arrived."""
+        return b"".join(self._answer(frame) for frame in self._splitter.feed(data))
+
+    def idle(self) -> bytes:
+        """Simulate a piece further; stop where the host is silent."""
+        if self.state in (State.RUNNING, State.DONE) and self._watchdog > 0:
+            silence = time.monotonic() - self._fed
+            if silence > self._watchdog and self.state is State.DONE:
+                self._end(State.OFF)
+            elif silence > self._watchdog:
+                self._end(State.TRIPPED, f"the host was silent for {silence:.2f} s: watchdog")
+        if self.state is State.RUNNING:
+            self._advance()
+        out = self._stream()
+        self.busy = self.state is State.RUNNING and not self._paced
+        return out
+
+    # -- requests
+
+    def _answer(self, frame: Frame) -> bytes:
+        self._fed = time.monotonic()
+        if self._answered is not None and self._answered[0] == frame.sequence:
+            return self._answered[1]  # asked again: done already, or refused already
+        try:
+            kind = Kind(frame.kind)
+        except ValueError:
+            return self._refusal(frame, f"request {frame.kind} is not known", Refusal.BAD_VALUE)
+        try:
+            if self._refusals:
+                self._refusals -= 1
+                raise _Refused("the drive reports undervoltage", Refusal.FAULT)
+            if kind is not Kind.HELLO and not self._session:
+                raise _Refused("the target was switched on or reset", Refusal.NO_SESSION)
+            payload = self._handlers()[kind](frame.payload)
+        except _Refused as error:
+            return self._refusal(frame, str(error), error.code)
+        except (RigtoolError, ValueError) as error:
+            return self._refusal(frame, f"{kind.name}: {error}", Refusal.BAD_VALUE)
+        return self._remember(frame, encode(Frame(kind | link.REPLY, frame.sequence, payload)))
+
+    def _refusal(self, frame: Frame, text: str, code: Refusal) -> bytes:
+        payload = bytes([code]) + text.encode()[:200]
+        return self._remember(frame, encode(Frame(link.REFUSED, frame.sequence, payload)))
+
+    def _remember(self, frame: Frame, answer: bytes) -> bytes:
+        self._answered = (frame.sequence, answer)
+        return answer
+
+    def _handlers(self) -> dict[Kind, Callable[[bytes], bytes]]:
+        return {
+            Kind.HELLO: self._hello,
+            Kind.BEGIN: self._begin,
+            Kind.CHUNK: self._chunk,
+            Kind.COMMIT: self._commit,
+            Kind.ARM: self._arm,
+            Kind.START: self._start,
+            Kind.STATUS: self._status,
+            Kind.READ: self._read,
+            Kind.DIGEST: self._digest,
+            Kind.STOP: self._stop,
+            Kind.MOVE: self._move_by,
+            Kind.CLAMP: lambda payload: self._bench(payload, "clamp"),
+            Kind.SOAK: lambda payload: self._bench(payload, "soak"),
+            Kind.POWER_CYCLE: self._power_cycle,
+            Kind.BYE: self._bye,
+        }
+
+    def _hello(self, payload: bytes) -> bytes:
+        boot = self._boot
+        self.reset()
+        self._boot, self._session = boot, True
+        abilities = ~Ability(0)
+        if not self._keeps_log:
+            abilities &= ~Ability.KEEPS_LOG
+        rig = self._recipe.rig
+        return link.Hello(
+            boot,
+            abilities,
+            self._max_payload,
+            self._log_bytes,
+            rig.sample_time,
+            rig.encoder_counts,
+            link.mask_of(link.LINK_CHANNELS),
+            NAME,
+        ).pack()
+
+    def _begin(self, payload: bytes) -> bytes:
+        slot, size = link.BEGIN.unpack(payload)
+        self._growing[Slot(slot)] = bytearray(size)
+        return b""
+
+    def _chunk(self, payload: bytes) -> bytes:
+        slot, offset = link.CHUNK.unpack_from(payload)
+        data, whole = payload[link.CHUNK.size :], self._growing.get(Slot(slot))
+        if whole is None or offset + len(data) > len(whole):
+            raise _Refused(f"CHUNK at {offset} of slot {slot} does not fit what BEGIN said")
+        whole[offset : offset + len(data)] = data
+        return b""
+
+    def _commit(self, payload: bytes) -> bytes:
+        number, size, crc = link.COMMIT.unpack(payload)
+        slot = Slot(number)
+        data = bytes(self._growing.get(slot, b""))
+        if len(data) != size or zlib.crc32(data) != crc:
+            raise _Refused(f"slot {number}: another CRC-32 than COMMIT says", Refusal.BAD_CRC)
+        self._take(slot, data)
+        self._objects[slot] = data
+        self._growing.pop(slot, None)
+        return b""
+
+    def _take(self, slot: Slot, data: bytes) -> None:
+        """Check an object; those that change the rig take effect at once."""
+        match slot:
+            case Slot.RIG:
+                self._set_up(link.RigSetup.unpack(data))
+            case Slot.LIMITS:
+                _, self._watchdog = link.unpack_limits(data)
+            case Slot.CONTROLLER:
+                self._rig().use_controller(link.read_floats(data).reshape(-1, 6))
+            case Slot.MOTION:
+                link.unpack_motion(data)
+            case Slot.TABLE:
+                link.unpack_table(data)
+            case Slot.LOAD:
+                link.unpack_load(data)
+            case _:
+                link.read_floats(data)
+
+    def _set_up(self, setup: link.RigSetup) -> None:
+        changes = {
+            "attachment": "instrument" if setup.instrument else "pulley",
+            "sample_time": setup.sample_time,
+            "encoder_counts": setup.encoder_counts,
+            "current_limit": setup.current_limit,
+        }
+        rig = self._recipe.rig.model_copy(update=changes)
+        recipe = self._recipe.model_copy(update={"rig": rig})
+        self.rig = VirtualRig(recipe, setup.torque_constant, setup.use)
+
+    def _arm(self, payload: bytes) -> bytes:
+        every, stop_angle, mask, streams = link.ARM.unpack(payload)
+        missing = [
+            slot.name
+            for slot in (Slot.RIG, Slot.LIMITS, Slot.CONTROLLER, Slot.MOTION)
+            if slot not in self._objects
+        ]
+        if missing:
+            raise _Refused(f"ARM before {', '.join(missing)} went up")
+        self._task = task = self._make_task(every, link.stop_angle(stop_angle))
+        self._limits, _ = link.unpack_limits(self._objects[Slot.LIMITS])
+        if task.motion.duration > self._limits.duration:
+            raise _Refused(
+                f"the motion lasts {task.motion.duration:g} s, the limit is "
+                f"{self._limits.duration:g} s"
+            )
+        self._sample, self._mask = link.sample_type(mask), mask
+        self._streams = bool(streams)
+        dt = link.RigSetup.unpack(self._objects[Slot.RIG]).sample_time
+        samples = round(task.motion.duration / dt) // every
+        if not streams and samples * self._sample.itemsize > self._log_bytes:
+            raise _Refused(
+                f"the log would take {samples * self._sample.itemsize} bytes, there are "
+                f"{self._log_bytes}: record less often, or stream"
+            )
+        self._period = dt * every
+        self._log.clear()
+        self._sent = self._first = 0
+        self.state, self.text = State.ARMED, ""
+        return link.ARMED.pack(samples, self._sample.itemsize)
+
+    def _make_task(self, every: int, stop_angle: float | None) -> Task:
+        objects = self._objects
+        nothing = link.floats(0.0, 0.0, 0.0)
+        inertia, coulomb, viscous = link.read_floats(
+            objects.get(Slot.FEEDFORWARD, nothing)
+        ).tolist()
+        signal = link.read_floats(objects.get(Slot.SIGNAL, b""))
+        added = Feedforward(
+            inertia,
+            coulomb,
+            viscous,
+            link.unpack_table(objects.get(Slot.TABLE, b"")),
+            signal if signal.size else None,
+        )
+        load = link.unpack_load(objects[Slot.LOAD]) if Slot.LOAD in objects else Load()
+        return Task(link.unpack_motion(objects[Slot.MOTION]), added, load, every, stop_angle)
+
+    def _start(self, payload: bytes) -> bytes:
+        if self.state is not State.ARMED:
+            raise _Refused("START without ARM")
+        self._watch = Watch(self._limits, self._recipe.rig.encoder_counts)
+        self._signals = self._rig().perform(self._task)
+        self._started = time.monotonic()
+        self.state = State.RUNNING
+        return b""
+
+    def _status(self, payload: bytes) -> bytes:
+        if self.rig is not None and self.state is not State.RUNNING:
+            self._position, self._temperature = self.rig.position, self.rig.temperature
+        return link.Status(
+            self._boot,
+            self.state,
+            self._visible,
+            self._clock,
+            self._position,
+            self._current,
+            self._temperature,
+            self.text,
+        ).pack()
+
+    def _read(self, payload: bytes) -> bytes:
+        first, count = link.READ.unpack(payload)
+        data = self._samples(first, count)
+        if len(data) + link.FIRST.size > self._max_payload:
+            raise _Refused(f"READ of {count} samples is more than a frame holds")
+        return link.FIRST.pack(first) + data
+
+    def _digest(self, payload: bytes) -> bytes:
+        return link.CRC32.pack(zlib.crc32(self._samples(*link.DIGEST.unpack(payload))))
+
+    def _samples(self, first: int, count: int) -> bytes:
+        size = self._sample.itemsize
+        if first < self._first or first + count > self._visible:
+            raise _Refused(
+                f"samples {first} to {first + count} are not in the log: it holds {self._first} to "
+                f"{self._visible}"
+            )
+        begin = (first - self._first) * size
+        return bytes(self._log[begin : begin + count * size])
+
+    def _stop(self, payload: bytes) -> bytes:
+        if self.state is State.RUNNING:
+            self._end(State.TRIPPED, "stopped by the host")
+        elif self.state is not State.TRIPPED:
+            self.state = State.OFF
+        return b""
+
+    def _move_by(self, payload: bytes) -> bytes:
+        if self.state is State.RUNNING:
+            raise _Refused("MOVE while a motion runs")
+        self._rig()
+        (self._move,) = link.NUMBER.unpack(payload)
+        self._log.clear()
+        self._streams = False
+        self._sent = self._first = 0
+        self.state, self.text = State.RUNNING, ""
+        return b""
+
+    def _bench(self, payload: bytes, what: str) -> bytes:
+        if self.state is State.RUNNING:
+            raise _Refused(f"{what} while a motion runs")
+        (value,) = link.NUMBER.unpack(payload)
+        getattr(self._rig(), what)(value)
+        return b""
+
+    def _power_cycle(self, payload: bytes) -> bytes:
+        self._rig().power_cycle()
+        return b""
+
+    def _bye(self, payload: bytes) -> bytes:
+        self._stop(payload)
+        self._session = False
+        return b""
+
+    def _rig(self) -> VirtualRig:
+        if self.rig is None:
+            raise _Refused("slot RIG has to go up first")
+        return self.rig
+
+    # -- running
+
+    @property
+    def _visible(self) -> int:
+        """Samples recorded so far: all that were simulated, or those whose time has come."""
+        done = self._first + len(self._log) // max(1, self._sample.itemsize)
+        if self._paced and self.state is State.RUNNING:
+            done = min(done, int((time.monotonic() - self._started) / self._period))
+        return done
+
+    def _advance(self) -> None:
+        if self._move is not None:
+            angle, self._move = self._move, None
+            self._rig().move_by(angle)
+            self._end(State.DONE)
+            return
+        size = self._sample.itemsize
+        simulated = self._first + len(self._log) // size
+        if self._paced and (time.monotonic() - self._started) / self._period < simulated:
+            return
+        block = next(self._signals, None)
+        if block is None:
+            self._end(State.DONE)
+            return
+        rows = np.zeros(len(block["time"]), self._sample)
+        for name in self._sample.names or ():
+            rows[name] = block.get(name, np.nan)
+        self._log += rows.tobytes()
+        if len(rows):
+            last = float(block["encoder"][-1])
+            self._clock = float(block["time"][-1])
+            self._position = last * 2 * np.pi / self._recipe.rig.encoder_counts
+            self._current = float(block["current"][-1])
+            self._temperature = float(block["temperature"][-1])
+        if problem := self._watch.problem(block):
+            self._end(State.TRIPPED, problem)
+
+    def _end(self, state: State, text: str = "") -> None:
+        self._signals = iter(())
+        self._move = None
+        self.state, self.text = state, text
+
+    def _stream(self) -> bytes:
+        """Return frames with what was recorded since the last."""
+        if not self._streams or self.state is State.ARMED:
+            return b""
+        out = []
+        size, visible = self._sample.itemsize, self._visible
+        while self._sent < visible:
+            count = min(STREAMED, visible - self._sent)
+            data = self._samples(self._sent, count)
+            payload = link.FIRST.pack(self._sent) + data
+            out.append(encode(Frame(link.SAMPLES, self._sent // STREAMED & 0xFFFF, payload)))
+            self._sent += count
+        if not self._keeps_log and self._sent > self._first:
+            del self._log[: (self._sent - self._first) * size]
+            self._first = self._sent
+        return b"".join(out)
+
+
+def _warm_up(recipe: Recipe) -> None:
+    """Compile the simulation before a host waits for it."""
+    rig = VirtualRig(recipe, recipe.rig.torque_constant, "")
+    for _ in rig.perform(Task(Move(0.0, 100 * recipe.rig.sample_time))):
+        pass

@@ -1,0 +1,40 @@
+"""A TCP connection with the methods of a serial port that a `Line` uses.
+
+pyserial's own `socket://` reads byte by byte and lets small writes wait for each other.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+
+
+class Socket:
+    """A connection to HOST:PORT; raises OSError or ValueError where there is none."""
+
+    in_waiting = 65536
+    """Not known: a read returns what is there, up to this."""
+
+    def __init__(self, address: str, timeout: float) -> None:
+        host, _, port = address.split("?")[0].rstrip("/").rpartition(":")
+        self._timeout = timeout
+        self._socket = socket.create_connection((host, int(port)), timeout=5.0)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.settimeout(1.0)
+
+    def read(self, size: int = 1) -> bytes:
+        """Return what is there, at most `size` bytes; empty after the timeout."""
+        if not select.select([self._socket], [], [], self._timeout)[0]:
+            return b""
+        data = self._socket.recv(size)
+        if not data:
+            raise ConnectionError("the other side has closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of the bytes."""
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()
