@@ -139,6 +139,15 @@ def require_same_rig(tables: Run, recipe: Recipe) -> None:
     Compared are the rig's name, attachment, encoder and ratio; the table must hold both directions,
     and the angles and the speed at which `measure-force` reads.
     """
+    require_rig(tables, recipe)
+    _require_reach(tables, recipe)
+
+
+def require_rig(tables: Run, recipe: Recipe) -> None:
+    """Raise `RunFileError` unless the tables were learned on the recipe's rig, as it is now.
+
+    Compared are the rig's name, attachment, encoder and ratio.
+    """
     tables.require_command("ilc-learn")
     learned = tables.recipe
     if learned is None:
@@ -154,7 +163,6 @@ def require_same_rig(tables: Run, recipe: Recipe) -> None:
                 f"{tables.path}: was learned with {what} {there}, the recipe has {here}: learn "
                 "tables with this recipe, or give the recipe of that rig"
             )
-    _require_reach(tables, recipe)
 
 
 def _require_reach(tables: Run, recipe: Recipe) -> None:
