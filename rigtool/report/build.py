@@ -7,6 +7,7 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from rigtool.errors import UsageError
@@ -146,6 +147,7 @@ def _origin(label: str, run: Run) -> Origin:
     )
 
 
+@lru_cache(maxsize=8)
 def _sha256(resolved: str) -> str:
     canonical = json.dumps(json.loads(resolved), sort_keys=True)
     return hashlib.sha256(canonical.encode()).hexdigest()

@@ -29,6 +29,8 @@ from rigtool.runfile.objects import make_group, make_text
 
 PACKAGES = ("numpy", "scipy", "pandas", "h5py", "numba", "pydantic", "GTC")
 
+_ENCODER = json.JSONEncoder(sort_keys=True)
+
 _HASHES = ("content_sha256", "record_sha256")
 _PROVENANCE = f"/{schema.ENTRY}/{schema.PROVENANCE}"
 
@@ -196,7 +198,7 @@ def _describe(group: tree.Group, left_out: set[str]) -> bytes:
 
 
 def _line(*parts: Any) -> bytes:
-    return json.dumps(parts, sort_keys=True).encode() + b"\n"
+    return _ENCODER.encode(parts).encode() + b"\n"
 
 
 def _sha256(item: tree.Values) -> str:

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType, TracebackType
@@ -115,9 +115,8 @@ class Recording:
                 "this channel mapped"
             )
         with guard(self._path, f"channel {channel!r} of recording {self.name!r}"):
-            return tree.read_samples(
-                self._group.values[channel], start, self.size if stop is None else stop
-            )
+            signal = self._group.values[channel]
+            return tree.read_samples(self._file, signal, start, self.size if stop is None else stop)
 
     def sha256(self, channel: str) -> str | None:
         """Return the stored hash of a channel's samples; None in an unfinished run."""
@@ -180,11 +179,9 @@ class Run:
     @cached_property
     def recipe(self) -> Recipe | None:
         """The recipe of the run with all defaults filled in, None where it had none."""
-        from rigtool.recipe import recipe_from_resolved
-
         resolved = self.provenance["recipe_resolved"]
         try:
-            return None if resolved is None else recipe_from_resolved(resolved)
+            return None if resolved is None else _recipe(resolved)
         except RigtoolError as error:
             raise RunFileError(f"{self.path}: {error}") from error
 
@@ -261,8 +258,9 @@ def open_run(path: str | os.PathLike[str]) -> Run:
         with guard(path, "the file"):
             require_schema(file, path)
             root = tree.load(file)
-            _require_hashes(root, path)
-            return Run(file, root, path)
+            run = Run(file, root, path)
+            _require_hashes(root, run.provenance, path)
+            return run
     except BaseException:
         file.close()
         raise
@@ -309,8 +307,9 @@ def require_schema(file: h5py.File, path: str | os.PathLike[str]) -> None:
         )
 
 
-def _require_hashes(root: tree.Group, path: str | os.PathLike[str]) -> None:
-    stored = provenance.read(root.group(schema.ENTRY).group(schema.PROVENANCE))
+def _require_hashes(
+    root: tree.Group, stored: Mapping[str, Any], path: str | os.PathLike[str]
+) -> None:
     if "record_sha256" not in stored:
         raise RunFileError(
             f"{path}: the run was never finished; `rigtool recover {path}` brings back what it "
@@ -344,6 +343,14 @@ def guard(path: str | os.PathLike[str], what: str) -> Iterator[None]:
         raise
     except Exception as error:  # damaged files make h5py raise nearly anything
         raise RunFileError(f"{path}: {what} is damaged: {error}; {_DAMAGED}") from error
+
+
+@lru_cache(maxsize=8)
+def _recipe(resolved: str) -> Recipe:
+    """Check a recipe once, however many runs were made from it; its models never change."""
+    from rigtool.recipe import recipe_from_resolved
+
+    return recipe_from_resolved(resolved)
 
 
 def _members(entry: tree.Group, name: str) -> dict[str, tree.Group]:

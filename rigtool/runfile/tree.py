@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -24,18 +24,13 @@ from rigtool.runfile import schema
 
 @dataclass(frozen=True)
 class Values:
-    """A dataset: `kind` is 'str' or a numpy type; `value` is None for the samples of a signal.
-
-    A signal stays open as `handle`, for `read_samples`: to find it again takes longer than to read
-    a second of it.
-    """
+    """A dataset: `kind` is 'str' or a numpy type; `value` is None for the samples of a signal."""
 
     path: str
     attributes: dict[str, Any]
     kind: str
     shape: tuple[int, ...]
     value: Any
-    handle: Any = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -71,14 +66,19 @@ def load(file: h5py.File, path: str = "/") -> Group:
     return _Loader(file).group(file[path].id, path, 0)
 
 
-def read_samples(signal: Values, start: int, stop: int) -> NDArray[np.generic]:
-    """Return samples start..stop (stop excluded) of a signal as they are stored."""
+def read_samples(file: h5py.File, signal: Values, start: int, stop: int) -> NDArray[np.generic]:
+    """Return samples start..stop (stop excluded) of a signal as they are stored.
+
+    The dataset is not kept open: with a thousand files at once, HDF5 would go through all that is
+    open whenever one of them closes.
+    """
     count = max(0, min(stop, signal.shape[0]) - start)
     samples = np.empty(count, signal.kind)
     if count:
         chosen = h5py.h5s.create_simple(signal.shape)
         chosen.select_hyperslab((start,), (count,))
-        signal.handle.read(h5py.h5s.create_simple((count,)), chosen, samples)
+        dataset = h5py.h5d.open(file.id, signal.path.encode())
+        dataset.read(h5py.h5s.create_simple((count,)), chosen, samples)
     return samples
 
 
@@ -88,7 +88,8 @@ def root_text(file: h5py.File, name: str) -> str | None:
         return None
     attribute = h5py.h5a.open(file.id, name.encode())
     kind = attribute.get_type()
-    if not _is_fixed_text(kind) or attribute.shape != ():
+    fixed = isinstance(kind, h5py.h5t.TypeStringID) and not kind.is_variable_str()
+    if not fixed or attribute.shape != ():
         return None
     return str(_decoded(_read(attribute.read, (), kind)))
 
@@ -140,7 +141,7 @@ class _Loader:
         self._check(handle, path, shape, dtype)
         attributes = self._attributes(handle, path)
         if is_signal(path) and dtype is not None:
-            return Values(path, attributes, dtype.str, shape, None, handle)
+            return Values(path, attributes, dtype.str, shape, None)
         self._budget -= math.prod(shape)
         if self._budget < 0:
             limit = schema.MAX_TABLE_VALUES
@@ -172,10 +173,12 @@ class _Loader:
         return found
 
     def _is_text(self, kind: Any, path: str) -> bool:
-        if isinstance(kind, h5py.h5t.TypeStringID) and kind.is_variable_str():
+        if not isinstance(kind, h5py.h5t.TypeStringID):
+            return False
+        if kind.is_variable_str():
             # It would be in a heap, which has no checksum: HDF5 can search a damaged one for ever.
             raise self._refuse(path, "has text of variable length")
-        return _is_fixed_text(kind)
+        return True
 
     def _check(self, handle: Any, path: str, shape: Any, dtype: np.dtype[Any] | None) -> None:
         """Refuse what no run file holds, from the dataset's header alone; no dtype is for text."""
@@ -209,10 +212,6 @@ class _Loader:
         )
 
 
-def _is_fixed_text(kind: Any) -> bool:
-    return isinstance(kind, h5py.h5t.TypeStringID) and not kind.is_variable_str()
-
-
 def _read(read: Callable[..., None], shape: tuple[int, ...], kind: Any) -> NDArray[np.bytes_]:
     """Read text of a fixed length; told its type, h5py need not look for it again."""
     array = np.empty(shape, f"S{kind.get_size()}")
@@ -222,5 +221,6 @@ def _read(read: Callable[..., None], shape: tuple[int, ...], kind: Any) -> NDArr
 
 def _decoded(array: NDArray[Any]) -> Any:
     """Return text, or a list of texts."""
-    texts = [item.decode() for item in array.ravel().tolist()]
-    return texts[0] if array.shape == () else texts
+    if array.shape == ():
+        return array.item().decode()
+    return [item.decode() for item in array.ravel().tolist()]
