@@ -65,9 +65,10 @@ def without_load_friction(
     return found, np.array(us)
 
 
-def load_outcome(base: Outcome, friction_u: Array) -> Outcome:
+def load_outcome(base: Outcome, friction_u: Array, thesis: Outcome) -> Outcome:
     """Return the outcome of readings `without_load_friction` with the u of what was taken off.
 
+    `thesis` is that of the same readings with it.
     Raises `InsufficientDataError` where all loads are beyond the learned ones.
     """
     table, outside = base.tables["loads"], np.isnan(friction_u)
@@ -89,7 +90,11 @@ def load_outcome(base: Outcome, friction_u: Array) -> Outcome:
     count = {"loads_outside": Quantity(float(outside.sum()), "1", reason="a count")}
     return Outcome(
         {**base.results, **count},
-        {**base.tables, "loads": Table(table.axes, columns, table.signal, about)},
+        {
+            **base.tables,
+            "loads": Table(table.axes, columns, table.signal, about),
+            **_uncorrected(thesis),
+        },
         ("--correction load: friction that grows with load is taken off", *base.notes),
     )
 
@@ -139,7 +144,7 @@ def full_outcome(run: Run, base: Outcome, recipe: Recipe, kt: Run, tables: Run) 
         *base.notes,
     )
     loads = _loads_table(base.tables["loads"], rows, zero, recipe, warmth)
-    return Outcome(results, {**base.tables, "loads": loads, **_thesis_table(base)}, notes)
+    return Outcome(results, {**base.tables, "loads": loads, **_uncorrected(base)}, notes)
 
 
 def _recordings(run: Run) -> tuple[list[Recording], list[Recording]]:
@@ -300,7 +305,7 @@ def _row_values(
     }
 
 
-def _thesis_table(base: Outcome) -> dict[str, Table]:
+def _uncorrected(base: Outcome) -> dict[str, Table]:
     """Return the table of loads as the thesis reads them, under a name of its own."""
     table = base.tables["loads"]
     return {

@@ -138,16 +138,16 @@ def _corrected(
 ) -> Outcome:
     """Return Table 8 or 9, with the disturbance of the load taken off as the recipe says."""
     correction, table_u = recipe.measure_force.correction, _table_u(tables, recipe)
+    thesis = loads_outcome(loads, recipe, constant, table_u)
     if correction == "none":
-        return loads_outcome(loads, recipe, constant, table_u)
+        return thesis
     from rigtool.procedures import corrected_force
 
-    if correction == "load":
-        corrected, friction_u = corrected_force.without_load_friction(loads, recipe, tables)
-        outcome = loads_outcome(corrected, recipe, constant, table_u)
-        return corrected_force.load_outcome(outcome, friction_u)
-    base = loads_outcome(loads, recipe, constant, table_u)
-    return corrected_force.full_outcome(run, base, recipe, kt, tables)
+    if correction == "full":
+        return corrected_force.full_outcome(run, thesis, recipe, kt, tables)
+    corrected, friction_u = corrected_force.without_load_friction(loads, recipe, tables)
+    outcome = loads_outcome(corrected, recipe, constant, table_u)
+    return corrected_force.load_outcome(outcome, friction_u, thesis)
 
 
 def _read(recording: Recording, recipe: Recipe, torque_constant: float) -> Reading:

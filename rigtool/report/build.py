@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from rigtool.errors import UsageError
 from rigtool.report.figures import Picture, draw_figures
 from rigtool.report.formats import ReportTable
-from rigtool.report.tables import attachment_of, force_table, results_table
+from rigtool.report.tables import attachment_of, force_tables, results_table
 from rigtool.runfile.provenance import file_sha256
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def build_report(runs: Sequence[Run]) -> Report:
     complete.
     """
     labelled = _labels(runs)
-    tables = [force_table(run, label) for label, run in labelled if "loads" in run.tables]
+    tables = [table for label, run in labelled for table in force_tables(run, label)]
     pictures = [picture for label, run in labelled for picture in draw_figures(run, label)]
     return Report(
         warnings=tuple(_warnings(labelled)),
