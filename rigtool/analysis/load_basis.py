@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 WORK_RATE = 40
 """Samples for each period of the cut-off at which functions are computed."""
 
-ROW_RATE = 10
-"""Samples for each period of the cut-off that are kept, after the low-pass."""
+ROW_RATE = 50.0
+"""Rows per second that are kept, after the low-pass, at least: neighbours tell next to nothing."""
 
 SPEED_BAND = 2
 """The position passes this many times the bandwidth before it is differentiated."""
@@ -124,7 +124,7 @@ def follow(
     size = max(1, math.floor(1 / (step * WORK_RATE * bandwidth_hz) * (1 + 1e-6)))
     t, p, *rest = (block_means(values, size) for values in (t, p, *rest))
     rate = 1 / (step * size)
-    factor = max(1, round(rate / (ROW_RATE * bandwidth_hz)))
+    factor = max(1, round(rate / ROW_RATE))
     smooth = lowpass_at(rate, p, min(SPEED_BAND * bandwidth_hz, 0.45 * rate))
     speed = np.gradient(smooth, 1 / rate)
     rows = slice(None, None, factor)
@@ -229,6 +229,21 @@ def motion_functions(path: Path, scales: Scales, direction: float = 0.0) -> dict
 LOAD_POWER = {"load": 1, "load_squared": 2, "load_speed": 1, "load_memory": 1, "load_ripple": 1}
 """Power of the torque that a group is multiplied by; others stand alone."""
 
+GROUPS = (
+    "offset",
+    "load",
+    "load_squared",
+    "viscous",
+    "stribeck",
+    "load_speed",
+    "inertia",
+    "memory",
+    "load_memory",
+    "ripple",
+    "load_ripple",
+)
+"""All groups of functions, by the number that run files know them by."""
+
 SPLINE_COUNT = {
     "offset": SPLINES["offset"],
     "load": SPLINES["load"],
@@ -237,6 +252,19 @@ SPLINE_COUNT = {
     "stribeck": SPLINES["speed"],
 }
 """Columns of one direction, of groups whose neighbouring columns belong together."""
+
+
+def size_of(group: str) -> int:
+    """Return how many columns a group has."""
+    if group in SPLINE_COUNT:
+        return 2 * SPLINE_COUNT[group]
+    sizes = {
+        "load_speed": 4,
+        "inertia": 1,
+        "ripple": 4 * len(ORDERS),
+        "load_ripple": 2 * len(ORDERS),
+    }
+    return sizes.get(group, 2 * len(LENGTHS))
 
 
 def _sided(columns: Array, sides: Array) -> Array:
