@@ -127,9 +127,18 @@ class Row:
         return float(np.sqrt(self.moves.var(axis=0, ddof=1).mean()))
 
 
-def learned_rows(moves: Moves, speed: float, learning: Learning, position: Array) -> list[Row]:
-    """Return the feed-forward torque that one update learns, falling direction first."""
-    learned = learning.updated(moves.torque, moves.period)
+def learned_rows(
+    moves: Moves,
+    speed: float,
+    learning: Learning,
+    position: Array,
+    before: Array | float = 0.0,
+) -> list[Row]:
+    """Return the feed-forward torque that one update learns, falling direction first.
+
+    `before` (n,) is what was fed forward during the moves, N m.
+    """
+    learned = learning.updated(moves.torque, moves.period, before)
     return _both_directions(moves, speed, learned, position)
 
 
