@@ -11,6 +11,7 @@ from types import ModuleType
 from rigtool.errors import UsageError
 from rigtool.procedures.ilc import all_speeds, limited_angle, one_speed, trajectory
 from rigtool.procedures.imported_learning import analyse_imported as analyse_imported
+from rigtool.procedures.options import CommonOptions
 from rigtool.procedures.outcome import Outcome
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
@@ -37,6 +38,19 @@ def require_implementation(name: str) -> None:
     if name not in IMPLEMENTATIONS:
         known = ", ".join(f"{key} ({what})" for key, (what, _) in IMPLEMENTATIONS.items())
         raise UsageError(f"--implementation {name} does not exist yet; there is {known}")
+
+
+def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:
+    """Return the options with what the command line asks for put above the recipe.
+
+    Raises `UsageError` for learning that does not exist.
+    """
+    if name is not None:
+        require_implementation(name)
+        options = options.with_override(f"ilc_learn.implementation={name}")
+        if name in BARE:
+            options = options.with_override("rig.attachment=pulley")
+    return options.with_override("ilc_learn.validation=true") if validate else options
 
 
 def _module(recipe: Recipe) -> ModuleType:

@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
     [
         (["ilc-learn", RECIPE], 2, "--kt"),
         (["fft-ripple", RECIPE], 2, "--kt"),
-        (["ilc-learn", RECIPE, "--kt", "kt.h5", "--implementation", "A"], 2, "there is C"),
+        (["ilc-learn", RECIPE, "--kt", "kt.h5", "--implementation", "A"], 2, "give --friction"),
         (["ilc-learn", RECIPE, "--kt", "other.h5"], 3, "is a run of stribeck"),
         (["fft-ripple", RECIPE, "--kt", "other.h5"], 3, "is a run of stribeck"),
         (["fft-ripple", "kt.h5", "--kt", "kt.h5"], 3, "is a run of calibrate-kt"),
