@@ -20,7 +20,7 @@ from rigtool.procedures.options import CommonOptions
     )
 )
 @source_arguments
-@run_option("--kt", "Run file of calibrate-kt.", required=True)
+@run_option("--kt", "Run file of calibrate-kt; needed but for imported runs.")
 @run_option("--tables", "Run file of ilc-learn, of this rig and attachment.", required=True)
 @click.option(
     "--correction",
@@ -32,7 +32,7 @@ from rigtool.procedures.options import CommonOptions
 def command(
     sources: tuple[str, ...],
     output: str,
-    kt: str,
+    kt: str | None,
     tables: str,
     correction: str | None,
     options: CommonOptions,
@@ -43,6 +43,9 @@ def command(
     one angle of each rising stroke: mean, scatter, error. With an instrument, also friction that
     grows with load, and stiffness. --correction load takes friction that grows with load off this
     reading; full reads whole strokes, with compliance, ripple by current and motor temperature.
+
+    Imported runs are measured with tables of implementation D from runs of the same rig; where they
+    hold a sensor's reference_torque it judges the result.
     """
     from rigtool.cli.printing import print_outcome
     from rigtool.procedures import measure_force

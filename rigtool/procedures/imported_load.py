@@ -22,7 +22,7 @@ from rigtool.analysis.load_learning import (
 )
 from rigtool.analysis.load_model import LoadModel
 from rigtool.errors import RunFileError, UsageError
-from rigtool.procedures.ilc_learn import COMMAND, analyse, measure, recordings
+from rigtool.procedures.ilc_learn import COMMAND, NEEDED, analyse, measure, recordings
 from rigtool.procedures.imported import is_linear, require_one_rig, signals_of
 from rigtool.procedures.load_accuracy import (
     REFERENCE,
@@ -40,7 +40,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe.commands import MeasureForce
 from rigtool.runfile import Column, Recording, Run, Table
 
-__all__ = ["COMMAND", "analyse", "analyse_imported", "measure", "recordings"]
+__all__ = ["COMMAND", "NEEDED", "analyse", "analyse_imported", "measure", "recordings"]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -89,7 +89,7 @@ def analyse_imported(
     learned = learn(observations, turn=turn)
     model = learned.model
     random = [_random_split(signals, observations, model, turn)]
-    if _carries(recordings_, WIDE):
+    if carries(recordings_, WIDE):
         wide = [
             read_signals(run, recording, kt, WIDE)
             for run, recording in zip(runs, recordings_, strict=True)
@@ -105,7 +105,7 @@ def analyse_imported(
     return Outcome(_results(learned, levels), tables, tuple(_notes(learned, levels)))
 
 
-def _carries(recordings_: Sequence[Recording], bandwidth_hz: float) -> bool:
+def carries(recordings_: Sequence[Recording], bandwidth_hz: float) -> bool:
     """Say whether the sampling carries a bandwidth."""
     steps = [np.median(np.diff(item.read("time", 0, 1000))) for item in recordings_]
     return float(max(steps)) * bandwidth_hz < 0.2

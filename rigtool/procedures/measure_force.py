@@ -20,6 +20,7 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.procedures.calibration import torque_per_ampere
 from rigtool.procedures.force_results import ZERO_AGAIN, Reading, loads_outcome
 from rigtool.procedures.health import require_health
+from rigtool.procedures.imported_force import analyse_imported
 from rigtool.procedures.instrument_results import instrument_outcome
 from rigtool.procedures.learned_tables import feedforward_from, require_same_rig
 from rigtool.procedures.outcome import Outcome
@@ -32,7 +33,19 @@ from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 Array = NDArray[np.float64]
 
+__all__ = [
+    "COMMAND",
+    "NEEDED",
+    "analyse",
+    "analyse_imported",
+    "measure",
+    "recordings",
+]
+
 COMMAND = "measure-force"
+
+NEEDED = ("kt",)
+"""Inputs that only imported runs can do without."""
 
 SIGNALS = (
     "time",
