@@ -7,7 +7,7 @@ import click
 from rigtool.cli.options import debug_option, example, json_option
 
 
-@click.command(epilog=example("rigtool devices", "rigtool devices socket://rig.local:7000"))
+@click.command(epilog=example("rigtool devices", "rigtool devices /dev/ttyACM0 --json"))
 @click.argument("ports", metavar="[PORT]...", nargs=-1)
 @click.option("--driver", "drivers", multiple=True, help="Ask for this kind of device only.")
 @json_option

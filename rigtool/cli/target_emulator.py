@@ -8,12 +8,13 @@ from rigtool.cli.options import debug_option, example
 
 
 @click.command(
-    epilog=example("rigtool target-emulator recipes/briaire-2006.toml --tcp 127.0.0.1:7000")
+    epilog=example("rigtool target-emulator recipes/briaire-2006.toml --tcp 127.0.0.1:0 --for 0.5")
 )
 @click.argument("recipe", metavar="RECIPE.toml")
 @click.option("--tcp", metavar="HOST:PORT", help="Serve there instead of a pseudo-terminal.")
 @click.option("--paced", is_flag=True, help="In real time; else as fast as it can simulate.")
 @click.option("--forgetful", is_flag=True, help="Forget samples once they are streamed.")
+@click.option("--for", "seconds", type=click.FloatRange(min=0), help="End after so many seconds.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the virtual rig.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change the recipe.")
 @debug_option
@@ -22,13 +23,14 @@ def command(
     tcp: str | None,
     paced: bool,
     forgetful: bool,
+    seconds: float | None,
     seed: int | None,
     overrides: tuple[str, ...],
 ) -> None:
     """Serve the virtual rig of a recipe over the host-target link.
 
-    Prints the port that a rig's recipe names (serial.port) and serves until Ctrl-C. Written for
-    trying out recipes, and as a pattern for firmware: docs/target-link.md.
+    Prints the port that the recipe of a rig names (serial.port), and serves until Ctrl-C. For
+    trying out recipes before there is hardware, and as a pattern for firmware: target-link.md.
     """
     from rigtool.recipe import load_recipe
     from rigtool.rigs.serial.emulators.server import PtyServer, Server, TcpServer
@@ -42,6 +44,6 @@ def command(
     server.start()
     click.echo(server.port)
     try:
-        server.wait()
+        server.wait(seconds)
     finally:
         server.stop()

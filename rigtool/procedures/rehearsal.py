@@ -68,6 +68,8 @@ class _Rehearsal:
     def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
         self.plan = Plan()
         self._dt = recipe.rig.sample_time
+        on_line = recipe.rig.source == "serial" and recipe.serial is not None
+        self._limits = recipe.serial.limits if on_line and recipe.serial is not None else None
         self._torque_constant = torque_constant
         self._position = position
 
@@ -83,6 +85,8 @@ class _Rehearsal:
 
     def perform(self, task: Task) -> Iterator[Block]:
         """Remember a task; there are no signals."""
+        if self._limits is not None:
+            safety.check_duration(task, self._limits)
         found = safety.extremes(task, self._position, self._dt, self._torque_constant)
         self._position = found.end
         self.plan.motions.append((type(task.motion).__name__, found))

@@ -217,6 +217,7 @@ class SerialRig(ABC):
 
     def _require_permission(self, task: Task) -> None:
         rig = self._recipe.rig
+        safety.check_duration(task, self._limits)
         found = safety.extremes(task, self._position(), rig.sample_time, self._torque_constant)
         safety.check(found, self._limits, f"{type(task.motion).__name__}")
         if not self._permitted:

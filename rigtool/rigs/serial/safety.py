@@ -117,6 +117,16 @@ def model_torque(feedforward: Feedforward, speed: Array, acceleration: Array) ->
     return torque
 
 
+def check_duration(task: Task, limits: Limits) -> None:
+    """Raise `RecipeError` for a motion that lasts too long: evaluating it would, too."""
+    if task.motion.duration > limits.duration:
+        raise RecipeError(
+            f"{type(task.motion).__name__} would last {task.motion.duration:.4g} s, beyond "
+            f"serial.limits.duration = {limits.duration:.4g} s: shorten it in the recipe, or raise "
+            "the limit"
+        )
+
+
 def check(found: Extremes, limits: Limits, what: str = "this motion") -> None:
     """Raise `RecipeError` with everything that a motion asks beyond the limits."""
     low, high = limits.position

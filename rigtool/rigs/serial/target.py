@@ -22,6 +22,7 @@ from rigtool.rigs.base import CHANNELS, Block, Load, Task
 from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move
 from rigtool.rigs.serial import target_link as link
+from rigtool.rigs.serial import target_talk
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
 from rigtool.rigs.serial.safety import Watch, speed_of_moves
@@ -226,12 +227,16 @@ class TargetRig(SerialRig):
         log = Log(link.sample_type(mask), period, self if keeps else None)
         self._logs.append(log)
         self._arrived.clear()
+        # A request that goes astray has to be repeated before the watchdog bites.
+        self._talk.timeout = min(target_talk.TIMEOUT, self._settings.watchdog / 3)
+        self._talk.streaming = streams
         self._call(Kind.START)
         patience = task.motion.duration + PATIENCE
         if streams:
             yield from in_thread(functools.partial(self._follow, log, patience))
             return
         status = self._await_end(patience)
+        self._talk.timeout = target_talk.TIMEOUT
         yield from log.fetch(status.samples)
         self._require_done(status)
 
@@ -287,6 +292,7 @@ class TargetRig(SerialRig):
                 asked = line.now()
                 if status.state is State.RUNNING:
                     self._watch_over(status, watch, until)
+        self._talk.timeout, self._talk.streaming = target_talk.TIMEOUT, False
         if status is None or stop.is_set():
             return
         for first, data in self._arrived:

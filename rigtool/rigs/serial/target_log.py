@@ -10,7 +10,10 @@ import numpy as np
 from rigtool.rigs.base import Block
 
 SEGMENT = 16384
-"""Samples that are handed on at a time, and whose CRC-32 is compared with the target's."""
+"""Samples that are read at a time, and whose CRC-32 is compared with the target's, at most."""
+
+STREAMED = 0.5
+"""Streamed samples are handed on, and compared, about as often as this, s."""
 
 
 class Memory(Protocol):
@@ -35,6 +38,7 @@ class Log:
 
     def __init__(self, sample: np.dtype[np.void], period: float, memory: Memory | None) -> None:
         self._sample, self._period, self._memory = sample, period, memory
+        self._segment = min(SEGMENT, max(64, round(STREAMED / period)))
         self._first = 0  # of the segment in hand
         self._data = bytearray()
         self._time = 0.0
@@ -55,8 +59,8 @@ class Log:
 
     def complete(self) -> Iterator[Block]:
         """Yield the segments that are complete."""
-        while len(self._data) >= SEGMENT * self._sample.itemsize:
-            yield self._next(SEGMENT)
+        while len(self._data) >= self._segment * self._sample.itemsize:
+            yield self._next(self._segment)
 
     def rest(self, count: int) -> Iterator[Block]:
         """Yield what is left when a motion is over that has made `count` samples."""

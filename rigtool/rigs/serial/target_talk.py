@@ -29,8 +29,10 @@ class Refused(HardwareError):
 class Talk:
     """Requests and replies on a line; streamed samples that come between go to `samples`."""
 
-    def __init__(self, line: Line, *, timeout: float = TIMEOUT, retries: int = RETRIES) -> None:
-        self._line, self._timeout, self._retries = line, timeout, retries
+    def __init__(self, line: Line, *, timeout: float | None = None, retries: int = RETRIES) -> None:
+        self._line, self._retries = line, retries
+        self.timeout = TIMEOUT if timeout is None else timeout
+        self.streaming = False  # then a damaged frame need not be the reply
         self._splitter = Splitter()
         self._waiting: list[Frame] = []
         self._sequence = 0
@@ -51,7 +53,7 @@ class Talk:
         sequence = self._sequence
 
         def receive() -> bytes:
-            deadline = time.monotonic() + self._timeout
+            deadline = time.monotonic() + self.timeout
             while True:
                 damaged = self.damaged
                 for frame in self._frames(max(0.0, deadline - time.monotonic())):
@@ -63,10 +65,10 @@ class Talk:
                         raise self._refused(frame.payload)
                     elif frame.kind == kind | link.REPLY:
                         return frame.payload
-                if self.damaged > damaged:
+                if self.damaged > damaged and not self.streaming:
                     raise DamagedReply(f"a frame came damaged while {kind.name} waited")
                 if time.monotonic() >= deadline:
-                    raise LineTimeout(f"no reply to {kind.name} within {self._timeout:g} s")
+                    raise LineTimeout(f"no reply to {kind.name} within {self.timeout:g} s")
 
         return self._line.exchange(
             encode(Frame(kind, sequence, payload)), receive, retries=self._retries, settle=False

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import select
 import socket
 import threading
+import time
 from collections.abc import Iterator
 
 from rigtool.errors import HardwareError
@@ -16,6 +18,12 @@ TICK = 0.002
 """Longest time between two calls of `Emulator.idle`, s."""
 
 CHUNK = 65536
+
+BACKLOG = 1 << 18
+"""Bytes that wait to be sent at which a device that sends unasked is held up."""
+
+PATIENCE = 1.0
+"""Time after which bytes that nobody reads are dropped, s."""
 
 
 class Emulator:
@@ -56,6 +64,8 @@ class Server:
         self._out = Faults(faults, "host", self._act)
         self._in = Faults(faults, "device", self._act)
         self._stop = threading.Event()
+        self._waiting = bytearray()
+        self._taken = time.monotonic()
         self._thread = threading.Thread(target=self._serve, name="emulator", daemon=True)
 
     def start(self) -> None:
@@ -68,10 +78,11 @@ class Server:
         self._stop.set()
         self._thread.join()
 
-    def wait(self) -> None:
-        """Serve until interrupted."""
-        while self._thread.is_alive():
-            self._thread.join(0.2)
+    def wait(self, seconds: float | None = None) -> None:
+        """Serve until interrupted, or for so many seconds."""
+        end = math.inf if seconds is None else time.monotonic() + seconds
+        while self._thread.is_alive() and (left := end - time.monotonic()) > 0:
+            self._thread.join(min(left, 0.2))
 
     def _act(self, fault: Fault) -> None:
         if fault.kind == "reset":
@@ -82,10 +93,12 @@ class Server:
     def _serve(self) -> None:
         try:
             while not self._stop.is_set():
-                ready = self._ready(0.0 if self.emulator.busy else TICK)
+                ready = self._ready(0.0 if self.emulator.busy and not self._waiting else TICK)
                 if ready and (data := self._read()):
-                    self._send(self.emulator.receive(self._in.apply(data)))
-                self._send(self.emulator.idle())
+                    self._waiting += self._out.apply(self.emulator.receive(self._in.apply(data)))
+                if len(self._waiting) < BACKLOG:
+                    self._waiting += self._out.apply(self.emulator.idle())
+                self._send()
         except Pulled:
             pass
         except OSError as error:
@@ -96,10 +109,15 @@ class Server:
         finally:
             self._close()
 
-    def _send(self, data: bytes) -> None:
-        data = self._out.apply(data)
-        while data and not self._stop.is_set():
-            data = data[self._write(data) :]
+    def _send(self) -> None:
+        """Send what waits. What nobody takes for a while is lost, as on a real line."""
+        now = time.monotonic()
+        sent = self._write(self._waiting) if self._waiting else 0
+        del self._waiting[:sent]
+        if sent or not self._waiting:
+            self._taken = now
+        elif now - self._taken > PATIENCE:
+            self._waiting.clear()
 
     # -- how bytes get there
 
@@ -107,12 +125,14 @@ class Server:
         raise NotImplementedError
 
     def _ready(self, timeout: float) -> bool:
+        """Say whether bytes have come; wait for them, or until those that wait can be sent."""
         raise NotImplementedError
 
     def _read(self) -> bytes:
         raise NotImplementedError
 
-    def _write(self, data: bytes) -> int:
+    def _write(self, data: bytearray) -> int:
+        """Send as much as is taken at once; return how much."""
         raise NotImplementedError
 
     def _close(self) -> None:
@@ -137,16 +157,16 @@ class PtyServer(Server):
         self.port = os.ttyname(self._slave)
 
     def _ready(self, timeout: float) -> bool:
-        return bool(select.select([self._master], [], [], timeout)[0])
+        writing = [self._master] if self._waiting else []
+        return bool(select.select([self._master], writing, [], timeout)[0])
 
     def _read(self) -> bytes:
         return os.read(self._master, CHUNK)
 
-    def _write(self, data: bytes) -> int:
+    def _write(self, data: bytearray) -> int:
         try:
             return os.write(self._master, data)
-        except BlockingIOError:  # the host does not read at present: a real line would lose this
-            select.select([], [self._master], [], TICK)
+        except BlockingIOError:
             return 0
 
     def _close(self) -> None:
@@ -177,10 +197,12 @@ class TcpServer(Server):
 
     def _ready(self, timeout: float) -> bool:
         waiting = self._listening if self._host is None else self._host
-        if not select.select([waiting], [], [], timeout)[0]:
+        writing = [self._host] if self._host is not None and self._waiting else []
+        if not select.select([waiting], writing, [], timeout)[0]:
             return False
         if self._host is None:
             self._host, _ = self._listening.accept()
+            self._host.setblocking(False)
             self._host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             return False
         return True
@@ -195,11 +217,13 @@ class TcpServer(Server):
             self._hang_up()
         return data
 
-    def _write(self, data: bytes) -> int:
+    def _write(self, data: bytearray) -> int:
         if self._host is None:
             return len(data)
         try:
             return self._host.send(data)
+        except BlockingIOError:
+            return 0
         except ConnectionError:
             self._hang_up()
             return len(data)
