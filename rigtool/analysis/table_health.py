@@ -88,10 +88,10 @@ class Health:
     are changes of the means; `friction` is None where one direction cannot tell.
 
     The following are rms over position with the scatter of the means taken off: `mismatch` of the
-    table as it is, `shape` of its pattern without means, `scaled` of the pattern with its best
-    scale where it was, `shifted` after the best shift at scale one, `even_left` and `odd_left`
-    after shift and scale. `unexplained` is the part of the pattern's variance that shift and scale
-    leave, `pattern` the rms of the pattern now, `limit` the scatter of a single move.
+    table as it is, `shape` of its pattern without means, of which `even` and `odd` are parts,
+    `scaled` of the pattern with its best scale where it was, `shifted` after the best shift at
+    scale one. `unexplained` is the part of the pattern's variance that shift and scale leave,
+    `pattern` the rms of the pattern now, `limit` the scatter of a single move.
     """
 
     shift: Estimate | None
@@ -104,8 +104,8 @@ class Health:
     shape: float
     scaled: float
     shifted: float
-    even_left: float
-    odd_left: float
+    even: float
+    odd: float
     unexplained: Estimate
     pattern: float
     limit: float
@@ -148,7 +148,10 @@ class Health:
 
     def _beyond(self, change: Estimate) -> bool:
         # Pattern, friction and offset add up as squares: below a half, none makes a mismatch.
-        return change.certain and abs(change.value) > self.limit / 2
+        least = self.limit / 2
+        if not self.whole_turn and not self.pattern_fits:
+            least = max(least, self.shape)  # a part of the turn has part of a pattern in its mean
+        return change.certain and abs(change.value) > least
 
 
 def parts(table: LookupTable, u: Array, rows: Sequence[Row], position: Array) -> list[Part]:
@@ -253,8 +256,8 @@ def health(parts: Sequence[Part], position: Array, period: float | None) -> Heal
         shape=excess(_varying(off)),
         scaled=excess(_varying(now) - factor * there),
         shifted=excess(fit.now - fit.learned),
-        even_left=excess(left, ~odd),
-        odd_left=excess(left, odd),
+        even=excess(_varying(off), ~odd),
+        odd=excess(_varying(off), odd),
         unexplained=unexplained,
         pattern=pattern,
         limit=limit,

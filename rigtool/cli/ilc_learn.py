@@ -85,8 +85,14 @@ def command(
     from rigtool.procedures.session import run_command
 
     if check is not None:
-        if friction is not None:
-            raise click.UsageError("--friction: --check feeds forward what the tables were with")
+        for name, given in (
+            ("friction", friction),
+            ("implementation", implementation),
+            ("learning-filter", learning_filter),
+            ("validate", validate),
+        ):
+            if given:
+                raise click.UsageError(f"--{name}: --check moves as the tables were learned")
         _check(sources, output, options, tables=check, kt=kt, plant=plant)
         return
     # Run files that were imported have no recipe to say how to learn: D is by known loads.

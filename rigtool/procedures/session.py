@@ -30,7 +30,8 @@ class Procedure(Protocol):
     """What a module of a measuring command offers.
 
     A module that says BARE_MOTOR = True measures without the instrument, whatever the recipe
-    attaches: motor and amplifier are characterised on their own [7.1, 7.2]. One that has a function
+    attaches: motor and amplifier are characterised on their own [7.1, 7.2]. One that says ACCEPTS
+    takes stored runs of these commands instead of its own alone. One that has a function
     `analyse_imported(runs, **inputs)` also takes runs of other rigs; `NEEDED` are then the inputs
     that only those can do without.
     """
@@ -157,7 +158,7 @@ def _analyse_stored(
         if runs[0].command == IMPORTED and hasattr(procedure, "analyse_imported"):
             return _analyse_imported(procedure, runs, output, options, inputs)
         for run in runs:
-            run.require_command(procedure.COMMAND)
+            run.require_command(*getattr(procedure, "ACCEPTS", (procedure.COMMAND,)))
         _require_inputs(procedure, inputs)
         recipe = runs[0].recipe
         if recipe is None:
