@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from rigtool.errors import UsageError
-from rigtool.procedures.ilc import all_speeds, limited_angle, one_speed, trajectory
+from rigtool.procedures.ilc import all_speeds, known_loads, limited_angle, one_speed, trajectory
 from rigtool.procedures.imported_learning import analyse_imported as analyse_imported
 from rigtool.procedures.options import CommonOptions
 from rigtool.procedures.outcome import Outcome
@@ -25,6 +25,7 @@ IMPLEMENTATIONS: dict[str, tuple[str, ModuleType]] = {
     "A": ("turning at one speed, by position, amplitude and phase by speed", one_speed),
     "B": ("turning, both directions, by position and speed", all_speeds),
     "C": ("limited angle, both directions, by position and speed", limited_angle),
+    "D": ("as C, and known loads: torque as a third input", known_loads),
     "standard": ("a repeated move, by time", trajectory),
 }
 """Ways to learn that exist, by the thesis's letter: what they do, and their module."""
