@@ -2,10 +2,10 @@
 
     map(angle) = sum over orders n of amplitude_n cos(n angle + phase_n)
 
-The noise floor of an order, the rms amplitude that scatter alone gives it, is the larger of two:
-that of the map's standard uncertainty spread evenly over the orders that learning let pass, and
-that of the amplitudes around it, whose median is sqrt(ln 2) of the rms where they are noise
-(Rayleigh distribution). The first knows the size of the scatter, the second that it is not white.
+The noise floor of an order, the rms amplitude that scatter alone gives it, is that of the map's
+standard uncertainty u(position) spread evenly over the orders 1..m that the map holds:
+floor = sqrt(2/m) * rms of u. Scatter that is not white has more of it at some orders, less at
+others.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from rigtool.analysis.position_map import PositionMap
 from rigtool.analysis.quantised_table import Loss, loss
 from rigtool.analysis.ripple import CLEAR
-from rigtool.analysis.steady_turns import neighbours_floor
 from rigtool.errors import InsufficientDataError
 
 Array = NDArray[np.float64]
@@ -60,17 +59,18 @@ def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
     found = np.fft.rfft(turn.values)[1 : highest + 1] * (2 / count)
     found *= np.exp(-1j * order * turn.start)
     amplitude = np.abs(found)
-    even = math.sqrt(2 / highest * float(np.mean(turn.u**2)))
     rounding = 10 * np.finfo(np.float64).eps * float(np.abs(turn.values).max())
-    floor = np.maximum(max(even, rounding), neighbours_floor(amplitude))
+    held = np.flatnonzero(amplitude > rounding)
+    highest = int(held[-1]) + 1 if held.size else highest
+    floor = max(math.sqrt(2 / highest * float(np.mean(turn.u**2))), rounding)
     clear = amplitude > CLEAR * floor
     if not clear.any():
         raise InsufficientDataError(
             f"none of the orders 1 to {highest} stands out of the noise by a factor of {CLEAR:g} "
-            f"(the largest has {amplitude.max():.3g}, its noise floor is "
-            f"{floor[amplitude.argmax()]:.3g}): learn from more revolutions"
+            f"(the largest has {amplitude.max():.3g}, the noise floor is "
+            f"{floor:.3g}): learn from more revolutions"
         )
-    u = floor[clear] / math.sqrt(2)
+    u = np.full(int(clear.sum()), floor / math.sqrt(2))
     kept = found[clear]
     position = turn.start + np.arange(count) * (2 * math.pi / count)
     told = np.cos(np.multiply.outer(position, order[clear]) + np.angle(kept)) @ np.abs(kept)

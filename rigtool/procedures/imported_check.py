@@ -174,7 +174,10 @@ class _Compared:
     def notes(self, group: Group) -> tuple[str, ...]:
         """Say in words what became of the map."""
         match, removed = self.match, 1 - math.sqrt(self.left_part)
-        head = f"{len(group.torque)} turns of {group.runs} runs at {group.label()}: "
+        turns, runs = (
+            f"{n} {w}{'s' * (n > 1)}" for n, w in ((len(group.torque), "turn"), (group.runs, "run"))
+        )
+        head = f"{turns} of {runs} at {group.label()}: "
         degrees, u = math.degrees(match.shift), math.degrees(match.shift_u)
         if self.fits:
             verdict = f"the table fits: it would have removed {removed:.1%} of the ripple"

@@ -77,7 +77,7 @@ def fourier(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple
     head = [
         f"map(position) = sum of amplitude*cos(order*position + phase), {unit}; position in rad.",
         f"{series.order.size} of the orders 1 to {series.examined} stand out of their noise; "
-        "u are standard uncertainties.",
+        "u, standard uncertainty: the scatter of the table, spread evenly over these orders.",
         *_map_lines(learned, turn, unit),
         f"Lost: {text}.",
     ]
