@@ -8,9 +8,10 @@ its own corner its logarithm begins with these two terms. Residuals are logarith
 modelled response, magnitude and phase together, weighted by their scatter (logarithmic least
 squares: Pintelon & Schoukens, System Identification, 2nd edition, Wiley 2012, section 9.8).
 
-A second mass is believed only where the rigid plant is rejected by an F test and the resonance lies
-within the band. Uncertainty: the experiments' scatter by the jackknife, with a linear step
-instead of a new fit, and what the lines deviate from the model beyond their scatter.
+A second mass is looked for only where the rigid plant deviates by more than the scatter explains,
+and believed only where it does better by an F test and has its resonance within the band.
+Uncertainty: the experiments' scatter by the jackknife, with a linear step instead of a new fit, and
+what the lines deviate from the model beyond their scatter.
 """
 
 from __future__ import annotations
@@ -42,7 +43,10 @@ POOLED = 5
 """Neighbouring lines whose relative scatter is pooled for the weights."""
 
 SECOND_MASS = 1e-4
-"""Probability at which an F test that rejects the rigid plant may be wrong."""
+"""Probability at which the tests that reject the rigid plant may be wrong."""
+
+EVALUATIONS = 500
+"""Of the model in one fit, at most; a second mass that is not there leads nowhere."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +72,7 @@ class PlantFit:
         """Return P (n,) at these frequencies, Hz, with delay and roll-off."""
         omega = 2 * np.pi * np.asarray(frequency, dtype=np.float64)
         lag = np.exp(-1j * omega * self.delay - self.roll_off * omega**2)
-        response: ComplexArray = self.model.held(self.sample_time).response(frequency) * lag
+        response: ComplexArray = self.model.response(frequency, self.sample_time) * lag
         return response
 
     def uncertainty(self, statistic: Callable[[PlantFit], float]) -> float:
@@ -112,6 +116,8 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
 
 def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
     """Return the fit with a second mass where the data ask for it."""
+    if data.explained(rigid) > SECOND_MASS:
+        return None
     low, high = data.found.frequency[[0, -1]]
     candidates = []
     for antiresonance in np.geomspace(2 * low, high / 2, 6):
@@ -124,10 +130,10 @@ def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
     free, more = data.freedom(rigid), data.freedom(best)
     left, rest = rigid.misfit**2 * free, best.misfit**2 * more
     ratio = ((left - rest) / (free - more)) / (rest / more)
-    doubt = float(stats.f.sf(ratio, free - more, more))
+    better = float(stats.f.sf(ratio, free - more, more))
     inside = low < best.model.antiresonance_hz and best.model.resonance_hz < high
-    if doubt < SECOND_MASS and inside:
-        return _with(best, _parameters(best), rigid_rejected=doubt)
+    if better < SECOND_MASS and inside:
+        return replace(best, rigid_rejected=better)
     return None
 
 
@@ -147,6 +153,11 @@ class _Data:
         """Return the degrees of freedom of the residuals."""
         return 2 * len(self.found.frequency) - len(_parameters(fit))
 
+    def explained(self, fit: PlantFit) -> float:
+        """Return the probability of deviations as large as these, were the model right."""
+        noise = self.found.dof * len(self.found.frequency)
+        return float(stats.f.sf(fit.misfit**2, self.freedom(fit), noise))
+
     def residuals(self, fit: PlantFit, response: ComplexArray) -> Array:
         """Return weighted residuals (2 k,): logarithm of magnitude, then phase."""
         ratio = np.log(response / fit.response(self.found.frequency))
@@ -161,7 +172,9 @@ class _Data:
         def residuals(steps: Array) -> Array:
             return self.residuals(_with(start, origin + scale * steps), measured)
 
-        solution = optimize.least_squares(residuals, np.zeros(len(origin)), method="lm", xtol=1e-12)
+        solution = optimize.least_squares(
+            residuals, np.zeros(len(origin)), method="lm", max_nfev=EVALUATIONS
+        )
         found = _with(start, origin + scale * solution.x)
         misfit = math.sqrt(2 * solution.cost / self.freedom(found))
         return _with(found, _parameters(found), misfit=misfit)
@@ -214,8 +227,8 @@ def _with(fit: PlantFit, vector: Array, **changes: Any) -> PlantFit:
     inertia, viscous = math.exp(vector[0]), float(vector[1])
     if len(vector) > 4:
         # A second mass that the data do not show runs away: not further than it makes sense.
-        part = 1 / (1 + math.exp(-np.clip(vector[4], -10, 10)))
-        antiresonance = math.exp(np.clip(vector[5], -5, 10))
+        part = 1 / (1 + math.exp(-np.clip(vector[4], -5, 5)))
+        antiresonance = math.exp(np.clip(vector[5], -2, math.log(0.2 / fit.sample_time)))
         model = PlantModel(inertia, viscous, part, antiresonance, float(vector[6]))
     else:
         model = PlantModel(inertia, viscous)

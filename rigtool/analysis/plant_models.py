@@ -17,9 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rigtool.analysis.plant import TransferFunction
+from rigtool.analysis.plant import ComplexArray, TransferFunction, double_integrator
 
 Array = NDArray[np.float64]
+
+IMAGES = 8
+"""Images of the spectrum on either side that are summed; those left out are below 1e-7."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,32 @@ class PlantModel:
         """Return P(z) for a torque held over each sample; `sample_time` in s."""
         a, b, c = self._state_space()
         return held(a, b, c, sample_time)
+
+    def transfer(self, s: ComplexArray) -> ComplexArray:
+        """Return P(s) of the motion itself, at any complex frequencies, rad/s."""
+        if self.motor_side is None:
+            rigid: ComplexArray = 1 / (s * (self.inertia * s + self.viscous))
+            return rigid
+        first = self.inertia * self.motor_side
+        second = self.inertia - first
+        omega = 2 * math.pi * self.antiresonance_hz
+        link = second * (2 * self.damping * omega * s + omega**2)
+        # Motor and second mass, with the torque of the link between them eliminated
+        carried = second * s**2 * link / (second * s**2 + link)
+        return np.asarray(1 / (first * s**2 + self.viscous * s + carried), dtype=np.complex128)
+
+    def response(self, frequency: Array, sample_time: float) -> ComplexArray:
+        """Return the response (n,) of `held` at frequencies above zero, Hz, without its algebra.
+
+        Sampling sums the images P(s + 2 pi i k/Ts) of the held plant. Far up P is the double
+        integrator of J1, whose sum is known; only the difference, which soon vanishes, is summed.
+        """
+        motor = self.inertia * (1.0 if self.motor_side is None else self.motor_side)
+        s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)
+        images = s + 2j * np.pi / sample_time * np.arange(-IMAGES, IMAGES + 1)[:, None]
+        rest = (self.transfer(images) - 1 / (motor * images**2)) / (images * sample_time)
+        whole = double_integrator(motor, sample_time).response(frequency)
+        return np.asarray(whole - np.expm1(-s * sample_time) * rest.sum(axis=0))
 
     def _state_space(self) -> tuple[Array, Array, Array]:
         if self.motor_side is None:

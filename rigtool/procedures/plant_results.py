@@ -143,7 +143,7 @@ def _response_table(found: Found) -> Table:
             ),
             "coherence": Column(response.coherence, "1", "with the excitation, in one period"),
             "distance": Column(
-                np.abs(value / fit.model.held(fit.sample_time).response(response.frequency) - 1),
+                np.abs(value / fit.model.response(response.frequency, fit.sample_time) - 1),
                 "1",
                 "from the model without delay, relative",
             ),

@@ -79,24 +79,37 @@ def polynomial(found, scale=1.0):
 
 
 @settings(max_examples=100, deadline=None)
-@given(poles=roots, inside=roots, outside=roots, gain=st.floats(1e-3, 1e3))
-def test_inverse_has_no_phase_and_gain_one_at_dc(poles, inside, outside, gain):
-    # Zeros both well inside and outside the unit circle
+@given(
+    poles=roots,
+    inside=roots,
+    outside=roots,
+    sampling=st.integers(0, 2),
+    delay=st.integers(0, 3),
+    radius=st.floats(0.3, 0.99),
+    gain=st.floats(1e-3, 1e3),
+)
+def test_inverse_has_no_phase_and_gain_one_at_dc(
+    poles, inside, outside, sampling, delay, radius, gain
+):
+    """Any proper system: zeros inside and outside, complex, negative, at -1 and at infinity."""
     num = gain * np.convolve(polynomial(inside), polynomial(outside, scale=3.0))
+    for _ in range(sampling):
+        num = np.convolve(num, [1.0, 1.0])
     den = polynomial(poles)
-    den = np.concatenate([den, np.zeros(max(0, len(num) - len(den)))])  # more delay: proper
+    den = np.concatenate([den, np.zeros(max(0, len(num) + delay - len(den)))])
     system = TransferFunction.from_z(num, den, SAMPLE_TIME)
     zeros = np.abs(system.zeros())
-    assume((np.abs(zeros - 0.97) > 0.01).all())
-    at_one = np.prod(1 - system.zeros()[zeros >= 0.97])
+    assume((np.abs(zeros - radius) > 0.01).all())
+    at_one = np.prod(1 - system.zeros()[zeros >= radius])
     assume(abs(at_one) > 1e-3)
-    inverse = zpetc(system, 0.97)
+    inverse = zpetc(system, radius)
+    assert inverse.advance == system.relative_degree + (zeros >= radius).sum()
     product = inverse.response(FREQUENCY) * system.response(FREQUENCY)
     scale = np.abs(product).max()
     assert np.abs(product.imag).max() < 1e-6 * scale
     assert product.real.min() > -1e-6 * scale
     assert product[0].real == pytest.approx(1, rel=1e-5, abs=0)
-    assert np.abs(inverse.filter.poles()).max(initial=0) < 0.97
+    assert np.abs(inverse.filter.poles()).max(initial=0) < radius < 1
     assert inverse.filter.relative_degree == 0
     unshifted = inverse.response(FREQUENCY, shifted=False)
     turn = np.exp(2j * np.pi * FREQUENCY * inverse.advance * SAMPLE_TIME)
