@@ -77,6 +77,20 @@ def main() -> None:
             capture_output=True,
         )
         show("make -j2 tables, after set-up", time.perf_counter() - start, "s", 40)
+    growth()
+
+
+def growth() -> None:
+    """Show what a long run and many small ones cost; docs/performance.md explains."""
+    from growth import HOUR, hour, many
+
+    with tempfile.TemporaryDirectory() as folder:
+        for name in HOUR:
+            for what, value in hour(Path(folder), name).items():
+                unit, limit = ("MB", 600) if what.endswith("MB") else ("", 2)
+                show(f"an hour: {name}, {what.removesuffix(', MB')}", value, unit, limit)
+        for name, value in many(Path(folder)).items():
+            show(f"1000 small files: {name}, each", value, "ms", 5)
 
 
 def fixture_commands(folder: Path) -> dict[str, list[str]]:

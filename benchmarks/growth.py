@@ -10,7 +10,6 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -23,7 +22,17 @@ ROOT = Path(__file__).parents[1]
 RECIPE = ROOT / "recipes" / "briaire-2006.toml"
 FIXTURES = ROOT / "tests" / "fixtures"
 KT, TABLES = FIXTURES / "kt.h5", FIXTURES / "tables.h5"
-RIGTOOL = [str(Path(sys.executable).with_name("rigtool"))]
+
+COMMAND = """
+import sys
+from rigtool.cli import main
+try:
+    main(sys.argv[1:])
+except SystemExit as done:
+    if done.code:
+        raise
+"""
+"""A command of rigtool, in a program that lives on to say how much memory it had."""
 
 READ = """
 import sys, h5py
@@ -34,6 +43,11 @@ with h5py.File(sys.argv[1]) as file:
             for chunk in dataset.iter_chunks():
                 dataset[chunk]
 """
+
+MEMORY = """
+print(open("/proc/self/status").read().split("VmHWM:")[1].split()[0])
+"""
+"""Most memory so far, KiB: the kernel's `ru_maxrss` would start at what this process has."""
 
 RIPPLE = ("time", "encoder", "current_setpoint")
 FORCE = (*RIPPLE, "position_setpoint", "feedforward_current", "table_current")
@@ -53,35 +67,39 @@ HOUR = {
 """Settings of the command, inputs, and the channels that its analysis reads."""
 
 
-def used(arguments: Sequence[str]) -> tuple[float, float, float]:
-    """Run a command; return wall-clock and processor time, s, and the most memory, MB."""
+def used(program: str, *arguments: object) -> tuple[float, float, float]:
+    """Run a program; return wall-clock and processor time, s, and the most memory, MB."""
+    line = [sys.executable, "-c", program + MEMORY, *map(str, arguments)]
     start = time.perf_counter()
-    process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
+    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        printed = process.stdout.read()
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
     wall = time.perf_counter() - start
-    process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise RuntimeError(f"{arguments}: ended with status {process.returncode}")
-    return wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+    return wall, usage.ru_utime + usage.ru_stime, int(printed.split()[-1]) / 1024
 
 
 def hour(folder: Path, command: str, repeats: int = 3) -> dict[str, float]:
     """Record an hour, analyse it again from the file, and read it with h5py alone."""
     settings, inputs, channels = HOUR[command]
     section = command.replace("-", "_")
-    path = str(folder / f"{command}.h5")
-    options = [f"{section}.{key}={value}" for key, value in settings.items()]
-    options.append(f"{section}.record_every=1")
-    common = ["--overwrite", "-q", *inputs]
-    record = [RECIPE, "-o", path, *common, *(x for option in options for x in ("--set", option))]
-    recording = used([*RIGTOOL, command, *map(str, record)])
-    analyse = [*RIGTOOL, command, path, "-o", str(folder / "again.h5"), *common]
-    read = [sys.executable, "-c", READ, path, *channels]
-    pairs = [(used(analyse), used(read)) for _ in range(repeats)]
+    path = folder / f"{command}.h5"
+    sets = [f"{section}.{key}={value}" for key, value in settings.items()]
+    sets.append(f"{section}.record_every=1")
+    common = [*inputs, "--overwrite", "-q"]
+    options = [item for value in sets for item in ("--set", value)]
+    recording = used(COMMAND, command, RECIPE, "-o", path, *common, *options)
+    again = (command, path, "-o", folder / "again.h5", *common)
+    # By turns, so that whatever else the machine does slows both.
+    pairs = [(used(COMMAND, *again), used(READ, path, *channels)) for _ in range(repeats)]
     wall, processor = (
         min(analysed[i] for analysed, _ in pairs) / min(plain[i] for _, plain in pairs)
         for i in (0, 1)
     )
+    path.unlink()
     return {
         "recording, MB": recording[2],
         "analysing, MB": max(analysed[2] for analysed, _ in pairs),
@@ -90,23 +108,25 @@ def hour(folder: Path, command: str, repeats: int = 3) -> dict[str, float]:
     }
 
 
-def many(folder: Path, count: int = 1000) -> dict[str, float]:
-    """Return the milliseconds that each of many small files adds to a command."""
-    folder.mkdir()
+def many(folder: Path, count: int = 1000, repeats: int = 2) -> dict[str, float]:
+    """Return the milliseconds of processor time that each of many small files adds to a command."""
     with open_run(KT) as kt, open_run(FIXTURES / "friction.h5") as friction:
         staircases = _cut(kt, "staircase", folder, count)
         holds = _cut(friction, "holds", folder, count)
-    found = {}
+    few, found = count // 5, {}
     for command, paths, more in (
-        ("calibrate-kt", staircases, ["-o", str(folder / "out.h5")]),
-        ("stribeck", holds, ["--kt", str(KT), "-o", str(folder / "out.h5")]),
-        ("report", staircases, ["-o", str(folder / "report")]),
+        ("calibrate-kt", staircases, ["-o", folder / "out.h5"]),
+        ("stribeck", holds, ["--kt", KT, "-o", folder / "out.h5"]),
+        ("report", staircases, ["-o", folder / "report"]),
     ):
-        few, everything = (
-            used([*RIGTOOL, command, *paths[:size], *more, "--overwrite", "-q"])[0]
-            for size in (count // 5, count)
+        part, whole = (
+            min(
+                used(COMMAND, command, *paths[:size], *more, "--overwrite", "-q")[1]
+                for _ in range(repeats)
+            )
+            for size in (few, count)
         )
-        found[command] = (everything - few) / (count - count // 5) * 1e3
+        found[command] = (whole - part) / (count - few) * 1e3
     return found
 
 
