@@ -13,6 +13,7 @@ from rigtool.runfile import schema, tree
 from rigtool.runfile.model import RecordingSpec
 from rigtool.runfile.reader import Recording, Run, guard, open_hdf5, require_schema
 from rigtool.runfile.storage import storage_errors
+from rigtool.runfile.unclosed import open_unclosed
 from rigtool.runfile.writer import RunWriter
 
 
@@ -78,20 +79,18 @@ def _open_unfinished(path: Path) -> Run:
     try:
         file = open_hdf5(path)
     except RunFileError as error:
-        try:
-            # Its writer was killed: such a file opens only as one that is being written.
-            file = open_hdf5(path, swmr=True)
-        except RunFileError:
-            if not path.is_file():
-                raise error from None
-            raise RunFileError(
-                f"{path}: does not open even as a file that is being written: its run was killed "
-                "before the first sample, or it is damaged: nothing to recover"
-            ) from error
+        if not path.is_file():
+            raise error from None
+        file = open_unclosed(path)
     try:
         with guard(path, "the file"):
             require_schema(file, path)
             run = Run(file, tree.load(file), path)
+    except RunFileError as error:
+        file.close()
+        raise RunFileError(
+            f"{error}: nothing to recover, or the run was killed before its first sample"
+        ) from error
     except BaseException:
         file.close()
         raise

@@ -1,0 +1,124 @@
+"""A run whose writer was killed, opened as if it had been closed; the file stays as it is.
+
+HDF5 notes in the superblock that a file is being written, and refuses it as long as that stands
+there. Following the writer (SWMR) is no way to read remains that may be damaged: HDF5 then reads
+what has a wrong checksum again and again, with pauses that double each time. So the superblock is
+shown to HDF5 without the note and with the end where the file ends (as its tool h5clear would write
+it), its checksum made anew.
+
+The superblock of version 3 (HDF5 File Format Specification 3.0, II.A): 8 bytes of signature,
+version, two sizes, the consistency flags in byte 11, four addresses of 8 bytes (the end of the file
+is the third), and the checksum in the last 4 of 48 bytes.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from rigtool.errors import RunFileError
+
+SIZE = 48
+VERSION, ADDRESS_SIZE, FLAGS, END, CHECKSUM = 8, 9, 11, 28, 44
+
+_MASK = 0xFFFFFFFF
+
+
+class _Unclosed:
+    """A file to read, as far as h5py needs one, that shows other bytes at its start."""
+
+    def __init__(self, path: Path, start: bytes) -> None:
+        self._path, self._start, self._place = path, start, 0
+        self._handle = os.open(path, os.O_RDONLY)
+        self._size = os.fstat(self._handle).st_size
+
+    def __del__(self) -> None:
+        os.close(self._handle)
+
+    def __repr__(self) -> str:
+        """Return the path: what h5py takes as the file's name."""
+        return str(self._path)
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        self._place = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._place}.get(whence, self._size)
+        return self._place
+
+    def tell(self) -> int:
+        return self._place
+
+    def read(self, size: int) -> bytes:
+        """Read as a file does, with the other bytes where they belong."""
+        data = os.pread(self._handle, size, self._place)
+        shown = self._start[self._place : self._place + len(data)]
+        self._place += len(data)
+        return shown + data[len(shown) :]
+
+    def readinto(self, buffer: Any) -> int:
+        data = self.read(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)
+
+
+def open_unclosed(path: Path) -> h5py.File:
+    """Open an HDF5 file that was not closed, for reading.
+
+    Raises `RunFileError` where it is not what a writer of run files leaves.
+    """
+    with path.open("rb") as stream:
+        start = bytearray(stream.read(SIZE))
+    if len(start) < SIZE or start[VERSION] != 3 or start[ADDRESS_SIZE] != 8:
+        raise RunFileError(f"{path}: has no superblock as a run file has it: nothing to recover")
+    if checksum(bytes(start[:CHECKSUM])) != int.from_bytes(start[CHECKSUM:], "little"):
+        raise RunFileError(f"{path}: its superblock is damaged: nothing to recover")
+    start[FLAGS] = 0
+    # The end that is noted is that of the beginning: what has grown is behind it.
+    start[END : END + 8] = path.stat().st_size.to_bytes(8, "little")
+    start[CHECKSUM:] = checksum(bytes(start[:CHECKSUM])).to_bytes(4, "little")
+    shown = _Unclosed(path, bytes(start))
+    try:
+        return h5py.File(shown, "r")
+    except Exception as error:
+        raise RunFileError(
+            f"{path}: does not open: its run was killed before the first sample, or it is damaged: "
+            "nothing to recover"
+        ) from error
+
+
+def checksum(data: bytes) -> int:
+    """Return HDF5's checksum of metadata: Jenkins' lookup3, initial value 0.
+
+    (B. Jenkins, lookup3.c, May 2006, hashlittle, public domain.)
+    """
+    a = b = c = (0xDEADBEEF + len(data)) & _MASK
+    whole = max(len(data) - 1, 0) // 12 * 12
+    for start in range(0, whole, 12):
+        x, y, z = _words(data[start : start + 12])
+        a, b, c = _mix((a + x) & _MASK, (b + y) & _MASK, (c + z) & _MASK)
+    if not data:
+        return c
+    x, y, z = _words(data[whole:].ljust(12, b"\0"))
+    a, b, c = (a + x) & _MASK, (b + y) & _MASK, (c + z) & _MASK
+    for turn in (14, 11, 25, 16, 4, 14, 24):
+        c = ((c ^ b) - _turned(b, turn)) & _MASK
+        a, b, c = b, c, a
+    return b
+
+
+def _mix(a: int, b: int, c: int) -> tuple[int, int, int]:
+    for turn in (4, 6, 8, 16, 19, 4):
+        a = ((a - c) & _MASK) ^ _turned(c, turn)
+        c = (c + b) & _MASK
+        a, b, c = b, c, a
+    return a, b, c
+
+
+def _turned(value: int, by: int) -> int:
+    return (value << by | value >> (32 - by)) & _MASK
+
+
+def _words(data: bytes) -> tuple[int, int, int]:
+    x, y, z = (int.from_bytes(data[i : i + 4], "little") for i in (0, 4, 8))
+    return x, y, z
