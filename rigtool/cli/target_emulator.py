@@ -15,6 +15,7 @@ from rigtool.cli.options import debug_option, example
 @click.option("--paced", is_flag=True, help="In real time; else as fast as it can simulate.")
 @click.option("--forgetful", is_flag=True, help="Forget samples once they are streamed.")
 @click.option("--for", "seconds", type=click.FloatRange(min=0), help="End after so many seconds.")
+@click.option("--channels", metavar="NAME,...", help="Record only these, and time.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the virtual rig.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change the recipe.")
 @debug_option
@@ -24,6 +25,7 @@ def command(
     paced: bool,
     forgetful: bool,
     seconds: float | None,
+    channels: str | None,
     seed: int | None,
     overrides: tuple[str, ...],
 ) -> None:
@@ -38,7 +40,10 @@ def command(
 
     more = () if seed is None else (f"virtual.seed={seed}",)
     emulator = TargetEmulator(
-        load_recipe(recipe, (*overrides, *more))[0], paced=paced, keeps_log=not forgetful
+        load_recipe(recipe, (*overrides, *more))[0],
+        paced=paced,
+        keeps_log=not forgetful,
+        channels=None if channels is None else ("time", *channels.split(",")),
     )
     server: Server = PtyServer(emulator) if tcp is None else TcpServer(emulator, address=tcp)
     server.start()

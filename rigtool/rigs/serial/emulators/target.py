@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from rigtool.errors import RigtoolError
+from rigtool.errors import RigtoolError, UsageError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import Block, Feedforward, Load, Task
 from rigtool.rigs.motion import Move
@@ -37,7 +37,8 @@ class TargetEmulator(Emulator):
     """The virtual rig of a recipe behind the link.
 
     It simulates as fast as it can, or in real time where `paced`. `keeps_log` false forgets samples
-    once they are streamed; `log_bytes` is the memory for them.
+    once they are streamed; `log_bytes` is the memory for them; `channels` those it
+    can record, all by default.
     """
 
     def __init__(
@@ -48,10 +49,17 @@ class TargetEmulator(Emulator):
         keeps_log: bool = True,
         log_bytes: int = 1 << 28,
         max_payload: int = 4096,
+        channels: tuple[str, ...] | None = None,
     ) -> None:
         self._recipe, self._paced = recipe, paced
         self._keeps_log, self._log_bytes = keeps_log, log_bytes
         self._max_payload = max_payload
+        self._channels = link.LINK_CHANNELS if channels is None else channels
+        if unknown := set(self._channels) - set(link.LINK_CHANNELS):
+            raise UsageError(
+                f"channels {', '.join(sorted(unknown))}: the link has none of this name, only "
+                f"{', '.join(link.LINK_CHANNELS)}"
+            )
         self._boot = 0
         self.reset()
         _warm_up(recipe)
@@ -169,7 +177,7 @@ class TargetEmulator(Emulator):
             self._log_bytes,
             rig.sample_time,
             rig.encoder_counts,
-            link.mask_of(link.LINK_CHANNELS),
+            link.mask_of(self._channels),
             NAME,
         ).pack()
 

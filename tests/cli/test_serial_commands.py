@@ -1,0 +1,182 @@
+"""Commands on a rig at the end of a line, as a user types them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rigtool.recipe import load_recipe
+from rigtool.rigs.serial.emulators.faults import Fault
+from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.emulators.target import TargetEmulator
+from rigtool.rigs.serial.target_link import State
+from rigtool.runfile import open_run
+from tests.cli.test_run_commands import call
+from tests.rigs.serial.recipes import RECIPE, overrides
+from tests.rigs.serial.test_target_faults import wait_until
+
+KT = Path(__file__).parents[1] / "fixtures" / "kt.h5"
+SHORT = [
+    "calibrate_kt.temperatures_degc=[20, 35]",
+    "calibrate_kt.rotor_positions=2",
+    "calibrate_kt.steps=6",
+    "calibrate_kt.staircases=1",
+    "calibrate_kt.record_every=160",
+]
+
+
+def device(**options):
+    return TargetEmulator(load_recipe(RECIPE)[0], **options)
+
+
+def settings(*values):
+    return [part for value in values for part in ("--set", value)]
+
+
+def calibrate(capsys, folder, port, *options, more=()):
+    on_line = overrides(port, "serial.watchdog=5", *more)
+    output = folder / "kt.h5"
+    arguments = [RECIPE, "-o", output, *settings(*SHORT, *on_line), *options]
+    return call(capsys, "calibrate-kt", *arguments)
+
+
+def test_it_measures_with_yes_and_tells_of_the_line(tmp_path, capsys):
+    with serve(device(), Fault("flip", at=40)) as server:
+        code, out, err = calibrate(capsys, tmp_path, server.port, "--yes", "--json")
+    assert code == 0, err
+    assert "rigtool target emulator, link version 1, 8000 Hz" in err
+    assert "4 times CurrentSteps: 5.2 s, current up to 4 A" in err
+    line = json.loads(json.loads(out)["provenance"]["line"])
+    assert line["driver"] == "target"
+    assert line["port"] == server.port
+    assert line["retries"] >= 1
+    assert line["missing_samples"] == 0
+    code, out, err = call(capsys, "verify", tmp_path / "kt.h5")
+    assert code == 0
+
+
+def test_without_a_terminal_and_without_yes_it_refuses(tmp_path, capsys):
+    with serve(device()) as server:
+        code, _out, err = calibrate(capsys, tmp_path, server.port)
+    assert code == 2
+    assert "look at --dry-run, then add --yes" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("answer", ["n", "", "y"])
+def test_it_asks_at_a_terminal(tmp_path, capsys, monkeypatch, answer):
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("sys.stdin.readline", lambda: answer + "\n", raising=False)
+    with serve(device()) as server:
+        code, _out, err = calibrate(capsys, tmp_path, server.port)
+    assert "Move now? [y/N]" in err
+    assert code == (0 if answer == "y" else 2)
+    assert (tmp_path / "kt.h5").exists() == (answer == "y")
+
+
+def test_dry_run_opens_no_port_and_writes_nothing(tmp_path, capsys):
+    code, out, err = calibrate(capsys, tmp_path, "/dev/no-such-port", "--dry-run")
+    assert code == 0, err
+    assert "4 times CurrentSteps: 5.2 s, current up to 4 A" in out
+    assert "bring the motor to 20 degC" in out
+    assert "Within the limits 10 A, 60 rad/s" in out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_dry_run_refuses_what_is_beyond_the_limits(tmp_path, capsys):
+    more = ["serial.limits.current=3"]
+    code, _out, err = calibrate(capsys, tmp_path, "/dev/none", "--dry-run", more=more)
+    assert code == 3
+    assert "current 4 A beyond serial.limits.current = 3 A" in err
+
+
+def test_command_that_needs_more_is_refused_at_the_start(tmp_path, capsys):
+    with serve(device(channels=("time", "encoder", "current_setpoint"))) as server:
+        code, _out, err = calibrate(capsys, tmp_path, server.port, "--yes")
+    assert code == 5
+    assert "calibrate-kt cannot run on this rig" in err
+    assert "it records force: the target does not record its force: add [serial.force]" in err
+    assert "it records current:" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_such_port(tmp_path, capsys):
+    code, _out, err = calibrate(capsys, tmp_path, "/dev/no-such-port", "--yes")
+    assert code == 5
+    assert "there is no such port; `rigtool devices`" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pulled_cable_keeps_what_was_recorded(tmp_path, capsys):
+    with serve(device(), Fault("pull", at=60)) as server:
+        code, _out, err = calibrate(capsys, tmp_path, server.port, "--yes")
+    assert code == 5
+    assert "cable pulled" in err
+    assert "see that it stands still" in err
+    assert "samples that were recorded are kept" in err
+    part = tmp_path / "kt.h5.part"
+    assert call(capsys, "recover", part, "-o", tmp_path / "rescued.h5")[0] == 0
+    with open_run(tmp_path / "rescued.h5") as run:
+        assert len(run.recording("staircase").read("current")) > 200
+
+
+def test_a_spy_file_plays_back_as_the_rig(tmp_path, capsys):
+    spy = tmp_path / "line.spy"
+    with serve(device(), Fault("flip", at=50), Fault("cut", at=300)) as server:
+        code, _out, err = calibrate(capsys, tmp_path, server.port, "--yes", "--spy", spy)
+    assert code == 0, err
+    (tmp_path / "kt.h5").rename(tmp_path / "first.h5")
+    more = ["serial.driver=replay"]
+    code, _out, err = calibrate(capsys, tmp_path, spy, "--yes", more=more)
+    assert code == 0, err
+    with open_run(tmp_path / "first.h5") as first, open_run(tmp_path / "kt.h5") as again:
+        assert again.content_sha256 == first.content_sha256
+        retries = [json.loads(run.provenance["line"])["retries"] for run in (first, again)]
+    assert retries[0] == retries[1] > 0
+    more = ["serial.driver=replay", "calibrate_kt.rotor_positions=3"]
+    code, _out, err = calibrate(capsys, tmp_path, spy, "--yes", "--overwrite", more=more)
+    assert code == 5
+    assert "play a record back with the recipe it was made with" in err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_however_it_ends_the_motor_is_off_and_signals_are_kept(tmp_path, number):
+    emulated = device(paced=True)
+    with serve(emulated) as server:
+        on_line = overrides(server.port, "serial.watchdog=0.4", "serial.log=stream")
+        line = [Path(sys.executable).with_name("rigtool"), "stribeck", RECIPE, "--kt", KT, "--yes"]
+        line += ["-o", tmp_path / "f.h5", *settings(*on_line, "stribeck.record_every=1")]
+        with subprocess.Popen(
+            [str(part) for part in line], stderr=subprocess.PIPE, text=True, cwd=tmp_path
+        ) as process:
+            wait_until(lambda: emulated.state is State.RUNNING, 15)
+            time.sleep(0.8)
+            os.kill(process.pid, number)
+            err = process.communicate(timeout=15)[1]
+        wait_until(lambda: emulated.state in (State.OFF, State.TRIPPED))
+        if number == signal.SIGKILL:
+            assert "watchdog" in emulated.text
+        else:
+            assert emulated.text == "stopped by the host"
+            assert process.returncode == 128 + number
+            assert "samples that were recorded are kept" in err
+    assert server.error is None
+    part = tmp_path / "f.h5.part"
+    assert part.exists()
+
+
+def test_devices(tmp_path, capsys):
+    with serve(device()) as server:
+        code, out, _err = call(capsys, "devices", server.port, "--driver", "target")
+        assert code == 0
+        assert out.startswith(f"{server.port}: target: rigtool target emulator, link version 1")
+        code, out, _err = call(capsys, "devices", "/dev/no-such", server.port, "--json")
+    found = json.loads(out)
+    assert "no such port" in found[0]["problem"]
+    assert found[1]["driver"] == "target"
+    assert call(capsys, "devices", "--driver", "toaster")[0] == 2

@@ -1,0 +1,211 @@
+"""Limits: what a motion will ask, and what a running one measures."""
+
+import math
+import os
+import signal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigtool.analysis.lookup_table import LookupTable
+from rigtool.errors import HardwareError, RecipeError, UsageError
+from rigtool.recipe.serial import Limits
+from rigtool.rigs import Feedforward, Load, Task
+from rigtool.rigs.bench import Bench, Operator
+from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Move, SpeedProfile, Triangle
+from rigtool.rigs.serial import safety
+from rigtool.rigs.serial.rig import describe_load
+
+DT = 125e-6
+LIMITS = Limits(current=2, speed=10, position=(-1, 4), temperature_degc=50, duration=100)
+
+
+def extremes(motion, feedforward=Feedforward(), origin=0.0, constant=0.05):  # noqa: B008
+    return safety.extremes(Task(motion, feedforward), origin, DT, constant)
+
+
+def test_extremes_of_a_triangle_are_those_of_its_formulas():
+    found = extremes(Triangle(0.5, 2.5, 4.0, 0.3, cycles=2))
+    turn = 2 * 0.3 / 4.0
+    assert found.duration == pytest.approx(2 * 2 * (1.4 / 4 + 2 * turn))
+    assert found.position == pytest.approx((0.5, 2.5), abs=1e-6)
+    assert found.speed == pytest.approx(4.0)
+    assert found.acceleration == pytest.approx(4 * math.pi / (2 * turn), rel=1e-4)
+    assert found.current == 0.0
+
+
+def test_extremes_of_a_move_are_those_of_a_minimum_jerk():
+    found = extremes(Move(-3.0, 2.0), origin=1.0)
+    assert found.position == pytest.approx((-2.0, 1.0), abs=1e-6)
+    assert found.speed == pytest.approx(15 / 8 * 3 / 2, rel=1e-6)
+    assert found.acceleration == pytest.approx(10 / math.sqrt(3) * 3 / 4, rel=1e-6)
+    assert found.end == pytest.approx(-2.0)
+
+
+def test_extremes_in_open_loop():
+    found = extremes(CurrentRamp(-0.5, -1.5))
+    assert found.current == pytest.approx(1.5, rel=1e-3)
+    assert math.isnan(found.position[0])
+    assert extremes(CurrentSteps((0.0, 0.4, -0.7), 0.1)).current == 0.7
+
+
+def test_feed_forward_current_adds_up():
+    table = LookupTable(
+        np.array([0.0, 1.0]), np.array([1.0]), np.full((1, 2), 3e-3),
+        np.array([0.0, 1.0]), np.array([0.0, 1.0]),
+    )  # fmt: skip
+    signal = np.array([0.0, 2e-3])
+    added = Feedforward(inertia=0, coulomb=1e-3, viscous=5e-4, table=table, signal=signal)
+    found = extremes(SpeedProfile((0.0, 1.0), (2.0, 2.0)), added)
+    torque = 1e-3 * math.tanh(2) + 1e-3 + 3e-3 + 2e-3
+    assert found.current == pytest.approx(torque / 0.05)
+
+
+@given(
+    st.lists(st.floats(-20, 20), min_size=2, max_size=6),
+    st.floats(-5, 5),
+)
+def test_extremes_hold_at_every_sample(speeds, origin):
+    motion = SpeedProfile(tuple(0.1 * n for n in range(len(speeds))), tuple(speeds))
+    found = extremes(motion, origin=origin)
+    time = (np.arange(round(motion.duration / DT)) + 0.5) * DT
+    position, speed, acceleration = motion.setpoint(time)
+    assert found.position[0] <= (position + origin).min()
+    assert found.position[1] >= (position + origin).max()
+    assert found.speed == np.abs(speed).max()
+    assert found.acceleration == np.abs(acceleration).max()
+
+
+@pytest.mark.parametrize(
+    ("motion", "feedforward", "message"),
+    [
+        (Triangle(0, 5, 4, 0.3, 1), Feedforward(), r"position 5 rad beyond .* \[-1, 4\]"),
+        (Triangle(-1.1, 2, 4, 0.3, 1), Feedforward(), "position -1.1 rad"),
+        (Triangle(0, 2, 12, 0.3, 1), Feedforward(), "speed 12 rad/s beyond .*speed = 10 rad/s"),
+        (Move(1, 101), Feedforward(), "duration 101 s"),
+        (CurrentSteps((3.0,), 1), Feedforward(), "current 3 A beyond"),
+        (SpeedProfile((0, 1), (0, 2)), Feedforward(inertia=0.06), "current 2.4 A"),
+    ],
+)
+def test_motions_beyond_the_limits_are_refused(motion, feedforward, message):
+    with pytest.raises(RecipeError, match=message):
+        safety.check(extremes(motion, feedforward), LIMITS)
+
+
+def test_all_that_is_beyond_is_said_at_once():
+    with pytest.raises(RecipeError, match=r"current .*; speed .*; position"):
+        safety.check(extremes(Triangle(0, 9, 40, 0.3, 1), Feedforward(inertia=1.0)), LIMITS)
+
+
+def test_motion_at_the_limits_is_allowed():
+    safety.check(extremes(Triangle(-1, 4, 10, 0.3, 1)), LIMITS)
+
+
+def signals(count=400, dt=1e-3, **channels):
+    time = np.arange(count) * dt
+    block = {"time": time, "encoder": np.zeros(count), "current": np.zeros(count)}
+    return block | {name: np.asarray(values, float) for name, values in channels.items()}
+
+
+def watched(block, pieces=7):
+    """Return the first problem that a watch finds in signals that come in pieces."""
+    watch = safety.Watch(LIMITS, 4000)
+    for part in np.array_split(np.arange(len(block["time"])), pieces):
+        if problem := watch.problem({name: values[part] for name, values in block.items()}):
+            return problem
+    return None
+
+
+@pytest.mark.parametrize("pieces", [1, 7, 400])
+def test_watch_sees_what_is_beyond_and_only_that(pieces):
+    time = np.arange(400) * 1e-3
+    count = 4000 / (2 * math.pi)
+    assert watched(signals(), pieces) is None
+    assert watched(signals(encoder=np.floor(9.9 * time * count)), pieces) is None
+    found = watched(signals(encoder=np.floor(10.9 * np.minimum(time, 0.3) * count)), pieces)
+    assert "speed reached" in found
+    assert "limit of 10 rad/s" in found
+    assert watched(signals(current=np.full(400, -2.05)), pieces) is None
+    assert "current reached 2.2" in watched(signals(current=np.full(400, -2.2)), pieces)
+    assert watched(signals(temperature=20 + time * 75), pieces) is None
+    assert "temperature reached 5" in watched(signals(temperature=20 + time * 100), pieces)
+    assert watched(signals(encoder=np.full(400, -0.9 * count)), pieces) is None
+    assert "position reached -1.2" in watched(signals(encoder=np.full(400, -1.2 * count)), pieces)
+
+
+def test_watch_forgives_a_single_noisy_sample_and_missing_ones():
+    current = np.zeros(400)
+    current[200] = 15.0
+    assert watched(signals(current=current)) is None
+    current[:] = np.nan
+    assert watched(signals(current=current, encoder=current, temperature=current)) is None
+
+
+def test_one_count_at_8_khz_is_no_speed():
+    encoder = np.zeros(4000)
+    encoder[2000:] = 1.0
+    assert watched(signals(4000, DT, encoder=encoder, current=np.zeros(4000))) is None
+
+
+def test_second_interrupt_waits_until_the_motor_is_off():
+    done = []
+
+    def switch_off():
+        with safety.uninterrupted():
+            os.kill(os.getpid(), signal.SIGINT)
+            done.append("off")
+        done.append("never")
+
+    with pytest.raises(KeyboardInterrupt):
+        switch_off()
+    assert done == ["off"]
+
+
+# -- the operator
+
+
+def operator(*answers, present=True):
+    asked, said = [], []
+    replies = iter(answers)
+
+    def ask(question):
+        asked.append(question)
+        return next(replies)
+
+    return Operator(ask=ask, say=said.append, present=present), asked, said
+
+
+def test_reading_is_repeated_until_it_is_taken():
+    person, asked, said = operator("1,5", "r", "much", "2.5", "")
+    assert person.reading("force", "N") == 2.5
+    assert said == ["'much' is not a number of N"]
+    assert asked[1] == "force 1.5 N: Enter to take it, r to repeat:"
+
+
+def test_nobody_there_is_an_error_that_says_what_was_to_do():
+    person, _, _ = operator(present=False)
+    with pytest.raises(HardwareError, match="to do this: Hang 5 N"):
+        person.done("Hang 5 N")
+
+
+def test_permission_needs_a_yes():
+    for answer, agreed in (("y", True), ("yes", True), ("", False), ("no", False)):
+        person, _, said = operator(answer)
+        bench = Bench(operator=person)
+        if agreed:
+            bench.permit("plan")
+        else:
+            with pytest.raises(UsageError, match="not agreed to"):
+                bench.permit("plan")
+        assert said == ["plan"]
+
+
+def test_loads_are_described_as_requests():
+    assert describe_load(Load(force=2.5), "instrument") == (
+        "Hang 2.5 N (254.8 g) on the grasper, see that the arm is away from the force gauge"
+    )
+    text = describe_load(Load(torque=0.014, radial_force=22.0), "pulley")
+    assert text.startswith("Load the shaft with 14 mN m (weight on a cord), pull the shaft")
+    assert describe_load(Load(clamped=True), "pulley").startswith("Take all loads off")
