@@ -17,6 +17,7 @@ COMMANDS = {
     "ripple": ["fft-ripple", "--kt", "kt.h5"],
     "plant": ["identify-plant", "--kt", "kt.h5"],
     "tables": ["ilc-learn", "--kt", "kt.h5"],
+    "turning": ["ilc-learn", "--kt", "kt.h5"],
     "force": ["measure-force", "--kt", "kt.h5", "--tables", "tables.h5"],
 }
 

@@ -74,7 +74,6 @@ def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> C
             "ilc_learn.implementation": TURNING,
             "ilc_learn.turning.speeds_rev_per_s": [float(v) / (2 * math.pi) for v in chosen],
             "ilc_learn.turning.low_speeds_rev_per_s": [],
-            "ilc_learn.turning.one_speed_rev_per_s": float(chosen[0]) / (2 * math.pi),
             "ilc_learn.turning.revolutions": MOVES,
         }
     overrides = [f"{name}={value}" for name, value in settings.items()]

@@ -15,12 +15,11 @@ class Turning(Section):
     """The bare motor turning round and round: implementations A and B [7.2.4.2]."""
 
     speeds_rev_per_s: tuple[Positive, ...] = Field(
-        (1, 2, 3, 4, 5), min_length=1, description="both directions: B learns there, A is tuned"
+        (1, 2, 3, 4, 5), min_length=1, description="both directions; A learns at the lowest"
     )
     low_speeds_rev_per_s: tuple[Positive, ...] = Field(
         (0.05, 0.1, 0.2, 0.5), description="for the amplitude tables below the lowest speed, rev/s"
     )
-    one_speed_rev_per_s: float = Field(1.0, gt=0, description="at which A learns, rev/s")
     revolutions: int = Field(20, ge=3, description="averaged at each speed")
     low_speed_revolutions: int = Field(3, ge=3, description="the same for the low speeds")
     sweep_time: float = Field(60.0, gt=0, description="from one end of the speeds to the other, s")
@@ -37,10 +36,6 @@ class Turning(Section):
         every = (*self.low_speeds_rev_per_s, *self.speeds_rev_per_s)
         if len(set(every)) < len(every):
             raise ValueError("a speed is listed twice in speeds_rev_per_s and low_speeds_rev_per_s")
-        if self.one_speed_rev_per_s not in self.speeds_rev_per_s:
-            raise ValueError(
-                f"one_speed_rev_per_s {self.one_speed_rev_per_s} must be one of speeds_rev_per_s"
-            )
         return self
 
 

@@ -112,7 +112,7 @@ def analyse(
     learned = _learn(recorded, common.filled(run, "low"), recipe, constant, learning)
     after = [turning.turned(r, recipe, constant) for r in common.found(run, "validate")]
     remaining = turning.remaining(learned.first, after, learning, counts)
-    validated = turning.validated(run, remaining, recipe, constant, learning)
+    validated = turning.validated(run, remaining, learned.table.speed, recipe, constant, learning)
     swept = turning.sweep(run, recipe, constant, learning)
     sweep = Outcome({}) if swept is None else swept.outcome()
     return Outcome(

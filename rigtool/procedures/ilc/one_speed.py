@@ -49,7 +49,7 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 
 def _kinds(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
     settings = recipe.ilc_learn
-    one = settings.turning.one_speed_rev_per_s
+    one = min(settings.turning.speeds_rev_per_s)
     every = turning.both(turning.low_and_learned(recipe))
     speeds = {
         iterations.kind_of(updates): [one] for updates in range(iterations.runs_at_most(recipe))
@@ -120,10 +120,9 @@ def narrowed(filters: Design, recipe: Recipe) -> Learning:
 
     fQ = bandwidth/(fastest speed/speed of learning)
     """
-    fastest = max(recipe.ilc_learn.turning.speeds_rev_per_s)
-    ratio = fastest / recipe.ilc_learn.turning.one_speed_rev_per_s
+    speeds = recipe.ilc_learn.turning.speeds_rev_per_s
     band = min(bandwidth(filters.learning), filters.learning.cutoff_hz)
-    return replace(filters.learning, cutoff_hz=band / ratio)
+    return replace(filters.learning, cutoff_hz=band * min(speeds) / max(speeds))
 
 
 def untuned(learned: Row, recipe: Recipe) -> LookupTable:
@@ -163,7 +162,7 @@ def analyse(
     before = [*others, turning.turned(recorded[0][0], recipe, constant)]
     remaining = turning.remaining(before, after, learning, counts)
     at_one = [_ripple(item) for item in after if item.speed == learned.speed]
-    validated = turning.validated(run, remaining, recipe, constant, learning)
+    validated = turning.validated(run, remaining, (learned.speed,), recipe, constant, learning)
     swept = turning.sweep(run, recipe, constant, learning)
     sweep = Outcome({}) if swept is None else swept.outcome()
     return Outcome(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -39,6 +39,9 @@ ACCELERATION = 30.0
 
 SETTLE_TIME = 0.5
 """After the run-up, s."""
+
+MARGIN = 0.05
+"""From the end of what is used to the beginning of the stop, s."""
 
 SWEEPS = ("off", "plain", "on")
 """Sweeps with the table off, without its amplitude and phase tables, and with them."""
@@ -115,7 +118,8 @@ def task(recipe: Recipe, spec: RecordingSpec, fed: Feedforward) -> Task:
             (0.0, -speed, -speed, speed, speed, 0.0),
         )
     else:
-        profile = SpeedProfile((0.0, run_up, end, end + run_up), (0.0, speed, speed, 0.0))
+        last = end + MARGIN
+        profile = SpeedProfile((0.0, run_up, last, last + run_up), (0.0, speed, speed, 0.0))
     return Task(profile, fed, record_every=recipe.ilc_learn.turning.record_every)
 
 
@@ -232,9 +236,17 @@ def remaining(
 
 
 def validated(
-    run: Run, remains: Remaining, recipe: Recipe, torque_constant: float, learning: Learning
+    run: Run,
+    remains: Remaining,
+    learned: Collection[float],
+    recipe: Recipe,
+    torque_constant: float,
+    learning: Learning,
 ) -> Outcome:
-    """Compare table off and on at learned speeds, at low ones and in between, where recorded."""
+    """Compare table off and on where it was learned, tuned, and in between, if that was recorded.
+
+    `learned` are the speeds of which the table holds what was learned there, rad/s.
+    """
 
     def rows(*kinds: str) -> dict[float, Row]:
         recorded = [r for kind in kinds for r in common.filled(run, kind)]
@@ -245,22 +257,16 @@ def validated(
     if not on:
         return Outcome({})
     off = rows("low", "off")
-    lowest = TURN * min(recipe.ilc_learn.turning.speeds_rev_per_s) * (1 - 1e-9)
     midway = {TURN * speed for speed in between(recipe)}
-    learned = zip(remains.before, remains.after, strict=True)
-    return steady_outcome(
-        [
-            *(
-                Steady(before, after, "learned" if abs(after.speed) >= lowest else "low")
-                for before, after in learned
-            ),
-            *(
-                Steady(off[speed], after, "between" if speed in midway else "low")
-                for speed, after in on.items()
-                if speed in off
-            ),
-        ]
-    )
+    pairs = [*zip(remains.before, remains.after, strict=True)]
+    pairs += [(off[speed], after) for speed, after in on.items() if speed in off]
+
+    def kind(speed: float) -> str:
+        if speed in learned:
+            return "learned"
+        return "between" if speed in midway else "tuned"
+
+    return steady_outcome([Steady(*pair, kind(pair[1].speed)) for pair in pairs])
 
 
 def with_check(
@@ -296,5 +302,4 @@ def sweep(run: Run, recipe: Recipe, torque_constant: float, learning: Learning) 
         period = float(found.time[-1] - found.time[0]) * len(found.time) / (len(found.time) - 1)
         torque[variant] = learning.smoothed(found.controller, period)[used]
     speed = np.gradient(found.setpoint, found.time)[used]
-    lowest = TURN * min(recipe.ilc_learn.turning.speeds_rev_per_s)
-    return Sweep(found.time[used], speed, torque, found.learned[used], lowest)
+    return Sweep(found.time[used], speed, torque, found.learned[used])

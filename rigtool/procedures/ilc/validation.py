@@ -37,7 +37,7 @@ def midpoints(speeds: Sequence[float]) -> tuple[float, ...]:
 class Steady:
     """Controller torque at one speed and direction, table off (`before`) and on (`after`).
 
-    `kind` says what is known of the speed: `learned`, `low` (only its amplitude) or `between`.
+    `kind` says what is known of the speed: `learned`, `tuned` (amplitude, phase) or `between`.
     """
 
     before: Row
@@ -90,7 +90,7 @@ def _steady_results(
     found: Sequence[Steady], peaks: Sequence[tuple[float, float]]
 ) -> dict[str, Quantity]:
     results = {}
-    for kind in ("learned", "low", "between"):
+    for kind in ("learned", "tuned", "between"):
         chosen = [
             (*peak, len(item.after.moves) - 1)
             for item, peak in zip(found, peaks, strict=True)
@@ -138,35 +138,36 @@ class Sweep:
     speed: Array
     torque: dict[str, Array]
     table: Array
-    lowest: float
     notes: tuple[str, ...] = field(default=())
 
     def outcome(self) -> Outcome:
-        """Report rms over the whole sweep and over its part above the lowest learned speed."""
-        return Outcome(
-            self._results(),
-            {"sweep_by_speed": self._by_speed(), "sweep": self._signals()},
-            self.notes,
-        )
+        """Report what remains over the whole sweep, by speed, and along it."""
+        by_speed = self._by_speed()
+        tables = {"sweep_by_speed": by_speed, "sweep": self._signals()}
+        return Outcome(self._results(by_speed), tables, self.notes)
 
-    def _results(self) -> dict[str, Quantity]:
+    def _results(self, by_speed: Table) -> dict[str, Quantity]:
+        """Return the rms over the whole sweep, and the level: each speed counts by its ratio.
+
+        The level is the geometric mean of the rms in all bins: where few bins stand out, it says
+        what remains at all the others.
+        """
         reason = "one sweep; contains what does not repeat"
-        above = np.abs(self.speed) >= self.lowest
         results = {}
         for variant, torque in self.torque.items():
-            for name, chosen in (("sweep", slice(None)), ("sweep_above", above)):
-                rms = float(np.sqrt(np.mean(torque[chosen] ** 2)))
-                results[f"{name}_rms_{variant}"] = Quantity(rms, "N m", reason=reason)
+            rms = float(np.sqrt(np.mean(torque**2)))
+            level = float(np.exp(np.mean(np.log(by_speed[f"{variant}_rms"]))))
+            results[f"sweep_rms_{variant}"] = Quantity(rms, "N m", reason=reason)
+            results[f"sweep_level_{variant}"] = Quantity(level, "N m", reason=reason)
         return results
 
     def _by_speed(self) -> Table:
-        low, high = (round(edge / BIN) for edge in (self.speed.min(), self.speed.max()))
-        bins = np.arange(low, high + 1)
-        of = np.clip(np.round(self.speed / BIN).astype(np.int64), low, high) - low
-        count = np.maximum(np.bincount(of, minlength=len(bins)), 1)
+        # Bins in which the sweep spends no time are left out.
+        bins, of = np.unique(np.round(self.speed / BIN), return_inverse=True)
+        count = np.bincount(of)
         columns = {}
         for variant, torque in self.torque.items():
-            rms = np.sqrt(np.bincount(of, torque**2, len(bins)) / count)
+            rms = np.sqrt(np.bincount(of, torque**2) / count)
             peak = np.zeros(len(bins))
             np.maximum.at(peak, of, np.abs(torque))
             columns[f"{variant}_rms"] = Column(rms, "N m", _VARIANTS[variant])
