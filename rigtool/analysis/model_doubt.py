@@ -44,7 +44,7 @@ BY_CHANCE = 2.0
 
 
 def own(design: Array, column: int) -> Array:
-    """Return what the other regressors do not explain of one, (n,)."""
+    """Return what the other regressors of a design (n, p) do not explain of one, (n,)."""
     others = np.delete(design, column, axis=1)
     fit = np.linalg.lstsq(others, design[:, column], rcond=None)[0]
     rest: Array = design[:, column] - others @ fit
@@ -52,7 +52,10 @@ def own(design: Array, column: int) -> Array:
 
 
 def own_part(design: Array, column: int) -> float:
-    """Return the part of a regressor's power that the others do not explain (1 - R^2)."""
+    """Return the part of a regressor's power that the others do not explain, 1 - R^2.
+
+    `design` (n, p).
+    """
     power = max(float(np.sum(design[:, column] ** 2)), 1e-300)
     return float(np.sum(own(design, column) ** 2)) / power
 

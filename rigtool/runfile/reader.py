@@ -266,7 +266,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
         raise
 
 
-def open_hdf5(path: str | os.PathLike[str], *, swmr: bool = False) -> h5py.File:
+def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
     """Open an HDF5 file for reading only; raises `RunFileError` with the reason."""
     path = Path(path)
     if not path.is_file():
@@ -281,7 +281,7 @@ def open_hdf5(path: str | os.PathLike[str], *, swmr: bool = False) -> h5py.File:
         what = "is empty" if size == 0 else "is not an HDF5 file"
         raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
     try:
-        return h5py.File(path, "r", locking="best-effort", swmr=swmr, **_CHUNK_CACHE)
+        return h5py.File(path, "r", locking="best-effort", **_CHUNK_CACHE)
     except Exception as error:
         raise RunFileError(f"{path}: {_open_problem(path, str(error))}") from error
 
