@@ -10,8 +10,9 @@ squares: Pintelon & Schoukens, System Identification, 2nd edition, Wiley 2012, s
 
 A second mass is looked for only where the rigid plant deviates by more than the scatter explains,
 and believed only where it does better by an F test and has its resonance within the band.
-Uncertainty: the experiments' scatter by the jackknife, with a linear step instead of a new fit, and
-what the lines deviate from the model beyond their scatter.
+Uncertainty: the larger of two. The experiments' scatter by the jackknife (a linear step instead of
+a new fit) holds what is common to all lines of an experiment, but rests on few; the lines' scatter,
+propagated by least squares and raised by what they deviate from the model beyond it, rests on many.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class PlantFit:
 
     `used` (k,) marks the lines of the response that the fit rests on, `misfit` is the root of
     chi2 over its degrees of freedom: one where model and scatter explain all. `without` are the
-    fits without each experiment in turn.
+    fits without each experiment in turn, `moved` those one standard deviation off along each
+    principal axis of the least-squares covariance.
     """
 
     model: PlantModel
@@ -66,7 +68,7 @@ class PlantFit:
     misfit: float
     rigid_rejected: float
     without: tuple[PlantFit, ...] = ()
-    covariance: Array | None = None
+    moved: tuple[PlantFit, ...] = ()
 
     def response(self, frequency: Array) -> ComplexArray:
         """Return P (n,) at these frequencies, Hz, with delay and roll-off."""
@@ -78,18 +80,9 @@ class PlantFit:
     def uncertainty(self, statistic: Callable[[PlantFit], float]) -> float:
         """Return the standard uncertainty of a number that is computed from the fit."""
         scatter = standard_uncertainty(np.array([statistic(fit) for fit in self.without]))
-        return math.hypot(scatter, self._from_misfit(statistic))
-
-    def _from_misfit(self, statistic: Callable[[PlantFit], float]) -> float:
-        """Return what deviations beyond the scatter add: a model that is not quite the plant."""
-        if self.covariance is None or self.misfit <= 1:
-            return 0.0
-        here, parameters = statistic(self), _parameters(self)
-        # Along each principal axis of the covariance by one standard deviation.
-        values, vectors = np.linalg.eigh(self.covariance)
-        steps = vectors * np.sqrt(np.maximum(values, 0) * (self.misfit**2 - 1))
-        moved = [statistic(_with(self, parameters + step)) - here for step in steps.T]
-        return math.sqrt(sum(change**2 for change in moved))
+        here = statistic(self)
+        moved = [statistic(fit) - here for fit in self.moved]
+        return max(scatter, math.sqrt(sum(change**2 for change in moved)))
 
 
 def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: float) -> PlantFit:
@@ -180,7 +173,7 @@ class _Data:
         return _with(found, _parameters(found), misfit=misfit)
 
     def with_scatter(self, fit: PlantFit) -> PlantFit:
-        """Return the fit with its covariance and with the fits without each experiment."""
+        """Return the fit with what its uncertainty is computed from."""
         scale, origin = _scale(fit), _parameters(fit)
         here = self.residuals(fit, self.found.response)
         step = 1e-4
@@ -198,8 +191,11 @@ class _Data:
             rest = np.delete(each, number, axis=0).mean(axis=0)
             change = self.residuals(fit, rest) - here
             without.append(_with(fit, origin - scale * (inverse @ change)))
-        covariance = scale[:, None] * (inverse @ inverse.T) * scale
-        return _with(fit, origin, without=tuple(without), covariance=covariance)
+        # Residuals scatter by one: what they move the parameters by has these principal axes.
+        axes, sizes, _ = np.linalg.svd(inverse, full_matrices=False)
+        steps = axes * sizes * max(1.0, fit.misfit)
+        moved = tuple(_with(fit, origin + scale * step) for step in steps.T)
+        return replace(fit, without=tuple(without), moved=moved)
 
 
 # Parameters as a vector: ln J, fv, tau, c; for two masses also ln(J1/J2), ln of the antiresonance

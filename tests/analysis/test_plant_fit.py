@@ -47,7 +47,10 @@ def test_an_amplifiers_lag_is_told_from_the_plant():
 
 
 def test_uncertainties_are_what_repetition_shows():
-    """Deviations from the truth over their u, for many realisations: Student's t, 7 dof."""
+    """Deviations from the truth over their u, for many realisations.
+
+    Of two honest estimates of u the larger one counts: a little less than one is expected.
+    """
     scores = []
     for seed in range(40):
         fit = fitted(RIGID, seed)
@@ -57,8 +60,8 @@ def test_uncertainties_are_what_repetition_shows():
             u = fit.uncertainty(lambda f, name=name: getattr(f.model, name))
             scores.append((getattr(fit.model, name) - scale) / u)
             assert 0 < u < 0.1 * scale
-    assert np.mean(np.square(scores)) == pytest.approx(7 / 5, rel=0.45, abs=0)
-    assert np.abs(scores).max() < 5
+    assert 0.4 < np.mean(np.square(scores)) < 1.2
+    assert np.abs(scores).max() < 4
 
 
 @pytest.mark.parametrize("seed", range(4))
