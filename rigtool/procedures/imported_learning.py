@@ -99,6 +99,10 @@ def _require_one_condition(groups: Sequence[Group]) -> None:
             )
 
 
+BY_CHANCE = 0.01
+"""Probability at which the strongest order of mere noise would count as learned."""
+
+
 class _Row:
     """What repeats at one speed: mean and orders (k,), with the scatter that u comes from."""
 
@@ -161,7 +165,9 @@ def _learn(group: Group) -> _Row:
             "two runs or more, or record more turns"
         )
     row = _Row(group)
-    if row.order.size == 0:
+    # Noise alone passes x floors with probability exp(-x^2) at each order (Rayleigh).
+    by_chance = math.sqrt(math.log(row.examined / BY_CHANCE))
+    if not (row.amplitude > by_chance * row.floor).any():
         raise InsufficientDataError(
             f"no order of rotation stands out of the scatter at {group.label()}: there is nothing "
             "to learn, or too few turns"
