@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rigtool.report.figures import force, learning, motor, plant, ripple, style, suspension
+from rigtool.report.figures import force, learning, motor, plant, ripple, style, suspension, sweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,13 +16,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Plot:
-    """How to draw one figure of the thesis: from which tables of which command's runs."""
+    """How to draw one figure of the thesis: from which tables of which command's runs.
+
+    `implementations` are the ways of learning that it shows, any where empty.
+    """
 
     number: int
     command: str
     tables: tuple[str, ...]
     title: str
     draw: Callable[[Run], Figure]
+    implementations: tuple[str, ...] = ()
+
+    def fits(self, run: Run) -> bool:
+        """Say whether a run is of the command, learned in one of the ways, and has the tables."""
+        if self.command != run.command or not all(name in run.tables for name in self.tables):
+            return False
+        learned = "C" if run.recipe is None else run.recipe.ilc_learn.implementation
+        return not self.implementations or learned in self.implementations
 
 
 PLOTS = (
@@ -105,12 +116,70 @@ PLOTS = (
         plant.learning_filter,
     ),
     Plot(41, "ilc-learn", ("convergence",), "Convergence criterion", plant.convergence),
+    Plot(42, "ilc-learn", ("tuning",), "Amplitude and phase tables by speed", sweep.tuning),
+    Plot(
+        44,
+        "ilc-learn",
+        ("iterations",),
+        "Disturbance as function of the number of learning runs",
+        sweep.iterations,
+        ("A", "standard"),
+    ),
+    Plot(
+        46,
+        "ilc-learn",
+        ("sweep",),
+        "No repetitive disturbance compensation",
+        sweep.without,
+        ("A",),
+    ),
+    Plot(
+        47,
+        "ilc-learn",
+        ("sweep",),
+        "Implementation A, amplitude and phase tables not active",
+        sweep.without_tables,
+        ("A",),
+    ),
+    Plot(
+        48,
+        "ilc-learn",
+        ("sweep",),
+        "Implementation A, amplitude and phase tables active",
+        sweep.compensated,
+        ("A",),
+    ),
     Plot(
         50,
         "ilc-learn",
         ("lookup",),
         "Content of the two-dimensional lookup table",
         learning.lookup_table,
+        ("B", "C", "D"),
+    ),
+    Plot(
+        51,
+        "ilc-learn",
+        ("sweep",),
+        "Disturbance and feed-forward from the table",
+        sweep.disturbance_and_table,
+        ("B",),
+    ),
+    Plot(
+        52,
+        "ilc-learn",
+        ("sweep",),
+        "Implementation B, torque over speed",
+        sweep.without_tables,
+        ("B",),
+    ),
+    Plot(
+        54,
+        "ilc-learn",
+        ("sweep",),
+        "Implementation B with amplitude table, torque over speed",
+        sweep.compensated_and_table,
+        ("B",),
     ),
     Plot(
         56,
@@ -118,6 +187,7 @@ PLOTS = (
         ("residual_waveforms",),
         "Feed-forward and remaining disturbance",
         learning.residual,
+        ("C", "D"),
     ),
     Plot(
         58,
@@ -190,7 +260,7 @@ class Picture:
 def draw_figures(run: Run, label: str) -> Iterator[Picture]:
     """Draw every figure whose tables the run holds; `label` tells this run from others."""
     for plot in PLOTS:
-        if plot.command == run.command and all(name in run.tables for name in plot.tables):
+        if plot.fits(run):
             with style.styled():
                 svg, png = style.render(plot.draw(run))
             title = f"Fig. {plot.number}. {plot.title} ({label})"

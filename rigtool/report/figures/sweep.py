@@ -1,0 +1,123 @@
+"""Figures 42 to 48, 51, 52 and 54: learning run by run, and what remains at any speed [7.2.4.2]."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.report.figures import style
+from rigtool.report.figures.axes import MILLI, MOTOR_TORQUE, fit_height
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rigtool.runfile import Run
+
+Array = NDArray[np.float64]
+
+POINTS = 4000
+"""Of a curve over the sweep: more than its picture has columns."""
+
+SPEED = "motor speed [rev/s]"
+FROM_TABLE = "feed-forward from the table"
+CONTROLLER = "controller"
+
+
+def tuning(run: Run) -> Figure:
+    """Fig. 42: amplitude and phase tables, with twice their standard uncertainty."""
+    table = run.table("tuning")
+    speed = _rev_per_s(table["speed"])
+    figure, axes = style.panels(2, SPEED, ["amplitude [1]", "shift [deg]"], 4.2)
+    for panel, name, scale in zip(axes, ("amplitude", "shift"), (1.0, 180 / math.pi), strict=True):
+        panel.errorbar(
+            speed,
+            scale * table[name],
+            yerr=2 * scale * table[f"{name}_u"],
+            marker="o",
+            markersize=3,
+            capsize=2,
+        )
+    return figure
+
+
+def iterations(run: Run) -> Figure:
+    """Fig. 44: amplitude of what repeats and of what does not, run by run."""
+    table = run.table("iterations")
+    unit = table.columns["rms"].unit
+    figure, axes = style.one_panel("learning runs made before [1]", f"rms [m{unit}]")
+    axes.errorbar(
+        table["iteration"],
+        MILLI * table["rms"],
+        yerr=2 * MILLI * table["rms_u"],
+        marker="o",
+        capsize=2,
+        label="repeats",
+    )
+    axes.plot(
+        table["iteration"],
+        MILLI * table["non_repeatable_rms"],
+        marker="s",
+        linestyle="--",
+        label="does not repeat, single cycle",
+    )
+    axes.set_xticks(table["iteration"])
+    axes.set_ylim(bottom=0)
+    style.legend_above(axes, 2)
+    return figure
+
+
+def without(run: Run) -> Figure:
+    """Fig. 46: no repetitive disturbance compensation."""
+    return _sweep(run, "off")
+
+
+def without_tables(run: Run) -> Figure:
+    """Fig. 47, 52: compensated, without amplitude and phase tables."""
+    return _sweep(run, "plain")
+
+
+def compensated(run: Run) -> Figure:
+    """Fig. 48: compensated, with the tables."""
+    return _sweep(run, "on")
+
+
+def disturbance_and_table(run: Run) -> Figure:
+    """Fig. 51: the disturbance without compensation, and what the table feeds forward."""
+    return _sweep(run, "off", table=True)
+
+
+def compensated_and_table(run: Run) -> Figure:
+    """Fig. 54: what remains with the table and its amplitude table, and what they feed forward."""
+    return _sweep(run, "on", table=True)
+
+
+def _sweep(run: Run, variant: str, *, table: bool = False) -> Figure:
+    """Draw the controller's torque over the speed; one ordinate for all figures of a run."""
+    swept = run.table("sweep")
+    speed, torque = _envelope(_rev_per_s(swept["speed"]), MILLI * swept[variant])
+    figure, axes = style.one_panel(SPEED, MOTOR_TORQUE)
+    axes.plot(speed, torque, color=style.BLUE, linewidth=0.6, label=CONTROLLER)
+    if table:
+        fed = _envelope(_rev_per_s(swept["speed"]), MILLI * swept["table"])
+        axes.plot(*fed, color=style.GREEN, linewidth=0.6, alpha=0.8, label=FROM_TABLE)
+        style.legend_above(axes, 2)
+    fit_height(axes, MILLI * swept["off"])
+    axes.set_xlim(speed[0], speed[-1])
+    return figure
+
+
+def _envelope(speed: Array, torque: Array) -> tuple[Array, Array]:
+    """Return the lowest and the highest torque of each stretch of a curve (n,), one by one."""
+    width = max(1, 2 * len(speed) // POINTS)
+    used = len(speed) - len(speed) % width
+    places, stretches = speed[:used:width], torque[:used].reshape(-1, width)
+    ends = np.stack([stretches.min(axis=1), stretches.max(axis=1)], axis=1)
+    return np.repeat(places, 2), ends.ravel()
+
+
+def _rev_per_s(speed: Array) -> Array:
+    turned: Array = np.asarray(speed, dtype=np.float64) / (2 * math.pi)
+    return turned
