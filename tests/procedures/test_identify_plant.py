@@ -71,7 +71,7 @@ def test_the_inertia_that_is_there(folder, kt, seed):
     inertia, viscous = (outcome.results[name] for name in ("inertia", "viscous_friction"))
     assert off(inertia, motor().inertia) < 2
     assert inertia.u < 3e-3 * inertia.value
-    assert off(viscous, motor().viscous_friction) < 3
+    assert off(viscous, motor().viscous_friction) < 4  # three degrees of freedom
     assert viscous.u < 0.05 * viscous.value
     assert "inertia_motor_side" not in outcome.results
     assert outcome.results["mass_line_crossing"].value == pytest.approx(40.2, abs=0.1)
