@@ -69,6 +69,7 @@ def main() -> None:
         for name, arguments in fixture_commands(Path(folder)).items():
             limit = None if "all" in name else 2
             show(f"rigtool {name} on its fixture", command(*arguments), "s", limit)
+        learning(Path(folder))
         start = time.perf_counter()
         subprocess.run(
             ["make", "-j2", "tables", f"BUILD={folder}/build"],
@@ -78,6 +79,14 @@ def main() -> None:
         )
         show("make -j2 tables, after set-up", time.perf_counter() - start, "s", 40)
     growth()
+
+
+def learning(folder: Path) -> None:
+    """Show what learning costs."""
+    from learning import one_table, whole_b
+
+    show("learning one table: 20 turns at 8 kHz", best_of(one_table()), "s", 0.3)
+    show("rigtool ilc-learn, implementation B from its run", whole_b(folder), "s", 3)
 
 
 def growth() -> None:

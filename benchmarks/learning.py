@@ -1,0 +1,57 @@
+"""Speed of learning: one table of twenty turns, and implementation B as a whole."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+RECIPE = ROOT / "recipes" / "briaire-2006.toml"
+KT = ROOT / "tests" / "fixtures" / "kt.h5"
+RIGTOOL = str(Path(sys.executable).with_name("rigtool"))
+
+TURNS, RATE_HZ = 20, 8000
+
+
+def one_table() -> Callable[[], object]:
+    """Return what learns a row from 20 turns at 1 rev/s and 8 kHz."""
+    from rigtool.analysis.turns import cut_turns, learned_row, repeatable_row
+    from rigtool.procedures.ilc_design import design
+    from rigtool.recipe import load_recipe
+
+    learning = design(load_recipe(RECIPE, ["rig.attachment=pulley"])[0]).learning
+    speed = 2 * math.pi
+    step = np.arange(TURNS * RATE_HZ + 10)
+    time_s, angle = step / RATE_HZ, step / RATE_HZ * speed
+    noise = np.random.default_rng(1).normal(0, 1e-4, step.size)
+    torque = 2e-3 + 1e-3 * np.sin(2 * angle) + noise
+
+    def learn() -> object:
+        turns = cut_turns(time_s, angle, torque, TURNS)
+        return repeatable_row(learned_row(turns, speed, learning, 4000))
+
+    return learn
+
+
+def whole_b(folder: Path) -> float:
+    """Return the time in which the command learns B from its stored run, s."""
+    run, again = folder / "b.h5", folder / "b-again.h5"
+    inputs = ["--kt", str(KT), "--implementation", "B", "--overwrite", "-q"]
+
+    def learn(source: Path, output: Path) -> None:
+        line = [RIGTOOL, "ilc-learn", str(source), *inputs, "-o", str(output)]
+        subprocess.run(line, check=True, capture_output=True)
+
+    learn(RECIPE, run)
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        learn(run, again)
+        times.append(time.perf_counter() - start)
+    return min(times)
