@@ -1,4 +1,5 @@
 # make tables   the whole chain on the virtual rig: Tables 8 and 9 beside the published ones
+# make corrected  known loads learned, Table 8 three times: published, without and with correction
 # make test     style, types and tests
 # make docs     the documentation as a site, in build/docs
 # make fixtures store the fixtures anew; make bench measures speed; make clean removes results
@@ -15,11 +16,14 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: tables test docs fixtures bench clean
+.PHONY: tables corrected test docs fixtures bench clean
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
 	@cat $(BUILD)/report/tables.txt
+
+corrected: $(BUILD)/corrected/index.html
+	@cat $(BUILD)/corrected/tables.txt
 
 $(INSTALLED): requirements.lock pyproject.toml
 	$(PYTHON) -m venv .venv
@@ -53,6 +57,16 @@ $(BUILD)/force-instrument.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/tables-instrumen
 $(BUILD)/force-pulley.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/tables-pulley.h5
 	$(RIGTOOL) measure-force $< --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-pulley.h5 \
 		$(PULLEY) -o $@ $(MEASURE)
+
+$(BUILD)/tables-loads.h5: $(RECIPE) $(BUILD)/kt.h5
+	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 --implementation D -o $@ $(MEASURE)
+
+$(BUILD)/force-corrected.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/tables-loads.h5
+	$(RIGTOOL) measure-force $< --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-loads.h5 \
+		--correction full -o $@ $(MEASURE)
+
+$(BUILD)/corrected/index.html: $(addprefix $(BUILD)/,kt.h5 tables-loads.h5 force-corrected.h5)
+	$(RIGTOOL) report $^ -o $(BUILD)/corrected --overwrite -q
 
 $(BUILD)/report/index.html: $(RUNS)
 	$(RIGTOOL) report $(RUNS) -o $(BUILD)/report --overwrite -q
