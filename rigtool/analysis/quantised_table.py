@@ -51,7 +51,7 @@ class Quantised:
 
 
 def quantise(values: Array, largest_code: int) -> Quantised:
-    """Round values to codes from -`largest_code` to `largest_code`; all zero where they are."""
+    """Round values (..., n) to codes from -`largest_code` to `largest_code`; zeros stay zero."""
     peak = float(np.abs(values).max(initial=0.0))
     # The receiver reads the scale as a 4-byte float: round with what it will multiply by.
     scale = float(np.float32(peak / largest_code))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rigtool.analysis.lookup_table import LookupTable
 from rigtool.analysis.quantised_table import Loss
+from rigtool.errors import RunFileError
 from rigtool.procedures.learned_tables import COULOMB, VISCOUS, stored_table_from
 from rigtool.quantity import Quantity
 from rigtool.runfile import Run
@@ -62,19 +63,27 @@ def learned_table_from(run: Run) -> LearnedTable:
     table = stored_table_from(run)
     stored = run.table("lookup")
     signal = stored.columns[stored.signal]
-    recipe, made = run.recipe, run.provenance
+    made = run.provenance
     return LearnedTable(
         table=table,
         u=np.asarray(stored["u"], dtype=np.float64),
         quantity=stored.signal,
         unit=signal.unit,
         friction={n: run.results[n] for n in (COULOMB, VISCOUS) if n in run.results},
-        band_hz=None if recipe is None else recipe.ilc_learn.robustness_hz,
+        band_hz=_band(run),
         origin=(
             f"Rig {run.rig or 'unknown'}; learned on {made['date']}, rigtool {made['version']}.",
             f"File {run.path.name}, content sha256 {run.content_sha256}.",
         ),
     )
+
+
+def _band(run: Run) -> float | None:
+    """Return the cut-off of Q, Hz; a table outlives the recipes that this version reads."""
+    try:
+        return None if run.recipe is None else run.recipe.ilc_learn.robustness_hz
+    except RunFileError:
+        return None
 
 
 def told_loss(lost: Loss, unit: str, by: str) -> str:
