@@ -33,6 +33,9 @@ def folder(tmp_path_factory):
         (["fft-ripple", RECIPE], 2, "--kt"),
         (["ilc-learn", RECIPE, "--kt", "kt.h5", "--implementation", "A"], 2, "give --friction"),
         (["ilc-learn", RECIPE, "--kt", "other.h5"], 3, "is a run of stribeck"),
+        (["ilc-learn", RECIPE, "--kt", "kt.h5", "--learning-filter", "frf"], 2, "give --plant"),
+        (["ilc-learn", RECIPE, "--kt", "kt.h5", "--plant", "kt.h5"], 3, "calibrate-kt"),
+        (["identify-plant", RECIPE, "--kt", "other.h5"], 3, "is a run of stribeck"),
         (["fft-ripple", RECIPE, "--kt", "other.h5"], 3, "is a run of stribeck"),
         (["fft-ripple", "kt.h5", "--kt", "kt.h5"], 3, "is a run of calibrate-kt"),
         (
