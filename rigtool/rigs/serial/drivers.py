@@ -19,11 +19,13 @@ from types import ModuleType
 from rigtool.errors import HardwareError
 
 MODULES = {
-    "target": "rigtool.rigs.serial.target",
     "odrive": "rigtool.rigs.serial.odrive",
     "moteus": "rigtool.rigs.serial.moteus",
     "maxon": "rigtool.rigs.serial.maxon",
+    "target": "rigtool.rigs.serial.target",
 }
+"""Modules by name, in the order in which they are asked who is there: those that ask in lines of
+text first, because others leave them half a line."""
 
 
 def driver_module(name: str) -> ModuleType:

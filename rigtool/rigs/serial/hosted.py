@@ -227,7 +227,9 @@ class _Loop:
             setpoint, parts = self._setpoint(now - start, origin, here)
             sample = self._drive.step(setpoint)
             here = sample.position
-            self._note(sample, parts, lateness > dt, sample.time - last)
+            # What was sent is a little older than the sample: record the set point of its time.
+            wanted = self._wanted(sample.time - start, origin, here)
+            self._note(sample, (wanted, *parts), lateness > dt, sample.time - last)
             last = sample.time
             self.elapsed = sample.time - start
             if len(self._rows) == block:
@@ -237,12 +239,12 @@ class _Loop:
 
     def _setpoint(
         self, elapsed: float, origin: float, here: float
-    ) -> tuple[SetPoint, tuple[float, float, float, float]]:
-        """Return what to send, and (position, feed-forward, table, signal current) to record."""
+    ) -> tuple[SetPoint, tuple[float, float, float]]:
+        """Return what to send, and (feed-forward, table, signal current) to record."""
         motion, feedforward = self._task.motion, self._task.feedforward
         time = np.array([min(elapsed, motion.duration)])
         if isinstance(motion, OpenLoop):
-            return SetPoint(current=float(motion.current(time)[0])), (here, 0.0, 0.0, 0.0)
+            return SetPoint(current=float(motion.current(time)[0])), (0.0, 0.0, 0.0)
         constant = self._rig._torque_constant
         position, speed, acceleration = motion.setpoint(time)
         position = position + origin
@@ -258,7 +260,15 @@ class _Loop:
             limit = self._rig._limits.speed
             rate += self._rig._settings.position_gain * (wanted - here)
             rate = min(max(rate, -limit), limit)
-        return SetPoint(wanted, rate, model + table + signal), (wanted, model, table, signal)
+        return SetPoint(wanted, rate, model + table + signal), (model, table, signal)
+
+    def _wanted(self, elapsed: float, origin: float, here: float) -> float:
+        """Return the set point of position at a time of the motion, rad."""
+        motion = self._task.motion
+        if isinstance(motion, OpenLoop):
+            return here
+        position, _, _ = motion.setpoint(np.array([min(elapsed, motion.duration)]))
+        return float(position[0]) + origin
 
     def _note(
         self, sample: Sample, parts: tuple[float, float, float, float], late: bool, gap: float

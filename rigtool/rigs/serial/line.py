@@ -133,7 +133,7 @@ class Line:
             self._port.write(data)
         except HardwareError:
             raise
-        except OSError as error:
+        except (OSError, TypeError) as error:
             raise self._lost(error) from None
         self.counts.bytes_sent += len(data)
         self._note(">", data)
@@ -268,7 +268,7 @@ class Line:
                 data: bytes = self._port.read(max(1, self._port.in_waiting))
             except HardwareError:
                 raise
-            except OSError as error:
+            except (OSError, TypeError) as error:  # pyserial's port, closed meanwhile, is None
                 raise self._lost(error) from None
             if data:
                 self.counts.bytes_received += len(data)
@@ -282,7 +282,7 @@ class Line:
             moment = time.monotonic() - self.opened if now is None else now
             self._spy.note(Event(moment, kind, data))
 
-    def _lost(self, error: OSError) -> LineLost:
+    def _lost(self, error: Exception) -> LineLost:
         return LineLost(
             f"{self.port}: the line is lost ({error}): cable pulled, device switched off or reset"
         )

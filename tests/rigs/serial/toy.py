@@ -1,8 +1,8 @@
 """A drive that exists nowhere, with the simplest protocol that has all a driver needs.
 
 Lines of text: `m` measures, `s MODE POSITION SPEED CURRENT` sets and measures, `e MODE` enables,
-`h` halts, `l VALUE` sets the limit of current, `w SECONDS` the watchdog, `i` identifies. Answers
-end with a checksum, the sum of all bytes.
+`h` halts, `l VALUE` sets the limit of current, `w SECONDS` the watchdog, `i` identifies. Each line
+ends with a checksum, the sum of all bytes; a request with a wrong one is answered `what?`.
 """
 
 import time
@@ -21,7 +21,7 @@ def make_drive(line, recipe):
 
 
 def probe(line):
-    return line.ask(b"i\n", lambda text: text.decode() if text.startswith(b"toy") else None)
+    return line.ask(sealed("i"), lambda text: text.decode() if text.startswith(b"toy") else None)
 
 
 def sealed(text):
@@ -48,7 +48,12 @@ class ToyEmulator(Emulator):
     def receive(self, data):
         self.buffer += data
         *lines, self.buffer = self.buffer.split(b"\n")
-        return b"".join(self.answer(line.decode("latin-1").split()) for line in lines)
+        return b"".join(self.checked(line.decode("latin-1")) for line in lines)
+
+    def checked(self, line):
+        body, _, check = line.rpartition(" ")
+        right = sealed(body) == f"{body} {check}\n".encode("latin-1", "replace")
+        return self.answer(body.split()) if right else b"what?\n"
 
     def idle(self):
         self.turn()
@@ -121,36 +126,36 @@ class ToyDrive:
                 raise HardwareError("toy: is switched off: watchdog or reset")
             return body.split()[1:] if body.startswith(kind) else None
 
-        return self.line.ask(request, accept, **options)
+        return self.line.ask(sealed(request), accept, **options)
 
     def connect(self):
-        return "toy " + self.ask(b"i\n", b"toy")[0].decode()
+        return "toy " + self.ask("i", b"toy")[0].decode()
 
     def configure(self, limits, watchdog):
         if self.before is None:
-            self.before = float(self.ask(f"l {limits.current!r}\n".encode(), b"ok")[0])
-        self.ask(f"w {watchdog!r}\n".encode(), b"ok")
+            self.before = float(self.ask(f"l {limits.current!r}", b"ok")[0])
+        self.ask(f"w {watchdog!r}", b"ok")
         return ["has no limit of speed"]
 
     def enable(self, mode):
         self.mode = mode
-        self.ask(f"e {mode}\n".encode(), b"ok")
+        self.ask(f"e {mode}", b"ok")
 
     def step(self, setpoint: SetPoint):
         numbers = f"{setpoint.position!r} {setpoint.speed!r} {setpoint.current!r}"
-        return self.sample(self.ask(f"s {self.mode} {numbers}\n".encode(), b"m"))
+        return self.sample(self.ask(f"s {self.mode} {numbers}", b"m"))
 
     def read(self):
-        return self.sample(self.ask(b"m\n", b"m"))
+        return self.sample(self.ask("m", b"m"))
 
     def sample(self, words):
         position, speed, current, asked = (float(word) for word in words)
         return Sample(self.line.now(), position, speed, current, asked)
 
     def halt(self):
-        self.ask(b"h\n", b"ok")
+        self.ask("h", b"ok")
 
     def restore(self):
         if self.before is not None:
-            self.ask(f"l {self.before!r}\n".encode(), b"ok")
+            self.ask(f"l {self.before!r}", b"ok")
             self.before = None
