@@ -3,7 +3,7 @@
 All are smooth, without unit, and pass the same low-pass as the signals that they explain, so that
 the equation still holds between them:
 
-    splines in position, for each direction          ripple, friction that depends on position
+    splines in position                              ripple, friction that depends on position
     speed and its logarithm                          viscous and Stribeck friction
     acceleration                                     inertia
     exp(-way since reversal / length)                pre-sliding: friction that builds up [Dahl]
@@ -51,8 +51,17 @@ TURNS = 2.0
 LENGTHS = tuple(2.0**-k for k in range(3, 8))
 """Lengths of pre-sliding that are tried, in parts of the stroke."""
 
-SPLINES = {"offset": 32, "load": 10, "load_squared": 5, "speed": 5}
-"""Splines along the stroke, by what they modulate; how smooth they are is for the data to say."""
+SPLINE_COUNT = {
+    "offset": 32,
+    "load": 10,
+    "load_squared": 5,
+    "load_cubed": 5,
+    "viscous": 5,
+    "stribeck": 5,
+    "reversal": 5,
+    "load_reversal": 5,
+}
+"""Splines along the stroke, of groups that go with position; how smooth is for the data to say."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,49 +199,57 @@ def splines(place: Array, count: int) -> Array:
     return matrix
 
 
-def motion_functions(path: Path, scales: Scales, direction: float = 0.0) -> dict[str, Array]:
-    """Return the functions by group, each (n, columns), at the rows of a path.
+def motion_functions(path: Path, scales: Scales, sign: int) -> dict[str, Array]:
+    """Return the functions of one direction by group, each (n, columns), at the rows of a path.
 
-    `direction` 1 or -1 is taken as the direction throughout, without memory of reversals: the two
-    give the edges of the dead band; 0 takes it from the motion.
+    They vanish in the other direction; the low-pass spreads both over the reversal between them.
+    What it brings of the other direction are the groups `reversal` and `load_reversal`.
     """
     speed = path.fine_speed / scales.speed
     rest = scales.standstill / scales.speed
     place = (path.fine_position - scales.low) / (scales.high - scales.low)
     magnitude = np.abs(speed)
-    way = np.full_like(speed, direction) if direction else speed / np.hypot(speed, rest)
-    sides = np.stack([(1 + way) / 2, (1 - way) / 2])
     slowness = np.log(np.hypot(magnitude, rest))
-    # What is not yet there of the friction, from the way since the reversal
-    memory = np.zeros((len(scales.lengths), len(way)))
-    if not direction:
-        memory = _since_reversal(path, scales) * np.sign(speed)
+    memory = _since_reversal(path, scales)
     groups = {
-        "offset": _sided(splines(place, SPLINES["offset"]).T, sides),
-        "load": _sided(splines(place, SPLINES["load"]).T, sides),
-        "load_squared": _sided(splines(place, SPLINES["load_squared"]).T, sides),
-        "viscous": _sided(splines(place, SPLINES["speed"]).T * magnitude, sides),
-        "stribeck": _sided(splines(place, SPLINES["speed"]).T * slowness, sides),
-        "load_speed": _sided(np.stack([magnitude, slowness]), sides),
+        "offset": splines(place, SPLINE_COUNT["offset"]).T,
+        "load": splines(place, SPLINE_COUNT["load"]).T,
+        "load_squared": splines(place, SPLINE_COUNT["load_squared"]).T,
+        "load_cubed": splines(place, SPLINE_COUNT["load_cubed"]).T,
+        "viscous": splines(place, SPLINE_COUNT["viscous"]).T * magnitude,
+        "stribeck": splines(place, SPLINE_COUNT["stribeck"]).T * slowness,
+        "load_speed": np.stack([magnitude, slowness]),
         "inertia": np.gradient(path.fine_speed, 1 / path.rate)[None] / scales.acceleration,
-        "memory": _sided(memory, sides),
-        "load_memory": _sided(memory, sides),
+        "memory": memory,
+        "load_memory": memory,
     }
+    way = sign * speed / np.hypot(magnitude, rest)
+    here, there = (1 + way) / 2, (1 - way) / 2
+    across = splines(place, SPLINE_COUNT["reversal"]).T * (there / here)
     if scales.turn:
         angle = path.fine_position * (2 * math.pi / scales.turn)
-        waves = [f(order * angle) for order in ORDERS for f in (np.cos, np.sin)]
-        groups["ripple"] = _sided(np.stack(waves), sides)
-        groups["load_ripple"] = np.stack(waves)
-    return {name: path.thin(columns).T for name, columns in groups.items()}
+        waves = np.stack([f(order * angle) for order in ORDERS for f in (np.cos, np.sin)])
+        groups["ripple"] = groups["load_ripple"] = waves
+    groups["reversal"] = groups["load_reversal"] = across
+    return {name: path.thin(columns * here).T for name, columns in groups.items()}
 
 
-LOAD_POWER = {"load": 1, "load_squared": 2, "load_speed": 1, "load_memory": 1, "load_ripple": 1}
+LOAD_POWER = {
+    "load": 1,
+    "load_squared": 2,
+    "load_cubed": 3,
+    "load_speed": 1,
+    "load_memory": 1,
+    "load_ripple": 1,
+    "load_reversal": 1,
+}
 """Power of the torque that a group is multiplied by; others stand alone."""
 
 GROUPS = (
     "offset",
     "load",
     "load_squared",
+    "load_cubed",
     "viscous",
     "stribeck",
     "load_speed",
@@ -241,36 +258,17 @@ GROUPS = (
     "load_memory",
     "ripple",
     "load_ripple",
+    "reversal",
+    "load_reversal",
 )
 """All groups of functions, by the number that run files know them by."""
-
-SPLINE_COUNT = {
-    "offset": SPLINES["offset"],
-    "load": SPLINES["load"],
-    "load_squared": SPLINES["load_squared"],
-    "viscous": SPLINES["speed"],
-    "stribeck": SPLINES["speed"],
-}
-"""Columns of one direction, of groups whose neighbouring columns belong together."""
 
 
 def size_of(group: str) -> int:
     """Return how many columns a group has."""
-    if group in SPLINE_COUNT:
-        return 2 * SPLINE_COUNT[group]
-    sizes = {
-        "load_speed": 4,
-        "inertia": 1,
-        "ripple": 4 * len(ORDERS),
-        "load_ripple": 2 * len(ORDERS),
-    }
-    return sizes.get(group, 2 * len(LENGTHS))
-
-
-def _sided(columns: Array, sides: Array) -> Array:
-    """Return columns (k, m) for each direction (2, m) by itself: (2 k, m)."""
-    product: Array = (sides[:, None, :] * columns[None]).reshape(-1, columns.shape[1])
-    return product
+    waves = 2 * len(ORDERS)
+    sizes = {"load_speed": 2, "inertia": 1, "ripple": waves, "load_ripple": waves}
+    return SPLINE_COUNT.get(group) or sizes.get(group, len(LENGTHS))
 
 
 def _since_reversal(path: Path, scales: Scales) -> Array:

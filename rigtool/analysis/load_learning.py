@@ -1,69 +1,36 @@
-"""A load model from recordings at known loads: penalised least squares, judged by levels left out.
+"""A load model from recordings at known loads: both directions, judged by levels left out.
 
-Neighbouring splines are held together and other weights held small, by a degree for each group of
-functions (Eilers & Marx, Statistical Science 11(2) 89-121, 1996). Leaving out one load level after
-the other chooses each degree, or that the group is of no use: what counts is how the model does at
-loads that it was not learned from.
-
-The uncertainty has three parts: of the weights, from how whole recordings disagree, so that
-residuals may be correlated in time as they like; scatter, that changes with direction, speed and
-load; and a factor that makes 95 % intervals hold 95 % of the levels that were left out.
+Each direction is learned by itself (`load_side`). Where there are three load levels or more, one
+after the other is left out; two leave only recordings to leave out.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.analysis.jackknife import standard_uncertainty
-from rigtool.analysis.load_basis import SPLINE_COUNT, Path, Scales, find_scales, motion_functions
-from rigtool.analysis.load_model import Design, LoadModel, scatter_rows, scatter_variance
-from rigtool.analysis.load_region import learn_region
+from rigtool.analysis.load_basis import Path, Scales, find_scales, motion_functions
+from rigtool.analysis.load_model import SIGNS, Design, LoadModel
+from rigtool.analysis.load_region import learn_region, torque_range
+from rigtool.analysis.load_side import HeldOut, Rows
 from rigtool.errors import InsufficientDataError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-DEGREES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
-"""Degrees of smoothing that are tried; the mean square of a column is 1."""
-
-ALWAYS = ("offset", "load")
-"""Groups without which there is no model; others may turn out to be of no use."""
-
-START = 1e-2
-"""Degree from which the choice starts."""
-
-WORTH = 0.002
-"""Part by which a choice must lower the error to be taken."""
-
-ROUNDS = 3
-"""Times that the choice goes round all groups, at most."""
-
-RIDGE = 1e-7
-"""Degree by which any weight is held small, so that the equations can be solved."""
+Numbers = NDArray[np.intp]
 
 FEWEST_ROWS = 200
 """Rows in motion, in each direction."""
 
-FLAT = 0.05
-"""A slope of effort by torque below this part of the usual one is no slope."""
-
-COVERAGE = 0.95
-NORMAL = 1.959963984540054
-"""Normal quantile of that coverage."""
-
-LOG_CHI2 = 1.270362845461478
-"""Minus the expected logarithm of a squared standard normal number."""
+FOLDS = 10
+"""Parts into which levels are put that are left out together, at most."""
 
 CELLS = 20
 """Parts of the stroke in which friction that grows with load is told."""
-
-FOLDS = 10
-"""Parts into which levels are put that are left out together, at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +58,7 @@ class Validation:
     error: Array
     u: Array
     speed: Array
-    recording: NDArray[np.intp]
+    recording: Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,361 +83,178 @@ class Learned:
     friction: LoadFriction
 
 
-# -- learning
+def level_numbers(torques: Sequence[float]) -> list[int]:
+    """Return the number of the level of each recording by its mean torque, smallest first.
+
+    Levels are apart by more than a quarter of the widest gap.
+    """
+    loads = np.abs(np.asarray(torques, dtype=np.float64))
+    order = np.argsort(loads, kind="stable")
+    gaps = np.diff(loads[order])
+    widest = float(gaps.max()) if len(gaps) else 0.0
+    levels = np.empty(len(order), dtype=int)
+    levels[order] = np.concatenate([[0], np.cumsum(gaps > widest / 4)])
+    return [int(level) for level in levels]
 
 
 def learn(
     observations: Sequence[Observation],
     *,
     turn: float = 0.0,
-    degree: Mapping[str, float] | None = None,
+    like: LoadModel | None = None,
 ) -> Learned:
     """Learn a model from recordings at two loads or more.
 
-    `turn` is one turn of the encoder in the unit of position, 0 where it has none. `degree`, of an
-    earlier model, keeps its choices. Raises `InsufficientDataError` where the recordings do not
-    tell how effort grows with load.
+    `turn` is one turn of the encoder in the unit of position, 0 where it has none. A model to be
+    `like` gives its choices of functions. Raises `InsufficientDataError` where the recordings do
+    not tell how effort grows with load.
     """
-    problem = _Problem.of(observations, turn).weighted()
-    if degree is None:
-        degree = problem.choose()
-    return problem.model(degree)
-
-
-def level_numbers(torques: Sequence[float]) -> list[int]:
-    """Return the number of the level of each recording by its mean torque, lowest first.
-
-    Levels are apart by more than a quarter of the widest gap.
-    """
-    order = np.argsort(torques, kind="stable")
-    gaps = np.diff(np.asarray(torques)[order])
-    widest = float(gaps.max()) if len(gaps) else 0.0
-    number = np.concatenate([[0], np.cumsum(gaps > widest / 4)])
-    levels = np.empty(len(order), dtype=int)
-    levels[order] = number
-    return [int(level) for level in levels]
+    paths = [item.path for item in observations]
+    scales = find_scales(paths, [item.torque for item in observations], turn)
+    folds, levels = _folds(observations)
+    moving = _Moving.of(observations, scales, folds)
+    sides, held = [], []
+    for number, (sign, rows) in enumerate(moving.sides()):
+        if len(rows.effort) < FEWEST_ROWS:
+            raise InsufficientDataError(
+                f"{len(rows.effort)} rows move in the {'positive' if sign > 0 else 'negative'} "
+                f"direction, {FEWEST_ROWS} are needed: record more strokes to and fro"
+            )
+        degree: Mapping[str, float] = (
+            rows.choose(levels) if like is None else like.sides[number].degree
+        )
+        side, out = rows.model(degree)
+        sides.append(side)
+        held.append(out)
+    slope = moving.both([item.slope for item in held])
+    direction = int(np.sign(np.mean(slope) * np.mean(moving.torque))) or 1
+    model = LoadModel(
+        scales=scales,
+        bandwidth_hz=paths[0].bandwidth_hz,
+        effort_scale=moving.effort_scale,
+        sides=(sides[0], sides[1]),
+        torque_range=torque_range(moving.torque, levels),
+        direction=direction,
+        region=learn_region(moving.place, moving.speed, moving.torque, levels),
+    )
+    friction = _friction(moving, slope, direction)
+    return Learned(model, moving.validation(held), friction)
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
-    """All rows of all observations, with the sums that every choice of groups shares.
-
-    `groups` are the columns of each group; `normal` (f, k, k) and `right` (f, k) the sums over each
-    fold, of columns divided by `size` (k,).
-    """
+class _Moving:
+    """Rows (n,) of all observations that move, without unit, and their columns (n, k)."""
 
     scales: Scales
-    bandwidth_hz: float
     effort_scale: float
-    weight: Array
-    groups: dict[str, NDArray[np.intp]]
-    power: NDArray[np.intp]
-    rows: Array
+    names: list[str]
+    columns: Array
     slopes: Array
-    size: Array
     effort: Array
     torque: Array
     speed: Array
     place: Array
-    fold: NDArray[np.intp]
-    recording: NDArray[np.intp]
-    sums: _Sums
-    levels: int
+    fold: Numbers
+    recording: Numbers
 
     @staticmethod
-    def of(observations: Sequence[Observation], turn: float) -> _Problem:
-        """Gather the rows in motion."""
-        paths = [item.path for item in observations]
-        scales = find_scales(paths, [item.torque for item in observations], turn)
-        used = [
-            item.used & item.path.regular & (np.abs(item.path.speed) >= scales.standstill)
-            for item in observations
-        ]
-        folds, levels = _folds(observations)
-        designs, slopes = [], []
-        for item, mask in zip(observations, used, strict=True):
-            functions = motion_functions(item.path, scales)
-            design = Design.joined(functions)
-            torque = item.torque / scales.torque
-            designs.append(design.at(torque)[mask])
-            slopes.append(design.slope(torque)[mask])
-        groups, start = {}, 0
-        for name, columns in functions.items():
-            groups[name] = np.arange(start, start + columns.shape[1])
-            start += columns.shape[1]
-
-        def joined(values: Sequence[Array]) -> Array:
-            return np.concatenate([v[m] for v, m in zip(values, used, strict=True)])
-
-        effort = joined([item.effort for item in observations])
-        speed = joined([path.speed for path in paths]) / scales.speed
-        for sign, way in ((1, "positive"), (-1, "negative")):
-            if (count := int(np.count_nonzero(sign * speed > 0))) < FEWEST_ROWS:
-                raise InsufficientDataError(
-                    f"{count} rows move in the {way} direction, {FEWEST_ROWS} are needed: record "
-                    "more strokes to and fro"
+    def of(observations: Sequence[Observation], scales: Scales, folds: Sequence[int]) -> _Moving:
+        parts: list[tuple[Array, ...]] = []
+        names: list[str] = []
+        for number, item in enumerate(observations):
+            path = item.path
+            used = item.used & path.regular & (np.abs(path.speed) >= scales.standstill)
+            torque = item.torque[used] / scales.torque
+            columns = np.empty((len(torque), 0))
+            slopes = columns
+            for sign in SIGNS:
+                mask = sign * path.speed[used] > 0
+                functions = motion_functions(path, scales, sign)
+                names = list(functions)
+                design = Design.joined({n: f[used][mask] for n, f in functions.items()})
+                if not columns.size:
+                    columns = np.zeros((len(torque), design.columns.shape[1]))
+                    slopes = columns.copy()
+                columns[mask], slopes[mask] = design.at(torque[mask]), design.slope(torque[mask])
+            place = (path.position[used] - scales.low) / (scales.high - scales.low)
+            parts.append(
+                (
+                    columns,
+                    slopes,
+                    item.effort[used],
+                    torque,
+                    path.speed[used] / scales.speed,
+                    place,
+                    np.full(len(torque), folds[number]),
+                    np.full(len(torque), number),
                 )
-        rows, slope = np.vstack(designs), np.vstack(slopes)
-        size = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1e-12)
-        rows, slope = rows / size, slope / size
-        scale = float(np.std(effort)) or 1.0
-        number = np.repeat(np.arange(len(used)), [np.count_nonzero(mask) for mask in used])
-        fold = np.array(folds)[number]
-        ones = np.ones(len(effort))
-        part = 2 * fold + (speed < 0)
-        return _Problem(
-            weight=ones,
-            scales=scales,
-            bandwidth_hz=paths[0].bandwidth_hz,
-            effort_scale=scale,
-            groups=groups,
-            power=design.power,
-            rows=rows,
-            slopes=slope,
-            size=size,
-            effort=effort / scale,
-            torque=joined([item.torque for item in observations]) / scales.torque,
-            speed=speed,
-            place=(joined([path.position for path in paths]) - scales.low)
-            / (scales.high - scales.low),
-            fold=fold,
-            recording=number,
-            sums=_Sums.of(rows, effort / scale, ones, part),
-            levels=levels,
-        )
+            )
+        columns, slopes, effort, *rest = (np.concatenate(part) for part in zip(*parts, strict=True))
+        scale = (float(np.std(effort)) if len(effort) else 0.0) or 1.0
+        return _Moving(scales, scale, names, columns, slopes, effort / scale, *rest)
 
-    def weighted(self) -> _Problem:
-        """Return the problem with rows weighted by the scatter that a first fit shows."""
-        degree = dict.fromkeys(("offset", "load", "viscous", "stribeck"), START)
-        residual, _ = self.held_out(degree)
-        scatter = _fitscatter_variance(residual, self.speed, self.torque)
-        weight = 1 / scatter_variance(scatter, self.speed, self.torque)
-        weight /= weight.mean()
-        part = 2 * self.fold + (self.speed < 0)
-        sums = _Sums.of(self.rows, self.effort, weight, part)
-        return replace(self, weight=weight, sums=sums)
-
-    # -- one choice of degrees
-
-    def columns(self, degree: Mapping[str, float]) -> NDArray[np.intp]:
-        """Return the columns in use."""
-        return np.concatenate([self.groups[name] for name in degree])
-
-    def penalty(self, degree: Mapping[str, float]) -> Array:
-        """Return the matrix of the penalty for one row, (k, k)."""
-        blocks = []
-        for name, value in degree.items():
-            count = len(self.groups[name])
-            block = np.eye(count)
-            if name in SPLINE_COUNT:
-                each = SPLINE_COUNT[name]
-                bend = np.diff(np.eye(each), 2, axis=0)
-                smooth = np.kron(np.eye(count // each), bend.T @ bend)
-                size = self.size[self.groups[name]]
-                # Neighbours are held together as functions, whatever their columns' sizes
-                block = smooth * (float(np.mean(size)) ** 2) / np.outer(size, size)
-            blocks.append(value * block + RIDGE * np.eye(count))
-        total = sum(len(block) for block in blocks)
-        matrix, start = np.zeros((total, total)), 0
-        for block in blocks:
-            matrix[start : start + len(block), start : start + len(block)] = block
-            start += len(block)
-        return matrix
-
-    def inverse(self, degree: Mapping[str, float], without: int | None = None) -> Array:
-        """Return the inverse of the normal matrix (k, k), one fold left out."""
-        from scipy.linalg import cho_factor, cho_solve
-
-        matrix, _ = self._equations(degree, without)
-        inverse: Array = cho_solve(cho_factor(matrix), np.eye(len(matrix)))
-        return inverse
-
-    def weights(self, degree: Mapping[str, float], without: int | None = None) -> Array:
-        """Return weights (k,), one fold left out."""
-        from scipy.linalg import cho_factor, cho_solve
-
-        matrix, right = self._equations(degree, without)
-        weights: Array = cho_solve(cho_factor(matrix, check_finite=False), right)
-        return weights
-
-    def _equations(self, degree: Mapping[str, float], without: int | None) -> tuple[Array, Array]:
-        use = self.columns(degree)
-        keep = [f for f in range(len(self.sums.rows)) if f != without]
-        normal = self.sums.normal[keep].sum(axis=(0, 1))[np.ix_(use, use)]
-        right: Array = self.sums.right[keep].sum(axis=(0, 1))[use]
-        return normal + self.sums.rows[keep].sum() * self.penalty(degree), right
-
-    def held_out(self, degree: Mapping[str, float]) -> tuple[Array, Array]:
-        """Return residual of effort and slope (n,) of folds that were left out of the learning."""
-        use = self.columns(degree)
-        residual, slope = np.empty_like(self.effort), np.empty_like(self.effort)
-        for fold in range(len(self.sums.rows)):
-            weights = self.weights(degree, fold)
-            rows = self.fold == fold
-            residual[rows] = self.effort[rows] - self.rows[np.ix_(rows, use)] @ weights
-            slope[rows] = self.slopes[np.ix_(rows, use)] @ weights
-        return residual, slope
-
-    def error(self, residual: Array, slope: Array) -> Array:
-        """Return the torque's error (n,), where the slope is not flat."""
-        usual = float(np.median(np.abs(slope)))
-        error: Array = -residual / np.copysign(np.maximum(np.abs(slope), FLAT * usual), slope)
-        return error
-
-    def cost(self, degree: Mapping[str, float]) -> float:
-        """Return the logarithm of the residual at levels left out, mean of both directions."""
-        use = self.columns(degree)
-        power = np.zeros(2)
-        for fold in range(len(self.sums.rows)):
-            weights = self.weights(degree, fold)
-            for side in (0, 1):
-                normal = self.sums.normal[fold, side][np.ix_(use, use)]
-                right = self.sums.right[fold, side, use]
-                power[side] += self.sums.power[fold, side] + weights @ (
-                    normal @ weights - 2 * right
-                )
-        total = self.sums.rows.sum(axis=0)
-        return float(np.mean(np.log(np.maximum(power / total, 1e-300)))) / 2
-
-    def choose(self) -> dict[str, float]:
-        """Return the degree of each group that is of use, one group after the other."""
-        degree: dict[str, float] = {"offset": START, "load": START, "viscous": START}
-        best = self.cost(degree)
-        for _ in range(ROUNDS):
-            before = best
-            for name in self.groups:
-                if name == "load_squared" and self.levels < 3:
-                    continue  # two loads make a line
-                tried = [{**degree, name: value} for value in DEGREES if degree.get(name) != value]
-                if name in degree and name not in ALWAYS:
-                    tried.append({n: v for n, v in degree.items() if n != name})
-                costs = [self.cost(each) for each in tried]
-                if min(costs) < best - WORTH:
-                    best = min(costs)
-                    degree = tried[int(np.argmin(costs))]
-            if best > before - WORTH:
-                break
-        return degree
-
-    # -- the model
-
-    def model(self, degree: Mapping[str, float]) -> Learned:
-        """Return the model of these degrees with its uncertainty."""
-        use = self.columns(degree)
-        weights, inverse = self.weights(degree), self.inverse(degree)
-        rows = self.rows[:, use]
-        residual, slope = self.held_out(degree)
-        scores = self._scores(rows, residual)
-        covariance = _cluster_covariance(inverse, scores)
-        scatter = _fitscatter_variance(self.effort - rows @ weights, self.speed, self.torque)
-        variance = np.empty_like(residual)
-        for fold in range(len(self.sums.rows)):
-            inside = self.fold == fold
-            left = np.unique(self.recording[~inside])
-            within = _cluster_covariance(self.inverse(degree, fold), scores[left])
-            variance[inside] = np.einsum("ij,jk,ik->i", rows[inside], within, rows[inside])
-        variance += scatter_variance(scatter, self.speed, self.torque)
-        side = (self.speed < 0).astype(int)
-        ratio = np.abs(residual) / np.sqrt(variance)
-        factor = np.array([np.quantile(ratio[side == s], COVERAGE) for s in (0, 1)]) / NORMAL
-        error = self.error(residual, slope) * self.scales.torque
-        u = factor[side] * np.sqrt(variance) / np.abs(slope) * self.scales.torque
-        size = self.size[use]
-        model = LoadModel(
-            scales=self.scales,
-            bandwidth_hz=self.bandwidth_hz,
-            effort_scale=self.effort_scale,
-            degree=dict(degree),
-            weights=weights / size,
-            covariance=covariance / np.outer(size, size),
-            scatter=scatter,
-            factor=factor,
-            common=np.array([self._common(error, side == s) for s in (0, 1)]),
-            direction=int(np.sign(np.mean(slope) * np.mean(self.torque)) or 1),
-            region=learn_region(self.place, self.speed, self.torque, self.levels),
-        )
-        validation = Validation(
-            torque=self.torque * self.scales.torque,
-            error=error,
-            u=u,
-            speed=self.speed * self.scales.speed,
-            recording=self.recording,
-        )
-        return Learned(model, validation, self._friction(degree, model.direction))
-
-    def _friction(self, degree: Mapping[str, float], direction: int) -> LoadFriction:
-        """Return friction by load from the slopes of both directions, in cells of the stroke.
-
-        Its uncertainty is from leaving out one level after the other.
-        """
-        use = self.columns(degree)
-        cell = np.clip((self.place * CELLS).astype(int), 0, CELLS - 1)
-        against = direction * self.speed > 0
+    def sides(self) -> list[tuple[int, Rows]]:
+        """Return the rows of each direction, positive first."""
         found = []
-        for fold in (None, *range(len(self.sums.rows))):
-            slope = self.slopes[:, use] @ self.weights(degree, fold)
-            means = []
-            for mask in (against, ~against):
-                count = np.bincount(cell[mask], minlength=CELLS)
-                total = np.bincount(cell[mask], weights=slope[mask], minlength=CELLS)
-                means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-            found.append((means[0] - means[1]) / (means[0] + means[1]))
-        without = np.stack(found[1:])
-        u = np.array([standard_uncertainty(column) for column in without.T])
-        place = (np.arange(CELLS) + 0.5) / CELLS
-        position = self.scales.low + place * (self.scales.high - self.scales.low)
-        known = np.isfinite(found[0] + u)
-        return LoadFriction(position[known], found[0][known], u[known])
-
-    def _scores(self, rows: Array, residual: Array) -> Array:
-        """Return the sum of row times residual over each recording, (recordings, k)."""
-        scores = np.zeros((int(self.recording.max()) + 1, rows.shape[1]))
-        for number in range(len(scores)):
-            mask = self.recording == number
-            scores[number] = rows[mask].T @ (self.weight * residual)[mask]
-        return scores
-
-    def _common(self, error: Array, mask: Mask) -> float:
-        """Return the standard deviation of the recordings' mean errors."""
-        means = [error[mask & (self.recording == r)] for r in np.unique(self.recording[mask])]
-        return (
-            float(np.std([part.mean() for part in means], ddof=1)) if len(means) > 1 else math.nan
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Weighted sums over the rows of each fold and direction, all that a choice needs.
-
-    `normal` (f, 2, k, k), `right` (f, 2, k), `power` (f, 2) and `rows` (f, 2), for residuals
-    power - 2 w.right + w.normal.w.
-    """
-
-    normal: Array
-    right: Array
-    power: Array
-    rows: Array
-
-    @staticmethod
-    def of(rows: Array, effort: Array, weight: Array, part: NDArray[np.intp]) -> _Sums:
-        """Gather them: `part` (n,) is twice the fold, plus one where the speed is negative."""
-        count, size = int(part.max()) // 2 + 1, rows.shape[1]
-        found = _Sums(
-            np.zeros((count, 2, size, size)),
-            np.zeros((count, 2, size)),
-            np.zeros((count, 2)),
-            np.zeros((count, 2)),
-        )
-        for number in range(2 * count):
-            mask = part == number
-            place = divmod(number, 2)
-            columns, y = rows[mask], effort[mask]
-            scaled = columns * weight[mask, None]
-            found.normal[place] = scaled.T @ columns
-            found.right[place] = scaled.T @ y
-            found.power[place] = float(np.sum(weight[mask] * y**2))
-            found.rows[place] = float(np.sum(weight[mask]))
+        for sign in SIGNS:
+            mask = sign * self.speed > 0
+            rows = Rows.of(
+                self.names,
+                self.columns[mask],
+                self.slopes[mask],
+                self.effort[mask],
+                self.torque[mask],
+                self.speed[mask],
+                self.fold[mask],
+                self.recording[mask],
+            )
+            found.append((sign, rows))
         return found
+
+    def both(self, parts: Sequence[NDArray]) -> NDArray:
+        """Return values of both directions in the order of all rows."""
+        values = np.empty(len(self.speed), dtype=parts[0].dtype)
+        for sign, part in zip(SIGNS, parts, strict=True):
+            values[sign * self.speed > 0] = part
+        return values
+
+    def validation(self, held: Sequence[HeldOut]) -> Validation:
+        """Return the errors in folds that were left out."""
+        told, unit = self.both([item.told for item in held]), self.scales.torque
+        return Validation(
+            torque=self.torque[told] * unit,
+            error=self.both([item.error for item in held])[told] * unit,
+            u=self.both([item.u for item in held])[told] * unit,
+            speed=self.speed[told] * self.scales.speed,
+            recording=self.recording[told],
+        )
+
+
+def _friction(moving: _Moving, slope: Array, direction: int) -> LoadFriction:
+    """Return friction by load from the slopes of both directions, in cells of the stroke.
+
+    The slope of each row is that of the fold that was left out; leaving out one fold after the
+    other also gives the uncertainty.
+    """
+    cell = np.clip((moving.place * CELLS).astype(int), 0, CELLS - 1)
+    against = direction * moving.speed > 0
+
+    def share(rows: Mask) -> Array:
+        means = []
+        for mask in (against & rows, ~against & rows):
+            count = np.bincount(cell[mask], minlength=CELLS)
+            total = np.bincount(cell[mask], weights=slope[mask], minlength=CELLS)
+            means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+        mu: Array = (means[0] - means[1]) / (means[0] + means[1])
+        return mu
+
+    mu = share(np.ones(len(cell), dtype=bool))
+    without = np.stack([share(moving.fold != fold) for fold in range(int(moving.fold.max()) + 1)])
+    u = np.array([standard_uncertainty(column) for column in without.T])
+    scales, place = moving.scales, (np.arange(CELLS) + 0.5) / CELLS
+    known = np.isfinite(mu + u)
+    position = scales.low + place * (scales.high - scales.low)
+    return LoadFriction(position[known], mu[known], u[known])
 
 
 def _folds(observations: Sequence[Observation]) -> tuple[list[int], int]:
@@ -485,33 +269,13 @@ def _folds(observations: Sequence[Observation]) -> tuple[list[int], int]:
             "told; give recordings at two loads or more, at best at five"
         )
     if len(levels) > 2:
-        number = {
-            level: i * min(FOLDS, len(levels)) // len(levels) for i, level in enumerate(levels)
-        }
+        folds = min(FOLDS, len(levels))
+        number = {level: i * folds // len(levels) for i, level in enumerate(levels)}
         return [number[item.level] for item in observations], len(levels)
     if len(observations) < 4:
         raise InsufficientDataError(
             f"{len(observations)} recordings at two loads leave nothing to judge the model by: "
             "give two recordings at each load, or three loads"
         )
-    return [i * FOLDS // max(len(observations), FOLDS) for i in range(len(observations))], 2
-
-
-def _cluster_covariance(inverse: Array, scores: Array) -> Array:
-    """Return the covariance of weights whose recordings disagree by these scores (r, k)."""
-    count = len(scores)
-    half = scores @ inverse
-    covariance: Array = half.T @ half * (count / max(count - 1, 1))
-    return covariance
-
-
-def _fitscatter_variance(residual: Array, speed: Array, torque: Array) -> Array:
-    """Return how the logarithm of the residual's variance goes, (2, 3), see `LoadModel`."""
-    floor = 1e-6 * float(np.mean(residual**2)) + 1e-300
-    logarithm = np.log(residual**2 + floor) + LOG_CHI2
-    found = []
-    for sign in (1, -1):
-        mask = sign * speed > 0
-        rows = scatter_rows(speed[mask], torque[mask])
-        found.append(np.linalg.lstsq(rows, logarithm[mask], rcond=None)[0])
-    return np.stack(found)
+    folds = min(FOLDS, len(observations) // 2)
+    return [i % folds for i in range(len(observations))], 2

@@ -1,6 +1,6 @@
 """A drive's effort as function of motion and load, solved for the load.
 
-    effort = f0(motion) + torque g1(motion) + torque^2 g2(motion)
+    effort = f0(motion) + torque g1(motion) + torque^2 g2(motion) + torque^3 g3(motion)
 
 The functions are those of `load_basis`, each a sum of smooth ones; `load_learning` finds their
 weights. Friction that grows with load is the part of g1 that changes sign with the direction;
@@ -18,19 +18,35 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.analysis.load_basis import LOAD_POWER, Path, Scales, motion_functions, size_of
+from rigtool.analysis.load_basis import LOAD_POWER, Path, Scales, motion_functions
 from rigtool.analysis.load_region import Region
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+SIGNS = (1, -1)
+"""Of the speed, in the order of a model's sides."""
+
+FLAT = 0.25
+"""Where the slope of effort by torque is below this part of the usual one in its direction, such as
+after a reversal, friction hides the load as it does at standstill."""
+
+HIGHEST_POWER = max(LOAD_POWER.values())
+
+SLOWEST = 1e-3
+"""Speed below which scatter does not change any more, as part of the highest."""
+
+HALVINGS = 40
+"""Times that the range of torques is halved to find one: far finer than any uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Torque, N m, and its standard uncertainty at each row (n,): NaN where there is none.
 
-    `inside` says where it was learned; `low` and `high` (n,) bound the torque near standstill, NaN
-    elsewhere and where nothing bounds it. `still` marks those rows.
+    `inside` says where it was learned; `low` and `high` (n,) bound the torque where friction hides
+    it, NaN elsewhere and where nothing bounds it. `still` marks those rows: near standstill, or so
+    soon after a reversal that effort hardly depends on the load yet.
     """
 
     torque: Array
@@ -42,75 +58,94 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class LoadModel:
-    """What was learned: `degree` of each group in use, `weights` (k,) and their covariance (k, k).
+class Side:
+    """What was learned of one direction: `degree` of each group in use, in the order of columns.
 
-    Columns are in the order of `degree`; effort is in units of `effort_scale`. `scatter` (2, 3) are
-    the logarithm of the scatter's variance for each direction: constant, by the logarithm of speed,
-    by torque; `factor` (2,) multiplies uncertainties. `common` (2,) is the standard deviation of a
-    recording's mean error, N m: what averaging over one recording does not take off. `direction` is
-    the sign of the speed against which the load acts.
+    `weights` (k,) and their `covariance` (k, k) are without unit; `scatter` (3,) is the logarithm
+    of the scatter's variance: constant, by the logarithm of speed, by torque; `factor` multiplies
+    uncertainties. `common` is the standard deviation of a recording's mean error, what averaging
+    over one recording does not take off; `slope` is the usual one of effort by torque.
+    """
+
+    degree: Mapping[str, float]
+    weights: Array
+    covariance: Array
+    scatter: Array
+    factor: float
+    common: float
+    slope: float
+
+    def solve(
+        self, functions: Mapping[str, Array], effort: Array, torque_range: tuple[float, float]
+    ) -> tuple[Array, Array, Array]:
+        """Return torque, slope of effort by torque there, and variance of effort, (n,) each.
+
+        All without unit. By halving the range of torques; NaN where the effort is that of none.
+        """
+        design = Design.joined({name: functions[name] for name in self.degree})
+        parts = design.polynomial(self.weights)
+        low, high = (np.full(len(effort), edge) for edge in torque_range)
+        bottom, top = polynomial_at(parts, low), polynomial_at(parts, high)
+        rising = np.sign(top - bottom)
+        known = (rising * (effort - bottom) >= 0) & (rising * (top - effort) >= 0)
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            beyond = rising * (polynomial_at(parts, middle) - effort) > 0
+            low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+        torque = np.where(known, (low + high) / 2, np.nan)
+        powers = np.arange(1, len(parts))[:, None]
+        slope = polynomial_at(parts[1:] * powers, torque)
+        row = design.at(torque)
+        return torque, slope, np.einsum("ij,ij->i", row @ self.covariance, row)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadModel:
+    """A model of both directions, positive speed first.
+
+    Effort is in units of `effort_scale`; `torque_range` are the lowest and highest torque that are
+    looked at, without unit; `direction` is the sign of the speed against which the load acts.
     """
 
     scales: Scales
     bandwidth_hz: float
     effort_scale: float
-    degree: Mapping[str, float]
-    weights: Array
-    covariance: Array
-    scatter: Array
-    factor: Array
-    common: Array
+    sides: tuple[Side, Side]
+    torque_range: tuple[float, float]
     direction: int
     region: Region
 
-    def sizes(self) -> list[int]:
-        """Return how many weights each group has."""
-        return [size_of(name) for name in self.degree]
-
     def estimate(self, effort: Array, path: Path) -> Estimate:
         """Return the torque at the rows (n,) of a path whose effort is given."""
-        design = Design.of(path, self.scales, self.degree)
-        scaled, slope, row = self._solve(design, effort / self.effort_scale)
-        speed = path.speed / self.scales.speed
-        variance = np.einsum("ij,jk,ik->i", row, self.covariance, row)
-        variance += scatter_variance(self.scatter, speed, scaled)
-        side = (speed < 0).astype(int)
-        u = self.factor[side] * np.sqrt(variance) / np.abs(slope)
+        speed, unit = path.speed / self.scales.speed, self.scales.torque
+        torque, u, slope_share, low, high = (np.full(len(speed), np.nan) for _ in range(5))
+        solved = []
+        for sign, side in zip(SIGNS, self.sides, strict=True):
+            mask = speed < 0 if sign < 0 else speed >= 0
+            functions = motion_functions(path, self.scales, sign)
+            found, slope, variance = side.solve(
+                functions, effort / self.effort_scale, self.torque_range
+            )
+            variance += scatter_variance(side.scatter, speed, found)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                spread = side.factor * np.sqrt(variance) / np.abs(slope)
+            solved.append(found)
+            torque[mask], u[mask] = found[mask], spread[mask]
+            slope_share[mask] = np.abs(slope[mask]) / side.slope
+        still = (np.abs(path.speed) < self.scales.standstill) | (slope_share < FLAT)
         place = (path.position - self.scales.low) / (self.scales.high - self.scales.low)
-        still = np.abs(path.speed) < self.scales.standstill
-        inside = self.region.holds(place, speed, scaled) & path.regular & ~still
-        low, high = self._dead_band(effort, path, still)
-        torque = np.where(inside, scaled, np.nan) * self.scales.torque
+        inside = self.region.holds(place, speed, torque) & path.regular & ~still
+        # Friction may act either way: both directions bound the torque, where both know one.
+        low, high = np.where(still, np.sort(solved, axis=0), np.nan) * unit
+        bad = np.isnan(low + high)
         return Estimate(
-            torque, np.where(inside, u, np.nan) * self.scales.torque, inside, still, low, high
+            torque=np.where(inside, torque, np.nan) * unit,
+            u=np.where(inside, u, np.nan) * unit,
+            inside=inside,
+            still=still,
+            low=np.where(bad, np.nan, low),
+            high=np.where(bad, np.nan, high),
         )
-
-    def _solve(self, design: Design, effort: Array) -> tuple[Array, Array, Array]:
-        """Return torque (n,), slope of effort by torque (n,) and design rows (n, k) there."""
-        parts = [
-            design.columns[:, design.power == p] @ self.weights[design.power == p]
-            for p in (0, 1, 2)
-        ]
-        rest = parts[0] - effort
-        root = parts[1] ** 2 - 4 * parts[2] * rest
-        with np.errstate(invalid="ignore", divide="ignore"):
-            # The root that becomes the linear solution where the square vanishes
-            torque = -2 * rest / (parts[1] + np.copysign(np.sqrt(root), parts[1]))
-        row = design.at(torque)
-        slope = parts[1] + 2 * parts[2] * torque
-        return torque, slope, row
-
-    def _dead_band(self, effort: Array, path: Path, still: Mask) -> tuple[Array, Array]:
-        """Return torques between which the load is where friction may act either way."""
-        edges = np.full((2, len(effort)), np.nan)
-        if still.any():
-            for edge, way in zip(edges, (1.0, -1.0), strict=True):
-                design = Design.of(path, self.scales, self.degree, way)
-                edge[still] = self._solve(design, effort / self.effort_scale)[0][still]
-        low, high = np.sort(edges, axis=0) * self.scales.torque
-        bad = np.isnan(edges).any(axis=0)
-        return np.where(bad, np.nan, low), np.where(bad, np.nan, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,18 +156,18 @@ class Design:
     power: NDArray[np.intp]
 
     @staticmethod
-    def of(
-        path: Path, scales: Scales, groups: Mapping[str, float], direction: float = 0.0
-    ) -> Design:
-        """Return the columns of some groups, in their order, at the rows of a path."""
-        functions = motion_functions(path, scales, direction)
-        return Design.joined({name: functions[name] for name in groups})
-
-    @staticmethod
     def joined(functions: Mapping[str, Array]) -> Design:
         """Return the columns of all groups, (n, columns) each, side by side."""
         power = [np.full(f.shape[1], LOAD_POWER.get(name, 0)) for name, f in functions.items()]
         return Design(np.hstack(list(functions.values())), np.concatenate(power))
+
+    def polynomial(self, weights: Array) -> Array:
+        """Return the effort's parts by power of the torque, (powers, n)."""
+        parts = [
+            self.columns[:, self.power == power] @ weights[self.power == power]
+            for power in range(HIGHEST_POWER + 1)
+        ]
+        return np.stack(parts)
 
     def at(self, torque: Array) -> Array:
         """Return rows (n, k) at a torque, so that rows @ weights is the effort."""
@@ -144,17 +179,22 @@ class Design:
         return self.columns * (self.power * torque[:, None] ** below)
 
 
+def polynomial_at(parts: Array, torque: Array) -> Array:
+    """Return the sum of parts (powers, n) times the torque's powers, (n,)."""
+    total: Array = parts[-1]
+    for part in parts[-2::-1]:
+        total = total * torque + part
+    return total
+
+
 def scatter_rows(speed: Array, torque: Array) -> Array:
     """Return what the logarithm of the scatter's variance is linear in, (n, 3)."""
-    return np.column_stack(
-        [np.ones_like(speed), np.log(np.maximum(np.abs(speed), 1e-3)), np.abs(torque)]
-    )
+    magnitude = np.maximum(np.abs(speed), SLOWEST)
+    return np.column_stack([np.ones_like(speed), np.log(magnitude), np.abs(torque)])
 
 
 def scatter_variance(scatter: Array, speed: Array, torque: Array) -> Array:
     """Return the variance (n,) that scatter alone makes."""
-    rows = scatter_rows(speed, np.nan_to_num(torque))
-    side = (speed < 0).astype(int)
     # Beyond what was learned the logarithm of the variance must not run away.
-    variance: Array = np.exp(np.minimum(np.sum(rows * scatter[side], axis=1), 50.0))
+    variance: Array = np.exp(np.minimum(scatter_rows(speed, np.nan_to_num(torque)) @ scatter, 50.0))
     return variance

@@ -39,10 +39,19 @@ class Region:
         return inside
 
 
+def torque_range(torque: Array, levels: int) -> tuple[float, float]:
+    """Return the lowest and highest torque that can be inside."""
+    margin = MARGIN * _spacing(torque, levels)
+    return float(torque.min()) - margin, float(torque.max()) + margin
+
+
+def _spacing(torque: Array, levels: int) -> float:
+    return float(np.ptp(torque)) / max(levels - 1, 1)
+
+
 def learn_region(place: Array, speed: Array, torque: Array, levels: int) -> Region:
     """Return the region of learned points (n,): numbers near 1, whatever their units."""
-    spacing = float(np.ptp(torque)) / max(levels - 1, 1)
-    margin = np.abs(normals()) @ np.array([SLACK, SLACK, MARGIN * spacing])
+    margin = np.abs(normals()) @ np.array([SLACK, SLACK, MARGIN * _spacing(torque, levels)])
     points = np.column_stack([place, speed, torque])
     sides = [points[speed > 0], points[speed < 0]]
     return Region(np.stack([(side @ normals().T).max(axis=0) + margin for side in sides]))

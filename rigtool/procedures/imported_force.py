@@ -28,7 +28,7 @@ from rigtool.procedures.load_accuracy import (
     levels_of,
     read_signals,
 )
-from rigtool.procedures.load_model_tables import load_model_from
+from rigtool.procedures.load_model_tables import WIDE_MODEL, load_model_from
 from rigtool.procedures.load_strokes import levels_table, read_strokes, scatter_results
 from rigtool.procedures.outcome import Outcome
 from rigtool.quantity import Quantity
@@ -201,16 +201,17 @@ def _judged(
     """Return results, tables and notes of the comparison with the sensor."""
     judged = [judge(item.signals, item.estimate, model.direction) for item in measured]
     found = accuracy(judged)
+    strokes = read_strokes([(m.signals, m.estimate) for m in measured], model.direction)
     rows = [(LEFT_OUT, model.bandwidth_hz, found)]
-    if carries(recordings, WIDE):
+    if WIDE_MODEL in tables.tables and carries(recordings, WIDE):
         wide = []
+        model, _ = load_model_from(tables, WIDE_MODEL)
         for run, recording in zip(runs, recordings, strict=True):
-            signals = read_signals(run, recording, kt, WIDE)
+            signals = read_signals(run, recording, kt, model.bandwidth_hz)
             wide.append(
                 judge(signals, model.estimate(signals.effort, signals.path), model.direction)
             )
         rows.append((LEFT_OUT, WIDE, accuracy(wide)))
-    strokes = read_strokes([(m.signals, m.estimate) for m in measured], model.direction)
     numbers = levels_of([item.signals for item in measured])
     more, notes = scatter_results(strokes)
     found_tables = {"accuracy": _accuracy_table(rows, tables)}

@@ -34,7 +34,7 @@ from rigtool.procedures.load_accuracy import (
     levels_of,
     read_signals,
 )
-from rigtool.procedures.load_model_tables import tables_of
+from rigtool.procedures.load_model_tables import WIDE_MODEL, tables_of
 from rigtool.procedures.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.recipe.commands import MeasureForce
@@ -88,6 +88,8 @@ def analyse_imported(
     turn = 0.0 if is_linear(recordings_[0]) else 2 * math.pi
     learned = learn(observations, turn=turn)
     model = learned.model
+    unit = signals[0].effort_unit
+    tables = tables_of(model, unit)
     random = [_random_split(signals, observations, model, turn)]
     if carries(recordings_, WIDE):
         wide = [
@@ -96,8 +98,8 @@ def analyse_imported(
         ]
         again = [item.observation(level) for item, level in zip(wide, levels, strict=True)]
         random.append(_random_split(wide, again, model, turn))
-    tables = {
-        **tables_of(model, signals[0].effort_unit),
+        tables |= tables_of(learn(again, turn=turn, like=model).model, unit, WIDE_MODEL)
+    tables |= {
         "load_friction": _friction_table(learned),
         "left_out": _level_table(learned.validation, levels, model.direction),
         RANDOM: _random_table(random),
@@ -125,17 +127,12 @@ def _random_split(
     random = np.random.default_rng(SEED)
     halves = [random.random(len(item.used)) < 0.5 for item in observations]
     chosen = [replace(o, used=o.used & h) for o, h in zip(observations, halves, strict=True)]
-    half = learn(chosen, turn=turn, degree=model.degree).model
+    half = learn(chosen, turn=turn, like=model).model
     judged = []
     for item, rest in zip(signals, halves, strict=True):
         estimate = half.estimate(item.effort, item.path)
         judged.append(judge(replace(item, counts=item.counts & ~rest), estimate, half.direction))
-    return model_bandwidth(signals), accuracy(judged)
-
-
-def model_bandwidth(signals: Sequence[Signals]) -> float:
-    """Return the bandwidth of signals, Hz."""
-    return signals[0].path.bandwidth_hz
+    return signals[0].path.bandwidth_hz, accuracy(judged)
 
 
 # -- what is told
@@ -160,7 +157,11 @@ def _results(learned: Learned, levels: Sequence[int]) -> dict[str, Quantity]:
 
 def _notes(learned: Learned, levels: Sequence[int]) -> list[str]:
     model = learned.model
-    used = ", ".join(f"{name} ({degree:g})" for name, degree in model.degree.items())
+    used = "; ".join(
+        f"speed {'+-'[number]}: "
+        + ", ".join(f"{name} {degree:g}" for name, degree in side.degree.items())
+        for number, side in enumerate(model.sides)
+    )
     scales = model.scales
     return [
         f"learned from {len(levels)} runs at {len(set(levels))} load levels, up to "

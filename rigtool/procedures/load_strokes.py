@@ -158,7 +158,8 @@ def scatter_results(strokes: Sequence[Strokes]) -> tuple[dict[str, Quantity], li
         found["repeatability"] = Quantity(limit, "N m", reason=reason)
         notes.append(
             f"closing strokes of one run differ by {within * 1e3:.3g} mN m at the same position, "
-            f"speed and load, means of runs by {between * 1e3:.3g} mN m: together "
-            f"{limit * 1e3:.3g} mN m, below which no function of motion and effort gets"
+            f"speed and load, below which no function of motion and effort gets; runs as wholes "
+            f"are off by {between * 1e3:.3g} mN m, which holds friction that changes from run to "
+            f"run: {limit * 1e3:.3g} mN m together"
         )
     return found, notes
