@@ -117,7 +117,8 @@ def _means(found: Health) -> list[str]:
         changes.append(f"friction has changed by {change:+.2g} +- {u:.1g} mN m")
     if found.offset_changed:
         change, u = found.offset.value * 1e3, found.offset.u * 1e3
-        changes.append(f"both directions are off by {change:+.2g} +- {u:.1g} mN m")
+        what = "both directions are" if found.friction is not None else "friction, or an offset, is"
+        changes.append(f"{what} off by {change:+.2g} +- {u:.1g} mN m")
     return changes
 
 

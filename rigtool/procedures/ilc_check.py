@@ -22,7 +22,7 @@ from rigtool.analysis.table_health import health, parts
 from rigtool.errors import InsufficientDataError
 from rigtool.procedures.calibration import torque_per_ampere
 from rigtool.procedures.health_results import FITS, outcome_of
-from rigtool.procedures.ilc import common, limited_angle, turning
+from rigtool.procedures.ilc import common, limited_angle, one_speed, turning
 from rigtool.procedures.ilc_design import design
 from rigtool.procedures.imported_check import analyse_imported as analyse_imported
 from rigtool.procedures.learned_tables import COULOMB, VISCOUS, feedforward, require_rig
@@ -46,8 +46,9 @@ NEEDED = ("kt",)
 MOVES = 6
 """Moves, or turns, that are recorded at each speed, unless `--set` says otherwise."""
 
-TURNING = "B"
-"""Implementation whose motion checks a table of whole turns; others are checked by C's moves."""
+TURNING = ("A", "B")
+"""Implementations that turn: A at one speed and in one direction. Others are checked by C's moves.
+"""
 
 
 def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> CommonOptions:
@@ -60,6 +61,8 @@ def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> C
     table = learned_table_from(tables).table
     speeds = np.unique(np.abs(table.speed))
     chosen = sorted({speeds[0], speeds[len(speeds) // 2]})
+    if _one_speed(tables) and tables.recipe is not None:  # the other speeds were tuned, not learned
+        chosen = [2 * math.pi * min(tables.recipe.ilc_learn.turning.speeds_rev_per_s)]
     if table.period is None:
         ratio = 1.0 if tables.recipe is None else tables.recipe.rig.angle_ratio
         settings = {
@@ -71,13 +74,26 @@ def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> C
     else:
         settings = {
             "rig.attachment": "pulley",  # nothing else turns round and round
-            "ilc_learn.implementation": TURNING,
+            "ilc_learn.implementation": "A" if _one_speed(tables) else "B",
             "ilc_learn.turning.speeds_rev_per_s": [float(v) / (2 * math.pi) for v in chosen],
             "ilc_learn.turning.low_speeds_rev_per_s": [],
             "ilc_learn.turning.revolutions": MOVES,
         }
     overrides = [f"{name}={value}" for name, value in settings.items()]
     return replace(options, overrides=(*overrides, *options.overrides))
+
+
+def _one_speed(tables: Run) -> bool:
+    """Say whether a table was learned at one speed, by implementation A."""
+    return tables.recipe is not None and tables.recipe.ilc_learn.implementation == "A"
+
+
+def _filters(recipe: Recipe, plant: Run | None, tables: Run) -> Learning:
+    """Return the filters that the table was learned with: those of A let less pass."""
+    filters = design(recipe, plant)
+    if _one_speed(tables) and tables.recipe is not None:
+        return one_speed.narrowed(filters, tables.recipe)
+    return filters.learning
 
 
 def fits(outcome: Outcome) -> bool:
@@ -91,9 +107,10 @@ def fits(outcome: Outcome) -> bool:
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """List a recording for each speed, or for each speed and direction where the shaft turns."""
     settings = recipe.ilc_learn
-    if settings.implementation == TURNING:
-        speeds = turning.both(settings.turning.speeds_rev_per_s)
-        return tuple(turning.steady_specs(recipe, "check", speeds))
+    if settings.implementation in TURNING:
+        speeds = settings.turning.speeds_rev_per_s
+        ways = [min(speeds)] if settings.implementation == "A" else turning.both(speeds)
+        return tuple(turning.steady_specs(recipe, "check", ways))
     return tuple(limited_angle.specs(recipe, "check", settings.speeds_rev_per_s, settings.moves))
 
 
@@ -135,7 +152,7 @@ def analyse(
     """
     require_rig(tables, recipe)
     run, learned = common.only_run(runs), learned_table_from(tables)
-    constant, learning = torque_per_ampere(kt).value, design(recipe, plant).learning
+    constant, learning = torque_per_ampere(kt).value, _filters(recipe, plant, tables)
     recorded = common.filled(run, "check") or common.found(run, "learn")
     fed = {name: tables.results[name] for name in (COULOMB, VISCOUS) if name in tables.results}
     whole = learned.table.period is not None

@@ -188,13 +188,30 @@ def test_it_moves_in_short_as_was_learned(folder, kt):
         assert learned_table_from(tables).table.period is not None
 
 
-def test_friction_that_was_fed_forward_is_again(folder, kt):
-    friction = write_results(
+@pytest.fixture(scope="module")
+def friction(folder):
+    return write_results(
         folder / "friction.h5",
         "stribeck",
         coulomb_friction=(2.3e-3, "N m"),
         viscous_friction=(5.33e-5, "N m s/rad"),
     )
+
+
+def test_a_table_of_one_speed_is_checked_there_within_its_band(folder, kt, friction):
+    path = folder / "one.h5"
+    speeds = "ilc_learn.turning.speeds_rev_per_s=[1, 4]"
+    one = ("ilc_learn.implementation=A", "ilc_learn.iterations=1")
+    run(ilc_learn, RECIPE, path, *TURNING, speeds, *one, kt=kt, friction=friction)
+    same = check(path, folder, kt)
+    assert ilc_check.fits(same)
+    assert same.tables["table_health"]["speed"] == pytest.approx([2 * np.pi])
+    assert "friction_change" not in same.results
+    power = check(path, folder, kt, "virtual.power_cycle=1")
+    assert "another shape, as after a power cycle" in power.notes[0]
+
+
+def test_friction_that_was_fed_forward_is_again(folder, kt, friction):
     path = folder / "compensated.h5"
     run(ilc_learn, RECIPE, path, *TURNING, kt=kt, friction=friction)
     assert ilc_check.fits(check(path, folder, kt))
