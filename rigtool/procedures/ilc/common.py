@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.procedures.health import require_health
 from rigtool.procedures.learned_tables import feedforward
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -26,9 +27,6 @@ CHANNELS = (
     "encoder",
 )
 """What is recorded while the table is by position."""
-
-MAX_TRACKING_ERROR = 0.1
-"""Largest distance of rotor and set point while a table is learned, rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,22 +49,19 @@ def signals(
     `InsufficientDataError` where the controller saturates, or does not hold the rotor.
     """
     asked, setpoint = recording.read("current_setpoint"), recording.read("position_setpoint")
-    limit = recipe.rig.current_limit
-    if asked.size and np.abs(asked).max() >= 0.999 * limit:
-        raise InsufficientDataError(
-            f"recording {recording.name}: the current set point reaches the limit of {limit} A, so "
-            "the controller saturates: lower the speed, or raise ilc_learn.turn_angle"
-        )
     rotor = recording.read("encoder") * (2 * math.pi / recipe.rig.encoder_counts)
-    distance = float(np.abs(setpoint - rotor).max(initial=0))
-    if distance > MAX_TRACKING_ERROR:
-        raise InsufficientDataError(
-            f"recording {recording.name}: the rotor is up to {distance:.3g} rad off its set point, "
-            f"more than {MAX_TRACKING_ERROR} rad, so the loop does not hold it: check the encoder "
-            "and [rig.controller]"
-        )
     learned = recording.read(added)
     controller = asked - recording.read("feedforward_current") - learned
+    try:
+        require_health(
+            recipe,
+            largest_current=float(np.abs(asked).max(initial=0)),
+            largest_controller=float(np.abs(controller).max(initial=0)),
+            distance=float(np.abs(setpoint - rotor).max(initial=0)),
+            remedy="lower the speed, or raise ilc_learn.turn_angle",
+        )
+    except InsufficientDataError as error:
+        raise InsufficientDataError(f"recording {recording.name}: {error}") from None
     return Signals(
         recording.read("time"),
         setpoint,
