@@ -102,11 +102,12 @@ def _pattern(found: Health, counts: int) -> list[str]:
 def _shifted(shift: Estimate, left: float, counts: int) -> str:
     degrees, u = math.degrees(shift.value), math.degrees(shift.u)
     steps, steps_u = (x * counts / (2 * math.pi) for x in (shift.value, shift.u))
+    rest = f"{left * 1e3:.2g} mN m rms" if left > 0 else "nothing that stands out of the scatter"
     half = abs(abs(shift.value) - math.pi) <= max(3 * shift.u, 1e-2)
     return (
         f"it is the same pattern, shifted by {'half a turn, ' if half else ''}{degrees:.2f} +- "
         f"{u:.2f} deg ({steps:.0f} +- {steps_u:.0f} counts), as after another index; shifting the "
-        f"table by that would do, and leave {left * 1e3:.2g} mN m rms"
+        f"table by that would do, and leave {rest}"
     )
 
 
