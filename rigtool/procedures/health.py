@@ -41,8 +41,8 @@ def require_health(
     limit = recipe.rig.current_limit
     if largest_current >= 0.999 * limit:
         raise InsufficientDataError(
-            f"the current set point reaches the limit of {limit} A, so the controller saturates and "
-            f"the current no longer tells the torque: {remedy}"
+            f"the current set point reaches the limit of {limit} A, so the controller saturates "
+            f"and the current no longer tells the torque: {remedy}"
         )
     allowed = UNEXPLAINED_DISTANCE + (
         recipe.rig.torque_constant * largest_controller / smallest_gain(recipe)
