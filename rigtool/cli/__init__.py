@@ -96,6 +96,8 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code; errors become messages on stderr."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     signal.signal(signal.SIGTERM, _terminate)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, _terminate)  # the terminal was closed; nohup ignores it
     try:
         code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False)
     except BaseException as error:

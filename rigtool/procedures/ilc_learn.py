@@ -65,6 +65,11 @@ def _module(recipe: Recipe) -> ModuleType:
     return IMPLEMENTATIONS[name][1]
 
 
+def rig_needs(recipe: Recipe) -> tuple[str, ...]:
+    """Return what a rig has to offer for motions that are only known once something is learned."""
+    return ("signal",) if recipe.ilc_learn.implementation == "standard" else ("table",)
+
+
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """List what the implementation records."""
     specs: tuple[RecordingSpec, ...] = _module(recipe).recordings(recipe)

@@ -154,7 +154,8 @@ def rehearse(
         rig.plan.complete = False
     for spec in specs:
         rig.plan.needs |= {channel.name: None for channel in spec.channels}
-    rig.plan.needs |= dict.fromkeys(getattr(procedure, "RIG_NEEDS", ()))
+    if hasattr(procedure, "rig_needs"):
+        rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
     return rig.plan
 
 

@@ -33,7 +33,8 @@ class Procedure(Protocol):
     attaches: motor and amplifier are characterised on their own [7.1, 7.2]. One that says ACCEPTS
     takes stored runs of these commands instead of its own alone. One that has a function
     `analyse_imported(runs, **inputs)` also takes runs of other rigs; `NEEDED` are then the inputs
-    that only those can do without.
+    that only those can do without. `rig_needs(recipe)` names what a rig has to offer for motions
+    that depend on what is measured first, see `rehearsal`.
     """
 
     COMMAND: str
@@ -102,6 +103,8 @@ def _measure(
         overrides.append(f"virtual.seed={options.seed}")
     recipe, text = load_recipe(source, overrides)
     on_line = recipe.rig.source == "serial"
+    if on_line and options.seed is not None:
+        raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
     seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
     constant = _assumed_torque_constant(recipe, inputs)
     if options.dry_run:

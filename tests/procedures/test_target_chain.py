@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from rigtool.errors import HardwareError
 from rigtool.procedures import (
     calibrate_kt,
     fft_ripple,
@@ -14,6 +15,7 @@ from rigtool.procedures import (
     suspension,
 )
 from rigtool.procedures.options import CommonOptions
+from rigtool.procedures.rehearsal import rehearse, require_offered
 from rigtool.procedures.session import run_command
 from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.server import serve
@@ -55,7 +57,11 @@ SHORT = {
         "measure_force.extra_cycles=2",
         "measure_force.record_every=40",
     ),
-    identify_plant: (),
+    identify_plant: (
+        "identify_plant.speeds=[8, 16]",
+        "identify_plant.realisations=2",
+        "identify_plant.periods=4",
+    ),
     suspension: (),
 }
 
@@ -87,3 +93,18 @@ def test_same_content_over_the_line(module, port, tmp_path):
     assert '"retries": 0' in line
     for run in inputs.values():
         run.close()
+
+
+@pytest.mark.parametrize(("letter", "need"), [("C", "table"), ("standard", "signal")])
+def test_learning_needs_a_rig_that_takes_what_is_learned(letter, need):
+    recipe = load_recipe(RECIPE, [f"ilc_learn.implementation={letter}"])[0]
+    with open_run(FIXTURES / "kt.h5") as kt:
+        plan = rehearse(ilc_learn, recipe, 0.045, {"kt": kt})
+
+    class Rig:
+        def lacks(self, asked):
+            return "this drive takes no torque" if asked == need else None
+
+    assert not plan.complete
+    with pytest.raises(HardwareError, match=r"ilc-learn cannot run .*: this drive takes no torque"):
+        require_offered(Rig(), plan, "ilc-learn")

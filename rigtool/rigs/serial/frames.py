@@ -10,6 +10,8 @@ import binascii
 import struct
 from typing import NamedTuple
 
+import numpy as np
+
 from rigtool.rigs.serial.line import DamagedReply
 
 HEAD = struct.Struct("<BH")
@@ -48,31 +50,43 @@ def decode(data: bytes) -> Frame:
 
 def cobs_encode(data: bytes) -> bytes:
     """Return data without zero bytes: each is replaced by the distance to the next."""
-    out = bytearray()
+    out = np.frombuffer(END + data, np.uint8).copy()
+    zeros = np.flatnonzero(out == 0)
+    distances = np.diff(zeros, append=len(out))
+    if distances.max() < 255:
+        out[zeros] = distances
+        return out.tobytes()
+    # Somewhere 254 bytes or more without a zero: they need codes of their own.
+    blocks = bytearray()
     for part in data.split(END):
         while len(part) >= 254:
-            out.append(255)
-            out += part[:254]
+            blocks.append(255)
+            blocks += part[:254]
             part = part[254:]
-        out.append(len(part) + 1)
-        out += part
-    return bytes(out)
+        blocks.append(len(part) + 1)
+        blocks += part
+    return bytes(blocks)
 
 
 def cobs_decode(data: bytes) -> bytes:
     """Return what `cobs_encode` was given; raises `DamagedReply` where that is impossible."""
-    out = bytearray()
+    codes = []
     position, size = 0, len(data)
     while position < size:
         code = data[position]
-        end = position + code
-        if code == 0 or end > size:
-            raise DamagedReply("a frame is cut: its COBS blocks do not fit")
-        out += data[position + 1 : end]
-        position = end
-        if code < 255 and position < size:
-            out.append(0)
-    return bytes(out)
+        if code == 0:
+            break
+        codes.append(position)
+        position += code
+    if position != size:
+        raise DamagedReply("a frame is cut: its COBS blocks do not fit")
+    plain = np.frombuffer(data, np.uint8).copy()
+    follows_full = [at for at in codes if at >= 255 and data[at - 255] == 255]
+    plain[codes] = 0
+    if follows_full:
+        before = set(codes)
+        plain = np.delete(plain, [at for at in follows_full if at - 255 in before])
+    return plain[1:].tobytes()
 
 
 class Splitter:

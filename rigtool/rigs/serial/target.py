@@ -89,6 +89,7 @@ class TargetRig(SerialRig):
     def _connect(self) -> str:
         self._up: dict[Slot, bytes] = {}
         self._damaged_segments = 0
+        self._clock_offset = 0.0  # of the host's clock against the target's, at the last START, s
         self._logs: list[Log] = []
         self._arrived: list[tuple[int, bytes]] = []
         self._talk = Talk(self.line)
@@ -194,6 +195,10 @@ class TargetRig(SerialRig):
         else:
             super().power_cycle()
 
+    def _host_time(self, time: Array) -> Array:
+        """Return `time.monotonic()` at these times of the target's clock, s."""
+        return self.line.opened + self._clock_offset + time
+
     def _set_load(self, load: Load) -> None:
         if Ability.LOAD in self._hello.abilities:
             self._put(Slot.LOAD, link.pack_load(load))
@@ -231,6 +236,7 @@ class TargetRig(SerialRig):
         self._talk.timeout = min(target_talk.TIMEOUT, self._settings.watchdog / 3)
         self._talk.streaming = streams
         self._call(Kind.START)
+        self._clock_offset = self.line.now() - self._status().time
         patience = task.motion.duration + PATIENCE
         if streams:
             yield from in_thread(functools.partial(self._follow, log, patience))

@@ -298,7 +298,7 @@ class TargetEmulator(Emulator):
             self._boot,
             self.state,
             self._visible,
-            self._clock,
+            self._now,
             self._position,
             self._current,
             self._temperature,
@@ -374,6 +374,13 @@ class TargetEmulator(Emulator):
             done = min(done, int((time.monotonic() - self._started) / self._period))
         return done
 
+    @property
+    def _now(self) -> float:
+        """Time of the bench clock: of what is simulated, in real time where it is paced."""
+        if self._paced and self.state is State.RUNNING:
+            return self._clock + time.monotonic() - self._started
+        return self._clock
+
     def _advance(self) -> None:
         if self._move is not None:
             angle, self._move = self._move, None
@@ -394,7 +401,8 @@ class TargetEmulator(Emulator):
         self._log += rows.tobytes()
         if len(rows):
             last = float(block["encoder"][-1])
-            self._clock = float(block["time"][-1])
+            if not self._paced or not simulated:
+                self._clock = float(block["time"][0 if self._paced else -1])
             self._position = last * 2 * np.pi / self._recipe.rig.encoder_counts
             self._current = float(block["current"][-1])
             self._temperature = float(block["temperature"][-1])
