@@ -227,11 +227,16 @@ class Rows:
         """Return what makes 95 % intervals hold 95 % of the rows of a level that is yet to come.
 
         `ratio` (n,) of residual and its standard uncertainty in folds that were left out. These ask
-        for different factors; a new one for their mean, give or take how they differ.
+        for different factors; a new one for their mean, give or take how they differ. Recordings
+        repeat the measurement: by their number r, Student's t with r - 1 degrees of freedom
+        stands for the normal distribution.
         """
+        from scipy.stats import t
+
         folds = range(self.sums.folds)
         asked = [float(np.quantile(ratio[self.fold == fold], COVERAGE)) for fold in folds]
-        return (float(np.mean(asked)) + float(np.std(asked, ddof=1))) / NORMAL
+        wider = float(t.ppf((1 + COVERAGE) / 2, len(np.unique(self.recording)) - 1)) / NORMAL
+        return wider * (float(np.mean(asked)) + float(np.std(asked, ddof=1))) / NORMAL
 
     def _scores(self, columns: Array, residual: Array) -> Array:
         """Return the sum of row times residual over each recording, (recordings, k)."""

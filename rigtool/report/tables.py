@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rigtool.quantity import Quantity, display_unit, format_number, format_quantity
 from rigtool.report.formats import MISSING, NO_VALUE, Cell, Column, ReportTable
+from rigtool.report.instrument_tables import instrument_tables
 from rigtool.report.published import published_table, published_value
 
 if TYPE_CHECKING:
@@ -33,13 +34,13 @@ UNCORRECTED = "loads_uncorrected"
 
 
 def force_tables(run: Run, label: str) -> list[ReportTable]:
-    """Return Table 8 or 9 of a run of measure-force, none where it has no loads.
+    """Return Table 8 or 9 of a run of measure-force, those of a sensor where it has no loads.
 
     Where its loads are corrected: what the thesis publishes, its way and the corrected one side by
     side, then each of the two by itself.
     """
     if "loads" not in run.tables:
-        return []
+        return instrument_tables(run, label)
     if UNCORRECTED not in run.tables:
         return [force_table(run, label)]
     return [

@@ -6,12 +6,26 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rigtool.report.figures import force, learning, motor, plant, ripple, style, suspension, sweep
+from rigtool.report.figures import (
+    force,
+    instrument,
+    learning,
+    motor,
+    plant,
+    ripple,
+    style,
+    suspension,
+    sweep,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rigtool.runfile import Run
+
+
+OWN = 101
+"""Number of the first figure that is not in the thesis."""
 
 
 @dataclass(frozen=True)
@@ -242,8 +256,29 @@ PLOTS = (
         "Disturbance torque due to pulley eccentricity",
         suspension.eccentric_torque,
     ),
+    Plot(
+        OWN,
+        "measure-force",
+        ("series", "levels"),
+        "Torque at the load over time: from effort and motion, and by the sensor",
+        instrument.by_time,
+    ),
+    Plot(
+        OWN + 1,
+        "measure-force",
+        ("series", "levels"),
+        "Hysteresis: effort of the motor against torque at the load",
+        instrument.hysteresis,
+    ),
+    Plot(
+        OWN + 2,
+        "measure-force",
+        ("series", "levels"),
+        "Error by load: median and 95 % of the samples of each run",
+        instrument.error_by_level,
+    ),
 )
-"""In the order of the thesis."""
+"""In the order of the thesis, then those that it does not have."""
 
 
 @dataclass(frozen=True)
@@ -263,5 +298,6 @@ def draw_figures(run: Run, label: str) -> Iterator[Picture]:
         if plot.fits(run):
             with style.styled():
                 svg, png = style.render(plot.draw(run))
-            title = f"Fig. {plot.number}. {plot.title} ({label})"
+            number = f"Fig. {plot.number}. " if plot.number < OWN else ""
+            title = f"{number}{plot.title} ({label})"
             yield Picture(f"figure-{plot.number}-{label}", plot.number, title, svg, png)
