@@ -137,7 +137,7 @@ def analyse(
         (
             *learned.notes(),
             *filters.notes(),
-            *remaining.notes(learned.table),
+            *turning.notes_on_table(remaining, learned.table, recipe),
             *iterations.iterations_notes(
                 learned.history, 1e3, "mN m", iterations.runs_at_most(recipe)
             ),

@@ -189,7 +189,7 @@ def analyse(
         (
             *tuned.notes(),
             *filters.notes(),
-            *remaining.notes(tuned.table),
+            *turning.notes_on_table(remaining, tuned.table, recipe),
             *iterations.iterations_notes(history, 1e3, "mN m", iterations.runs_at_most(recipe)),
             *validated.notes,
         ),

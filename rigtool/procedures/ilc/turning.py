@@ -43,6 +43,9 @@ SETTLE_TIME = 0.5
 MARGIN = 0.05
 """From the end of what is used to the beginning of the stop, s."""
 
+SAME = 5e-3
+"""Difference of two tables, relative to the largest torque, that recording them may make."""
+
 SWEEPS = ("off", "plain", "on")
 """Sweeps with the table off, without its amplitude and phase tables, and with them."""
 
@@ -233,6 +236,29 @@ def remaining(
         found.append((off, torque_by(item, learning, positions), applied))
     rows_before, rows_after, torques = zip(*found, strict=True)
     return Remaining(turn_angles(positions), rows_before, rows_after, np.stack(torques))
+
+
+def notes_on_table(remains: Remaining, table: LookupTable, recipe: Recipe) -> tuple[str, ...]:
+    """Say so where the turns were made with another table than the one reported.
+
+    A recorded sample is a mean over the angle of several; read between samples it is one over three
+    such angles in a row.
+    """
+    speeds = np.array([row.speed for row in remains.after])
+    positions = remains.position
+    here = table.evaluate(
+        np.tile(positions, len(speeds)), np.repeat(speeds, len(positions))
+    ).reshape(remains.applied.shape)
+    angle = recipe.ilc_learn.turning.record_every * recipe.rig.sample_time * np.abs(speeds) / TURN
+    order = np.arange(len(positions) // 2 + 1)
+    seen = np.fft.rfft(here, axis=1) * np.sinc(np.outer(angle, order)) ** 3
+    off = np.abs(np.fft.irfft(seen, len(positions), axis=1) - remains.applied).max()
+    if off <= SAME * np.abs(remains.applied).max():
+        return ()
+    return (
+        f"the table that was switched on while recording differs from this one by up to "
+        f"{off * 1e3:.2g} mN m: the residual belongs to the recorded one",
+    )
 
 
 def validated(
