@@ -254,6 +254,22 @@ def force(attachment: str = "instrument") -> tuple[dict[str, Quantity], dict[str
     return results, tables
 
 
+def corrected() -> tuple[dict[str, Quantity], dict[str, Table]]:
+    """The same, read 0.2 % too high with correction; the largest load was not learned."""
+    results, tables = force()
+    found = dict(tables["loads"].columns)
+    applied = tables["loads"]["applied_torque"].copy()
+    mean, percent = 1.002 * applied, np.full(6, 0.2)
+    mean[-1] = percent[-1] = np.nan
+    found |= {
+        "mean_torque": Column(mean, "N m"),
+        "error_torque": Column(mean - applied, "N m"),
+        "error_percent": Column(percent, "%"),
+    }
+    corrected = Table(("load",), found, "mean_torque")
+    return results, {**tables, "loads": corrected, "loads_uncorrected": tables["loads"]}
+
+
 CONTENTS = {
     "calibrate-kt": calibration,
     "stribeck": friction,
@@ -281,6 +297,8 @@ def make(tmp_path: Path) -> Make:
         path.parent.mkdir(exist_ok=True)
         recipe, text = load_recipe(RECIPE, sets)
         made = force(recipe.rig.attachment) if command == "measure-force" else CONTENTS[command]()
+        if command == "measure-force" and recipe.measure_force.correction != "none":
+            made = corrected()
         results, tables = made
         with ExitStack() as stack:
             used = [stack.enter_context(open_run(source)) for source in inputs]

@@ -50,6 +50,26 @@ def test_table_9_is_that_of_the_pulley(make, open_all):
     assert cells(table, "error_torque") == ["+0.06", "-0.08", "+0.50", "-1.20", "-1.00"]
 
 
+def test_a_corrected_run_shows_table_8_three_times(make, open_all, no_figures):
+    (run,) = open_all(make("measure-force", sets=("measure_force.correction=full",)))
+    tables = build_report([run]).force_tables
+    assert [table.name for table in tables] == [
+        "table-8-three-times-measure-force",
+        "table-8-measure-force-full",
+        "table-8-measure-force-none",
+    ]
+    three = tables[0]
+    assert cells(three, "mean_torque_published") == ["1.3", "5.35", "22.4", "44.7", "55"]
+    assert cells(three, "error_percent_none") == ["+8.0", "+7.0", "+12.0", "+12.0", "+10.0"]
+    assert cells(three, "mean_torque_full")[:2] == ["1.20(10)", "5.01(10)"]
+    assert cells(three, "error_percent_full") == ["+0.2", "+0.2", "+0.2", "+0.2", "–"]
+    # The largest load was not learned: no number stands where there is none.
+    assert cells(tables[1], "mean_torque")[-1] == "–"
+    assert cells(tables[2], "mean_torque")[-1] == "55.00(10)"
+    assert "whole strokes" in tables[1].note
+    assert "nan" not in csv_text(three).lower()
+
+
 def test_results_stand_beside_published_ones_with_their_section(make, open_all):
     (run,) = open_all(make("calibrate-kt"))
     table = results_table(run, "kt")
