@@ -95,7 +95,7 @@ def compensated_and_table(run: Run) -> Figure:
 
 
 def _sweep(run: Run, variant: str, *, table: bool = False) -> Figure:
-    """Draw the controller's torque over the speed; one ordinate for all figures of a run."""
+    """Draw the controller's torque over the speed, on the ordinate of the one without table."""
     swept = run.table("sweep")
     speed, torque = _envelope(_rev_per_s(swept["speed"]), MILLI * swept[variant])
     figure, axes = style.one_panel(SPEED, MOTOR_TORQUE)
@@ -104,7 +104,7 @@ def _sweep(run: Run, variant: str, *, table: bool = False) -> Figure:
         fed = _envelope(_rev_per_s(swept["speed"]), MILLI * swept["table"])
         axes.plot(*fed, color=style.GREEN, linewidth=0.6, alpha=0.8, label=FROM_TABLE)
         style.legend_above(axes, 2)
-    fit_height(axes, MILLI * swept["off"])
+    fit_height(axes, MILLI * swept["off"], torque)
     axes.set_xlim(speed[0], speed[-1])
     return figure
 
