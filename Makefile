@@ -1,5 +1,6 @@
 # make tables   the whole chain on the virtual rig: Tables 8 and 9 beside the published ones
 # make corrected  known loads learned, Table 8 three times: published, without and with correction
+# make real-data DATA=folder of mis-tool  a real instrument: torque from current against a sensor
 # make test     style, types and tests
 # make docs     the documentation as a site, in build/docs
 # make fixtures store the fixtures anew; make bench measures speed; make clean removes results
@@ -16,7 +17,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: tables corrected test docs fixtures bench clean
+.PHONY: real-data tables corrected test docs fixtures bench clean
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -70,6 +71,20 @@ $(BUILD)/corrected/index.html: $(addprefix $(BUILD)/,kt.h5 tables-loads.h5 force
 
 $(BUILD)/report/index.html: $(RUNS)
 	$(RIGTOOL) report $(RUNS) -o $(BUILD)/report --overwrite -q
+
+DATA ?= ../shared/data/mis-tool
+TOOL ?= Tool_4_Maryland_L_4
+
+real-data: | $(INSTALLED) $(BUILD)
+	@test -d "$(DATA)/$(TOOL)" || { echo "$(DATA)/$(TOOL) is not there: say DATA=, the folder of the" \
+		"measured instruments, and TOOL= where it is another one (docs/real-instruments.md)" >&2; exit 2; }
+	rm -rf $(BUILD)/$(TOOL)
+	$(RIGTOOL) import $(DATA)/$(TOOL) --map recipes/import/mis-tool.toml -o $(BUILD)/$(TOOL) -q
+	$(RIGTOOL) ilc-learn $(BUILD)/$(TOOL)/?[02468].h5 --implementation D \
+		-o $(BUILD)/$(TOOL)-tables.h5 --overwrite
+	$(RIGTOOL) measure-force $(BUILD)/$(TOOL)/?[13579].h5 --tables $(BUILD)/$(TOOL)-tables.h5 \
+		-o $(BUILD)/$(TOOL)-force.h5 --overwrite
+	$(RIGTOOL) report $(BUILD)/$(TOOL)-force.h5 -o $(BUILD)/$(TOOL)-report --overwrite
 
 test: $(INSTALLED)
 	.venv/bin/ruff check .
