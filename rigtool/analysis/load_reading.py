@@ -42,8 +42,7 @@ class LoadReading:
 
     `moment` and its standard uncertainty `u` with `dof`; `components` of u by source. `cycles` (m,)
     are single readings of it, `at_angle` (m,) those at
-    one angle of each rising stroke. `dead_band` is half the difference of rising and falling torque
-    there: at a standstill friction may hold that much either way. `rms` is what the model leaves.
+    one angle of each rising stroke. `rms` is what the model leaves.
     """
 
     moment: float
@@ -52,8 +51,19 @@ class LoadReading:
     components: dict[str, float]
     cycles: Array
     at_angle: Array
-    dead_band: float
     rms: float
+
+
+@dataclass(frozen=True)
+class DeadBand:
+    """Between which torques a load may be where the motion stands still, N m at the output.
+
+    `middle` is the mean of lifting and lowering, zero taken off, `half` half their difference:
+    friction may hold that much either way.
+    """
+
+    middle: float
+    half: float
 
 
 def read_load(disturbance: Disturbance, comparison: Comparison, angle: float) -> LoadReading:
@@ -90,7 +100,6 @@ def read_load(disturbance: Disturbance, comparison: Comparison, angle: float) ->
         components=components,
         cycles=cycles,
         at_angle=_at_angle(disturbance, comparison, moment, angle),
-        dead_band=_dead_band(loaded, angle),
         rms=rms,
     )
 
@@ -139,7 +148,17 @@ def _at_angle(
     return found
 
 
-def _dead_band(loaded: LoadedCycles, angle: float) -> float:
-    mean, rotor = loaded.lowpass(loaded.mean), angle * loaded.drive.angle_ratio
-    rising, falling = (loaded.at(mean, loaded.crossing(rotor, sign)) for sign in (1, -1))
-    return float(abs(rising - falling)) / 2
+def dead_band(comparison: Comparison, angle: float) -> DeadBand:
+    """Return the dead band of a comparison at an output angle, rad."""
+    loaded, unloaded = comparison.loaded, comparison.unloaded[0]
+    rotor = angle * loaded.drive.angle_ratio
+
+    def both(cycles: LoadedCycles, torque: Array) -> tuple[float, float]:
+        smooth = cycles.lowpass(torque)
+        rising, falling = (
+            float(cycles.at(smooth, cycles.crossing(rotor, side))) for side in (1, -1)
+        )
+        return (rising + falling) / 2, abs(rising - falling) / 2
+
+    middle, half = both(loaded, loaded.mean)
+    return DeadBand(middle - both(unloaded, comparison.unloaded_torque)[0], half)

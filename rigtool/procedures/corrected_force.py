@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.analysis.disturbance import Comparison, Disturbance
-from rigtool.analysis.load_reading import LoadReading, read_load
+from rigtool.analysis.load_reading import DeadBand, LoadReading, dead_band, read_load
 from rigtool.analysis.loaded_cycles import LoadedCycles
 from rigtool.errors import InsufficientDataError
 from rigtool.procedures.force_results import ZERO_AGAIN, Reading
@@ -108,28 +108,31 @@ def _blanked(column: Column, where: NDArray[np.bool_]) -> Column:
 
 @dataclass(frozen=True)
 class _Row:
-    """A load: what hangs on it, N, and what was read, or why nothing was."""
+    """A load: its dead band, and what was read, or why nothing was."""
 
-    force: float
+    band: DeadBand
     reading: LoadReading | None
-    reason: str
+    reason: str = ""
 
 
 def full_outcome(run: Run, base: Outcome, recipe: Recipe, kt: Run, tables: Run) -> Outcome:
     """Return the outcome with its table of loads read from whole strokes.
 
-    `base` is that of the thesis's way. Raises `InsufficientDataError` where no load can be read.
+    `base` is that of the thesis's way. Where the motion is slower than any that was learned, loads
+    have a dead band and no value. Raises `InsufficientDataError` where no load can be read though
+    the motion was learned.
     """
     disturbance = corrects(tables, recipe)
+    slow = slower_than_learned(disturbance, recipe)
     unloaded, loaded = _recordings(run)
     speed = 2 * math.pi * recipe.measure_force.speed_rev_per_s * recipe.rig.angle_ratio
     zero = [cycles_of(recording, recipe, kt, speed) for recording in unloaded]
     rows = [
-        _read(disturbance, recording, cycles_of(recording, recipe, kt, speed), zero, recipe)
+        _read(disturbance, recording, cycles_of(recording, recipe, kt, speed), zero, recipe, slow)
         for recording in loaded
     ]
     outside = [row for row in rows if row.reading is None]
-    if rows and len(outside) == len(rows):
+    if rows and len(outside) == len(rows) and not slow:
         raise InsufficientDataError(f"no load can be read: {outside[0].reason}")
     warmth, remarks = _temperature(unloaded, kt, tables)
     results = {
@@ -139,7 +142,7 @@ def full_outcome(run: Run, base: Outcome, recipe: Recipe, kt: Run, tables: Run) 
     notes = (
         f"--correction full: loads read from whole strokes with the disturbance of "
         f"{tables.path.name} taken off; zero from {len(zero)} recording(s)",
-        *(f"no value: {row.reason}" for row in outside),
+        *(f"no value: {reason}" for reason in dict.fromkeys(row.reason for row in outside)),
         *remarks,
         *base.notes,
     )
@@ -177,47 +180,63 @@ def _read(
     cycles: LoadedCycles,
     zero: Sequence[LoadedCycles],
     recipe: Recipe,
+    slow: str,
 ) -> _Row:
-    """Read one load; a load that cannot be read costs its own row only."""
+    """Read one load; a load that cannot be read costs its own row only.
+
+    `slow` says why none has a value, where the motion is too slow.
+    """
     settings = recipe.measure_force
-    force = recording.condition("force")
+    angle = math.radians(settings.measure_angle)
     comparison = Comparison.of(cycles, zero, math.radians(settings.turn_angle))
+    band = dead_band(comparison, angle)
+    if slow:
+        return _Row(band, None, slow)
     try:
-        found = read_load(disturbance, comparison, math.radians(settings.measure_angle))
+        found = read_load(disturbance, comparison, angle)
     except InsufficientDataError as error:
-        return _Row(force, None, f"{recording.name}: {error}")
+        return _Row(band, None, f"{recording.name}: {error}")
     if found.moment > BEYOND * disturbance.torque:
         return _Row(
-            force,
+            band,
             None,
             f"{recording.name}: the load is {found.moment * 1e3:.4g} mN m, learned were loads up "
             f"to {disturbance.torque * 1e3:.4g} mN m: learn with larger loads in [ilc_learn.loads]",
         )
-    return _Row(force, found, "")
+    return _Row(band, found)
 
 
 def corrects(tables: Run, recipe: Recipe) -> Disturbance:
     """Return the disturbance that tables hold for the motion of `measure_force`.
 
-    Raises `RunFileError` where they hold none, `InsufficientDataError` where the motion is outside
-    the learned speeds.
+    Raises `RunFileError` where they hold none, `InsufficientDataError` where the motion is faster
+    than any that was learned, or too slow for `load`.
     """
     disturbance = disturbance_from(tables)
-    ratio = 2 * math.pi * recipe.rig.angle_ratio
     speed = recipe.measure_force.speed_rev_per_s
-    slowest, fastest = disturbance.speeds[0] / ratio, disturbance.speeds[-1] / ratio
-    if speed * SPEED_SLACK < slowest:
-        raise InsufficientDataError(
-            f"measure_force moves at {speed:.3g} rev/s, loads were learned from {slowest:.3g} "
-            "rev/s on: closer to standstill friction may hold any part of the load, so no value is "
-            "given; move faster, or learn with a lower speed in [ilc_learn.loads]"
-        )
+    fastest = disturbance.speeds[-1] / (2 * math.pi * recipe.rig.angle_ratio)
+    slow = slower_than_learned(disturbance, recipe)
+    if slow and recipe.measure_force.correction == "load":
+        raise InsufficientDataError(slow)
     if speed > fastest * SPEED_SLACK:
         raise InsufficientDataError(
             f"measure_force moves at {speed:.3g} rev/s, loads were learned up to {fastest:.3g} "
             "rev/s: move slower, or learn with a higher speed in [ilc_learn.loads]"
         )
     return disturbance
+
+
+def slower_than_learned(disturbance: Disturbance, recipe: Recipe) -> str:
+    """Return why a motion is too slow for a value, nothing where it is not."""
+    speed = recipe.measure_force.speed_rev_per_s
+    slowest = disturbance.speeds[0] / (2 * math.pi * recipe.rig.angle_ratio)
+    if speed * SPEED_SLACK >= slowest:
+        return ""
+    return (
+        f"measure_force moves at {speed:.3g} rev/s, loads were learned from {slowest:.3g} rev/s "
+        "on: closer to standstill friction may hold any part of the load within its dead band; move "
+        "faster, or learn with a lower speed in [ilc_learn.loads]"
+    )
 
 
 def _loads_table(
@@ -228,11 +247,18 @@ def _loads_table(
     columns = {name: base[name].astype(np.float64).copy() for name in base.columns}
     more = {
         name: np.full(len(rows) + 1, math.nan)
-        for name in ("dead_band", "angle_mean_torque", "angle_std_torque", "angle_error_percent")
+        for name in (
+            "dead_band_middle",
+            "dead_band",
+            "angle_mean_torque",
+            "angle_std_torque",
+            "angle_error_percent",
+        )
     }
     for number, row in enumerate(rows, start=1):
         applied = columns["applied_torque"][number]
         values = _row_values(row.reading, angle, applied, warmth)
+        values |= {"dead_band_middle": row.band.middle, "dead_band": row.band.half}
         for name, value in values.items():
             (columns if name in columns else more)[name][number] = value
     described = {name: column.description for name, column in base.columns.items()} | {
@@ -247,6 +273,7 @@ def _loads_table(
     }
     units = {"angle_error_percent": "%"}
     about = {
+        "dead_band_middle": "mean of lifting and lowering at the angle, as read, less zero",
         "dead_band": "half of lifting less lowering: what friction may hold at a standstill",
         "angle_mean_torque": "mean of readings at the angle, rising, with the same correction",
         "angle_std_torque": "S of these",
@@ -298,7 +325,6 @@ def _row_values(
         (scatter / own) ** 2 if own else math.nan,
     )
     return dict(zip(names, values, strict=True)) | {
-        "dead_band": reading.dead_band,
         "angle_mean_torque": float(at_angle.mean()),
         "angle_std_torque": float(at_angle.std(ddof=1)),
         "angle_error_percent": 100 * (float(at_angle.mean()) / applied - 1),

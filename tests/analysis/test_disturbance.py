@@ -8,7 +8,7 @@ from known_drive import CONSTANT, DRIVE, TENDON, TURN, cycles
 
 from rigtool.analysis.disturbance import Comparison
 from rigtool.analysis.disturbance_fit import learn, relearned
-from rigtool.analysis.load_reading import read_load
+from rigtool.analysis.load_reading import dead_band, read_load
 from rigtool.analysis.tendon import Tendon
 from rigtool.errors import InsufficientDataError
 
@@ -57,11 +57,11 @@ def test_loads_between_the_learned_ones_are_read(learned, unloaded, load):
         assert found.cycles.std(ddof=1) == pytest.approx(SCATTER, rel=1)
 
 
-def test_the_dead_band_is_half_of_what_lifting_and_lowering_differ_by(learned, unloaded):
-    slow = compared(unloaded, [0.05])[0][0]
-    found = read_load(learned, slow, math.pi / 2)
+def test_the_dead_band_is_half_of_what_lifting_and_lowering_differ_by(unloaded):
+    found = dead_band(compared(unloaded, [0.05])[0][0], math.pi / 2)
     # 10 mN m without load, a tenth of the load beyond the onset, the joint's own
-    assert found.dead_band == pytest.approx(10e-3 + 0.1 * 48e-3 + 0.8e-3, rel=0.1)
+    assert found.half == pytest.approx(10e-3 + 0.1 * 48e-3 + 0.8e-3, rel=0.1)
+    assert found.middle == pytest.approx(0.05, rel=0.05)
 
 
 def test_a_friction_level_that_drifts_moves_no_reading(learned, unloaded):

@@ -137,12 +137,22 @@ def test_a_reading_beyond_the_friction_that_was_learned_has_no_value(rig):
         load_outcome(thesis, np.array([0.0, math.nan, math.nan]), thesis)
 
 
-@pytest.mark.parametrize(
-    ("speed", "message"), [(0.5, "closer to standstill friction may hold"), (2.2, "was learned up")]
-)
-def test_a_speed_outside_the_learned_ones_is_refused_before_it_moves(rig, speed, message):
-    with pytest.raises((InsufficientDataError, RunFileError), match=message):
-        rig(FULL, at(speed))
+def test_a_speed_beyond_the_learned_ones_is_refused_before_it_moves(rig):
+    with pytest.raises((InsufficientDataError, RunFileError), match="learned up"):
+        rig(FULL, at(2.2), output="never.h5")
+    assert not (rig.folder / "never.h5").exists()
+
+
+def test_closer_to_standstill_than_learned_there_is_a_dead_band_and_no_value(rig):
+    outcome = rig(FULL, at(0.6), "measure_force.cycles=6")
+    loads = outcome.tables["loads"]
+    assert np.isnan(loads["mean_torque"][1:]).all()
+    assert outcome.results["loads_outside"].value == 2
+    inside = np.abs(loads["applied_torque"] - loads["dead_band_middle"]) < loads["dead_band"]
+    assert inside[1:].all()
+    assert any("closer to standstill friction may hold" in note for note in outcome.notes)
+    with pytest.raises(InsufficientDataError, match="closer to standstill"):
+        rig(LOAD, at(0.6))
 
 
 def test_tables_without_known_loads_correct_nothing(rig, tmp_path):
