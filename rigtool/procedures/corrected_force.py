@@ -234,8 +234,8 @@ def slower_than_learned(disturbance: Disturbance, recipe: Recipe) -> str:
         return ""
     return (
         f"measure_force moves at {speed:.3g} rev/s, loads were learned from {slowest:.3g} rev/s "
-        "on: closer to standstill friction may hold any part of the load within its dead band; move "
-        "faster, or learn with a lower speed in [ilc_learn.loads]"
+        "on: closer to standstill friction may hold any part of the load within its dead band; "
+        "move faster, or learn with a lower speed in [ilc_learn.loads]"
     )
 
 
