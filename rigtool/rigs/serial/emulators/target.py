@@ -15,15 +15,13 @@ from rigtool.rigs.base import Block, Feedforward, Load, Task
 from rigtool.rigs.motion import Move, OpenLoop
 from rigtool.rigs.serial import target_link as link
 from rigtool.rigs.serial.emulators.server import Emulator
+from rigtool.rigs.serial.emulators.target_log import TargetLog
 from rigtool.rigs.serial.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.safety import Watch
 from rigtool.rigs.serial.target_link import Ability, Kind, Refusal, Slot, State
 from rigtool.rigs.virtual import VirtualRig
 
 NAME = "rigtool target emulator"
-
-STREAMED = 64
-"""Samples in a streamed frame at most: what a small target keeps for it."""
 
 
 MISTAKES = (RigtoolError, ValueError, ArithmeticError, struct.error)
@@ -85,11 +83,7 @@ class TargetEmulator(Emulator):
         self._fed = time.monotonic()
         self._watchdog = 0.0
         self._signals: Iterator[Block] = iter(())
-        self._log = bytearray()
-        self._sample = link.sample_type(0)
-        self._mask = 0
-        self._streams = False
-        self._sent = self._first = 0
+        self._log = TargetLog()
         self._clock = self._started = 0.0
         self._period = 1.0
         self._position = self._current = self._temperature = float("nan")
@@ -116,7 +110,7 @@ class TargetEmulator(Emulator):
                 self._advance()
             except MISTAKES as error:
                 self._end(State.TRIPPED, str(error))
-        out = self._stream()
+        out = b"" if self.state is State.ARMED else self._log.frames(self._visible)
         self.busy = self.state is State.RUNNING and not self._paced
         return out
 
@@ -264,20 +258,19 @@ class TargetEmulator(Emulator):
             )
         if not isinstance(task.motion, OpenLoop) and task.motion.start is not None:
             self._require_within(task.motion.start)
-        self._sample, self._mask = link.sample_type(mask), mask
-        self._streams = bool(streams)
+        log = TargetLog(mask, keeps=self._keeps_log or not streams, streams=bool(streams))
         dt = link.RigSetup.unpack(self._objects[Slot.RIG]).sample_time
         samples = round(task.motion.duration / dt) // every
-        if not streams and samples * self._sample.itemsize > self._log_bytes:
+        needed = samples * log.sample.itemsize
+        if not streams and needed > self._log_bytes:
             raise _Refused(
-                f"the log would take {samples * self._sample.itemsize} bytes, there are "
-                f"{self._log_bytes}: record less often, or stream"
+                f"the log would take {needed} bytes, there are {self._log_bytes}: record less "
+                "often, or stream"
             )
         self._period = dt * every
-        self._log.clear()
-        self._sent = self._first = 0
+        self._log = log
         self.state, self.text = State.ARMED, ""
-        return link.ARMED.pack(samples, self._sample.itemsize)
+        return link.ARMED.pack(samples, log.sample.itemsize)
 
     def _make_task(self, every: int, stop_angle: float | None) -> Task:
         objects = self._objects
@@ -330,14 +323,12 @@ class TargetEmulator(Emulator):
         return link.CRC32.pack(zlib.crc32(self._samples(*link.DIGEST.unpack(payload))))
 
     def _samples(self, first: int, count: int) -> bytes:
-        size = self._sample.itemsize
-        if first < self._first or first + count > self._visible:
+        if first < self._log.first or first + count > self._visible:
             raise _Refused(
-                f"samples {first} to {first + count} are not in the log: it holds {self._first} to "
-                f"{self._visible}"
+                f"samples {first} to {first + count} are not in the log: it holds "
+                f"{self._log.first} to {self._visible}"
             )
-        begin = (first - self._first) * size
-        return bytes(self._log[begin : begin + count * size])
+        return self._log.read(first, count)
 
     def _stop(self, payload: bytes) -> bytes:
         if self.state is State.RUNNING:
@@ -361,9 +352,7 @@ class TargetEmulator(Emulator):
         (angle,) = link.read_floats(payload).tolist()
         self._require_within(self._rig().position + angle)
         self._move = angle
-        self._log.clear()
-        self._streams = False
-        self._sent = self._first = 0
+        self._log = TargetLog()
         self.state, self.text = State.RUNNING, ""
         return b""
 
@@ -393,7 +382,7 @@ class TargetEmulator(Emulator):
     @property
     def _visible(self) -> int:
         """Samples recorded so far: all that were simulated, or those whose time has come."""
-        done = self._first + len(self._log) // max(1, self._sample.itemsize)
+        done = self._log.recorded
         if self._paced and self.state is State.RUNNING:
             done = min(done, int((time.monotonic() - self._started) / self._period))
         return done
@@ -411,19 +400,15 @@ class TargetEmulator(Emulator):
             self._rig().move_by(angle)
             self._end(State.DONE)
             return
-        size = self._sample.itemsize
-        simulated = self._first + len(self._log) // size
+        simulated = self._log.recorded
         if self._paced and (time.monotonic() - self._started) / self._period < simulated:
             return
         block = next(self._signals, None)
         if block is None:
             self._end(State.DONE)
             return
-        rows = np.zeros(len(block["time"]), self._sample)
-        for name in self._sample.names or ():
-            rows[name] = block.get(name, np.nan)
-        self._log += rows.tobytes()
-        if len(rows):
+        self._log.add(block)
+        if len(block["time"]):
             last = float(block["encoder"][-1])
             if not self._paced or not simulated:
                 self._clock = float(block["time"][0 if self._paced else -1])
@@ -437,23 +422,6 @@ class TargetEmulator(Emulator):
         self._signals = iter(())
         self._move = None
         self.state, self.text = state, text
-
-    def _stream(self) -> bytes:
-        """Return frames with what was recorded since the last."""
-        if not self._streams or self.state is State.ARMED:
-            return b""
-        out = []
-        size, visible = self._sample.itemsize, self._visible
-        while self._sent < visible:
-            count = min(STREAMED, visible - self._sent)
-            data = self._samples(self._sent, count)
-            payload = link.FIRST.pack(self._sent) + data
-            out.append(encode(Frame(link.SAMPLES, self._sent // STREAMED & 0xFFFF, payload)))
-            self._sent += count
-        if not self._keeps_log and self._sent > self._first:
-            del self._log[: (self._sent - self._first) * size]
-            self._first = self._sent
-        return b"".join(out)
 
 
 def _warm_up(recipe: Recipe) -> None:

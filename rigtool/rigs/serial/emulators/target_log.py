@@ -1,0 +1,57 @@
+"""The log in an emulated target's memory, and the frames that stream it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rigtool.rigs.base import Block
+from rigtool.rigs.serial import target_link as link
+from rigtool.rigs.serial.frames import Frame, encode
+
+STREAMED = 64
+"""Samples in a streamed frame at most: what a small target keeps for it."""
+
+
+class TargetLog:
+    """Samples of one motion with the channels of `mask`, packed as they go over the line.
+
+    Streamed ones are forgotten unless it `keeps` them.
+    """
+
+    def __init__(self, mask: int = 0, *, keeps: bool = True, streams: bool = False) -> None:
+        self.sample = link.sample_type(mask)
+        self._keeps, self._streams = keeps, streams
+        self._data = bytearray()
+        self.first = self._sent = 0
+
+    @property
+    def recorded(self) -> int:
+        """Samples so far, those forgotten included."""
+        return self.first + len(self._data) // max(1, self.sample.itemsize)
+
+    def add(self, block: Block) -> None:
+        """Record a block."""
+        rows = np.zeros(len(block["time"]), self.sample)
+        for name in self.sample.names or ():
+            rows[name] = block.get(name, np.nan)
+        self._data += rows.tobytes()
+
+    def read(self, first: int, count: int) -> bytes:
+        """Return samples that are there."""
+        begin = (first - self.first) * self.sample.itemsize
+        return bytes(self._data[begin : begin + count * self.sample.itemsize])
+
+    def frames(self, visible: int) -> bytes:
+        """Return frames with what was recorded since the last, up to sample `visible`."""
+        if not self._streams:
+            return b""
+        out = []
+        while self._sent < visible:
+            count = min(STREAMED, visible - self._sent)
+            payload = link.FIRST.pack(self._sent) + self.read(self._sent, count)
+            out.append(encode(Frame(link.SAMPLES, self._sent // STREAMED & 0xFFFF, payload)))
+            self._sent += count
+        if not self._keeps and self._sent > self.first:
+            del self._data[: (self._sent - self.first) * self.sample.itemsize]
+            self.first = self._sent
+        return b"".join(out)
