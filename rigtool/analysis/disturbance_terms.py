@@ -1,4 +1,4 @@
-"""What a load adds to the motor's torque besides itself: a compact set of smooth functions.
+"""What a load adds to the motor's torque besides itself, as a few smooth functions [8.2, 9].
 
 Each is written at the output, N m, for the state with the load and for the one without; a model
 adds up their differences, each times a coefficient:

@@ -1,4 +1,4 @@
-"""Cycles of a load laid over each other, with all that a model of its disturbance looks at.
+"""Cycles of a load laid over each other [8.2], with all that a model of its disturbance looks at.
 
 All signals are on one period of a motion that repeats, so that the low-pass is a product with its
 spectrum: without phase shift, ends or delay, and the same for what is measured and what is

@@ -39,7 +39,7 @@ def weights(count: int) -> Array:
 
 
 def steady_mean(values: Array) -> Array:
-    """Return the mean of repeats along the first axis, (m, ...) to (...)."""
+    """Return the mean of repeats along the first axis, values (m, n) or (m,) to (n,) or ()."""
     mean: Array = np.tensordot(weights(len(values)), values, axes=1)
     return mean
 
@@ -47,8 +47,8 @@ def steady_mean(values: Array) -> Array:
 def steady_u(values: Array) -> tuple[Any, float]:
     """Return the standard uncertainty of `steady_mean` and its degrees of freedom.
 
-    Repeats along the first axis, (m, ...) to (...). Raises `InsufficientDataError` for fewer than
-    three.
+    Repeats along the first axis, values (m, n) or (m,) to (n,) or (). Raises
+    `InsufficientDataError` for fewer than three.
     """
     from scipy.fft import dct
 

@@ -117,7 +117,11 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: R
 
 
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Outcome:
-    """Read the force of each load from the stored currents, with its uncertainty."""
+    """Read the force of each load from the stored currents, with its uncertainty.
+
+    Raises `UsageError` for several runs, `RunFileError` for one without loads or inputs of another
+    rig, `InsufficientDataError` where the signals do not carry a reading.
+    """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: measure-force takes one, with all its loads")
     run = runs[0]
