@@ -60,6 +60,7 @@ def common_options(function: Function) -> Function:
     @click.option(
         "--spy", metavar="FILE", help="Write every byte on the serial line, with time stamps."
     )
+    @click.option("--live", is_flag=True, help="Draw signals at the terminal while they come.")
     @click.option("--yes", is_flag=True, help="Move a rig on a serial line without asking first.")
     @click.option("--dry-run", is_flag=True, help="Say what would move, and move nothing.")
     @click.option(
@@ -86,8 +87,11 @@ def common_options(function: Function) -> Function:
         dry_run: bool,
         yes: bool,
         spy: str | None,
+        live: bool,
         **kwargs: Any,
     ) -> Any:
+        if live and not sys.stderr.isatty():
+            raise click.UsageError("--live draws at a terminal, and stderr is none: leave it out")
         options = CommonOptions(
             json=as_json,
             quiet=quiet,
@@ -98,6 +102,7 @@ def common_options(function: Function) -> Function:
             dry_run=dry_run,
             yes=yes,
             spy=spy,
+            live=live,
         )
         return function(*args, options=options, **kwargs)
 

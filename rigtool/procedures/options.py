@@ -12,7 +12,7 @@ class CommonOptions:
     `progress` says whether progress bars are drawn (stderr is a terminal and nobody objected).
     `overrides` are the `key=value` texts of `--set`. `dry_run` says what would move and moves
     nothing; `yes` lets a rig on a serial line move without asking; `spy` is a file for every byte
-    on that line.
+    on that line; `live` draws signals at the terminal.
     """
 
     json: bool = False
@@ -24,6 +24,7 @@ class CommonOptions:
     dry_run: bool = False
     yes: bool = False
     spy: str | None = None
+    live: bool = False
 
     def with_override(self, override: str) -> CommonOptions:
         """Return the options with one more `key=value`, which counts above those given so far."""

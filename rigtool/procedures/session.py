@@ -13,6 +13,7 @@ from typing import Any, Protocol
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.procedures.calibration import torque_per_ampere
+from rigtool.procedures.live import Live
 from rigtool.procedures.options import CommonOptions
 from rigtool.procedures.outcome import Outcome
 from rigtool.procedures.rehearsal import dry_run, rehearse, require_offered
@@ -232,6 +233,8 @@ def _assumed_torque_constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float
 class _WatchedWriter(RunWriter):
     """A writer that tells somebody which recording grows."""
 
+    live: Live | None = None
+
     def watch(self, bar: Any, order: Mapping[str, int]) -> None:
         """Advance a progress bar by one for each new recording."""
         self._bar, self._order = bar, order
@@ -239,6 +242,8 @@ class _WatchedWriter(RunWriter):
     def append(self, recording: str, block: Mapping[str, Any]) -> None:
         """Append as the writer does, then move the bar."""
         super().append(recording, block)
+        if self.live is not None:
+            self.live.show(recording, block)
         if (bar := getattr(self, "_bar", None)) is not None:
             bar.label = recording
             bar.update(max(0, self._order[recording] - bar.pos))
@@ -248,7 +253,9 @@ class _WatchedWriter(RunWriter):
 def _progress(
     options: CommonOptions, plan: Sequence[RecordingSpec], writer: _WatchedWriter
 ) -> Iterator[None]:
-    if not options.progress:
+    if options.live:
+        writer.live = Live(sys.stderr)
+    if options.live or not options.progress:
         yield
         return
     import click

@@ -14,7 +14,7 @@ def _say(text: str) -> None:
 
 
 def _ask(question: str) -> str:
-    print(question, end=" ", file=sys.stderr, flush=True)
+    print(f"\n{question}", end=" ", file=sys.stderr, flush=True)  # below a bar or a drawing
     answer = sys.stdin.readline()
     if not answer:
         raise HardwareError("stdin ended where the operator was to answer; nothing was moved")
@@ -70,7 +70,7 @@ class Operator:
 class Bench:
     """How to go about a rig on a line.
 
-    `yes`: move without asking first; `spy`: file that receives every byte on the line;
+    `yes`: move without asking first; `spy`: file that receives every byte on the line.
     """
 
     yes: bool = False
