@@ -32,7 +32,7 @@ COMMANDS = {
     "report": "Write tables, figures and one page from any run files.",
     "import": "Make run files of measured data from other rigs.",
     "info": "Show what a run file holds.",
-    "target-emulator": "Serve the virtual rig over the host-target link.",
+    "target-emulator": "Serve the virtual rig of a recipe over the host-target link.",
     "devices": "List serial ports and say what answers on them.",
     "recover": "Make a run file of what an interrupted run left.",
     "verify": "Check run files and all they were made from.",
