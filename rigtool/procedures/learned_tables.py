@@ -23,6 +23,10 @@ PERIOD = "lookup_period"
 """Result that says after which angle a table repeats, rad, where it does."""
 
 
+TRAJECTORY = "trajectory"
+"""Table that a run has instead of a learned table, where it was learned by time."""
+
+
 def tables_of(
     table: LookupTable, u: NDArray[np.float64], amplitudes: Amplitudes
 ) -> dict[str, Table]:
@@ -97,6 +101,11 @@ def stored_table_from(run: Run) -> LookupTable:
     Raises `RunFileError` where the run is of another command or its table is broken.
     """
     run.require_command("ilc-learn")
+    if TRAJECTORY in run.tables:
+        raise RunFileError(
+            f"{run.path}: was learned by time, along one move, and holds no table by position: "
+            "learn with another --implementation"
+        )
     lookup, amplitude = run.table("lookup"), run.table("amplitude")
     try:
         return LookupTable(
@@ -186,7 +195,9 @@ def _require_reach(tables: Run, recipe: Recipe) -> None:
         for angle in (settings.turn_angle, settings.angle - settings.turn_angle)
     )
     count = 2 * math.pi / recipe.rig.encoder_counts
-    if table.position[0] > low + count or table.position[-1] < high - count:
+    if table.period is None and (
+        table.position[0] > low + count or table.position[-1] < high - count
+    ):
         raise RunFileError(
             f"{tables.path}: was learned from {math.degrees(table.position[0]):.4g} to "
             f"{math.degrees(table.position[-1]):.4g} deg of the motor, measure_force uses "

@@ -262,6 +262,7 @@ def test_tables_of_one_direction_are_refused(learned):
             path=tables.path,
             recipe=tables.recipe,
             results=tables.results,
+            tables=tables.tables,
             require_command=tables.require_command,
             table=lambda name: half.get(name) or tables.table(name),
         )
@@ -283,6 +284,7 @@ def test_a_broken_table_is_refused(learned):
         stand_in = SimpleNamespace(
             path=tables.path,
             results=tables.results,
+            tables=tables.tables,
             require_command=tables.require_command,
             table=lambda name: broken.get(name) or tables.table(name),
         )

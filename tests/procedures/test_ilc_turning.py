@@ -11,7 +11,7 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.procedures import ilc_learn
 from rigtool.procedures.ilc import one_speed, trajectory
 from rigtool.procedures.ilc_design import design
-from rigtool.procedures.learned_tables import lookup_table_from
+from rigtool.procedures.learned_tables import lookup_table_from, require_same_rig
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
 
@@ -105,6 +105,8 @@ def test_nowhere_is_it_worse_than_without(proof):
         assert not any("residual belongs to the recorded one" in note for note in outcome.notes)
         assert not outcome.tables["validation"]["worse"].any()
         assert any("at none of" in note for note in outcome.notes)
+    table = proof[1].tables["validation"]
+    assert (table["on_rms"] < table["off_rms"]).all()
 
 
 def test_each_step_of_the_thesis_leaves_less(proof):
@@ -316,6 +318,20 @@ def test_the_stored_moves_teach_the_same_again(standard, folder, kt):
     np.testing.assert_array_equal(
         again.tables["trajectory"]["torque"], outcome.tables["trajectory"]["torque"]
     )
+
+
+def test_what_was_learned_by_time_is_no_table(standard):
+    with (
+        open_run(standard[0]) as stored,
+        pytest.raises(RunFileError, match="learned by time, along one move"),
+    ):
+        lookup_table_from(stored)
+
+
+def test_a_table_of_the_whole_turn_reaches_as_far_as_force_is_measured(learned):
+    recipe = load_recipe(RECIPE, [PULLEY, "measure_force.angle=1000"])[0]
+    with open_run(learned[0]) as stored:
+        require_same_rig(stored, recipe)
 
 
 def test_a_move_lasts_whole_samples():

@@ -23,7 +23,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.procedures.calibration import torque_per_ampere
 from rigtool.procedures.ilc import common, iterations
 from rigtool.procedures.ilc_design import Design, design
-from rigtool.procedures.learned_tables import feedforward, friction_results
+from rigtool.procedures.learned_tables import TRAJECTORY, feedforward, friction_results
 from rigtool.procedures.outcome import Outcome
 from rigtool.procedures.session import channels, record
 from rigtool.quantity import Quantity
@@ -155,7 +155,7 @@ def analyse(
         **fed,
     }
     tables = {
-        "trajectory": _trajectory(learned, final, recipe, filters.learning),
+        TRAJECTORY: _trajectory(learned, final, recipe, filters.learning),
         "iterations": iterations.iterations_table(history, "rad", "error"),
         **filters.tables(),
     }

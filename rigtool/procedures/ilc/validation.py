@@ -18,8 +18,8 @@ from rigtool.runfile import Column, Table
 
 Array = NDArray[np.float64]
 
-COVERAGE = 2.0
-"""Standard uncertainties by which more must remain with the table before it counts as worse."""
+LEVEL = 0.01
+"""Probability that chance alone makes a table look worse than none at any of the speeds."""
 
 BIN = 0.25 * 2 * math.pi
 """Width of the bins of speed of a sweep, rad/s."""
@@ -52,7 +52,11 @@ def steady_outcome(found: Sequence[Steady]) -> Outcome:
     ordered = sorted(found, key=lambda item: item.after.speed)
     off = [_rms(item.before) for item in ordered]
     on = [_rms(item.after) for item in ordered]
-    worse = [b[0] - a[0] > COVERAGE * math.hypot(a[1], b[1]) for a, b in zip(off, on, strict=True)]
+    limits = [_limit(item, len(ordered)) for item in ordered]
+    worse = [
+        b[0] - a[0] > limit * math.hypot(a[1], b[1])
+        for a, b, limit in zip(off, on, limits, strict=True)
+    ]
     peaks = [_peak(item.after) for item in ordered]
     numbers = {
         "off_peak": ([np.abs(item.before.mean).max() for item in ordered], "table off"),
@@ -71,7 +75,7 @@ def steady_outcome(found: Sequence[Steady]) -> Outcome:
     flags = {
         "learned": ([item.kind == "learned" for item in ordered], "1 where learned there"),
         "between": ([item.kind == "between" for item in ordered], "1 where nothing was learned"),
-        "worse": (worse, f"1 where {COVERAGE:g} u more remains than with the table off"),
+        "worse": (worse, "1 where more remains than with the table off, beyond chance"),
     }
     table = Table(
         ("speed",),
@@ -102,10 +106,21 @@ def _steady_results(
     return results
 
 
+def _limit(item: Steady, speeds: int) -> float:
+    """Return Student's t that chance exceeds at one of all speeds with the probability LEVEL."""
+    from scipy.special import stdtrit
+
+    freedom = min(len(item.before.moves), len(item.after.moves)) - 1
+    return float(stdtrit(freedom, 1 - LEVEL / speeds))
+
+
 def _verdict(speed: Array, worse: Sequence[bool]) -> tuple[str, ...]:
     bad = speed[np.array(worse)] / (2 * math.pi)
     if not bad.size:
-        return (f"at none of {len(speed)} speeds does more remain than with the table off",)
+        return (
+            f"at none of {len(speed)} speeds does more remain than with the table off, beyond "
+            "chance",
+        )
     listed = ", ".join(f"{value:.3g}" for value in bad)
     return (f"more remains than with the table off at {listed} rev/s of the motor",)
 
