@@ -134,7 +134,7 @@ def learned_rows(
     position: Array,
     before: Array | float = 0.0,
 ) -> list[Row]:
-    """Return the feed-forward torque that one update learns, falling direction first.
+    """Return the feed-forward torque that one update learns at positions (p,), falling moves first.
 
     `before` (n,) is what was fed forward during the moves, N m.
     """
@@ -143,7 +143,7 @@ def learned_rows(
 
 
 def torque_rows(moves: Moves, speed: float, learning: Learning, position: Array) -> list[Row]:
-    """Return the controller's torque within the band of Q, falling direction first."""
+    """Return the controller's torque in the band of Q at positions (n,), falling direction first."""
     smoothed = learning.smoothed(moves.torque, moves.period)
     return _both_directions(moves, speed, smoothed, position)
 

@@ -90,7 +90,7 @@ def require_friction_fed(
 
 
 def only_run(runs: Sequence[Run]) -> Run:
-    """Return the one run of signals that ilc-learn takes."""
+    """Return the one run of signals that ilc-learn takes; `UsageError` for more."""
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: ilc-learn takes one, with all its speeds")
     return runs[0]

@@ -177,7 +177,7 @@ class Turned:
 
 
 def turned(recording: Recording, recipe: Recipe, torque_constant: float) -> Turned:
-    """Cut a recording into its turns."""
+    """Cut a recording into its turns; `InsufficientDataError` names it where that fails."""
     found = common.signals(recording, recipe, torque_constant)
     used = _steady_part(recording, found.time)
     speed = recording.condition("speed")
