@@ -134,7 +134,7 @@ def learned_rows(
     position: Array,
     before: Array | float = 0.0,
 ) -> list[Row]:
-    """Return the feed-forward torque that one update learns at positions (p,), falling moves first.
+    """Return the feed-forward torque that one update learns at positions (p,), falling part first.
 
     `before` (n,) is what was fed forward during the moves, N m.
     """
@@ -198,7 +198,7 @@ def fit_amplitudes(low: Sequence[Row], learned: Sequence[Row]) -> Amplitudes:
 
 
 def assemble(position: Array, rows: Sequence[Row], amplitudes: Amplitudes) -> LookupTable:
-    """Put rows of all speeds and the amplitude table together."""
+    """Put rows of all speeds, at positions (n,), and the amplitude table together."""
     ordered = sorted(rows, key=lambda row: row.speed)
     return LookupTable(
         position=position,
