@@ -17,7 +17,7 @@ def _ask(question: str) -> str:
     print(f"\n{question}", end=" ", file=sys.stderr, flush=True)  # below a bar or a drawing
     answer = sys.stdin.readline()
     if not answer:
-        raise HardwareError("stdin ended where the operator was to answer; nothing was moved")
+        raise HardwareError(f"stdin ended where somebody was to answer: {question}")
     return answer.strip()
 
 

@@ -58,7 +58,10 @@ __all__ = ["open_serial_rig"]
 
 
 def open_serial_rig(recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> SerialRig:
-    """Return the rig of a recipe's [serial], not connected yet: use it as a context manager."""
+    """Return the rig of a recipe's [serial], not connected yet: use it as a context manager.
+
+    Raises `HardwareError` for a driver that is none.
+    """
     from rigtool.rigs.serial.drivers import driver_module
     from rigtool.rigs.serial.hosted import HostedRig
 

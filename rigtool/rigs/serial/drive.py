@@ -73,7 +73,9 @@ class Drive(Protocol):
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
         """Set limits and watchdog [s] in the drive; remember what was there before.
 
-        Returns what the drive cannot watch by itself, in words; the host watches everything anyway.
+        Called again after a power cycle: what was there at first is what `restore` brings back.
+        Returns what the drive cannot watch by itself, in words that go on from "the drive", e.g.
+        "has no limit of speed"; the host watches everything anyway.
         """
         ...
 

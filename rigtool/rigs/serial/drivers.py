@@ -29,7 +29,7 @@ text first, because others leave them half a line."""
 
 
 def driver_module(name: str) -> ModuleType:
-    """Import the module of a driver."""
+    """Import the module of a driver; `HardwareError` where there is none."""
     try:
         return importlib.import_module(MODULES[name])
     except ModuleNotFoundError as error:

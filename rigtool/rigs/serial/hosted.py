@@ -84,11 +84,14 @@ class HostedRig(SerialRig):
         )
 
     def _connect(self) -> str:
-        self._drive = self._make_drive(self.line, self._recipe)
+        if self._drive is None:  # after a power cycle it still knows what to restore
+            self._drive = self._make_drive(self.line, self._recipe)
         identity = self._drive.connect()
         self._configured = True
         for gap in self._drive.configure(self._limits, self._settings.watchdog):
-            self.notes.append(f"{identity}: {gap}; the host watches it")
+            note = f"the drive {gap}: the host alone watches it"
+            if note not in self.notes:
+                self.notes.append(note)
         self._require_rate()
         return identity
 

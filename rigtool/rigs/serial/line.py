@@ -29,6 +29,9 @@ POLL = 0.01
 QUIET = 0.02
 """Silence after which what is left of an older reply has passed, s."""
 
+SNATCHED = 30
+"""Times in a row that a port may say that bytes are there and have none."""
+
 LONGEST_REPLY = 1 << 20
 """Bytes without an end of line after which whatever sends them is not what was expected."""
 
@@ -83,8 +86,10 @@ class Line:
         self.retries = retries
         self.counts = LineCounts()
         self.opened = time.monotonic()
+        self._baud_rate = baud_rate
         self._port = _open(port, baud_rate)
         self._buffer = bytearray()
+        self._snatched = 0
         self._spy = Spy(spy, driver) if spy is not None else None
 
     def __enter__(self) -> Line:
@@ -100,6 +105,26 @@ class Line:
         if self._spy is not None:
             self._spy.close()
             self._spy = None
+
+    def reopen(self, patience: float) -> None:
+        """Open the port anew: a device that was switched off may have taken it away.
+
+        Tries for `patience` s; raises `HardwareError` where it does not come back.
+        """
+        if isinstance(self._port, Replay):
+            return
+        with contextlib.suppress(OSError):
+            self._port.close()
+        self._buffer.clear()
+        deadline = time.monotonic() + patience
+        while True:
+            try:
+                self._port = _open(self.port, self._baud_rate)
+                return
+            except HardwareError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.1)
 
     # -- time
 
@@ -269,8 +294,15 @@ class Line:
             except HardwareError:
                 raise
             except (OSError, TypeError) as error:  # pyserial's port, closed meanwhile, is None
-                raise self._lost(error) from None
+                # Where another program took the bytes first, or the device is gone: pyserial
+                # cannot tell. The one passes, the other does not.
+                self._snatched += "multiple access" in str(error)
+                if not 0 < self._snatched <= SNATCHED:
+                    raise self._lost(error) from None
+                time.sleep(POLL / 10)
+                data = b""
             if data:
+                self._snatched = 0
                 self.counts.bytes_received += len(data)
                 self._note("<", data)
                 return data
@@ -284,7 +316,8 @@ class Line:
 
     def _lost(self, error: Exception) -> LineLost:
         return LineLost(
-            f"{self.port}: the line is lost ({error}): cable pulled, device switched off or reset"
+            f"{self.port}: the line is lost ({error}): cable pulled, device switched off or reset, "
+            "or another program reads from this port"
         )
 
 

@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 SETTLE_TIME = 0.5
 """Added to each move between recordings, s."""
 
+COMING_BACK = 10.0
+"""Time in which a port must be back after its device was switched off and on, s."""
+
 
 class SerialRig(ABC):
     """A rig behind a `Line`, as a context manager: on any exit it is stopped, off and restored.
@@ -160,7 +163,10 @@ class SerialRig(ABC):
 
     def permit(self, plan: str) -> None:
         """Show what is about to happen, and let the operator agree to it."""
-        self._bench.permit(f"{self._identity} on {self.line.port}\n{plan}")
+        notes = list(self.notes)
+        if self.lacks("temperature"):
+            notes.append("the temperature of the motor is not measured: its limit is not watched")
+        self._bench.permit("\n".join([f"{self._identity} on {self.line.port}", plan, *notes]))
         self._permitted = True
 
     @property
@@ -187,7 +193,10 @@ class SerialRig(ABC):
     # -- motions
 
     def perform(self, task: Task) -> Iterator[Block]:
-        """Run a task and yield its signals in blocks; moves to the motion's start first."""
+        """Run a task and yield its signals in blocks; moves to the motion's start first.
+
+        Raises `HardwareError` where the motion is beyond a limit, or something goes wrong.
+        """
         self._require_permission(task)
         self._set_load(task.load)
         for gauge in self._gauges.values():
@@ -268,6 +277,7 @@ class SerialRig(ABC):
         self._reconnect()
 
     def _reconnect(self) -> None:
+        self.line.reopen(COMING_BACK)
         self.line.settle()
         self._identity = self._connect()
 

@@ -23,7 +23,10 @@ class Socket:
         self._socket.settimeout(1.0)
 
     def read(self, size: int = 1) -> bytes:
-        """Return what is there, at most `size` bytes; empty after the timeout."""
+        """Return what is there, at most `size` bytes; empty after the timeout.
+
+        Raises `ConnectionError` where the other side has closed.
+        """
         if not select.select([self._socket], [], [], self._timeout)[0]:
             return b""
         data = self._socket.recv(size)

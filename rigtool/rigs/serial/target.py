@@ -343,7 +343,10 @@ class TargetRig(SerialRig):
         self._up[slot] = data
 
     def read_log(self, first: int, count: int, size: int) -> bytes:
-        """Return samples of `size` bytes from the target's log, as they are there by CRC-32."""
+        """Return samples of `size` bytes from the target's log, as they are there by CRC-32.
+
+        Raises `HardwareError` where they do not come whole.
+        """
         for _ in range(UPLOADS):
             parts, at = [], first
             while at < first + count:

@@ -328,7 +328,10 @@ def unpack_table(data: bytes) -> LookupTable | None:
 
 
 def pack_motion(motion: Motion | OpenLoop) -> bytes:
-    """Return the object of slot MOTION: a byte that says which, then its numbers."""
+    """Return the object of slot MOTION: a byte that says which, then its numbers.
+
+    Raises `TypeError` for a motion that the link does not know.
+    """
     match motion:
         case SpeedProfile():
             return b"\1" + floats(*motion.times, *motion.speeds)

@@ -211,6 +211,36 @@ def test_operator_is_asked_for_what_the_rig_cannot_do():
     assert asked[3].startswith("Bring the motor to 35 degC")
 
 
+def test_power_cycle_brings_the_drive_back_and_its_settings_in_the_end():
+    device = toy.ToyEmulator()
+    person, _, _ = operator("y", "")
+
+    def switch_off_and_on(question):
+        if "Switch the amplifier off and on" in question:
+            device.reset()
+        return person.ask(question)
+
+    bench = Bench(operator=Operator(ask=switch_off_and_on, say=person.say, present=True))
+    with serve(device) as server, toy_rig(server.port, bench=bench) as rig:
+        perform(rig, BRIEF)
+        rig.power_cycle()
+        assert device.limit == 10.0
+        perform(rig, BRIEF)
+    assert device.limit == 20.0
+    assert device.mode is None
+
+
+def test_what_nobody_watches_is_said():
+    person, _, said = operator("y")
+    with (
+        serve(toy.ToyEmulator()) as server,
+        toy_rig(server.port, bench=Bench(operator=person)) as rig,
+    ):
+        perform(rig, BRIEF)
+    assert "the drive has no limit of speed: the host alone watches it" in said[0]
+    assert "temperature of the motor is not measured: its limit is not watched" in said[0]
+
+
 def test_operator_reads_the_thermometer_once_a_motion():
     person, _, _ = operator("y", "24.5", "")
     more = ("serial.temperature.driver=operator", "serial.temperature.offset=0.5")

@@ -1,6 +1,9 @@
 """Whatever goes wrong on the line: the very signals, or a clear message and a motor that is off."""
 
+import contextlib
 import json
+import os
+import threading
 import time
 
 import pytest
@@ -170,6 +173,28 @@ def test_another_host_is_kept_out():
         pytest.raises(HardwareError, match="another program"),
     ):
         target_rig(server.port).__enter__()
+
+
+def test_another_program_that_reads_along_costs_retries_only(expected):
+    with serve(TargetEmulator(virtual())) as server, target_rig(server.port) as rig:
+        thief = threading.Thread(target=steal, args=(server.port, 0.4))
+        thief.start()
+        got = blocks_of(rig, MOTION)
+        thief.join()
+        facts = json.loads(rig.report())
+    assert_same(got, expected)
+    assert facts["retries"] > 0
+
+
+def steal(port, seconds):
+    """Read from a port without asking whose it is, with pauses."""
+    descriptor = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        with contextlib.suppress(BlockingIOError):
+            os.read(descriptor, 100)
+        time.sleep(0.001)
+    os.close(descriptor)
 
 
 def test_recipe_of_another_loop_is_refused():

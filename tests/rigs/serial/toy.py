@@ -132,8 +132,8 @@ class ToyDrive:
         return "toy " + self.ask("i", b"toy")[0].decode()
 
     def configure(self, limits, watchdog):
-        if self.before is None:
-            self.before = float(self.ask(f"l {limits.current!r}", b"ok")[0])
+        before = float(self.ask(f"l {limits.current!r}", b"ok")[0])
+        self.before = before if self.before is None else self.before
         self.ask(f"w {watchdog!r}", b"ok")
         return ["has no limit of speed"]
 

@@ -41,7 +41,7 @@ class TargetEmulator(Emulator):
 
     It simulates as fast as it can, or in real time where `paced`. `keeps_log` false forgets samples
     once they are streamed; `log_bytes` is the memory for them; `channels` those it
-    can record, all by default.
+    can record, all by default. Raises `UsageError` for one that the link does not have.
     """
 
     def __init__(

@@ -65,7 +65,10 @@ class OperatorGauge:
 
 
 def open_gauge(channel: str, settings: Instrument, operator: Operator) -> Gauge:
-    """Return the gauge that a recipe names for a channel; not connected yet."""
+    """Return the gauge that a recipe names for a channel; not connected yet.
+
+    Raises `RecipeError` for an unknown driver.
+    """
     if settings.driver == "operator":
         return OperatorGauge(channel, settings, operator)
     raise RecipeError(
