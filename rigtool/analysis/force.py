@@ -113,7 +113,10 @@ def lowpass(time: ArrayLike, signal: ArrayLike, cutoff_hz: float) -> Array:
 
 
 def lowpass_at(rate: float, values: Array, cutoff_hz: float) -> Array:
-    """Do what `lowpass` does, for signals (..., n) of a known rate, Hz."""
+    """Do what `lowpass` does, for signals (..., n) of a known rate, Hz.
+
+    Raises `InsufficientDataError` as it does.
+    """
     from scipy.signal import butter, sosfiltfilt
 
     if not cutoff_hz < rate / 2:

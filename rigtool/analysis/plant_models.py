@@ -51,7 +51,7 @@ class PlantModel:
 
     @property
     def resonance_hz(self) -> float:
-        """Frequency, Hz, at which the two masses swing against each other."""
+        """Frequency, Hz, at which two masses swing against each other; `ValueError` for one."""
         if self.motor_side is None:
             raise ValueError("a rigid plant has no resonance")
         return self.antiresonance_hz / math.sqrt(self.motor_side)
@@ -62,7 +62,7 @@ class PlantModel:
         return held(a, b, c, sample_time)
 
     def transfer(self, s: ComplexArray) -> ComplexArray:
-        """Return P(s) of the motion itself, at any complex frequencies, rad/s."""
+        """Return P(s) of the motion itself, at any complex frequencies (n,), rad/s."""
         if self.motor_side is None:
             rigid: ComplexArray = 1 / (s * (self.inertia * s + self.viscous))
             return rigid
@@ -108,6 +108,8 @@ class PlantModel:
 
 def held(a: Array, b: Array, c: Array, sample_time: float) -> TransferFunction:
     """Return P(z) of x' = a x + b u, y = c x for an input that is held over each sample.
+
+    a is (n, n), b and c are (n,).
 
     In delta = z - 1: x+ - x = (a F) x + (F b) u with F the integral of exp(a t) over a sample, so
     that nothing is lost where all poles lie close to z = 1.

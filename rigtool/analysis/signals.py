@@ -41,7 +41,7 @@ def require_signals(minimum: int = 1, **signals: ArrayLike) -> tuple[Array, ...]
 
 
 def require_rising(time: Array) -> float:
-    """Return the usual sample time, s, of a `time` (n,); raise where it does not rise throughout."""
+    """Return the usual sample time, s, of a time (n,); raise where it does not rise throughout."""
     return float(np.median(rising_steps(time)))
 
 

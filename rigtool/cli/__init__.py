@@ -37,7 +37,7 @@ COMMANDS = {
     "recover": "Make a run file of what an interrupted run left.",
     "verify": "Check run files and all they were made from.",
     "diff": "Say what two runs disagree on.",
-    "export": "Write a run as CSV, Parquet, MATLAB or netCDF file.",
+    "export": "Write a run, or a learned table, for other programs.",
 }
 """Commands in the order of use, each with the first line of its help. The command itself is the
 object `command` of the module that `module_name` tells."""

@@ -41,7 +41,9 @@ def command(
     kt: str | None,
     overwrite: bool,
 ) -> None:
-    """Write a run as CSV, Parquet, MATLAB or netCDF file, or a learned table for others to use.
+    """Write a run, or a learned table, for other programs.
+
+    CSV, Parquet, MATLAB, netCDF; for tables also a C header and what drives take.
 
     A .csv holds one part of the run, units in its head; so does a .parquet, units in its metadata
     (it needs pyarrow: pip install rigtool[parquet]). .mat and .nc hold all of it.

@@ -123,7 +123,10 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
 
 
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
-    """Separate what repeats from what does not, under each condition."""
+    """Separate what repeats from what does not, under each condition.
+
+    Raises `UsageError` for more than one run, `RunFileError` for one without its recordings.
+    """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: fft-ripple takes one, with all its recordings")
     constant = torque_per_ampere(kt).value

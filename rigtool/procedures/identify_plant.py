@@ -63,7 +63,10 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run | None = N
 
 
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Outcome:
-    """Return the frequency response, its fit, and what the recipe's controller makes of it."""
+    """Return the frequency response, its fit, and what the recipe's controller makes of it.
+
+    Raises `RunFileError` for runs without its recordings.
+    """
     found = [recording for run in runs for recording in run.recordings_named("multisine_")]
     if not found:
         raise RunFileError(

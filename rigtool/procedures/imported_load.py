@@ -65,7 +65,7 @@ def analyse_imported(
     """Learn effort by motion and load.
 
     Raises `RunFileError` for runs without a reference torque, `InsufficientDataError` where they do
-    not tell how effort grows with load.
+    not tell how effort grows with load, `UsageError` for options of the bench's own rig.
     """
     for name, given in (("friction", friction), ("plant", plant)):
         if given is not None:

@@ -100,7 +100,10 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
 
 
 def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
-    """Lay a recording over the turn, in `POSITIONS` cells; what the motor does is its torque."""
+    """Lay a recording over the turn, in `POSITIONS` cells; what the motor does is its torque.
+
+    Raises `InsufficientDataError` that names the file.
+    """
     angle = position_of(recording) / (2 * math.pi)
     try:
         return find_turns(recording.read("time"), angle, effort_of(recording, kt).values, POSITIONS)

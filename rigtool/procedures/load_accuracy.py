@@ -49,7 +49,7 @@ class Signals:
     counts: Mask
 
     def observation(self, level: int) -> Observation:
-        """Return the recording as one to learn from."""
+        """Return the recording as one to learn from; `ValueError` without a reference."""
         if self.reference is None:
             raise ValueError(f"nothing to learn from without {REFERENCE}")
         return Observation(self.path, self.effort, self.reference, self.counts, level)
@@ -131,7 +131,7 @@ class Accuracy:
 
 
 def judge(signals: Signals, estimate: Estimate, direction: int) -> Judged:
-    """Compare an estimate with the sensor."""
+    """Compare an estimate with the sensor; `ValueError` without one."""
     if signals.reference is None:
         raise ValueError(f"nothing to compare with without {REFERENCE}")
     rows = signals.counts

@@ -92,7 +92,10 @@ def parse_recipe(text: str, name: str = "recipe", overrides: Sequence[str] = ())
 
 
 def recipe_from_resolved(text: str) -> Recipe:
-    """Turn the resolved JSON that a run file keeps back into a recipe."""
+    """Turn the resolved JSON that a run file keeps back into a recipe.
+
+    Raises `RecipeError` where it does not fit this version.
+    """
     try:
         return Recipe.model_validate_json(text)
     except ValidationError as error:

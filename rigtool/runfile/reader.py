@@ -178,7 +178,10 @@ class Run:
 
     @cached_property
     def recipe(self) -> Recipe | None:
-        """The recipe of the run with all defaults filled in, None where it had none."""
+        """The recipe of the run with all defaults filled in, None where it had none.
+
+        Raises `RunFileError` where it does not fit this version.
+        """
         resolved = self.provenance["recipe_resolved"]
         try:
             return None if resolved is None else _recipe(resolved)

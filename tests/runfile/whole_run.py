@@ -83,6 +83,7 @@ def write(path: Path, *, size: int = SIZE, inputs: tuple[Path, ...] = (), **opti
         if "recordings" not in options:
             for name, block in samples(size).items():
                 writer.append(name, block)
+        writer.note_line('{"retries": 0}')
         writer.finish(RESULTS, TABLES, NOTES)
     for run in runs:
         run.close()

@@ -34,7 +34,7 @@ class VirtualRig:
     """A motor with encoder, amplifier and instrument that exist only as equations.
 
     `torque_constant` is what the controller assumes, N m/A. `stream` names the use (a command), so
-    that each has its own noise from the same seed.
+    that each has its own noise from the same seed. Raises `RecipeError` without [virtual].
     """
 
     def __init__(self, recipe: Recipe, torque_constant: float, stream: str) -> None:
