@@ -26,7 +26,10 @@ class Event(NamedTuple):
 
 
 class Spy:
-    """Writes a spy file. Every event reaches the file at once: a killed program leaves it whole."""
+    """Writes a spy file. Every event reaches the file at once: a killed program leaves it whole.
+
+    Raises `HardwareError` where it cannot be written.
+    """
 
     def __init__(self, path: str | Path, driver: str) -> None:
         try:

@@ -348,7 +348,7 @@ def pack_motion(motion: Motion | OpenLoop) -> bytes:
 
 
 def unpack_motion(data: bytes) -> Motion | OpenLoop:
-    """Read the object of slot MOTION."""
+    """Read the object of slot MOTION; `ValueError` for one that the link does not know."""
     values = _numbers(data[1:]).tolist()
     match data[:1], len(values):
         case b"\1", count if count >= 4 and count % 2 == 0:

@@ -47,8 +47,8 @@ class Talk:
         """Send a request and return the payload of its reply.
 
         A request goes out again with the same sequence number until it is answered: the target does
-        it once. Raises `HardwareError` with the target's reason where it refuses; a `LineTimeout` or
-        `DamagedReply` within has been repeated.
+        it once. Raises `HardwareError` with the target's reason where it refuses; what a
+        `LineTimeout` or a `DamagedReply` spoils is repeated.
         """
         self._sequence = self._sequence % 0xFFFF + 1
         sequence = self._sequence
