@@ -143,7 +143,7 @@ def learned_rows(
 
 
 def torque_rows(moves: Moves, speed: float, learning: Learning, position: Array) -> list[Row]:
-    """Return the controller's torque within the band of Q at positions (n,), falling first."""
+    """Return the controller's torque in the band of Q at positions (n,), falling part first."""
     smoothed = learning.smoothed(moves.torque, moves.period)
     return _both_directions(moves, speed, smoothed, position)
 
