@@ -31,7 +31,10 @@ STEP = 0.01
 """Change of the load for a derivative, relative, or as part of the largest learned load."""
 
 SMALLEST_STEP = 1e-4
-ROUNDS = 20
+ROUNDS = 50
+FURTHEST, TRIED = 3.0, 41
+"""Loads that are looked at, in parts of the largest learned one, and how many of them."""
+
 CONVERGED = 1e-5
 """Change at which a load is found, in parts of the largest learned one."""
 
@@ -105,28 +108,40 @@ def read_load(disturbance: Disturbance, comparison: Comparison, angle: float) ->
 
 
 def _solve(disturbance: Disturbance, comparison: Comparison) -> tuple[float, Array, Array]:
-    """Return the load, N m, the weight of each row in it, and what is left at the rows, N m."""
+    """Return the load, N m, the weight of each row in it, and what is left at the rows, N m.
+
+    A load that swings near its resonance fits at several places: all are looked at first.
+    """
     rows, scale = comparison.rows, disturbance.torque
     own = comparison.nuisance[:, rows]
-    shape = np.vstack([comparison.zero_error[rows], own])
-    moment = float(np.linalg.pinv(shape.T)[0] @ comparison.torque[rows])
+    basis = np.linalg.qr(own.T)[0]
+
+    def expected(moment: float) -> Array:
+        found: Array = disturbance.expected(comparison, moment)[rows]
+        return found
+
+    def misfit(moment: float) -> float:
+        left = comparison.torque[rows] - expected(moment)
+        left = left - basis @ (basis.T @ left)
+        return float(left @ left)
+
+    grid = scale * np.linspace(0.0, FURTHEST, TRIED)
+    moment, spacing = float(min(grid.tolist(), key=misfit)), float(grid[1])
     for _ in range(ROUNDS):
-        expected = disturbance.expected(comparison, moment)[rows]
+        middle = expected(moment)
         step = max(STEP * abs(moment), SMALLEST_STEP * scale)
-        slope = (disturbance.expected(comparison, moment + step)[rows] - expected) / step
-        matrix = np.vstack([slope, own]).T
-        weight = np.linalg.pinv(matrix)[0]
-        difference = comparison.torque[rows] - expected
-        change = float(weight @ difference)
+        matrix = np.vstack([(expected(moment + step) - middle) / step, own]).T
+        inverse = np.linalg.pinv(matrix)
+        difference = comparison.torque[rows] - middle
+        change = float(inverse[0] @ difference)
         if abs(change) <= CONVERGED * scale:
-            left = difference - matrix @ (np.linalg.pinv(matrix) @ difference)
-            return moment + change, weight, left
-        if abs(moment + change) > 3 * scale:
+            return moment + change, inverse[0], difference - matrix @ (inverse @ difference)
+        moment += min(max(change, -spacing), spacing)
+        if moment > FURTHEST * scale:
             break
-        moment += change
     raise InsufficientDataError(
-        f"no load up to three times the largest learned one, {scale * 1e3:.4g} mN m, explains the "
-        "torque: learn with larger loads, or check that the tables are of this rig"
+        f"no load up to {FURTHEST:g} times the largest learned one, {scale * 1e3:.4g} mN m, "
+        "explains the torque: learn with larger loads, or check that the tables are of this rig"
     )
 
 

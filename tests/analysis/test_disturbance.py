@@ -80,7 +80,7 @@ def test_a_load_left_out_of_the_learning_is_read(learned, known):
 
 def test_a_load_far_beyond_the_learned_ones_is_refused(learned, unloaded):
     comparison = compared(unloaded, [0.25], tendon=Tendon(50.0, 1e-2, 0.0))[0][0]
-    with pytest.raises(InsufficientDataError, match="three times the largest learned one, 60 mN m"):
+    with pytest.raises(InsufficientDataError, match="no load up to 3 times the largest learned one, 60 mN m"):
         read_load(learned, comparison, math.pi / 2)
 
 
