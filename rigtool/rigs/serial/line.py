@@ -296,8 +296,8 @@ class Line:
             except (OSError, TypeError) as error:  # pyserial's port, closed meanwhile, is None
                 # Where another program took the bytes first, or the device is gone: pyserial
                 # cannot tell. The one passes, the other does not.
-                self._snatched += "multiple access" in str(error)
-                if not 0 < self._snatched <= SNATCHED:
+                self._snatched += 1
+                if "multiple access" not in str(error) or self._snatched > SNATCHED:
                     raise self._lost(error) from None
                 time.sleep(POLL / 10)
                 data = b""
