@@ -43,6 +43,9 @@ SETTLE_TIME = 0.5
 MARGIN = 0.05
 """From the end of what is used to the beginning of the stop, s."""
 
+SPARE = 8
+"""Samples taken beyond a turn, so that it is whole."""
+
 SAME = 5e-3
 """Difference of two tables, relative to the largest torque, that recording them may make."""
 
@@ -185,7 +188,9 @@ def turned(recording: Recording, recipe: Recipe, torque_constant: float) -> Turn
     time, setpoint = found.time[used], found.setpoint[used]
     try:
         cut = cut_turns(time, setpoint, found.controller[used], count)
-        table = cut_turns(time, setpoint, found.learned[used], 1).torque[0]
+        # The table is the same in each turn: the last one tells it.
+        last = slice(-(len(time) // count) - SPARE, None)
+        table = cut_turns(time[last], setpoint[last], found.learned[used][last], 1).torque[0]
     except InsufficientDataError as error:
         raise InsufficientDataError(f"recording {recording.name}: {error}") from None
     everything = np.ones(table.size, dtype=np.bool_)
