@@ -236,7 +236,8 @@ class TargetRig(SerialRig):
         self._talk.timeout = min(target_talk.TIMEOUT, self._settings.watchdog / 3)
         self._talk.streaming = streams
         self._call(Kind.START)
-        self._clock_offset = self.line.now() - self._status().time
+        before, status, after = self.line.now(), self._status(), self.line.now()
+        self._clock_offset = (before + after) / 2 - status.time
         patience = task.motion.duration + PATIENCE
         if streams:
             yield from in_thread(functools.partial(self._follow, log, patience))
