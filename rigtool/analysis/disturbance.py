@@ -14,7 +14,7 @@ of the cycles without load, which all loads of a speed have in common.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -142,14 +142,20 @@ class Disturbance:
     torque: float
     speeds: tuple[float, ...]
 
+    def expectation(self, comparison: Comparison) -> Callable[[float], Array]:
+        """Return the function of a load's moment, N m, that `expected` is, to be asked often."""
+        loaded, speed = comparison.loaded, comparison.loaded.speed
+
+        def whole(state: State) -> Array:
+            added: Array = self.coefficient @ functions(self.terms, state, speed)
+            return state.carried + added
+
+        rest = whole(state_under(comparison.unloaded[0], self.tendon, 0.0))
+        return lambda moment: loaded.lowpass(whole(state_under(loaded, self.tendon, moment)) - rest)
+
     def expected(self, comparison: Comparison, moment: float) -> Array:
         """Return what a load of this moment, N m, adds to the motor's torque, low-passed (n,)."""
-        loaded, unloaded = comparison.states(self.tendon, moment)
-        carried = comparison.loaded.lowpass(loaded.carried - unloaded.carried)
-        expected: Array = carried + self.coefficient @ comparison.design(
-            self.terms, loaded, unloaded
-        )
-        return expected
+        return self.expectation(comparison)(moment)
 
     def sensitivity(self, comparison: Comparison, moment: float) -> Array:
         """Return the derivatives of `expected` by all that is uncertain, (3 + t, n)."""

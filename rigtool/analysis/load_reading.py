@@ -116,8 +116,10 @@ def _solve(disturbance: Disturbance, comparison: Comparison) -> tuple[float, Arr
     own = comparison.nuisance[:, rows]
     basis = np.linalg.qr(own.T)[0]
 
+    expectation = disturbance.expectation(comparison)
+
     def expected(moment: float) -> Array:
-        found: Array = disturbance.expected(comparison, moment)[rows]
+        found: Array = expectation(moment)[rows]
         return found
 
     def misfit(moment: float) -> float:
