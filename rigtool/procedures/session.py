@@ -81,6 +81,8 @@ def run_command(
     procedure: Procedure = module
     recipes = [source for source in sources if Path(source).suffix == ".toml"]
     if not recipes:
+        if options.dry_run:
+            raise UsageError("--dry-run: of stored runs nothing would move: leave it out")
         return _analyse_stored(procedure, sources, output, options, inputs)
     if len(sources) > 1:
         raise UsageError(
@@ -106,6 +108,8 @@ def _measure(
     on_line = recipe.rig.source == "serial"
     if on_line and options.seed is not None:
         raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
+    if options.spy is not None and not on_line:
+        raise UsageError(f"--spy {options.spy}: this recipe's rig is virtual, there is no line")
     seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
     constant = _assumed_torque_constant(recipe, inputs)
     if options.dry_run:

@@ -180,3 +180,17 @@ def test_devices(tmp_path, capsys):
     assert "no such port" in found[0]["problem"]
     assert found[1]["driver"] == "target"
     assert call(capsys, "devices", "--driver", "toaster")[0] == 2
+
+
+def test_options_that_have_nothing_to_do_are_refused(tmp_path, capsys):
+    output = ["-o", tmp_path / "x.h5"]
+    code, _, err = call(capsys, "calibrate-kt", KT, "--dry-run", *output)
+    assert (code, "nothing would move" in err) == (2, True)
+    code, _, err = call(capsys, "calibrate-kt", RECIPE, "--spy", tmp_path / "spy", *output)
+    assert (code, "there is no line" in err) == (2, True)
+    with serve(device()) as server:
+        code, _, err = calibrate(capsys, tmp_path, server.port, "--yes", "--seed", "3")
+        assert (code, "is on a line, not virtual" in err) == (2, True)
+        code, _, err = calibrate(capsys, tmp_path, server.port, "--yes", "--spy", tmp_path)
+        assert (code, "cannot be written" in err) == (5, True)
+    assert list(tmp_path.iterdir()) == []

@@ -90,7 +90,11 @@ class Line:
         self._port = _open(port, baud_rate)
         self._buffer = bytearray()
         self._snatched = 0
-        self._spy = Spy(spy, driver) if spy is not None else None
+        try:
+            self._spy = Spy(spy, driver) if spy is not None else None
+        except HardwareError:
+            self._port.close()
+            raise
 
     def __enter__(self) -> Line:
         return self

@@ -171,8 +171,14 @@ class SerialRig(ABC):
 
     @property
     def position(self) -> float:
-        """Where the shaft is, rad."""
-        return self._position()
+        """Where the shaft is, rad; raises `HardwareError` where the drive does not know."""
+        position = self._position()
+        if not math.isfinite(position):
+            raise HardwareError(
+                f"{self.line.port}: the drive says its position is {position}: calibrate or home "
+                "it first"
+            )
+        return position
 
     def report(self) -> str:
         """Return what is to be kept about the line with a run, as JSON."""
@@ -227,7 +233,7 @@ class SerialRig(ABC):
     def _require_permission(self, task: Task) -> None:
         rig = self._recipe.rig
         safety.check_duration(task, self._limits)
-        found = safety.extremes(task, self._position(), rig.sample_time, self._torque_constant)
+        found = safety.extremes(task, self.position, rig.sample_time, self._torque_constant)
         safety.check(found, self._limits, f"{type(task.motion).__name__}")
         if not self._permitted:
             self.permit(f"{type(task.motion).__name__}: {found}")

@@ -230,6 +230,15 @@ def test_power_cycle_brings_the_drive_back_and_its_settings_in_the_end():
     assert device.mode is None
 
 
+def test_drive_that_does_not_know_where_it_is_never_moves():
+    device = toy.ToyEmulator()
+    with serve(device) as server, toy_rig(server.port) as rig:
+        device.motor.position = float("nan")
+        with pytest.raises(HardwareError, match="position is nan: calibrate or home it first"):
+            perform(rig, BRIEF)
+        assert device.mode is None
+
+
 def test_what_nobody_watches_is_said():
     person, _, said = operator("y")
     with (
