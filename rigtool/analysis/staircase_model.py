@@ -37,6 +37,9 @@ SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 2.0, 300.0
 COPPER = 3.93e-3
 """Temperature coefficient of a copper winding's resistance at 20 degC, 1/K (IEC 60028)."""
 
+ENOUGH = 96
+"""Staircases from which s and tau are found: more of them, spread over all, would tell no more."""
+
 SIGNIFICANCE = 1e-3
 """Probability below which friction is said to show in the data."""
 
@@ -174,34 +177,39 @@ def friction_columns(stairs: Stairs, transition: float | None) -> tuple[Array, .
 def fit_common(stairs: Stairs, coefficient: float) -> Common:
     """Return s and tau by variable projection; `coefficient` is c of (1), 1/K.
 
+    Of more than `ENOUGH` staircases, so many are taken that are spread evenly over all.
+
     A column i |i| beside those of (1) takes up what the amplifier's ripple adds at one rotor
     angle; it would otherwise be mistaken for heat. Raises `InsufficientDataError` where torque
     does not follow current.
     """
-    count = len(stairs.setpoint)
-    dof = int(stairs.weight.sum()) - 6 * count
+    every = -(-len(stairs.setpoint) // ENOUGH)
+    taken = Stairs(**{name: values[::every] for name, values in vars(stairs).items()})
+    count = len(taken.setpoint)
+    dof = int(taken.weight.sum()) - 6 * count
     if dof < 1:
         raise InsufficientDataError(
-            f"{int(stairs.weight.sum())} plateaus in {count} staircases leave nothing to judge "
+            f"{int(taken.weight.sum())} plateaus in {count} staircases leave nothing to judge "
             "the fit by: use more steps"
         )
 
     # A search moves one of s and tau: what follows from the other is kept.
-    friction = lru_cache(maxsize=1)(partial(friction_columns, stairs))
+    friction = lru_cache(maxsize=1)(partial(friction_columns, taken))
 
     @lru_cache(maxsize=1)
     def currents(time_constant: float) -> tuple[Array, Array, Array]:
-        heat, warmth = winding(stairs, time_constant)
-        drift = warmth - mean_of(warmth, stairs.weight)[:, None]
-        current = stairs.current * (1 + coefficient * drift)
+        # The staircase before may have left heat behind, so all of them are heated.
+        heat, warmth = (values[::every] for values in winding(stairs, time_constant))
+        drift = warmth - mean_of(warmth, taken.weight)[:, None]
+        current = taken.current * (1 + coefficient * drift)
         return current, current * heat, current * np.abs(current)
 
     def misfit(transition: float | None, time_constant: float) -> float:
         current, *beside = currents(time_constant)
-        columns = [current, stairs.weight, *friction(transition), *beside]
+        columns = [current, taken.weight, *friction(transition), *beside]
         q, _ = np.linalg.qr(np.stack(columns, axis=2))
-        fitted = np.einsum("mpc,mc->mp", q, np.einsum("mpc,mp->mc", q, stairs.torque))
-        return float(np.sum((stairs.torque - fitted) ** 2))
+        fitted = np.einsum("mpc,mc->mp", q, np.einsum("mpc,mp->mc", q, taken.torque))
+        return float(np.sum((taken.torque - fitted) ** 2))
 
     span = float(np.ptp(stairs.torque[0]))
     step = span * float(np.median(np.abs(np.diff(stairs.setpoint[0])))) / np.ptp(stairs.setpoint[0])
