@@ -135,7 +135,9 @@ class _Recorder:
         """Raise: nothing was recorded."""
         raise _NeedsData
 
-    recorded = recording
+    def recorded(self) -> Any:
+        """Raise: nothing was recorded."""
+        raise _NeedsData
 
 
 def rehearse(

@@ -76,7 +76,15 @@ class TargetRig(SerialRig):
 
     _talk: Talk
     _hello: link.Hello
-    _in_session = False
+
+    def __init__(self, recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> None:
+        super().__init__(recipe, torque_constant, use, bench)
+        self._in_session = False
+        self._up: dict[Slot, bytes] = {}  # what the target has
+        self._arrived: list[tuple[int, bytes]] = []  # streamed, and not yet in a log
+        self._logs: list[Log] = []
+        self._damaged_segments = self._damaged_frames = 0
+        self._clock_offset = 0.0  # of the host's clock against the target's, at the last START, s
 
     def _open_line(self) -> Line:
         return Line(
@@ -87,11 +95,9 @@ class TargetRig(SerialRig):
         )
 
     def _connect(self) -> str:
-        self._up: dict[Slot, bytes] = {}
-        self._damaged_segments = 0
-        self._clock_offset = 0.0  # of the host's clock against the target's, at the last START, s
-        self._logs: list[Log] = []
-        self._arrived: list[tuple[int, bytes]] = []
+        if self._in_session:
+            self._damaged_frames += self._talk.damaged
+        self._up.clear()
         self._talk = Talk(self.line)
         self._talk.samples = lambda first, data: self._arrived.append((first, data))
         self._hello = hello = self._talk.hello()
@@ -166,7 +172,7 @@ class TargetRig(SerialRig):
 
     def _facts(self) -> dict[str, int]:
         return {
-            "damaged_frames": self._talk.damaged,
+            "damaged_frames": self._damaged_frames + self._talk.damaged,
             "missing_samples": sum(log.missing for log in self._logs),
             "samples_read_again": sum(log.read_again for log in self._logs),
             "damaged_segments": self._damaged_segments + sum(log.damaged for log in self._logs),

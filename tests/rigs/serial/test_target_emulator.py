@@ -132,6 +132,13 @@ def test_motions_that_cannot_be_are_refused_or_trip(host):
     assert host.refused(Kind.ARM, arm())[0] is Refusal.BAD_VALUE
 
 
+def test_another_host_may_begin_with_the_number_that_was_last(host):
+    host.set_up(Move(0.5, 0.1))
+    reply = host.send(Kind.HELLO, b"\1", sequence=host.sequence)
+    assert reply.kind == Kind.HELLO | link.REPLY
+    assert host.refused(Kind.ARM, arm())[1].startswith("ARM before RIG, LIMITS")
+
+
 def test_hello_in_the_middle_stops_and_forgets(host):
     host.set_up(Move(0.5, 10.0))
     host.ask(Kind.ARM, arm())

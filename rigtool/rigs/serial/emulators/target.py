@@ -73,7 +73,7 @@ class TargetEmulator(Emulator):
         """Restart: the session, what went up and the log are forgotten."""
         self._boot += 1
         self._splitter = Splitter()
-        self._answered: tuple[int, bytes] | None = None
+        self._answered = (0, b"")
         self._session = False
         self._refusals = 0
         self._objects: dict[Slot, bytes] = {}
@@ -118,8 +118,9 @@ class TargetEmulator(Emulator):
 
     def _answer(self, frame: Frame) -> bytes:
         self._fed = time.monotonic()
-        if self._answered is not None and self._answered[0] == frame.sequence:
-            return self._answered[1]  # asked again: done already, or refused already
+        number, answer = self._answered
+        if number == frame.sequence and frame.kind != Kind.HELLO:
+            return answer  # done already, or refused already
         try:
             kind = Kind(frame.kind)
         except ValueError:

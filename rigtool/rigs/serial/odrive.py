@@ -1,0 +1,356 @@
+"""ODrive over its ASCII protocol, firmware 0.5 and 0.6: USB, or a UART of 460800 bit/s and more.
+
+A set point is one exchange, which reads it back; what is measured is another, half a period later.
+A set point of position stands still for a period while the motion goes on, so that the drive's
+error is a saw-tooth around its mean. Each set point is therefore sent as that of the middle of its
+period, and measured there, where the saw-tooth is zero. The drive's own filter (POS_FILTER) would
+smooth it as well, but throws the feed-forward of torque away.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rigtool.errors import HardwareError
+from rigtool.recipe import Recipe
+from rigtool.recipe.serial import Limits
+from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.line import DamagedReply, Line
+from rigtool.rigs.serial.odrive_text import BUFFERED, Dialect, Talk, agrees, identify, number
+
+BAUD_RATE = 115200
+
+TURN = 2 * math.pi
+
+IDLE, CLOSED_LOOP = 1, 8
+CONTROL_MODES: dict[Mode, int] = {"current": 1, "velocity": 2, "position": 3}
+PASSTHROUGH = 1
+GIMBAL = 2
+
+ATTEMPTS = 3
+"""Times that a state is asked for: the request may be lost in silence."""
+
+POLLS = 20
+"""Times that the state is looked at, every `POLL` s, before it is asked for again."""
+
+POLL = 0.005
+
+TEMPERATURE_EVERY = 50
+"""Samples for which one reading of the thermistor holds."""
+
+
+def probe(line: Line) -> str | None:
+    """Return who answers; asks only."""
+    return str(identify(line, retries=0))
+
+
+def make_drive(line: Line, recipe: Recipe) -> ODrive:
+    """Return the drive that a recipe names, not connected yet."""
+    assert recipe.serial is not None
+    return ODrive(line, recipe.serial.node, recipe.rig.sample_time)
+
+
+class ODrive:
+    """One axis of an ODrive; `period` is that of the set points, s."""
+
+    def __init__(self, line: Line, axis: int, period: float) -> None:
+        self._line, self._axis, self._period = line, axis, period
+        self._talk = Talk(line)
+        self._dialect: Dialect
+        self._torque_constant = math.nan
+        self._direction = 1.0
+        self._thermistor: str | None = None
+        self._temperature = math.nan
+        self._samples = 0
+        self._trip = 0.0
+        self._mode: Mode = "position"
+        self._before: dict[str, str] = {}
+
+    # -- who is there
+
+    def connect(self) -> str:
+        """Identify it and read what it is set to; nothing changes.
+
+        Raises `HardwareError` for an axis it does not have, a motor whose current it does not
+        measure, or an error that its owner has to look at.
+        """
+        identity = identify(self._line)
+        self._dialect = identity.dialect
+        self._talk.at_once = BUFFERED <= identity.firmware < (0, 6, 0)
+        self._read_errors()
+        if self._number(self._dialect.motor_type) == GIMBAL:
+            raise HardwareError(
+                f"axis {self._axis} drives a gimbal motor: its current is not measured"
+            )
+        self._torque_constant = self._number(self._dialect.torque_constant)
+        if not self._torque_constant > 0:
+            raise HardwareError(
+                f"{self._name(self._dialect.torque_constant)} is {self._torque_constant:g} N m/A: "
+                "set it in the drive to that of the motor"
+            )
+        found = self._talk.get_first(*map(self._name, self._dialect.direction))
+        self._direction = -1.0 if found and number(found[1]) < 0 else 1.0
+        self._find_thermistor()
+        return f"{identity}, axis {self._axis}"
+
+    @property
+    def abilities(self) -> Abilities:
+        """Everything; temperature where a thermistor is set up."""
+        temperature = {"temperature"} if self._thermistor else set()
+        return Abilities(
+            frozenset({"position", "velocity", "current"}),
+            True,
+            frozenset({"current", "current_setpoint"} | temperature),
+        )
+
+    def _find_thermistor(self) -> None:
+        names = [f"{self._name(name)}.config.enabled" for name in self._dialect.thermistor]
+        found = self._talk.get_first(*names)
+        on = found is not None and number(found[1]) == 1
+        self._thermistor = found[0].removesuffix(".config.enabled") if found and on else None
+
+    def _read_errors(self) -> None:
+        """Raise `HardwareError` for errors other than the watchdog's, which is ours to clear."""
+        codes = self._errors()
+        main = self._dialect.errors[0]
+        if codes.pop(main) & ~self._dialect.watchdog_error or any(codes.values()):
+            raise HardwareError(
+                f"axis {self._axis} reports {self._describe_errors()}: find the cause with the "
+                "maker's tool and clear it"
+            )
+
+    def _errors(self) -> dict[str, int]:
+        return {name: int(self._number(name)) for name in self._dialect.errors}
+
+    def _describe_errors(self) -> str:
+        found = []
+        for name, code in self._errors().items():
+            if name == self._dialect.errors[0]:
+                found += [text for bit, text in self._dialect.error_names.items() if code & bit]
+                continue
+            if code:
+                found.append(f"{name} {code:#x}")
+        return ", ".join(found) or "no error"
+
+    # -- settings
+
+    def configure(self, limits: Limits, watchdog: float) -> list[str]:
+        """Set limits and watchdog; a limit that is lower already stays.
+
+        Only values that differ are written, since the drive tells no more than 9 characters of
+        what was there.
+        """
+        gaps = ["has no limit of position"]
+        self._lower(self._dialect.current_limit, limits.current)
+        self._lower("controller.config.vel_limit", limits.speed / TURN)
+        for name in ("enable_vel_limit", "enable_overspeed_error"):
+            self._set(f"controller.config.{name}", 1)
+        self._set("config.enable_watchdog", 0)
+        self._set("config.watchdog_timeout", watchdog)
+        self._set("controller.config.input_mode", PASSTHROUGH)
+        self._set("controller.config.circular_setpoints", 0)
+        self._remember("controller.config.control_mode")
+        if self._thermistor is not None:
+            self._lower_temperature(limits.temperature_degc)
+        return gaps
+
+    def _lower_temperature(self, limit: float) -> None:
+        prefix = f"{self._thermistor}.config.temp_limit".removeprefix(f"axis{self._axis}.")
+        if self._lower(f"{prefix}_upper", limit):
+            self._lower(f"{prefix}_lower", limit - 5.0)  # where it begins to take current back
+
+    def restore(self) -> None:
+        """Bring back what was there, the last change first."""
+        for name, text in reversed(self._before.items()):
+            if not agrees(self._talk.get(name), number(text)):
+                # Its owner's watchdog, if any, starts to count now.
+                self._talk.put(name, text, commands=[f"u {self._axis}"])
+        self._before.clear()
+
+    def _remember(self, name: str) -> str:
+        now = self._talk.get(self._name(name))
+        self._before.setdefault(self._name(name), now)
+        return now
+
+    def _lower(self, name: str, value: float) -> bool:
+        """Set a limit unless it is as low already; say whether it was set."""
+        if number(self._remember(name)) <= value:
+            return False
+        self._talk.put(self._name(name), f"{value:.7g}")
+        return True
+
+    def _set(self, name: str, value: float) -> None:
+        now = self._remember(name)
+        if number(now) == value:
+            return
+        text = f"{value:.7g}"
+        if now.lower() in ("true", "false"):  # firmware that says it in words wants words
+            text = "true" if value else "false"
+        self._talk.put(self._name(name), text)
+
+    # -- states
+
+    def enable(self, mode: Mode) -> None:
+        """Close the loop in this mode, at rest where the shaft is.
+
+        The watchdog counts whenever it is on, so it is on from here to `halt` only.
+        """
+        if self._state() == CLOSED_LOOP:
+            if mode == self._mode:
+                self._talk.ask([self._state_question], _first, commands=[f"u {self._axis}"])
+                return
+            self.halt()
+        self._mode = mode
+        self._read_errors()
+        self._set("controller.config.control_mode", CONTROL_MODES[mode])
+        self._rest(self.read().position)
+        clear = ["sc"] if any(self._errors().values()) else []  # the watchdog's only
+        self._talk.put(
+            self._name("config.enable_watchdog"),
+            self._truth("config.enable_watchdog", True),
+            commands=[*clear, f"u {self._axis}"],
+        )
+        if not self._reach(CLOSED_LOOP):
+            raise HardwareError(
+                f"axis {self._axis} does not close its loop: {self._describe_errors()}; are motor "
+                "and encoder calibrated since it was switched on?"
+            )
+
+    def halt(self) -> None:
+        """Make it idle; then turn the watchdog off and leave no set point behind."""
+        if not self._reach(IDLE):
+            raise HardwareError(
+                f"axis {self._axis} does not become idle ({self._describe_errors()}): switch it off"
+            )
+        self._set("config.enable_watchdog", 0)
+        self._rest(None)
+
+    def _rest(self, position: float | None) -> None:
+        """Set all inputs to standing still, here."""
+        for name in ("input_vel", "input_torque"):
+            self._talk.put(self._name(f"controller.{name}"), "0")
+        if position is not None:
+            self._talk.put(self._name("controller.input_pos"), f"{position / TURN:.7f}")
+
+    def _reach(self, state: int) -> bool:
+        """Ask for a state until it is reached; say whether it was. Feeds the watchdog."""
+        feed = f"u {self._axis}"
+        for _ in range(ATTEMPTS):
+            if self._state() == state:
+                return True
+            wanted = f"w {self._name('requested_state')} {state}"
+            self._talk.ask([self._state_question], _first, commands=[feed, wanted])
+            for _ in range(POLLS):
+                if self._talk.ask([self._state_question], _state, commands=[feed]) == state:
+                    return True
+                self._line.pause(POLL)
+        return False
+
+    @property
+    def _state_question(self) -> str:
+        return f"r {self._name('current_state')}"
+
+    def _state(self) -> int:
+        return self._talk.ask([self._state_question], _state)
+
+    # -- set points and samples
+
+    def step(self, setpoint: SetPoint) -> Sample:
+        """Send a set point, read it back, and measure half a period later.
+
+        Raises `HardwareError` where the loop is no longer closed.
+        """
+        start = self._line.now()
+        self._send(setpoint)
+        wait = min(self._period / 2, self._period - 1.5 * self._trip)
+        self._line.sleep_until(start + max(0.0, wait))
+        return self._measure(running=True)
+
+    def read(self) -> Sample:
+        """Measure; nothing moves."""
+        return self._measure(running=False)
+
+    def _send(self, setpoint: SetPoint) -> None:
+        axis, torque = self._axis, setpoint.current * self._torque_constant
+        speed = setpoint.speed / TURN
+        if self._mode == "position":
+            value, echo = setpoint.position / TURN + speed * self._period / 2, "input_pos"
+            command = f"p {axis} {value:.7f} {speed:.6f} {torque:.7f}"
+        elif self._mode == "velocity":
+            value, echo = speed, "input_vel"
+            command = f"v {axis} {speed:.7f} {torque:.7f}"
+        else:
+            value, echo = torque, "input_torque"
+            command = f"c {axis} {torque:.7f}"
+
+        def understand(replies: list[str]) -> None:
+            if not agrees(replies[0], value):
+                raise DamagedReply(f"{echo} is {replies[0]} after {command!r}")
+
+        echoed = self._name(f"controller.{echo}")
+        self._talk.ask([f"r {echoed}"], understand, commands=[command])
+
+    def _measure(self, running: bool) -> Sample:
+        questions = [
+            f"f {self._axis}",
+            f"r {self._name(self._dialect.current)}",
+            f"r {self._name(self._dialect.current_setpoint)}",
+            self._state_question,  # last: an integer among numbers shows that none was skipped
+        ]
+        if self._thermistor and self._samples % TEMPERATURE_EVERY == 0:
+            questions.insert(3, f"r {self._thermistor}.temperature")
+        self._samples += 1
+        start, retries = self._line.now(), self._line.counts.retries
+        end, numbers, state = self._talk.ask(
+            questions,
+            lambda replies: (self._line.now(), _numbers(replies[:-1]), _state(replies[-1:])),
+        )
+        if self._line.counts.retries == retries:
+            self._trip = end - start
+        if running and state != CLOSED_LOOP:
+            raise HardwareError(
+                f"axis {self._axis} is in state {state} instead of its closed loop "
+                f"({self._describe_errors()}): watchdog, reset or a fault"
+            )
+        position, speed, current, current_setpoint, *temperature = numbers
+        self._temperature = temperature[0] if temperature else self._temperature
+        return Sample(
+            self._moment(end, len(questions)),
+            position * TURN,
+            speed * TURN,
+            current * self._direction,
+            current_setpoint * self._direction,
+            self._temperature,
+        )
+
+    def _moment(self, end: float, questions: int) -> float:
+        """Return when position and current were measured, s: between the first two answers."""
+        return end - self._trip * (0.5 if self._talk.at_once else 1 - 1 / questions)
+
+    # -- names
+
+    def _name(self, name: str) -> str:
+        return f"axis{self._axis}.{name}"
+
+    def _number(self, name: str) -> float:
+        return self._talk.ask([f"r {self._name(name)}"], lambda replies: number(replies[0]))
+
+    def _truth(self, name: str, value: bool) -> str:
+        """Return yes or no as this firmware says it."""
+        if self._talk.get(self._name(name)).lower() in ("true", "false"):
+            return "true" if value else "false"
+        return "1" if value else "0"
+
+
+def _first(replies: list[str]) -> str:
+    return replies[0]
+
+
+def _state(replies: list[str]) -> int:
+    if not replies[0].isdigit():
+        raise DamagedReply(f"{replies[0]!r} is no state: answers are out of step")
+    return int(replies[0])
+
+
+def _numbers(replies: list[str]) -> list[float]:
+    return [number(word) for reply in replies for word in reply.split()]
