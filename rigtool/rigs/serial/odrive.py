@@ -313,6 +313,8 @@ class ODrive:
                 f"({self._describe_errors()}): watchdog, reset or a fault"
             )
         position, speed, current, current_setpoint, *temperature = numbers
+        if not math.isfinite(position):
+            raise HardwareError(f"axis {self._axis} does not know its position: is its encoder on?")
         self._temperature = temperature[0] if temperature else self._temperature
         return Sample(
             self._moment(end, len(questions)),
