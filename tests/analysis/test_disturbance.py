@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from known_drive import CONSTANT, DRIVE, TENDON, TURN, cycles
 
-from rigtool.analysis.disturbance import Comparison
+from rigtool.analysis.disturbance import Comparison, Disturbance
 from rigtool.analysis.disturbance_fit import learn, relearned
 from rigtool.analysis.load_reading import dead_band, read_load
 from rigtool.analysis.tendon import Tendon
@@ -78,9 +78,22 @@ def test_a_load_left_out_of_the_learning_is_read(learned, known):
     assert read_load(less, comparisons[left], math.pi / 2).moment == pytest.approx(0.03, rel=0.01)
 
 
+@pytest.mark.parametrize("load", [0.001, 0.01, 0.03, 0.04, 0.05, 0.06])
+def test_a_load_that_swings_near_its_resonance_is_found(load):
+    """A soft tendon and two turns a second: several loads fit, one fits best."""
+    soft = Tendon(0.1, 1e-3, 0.0)
+    drive = {"friction": 0.0, "ripple": 0.0, "tendon": soft, "scatter": 0.02e-3}
+    comparison = Comparison.of(cycles(load, 2.0, **drive), [cycles(0.0, 2.0, **drive)], TURN)
+    plain = Disturbance((), soft, np.zeros(0), np.zeros((3, 3)), 0.06, (comparison.loaded.speed,))
+    found = read_load(plain, comparison, math.pi / 2)
+    assert found.moment == pytest.approx(load, rel=0.03, abs=0.05e-3)
+
+
 def test_a_load_far_beyond_the_learned_ones_is_refused(learned, unloaded):
     comparison = compared(unloaded, [0.25], tendon=Tendon(50.0, 1e-2, 0.0))[0][0]
-    with pytest.raises(InsufficientDataError, match="no load up to 3 times the largest learned one, 60 mN m"):
+    with pytest.raises(
+        InsufficientDataError, match="no load up to 3 times the largest learned one, 60 mN m"
+    ):
         read_load(learned, comparison, math.pi / 2)
 
 
