@@ -80,10 +80,10 @@ def test_a_load_left_out_of_the_learning_is_read(learned, known):
 
 @pytest.mark.parametrize("load", [0.001, 0.01, 0.03, 0.04, 0.05, 0.06])
 def test_a_load_that_swings_near_its_resonance_is_found(load):
-    """A soft tendon and two turns a second: several loads fit, one fits best."""
-    soft = Tendon(0.1, 1e-3, 0.0)
+    """At 50 mN m a search from the mean torque alone ends at 14 mN m, which fits less well."""
+    soft = Tendon(0.1, 4e-4, 0.0)
     drive = {"friction": 0.0, "ripple": 0.0, "tendon": soft, "scatter": 0.02e-3}
-    comparison = Comparison.of(cycles(load, 2.0, **drive), [cycles(0.0, 2.0, **drive)], TURN)
+    comparison = Comparison.of(cycles(load, 1.8, **drive), [cycles(0.0, 1.8, **drive)], TURN)
     plain = Disturbance((), soft, np.zeros(0), np.zeros((3, 3)), 0.06, (comparison.loaded.speed,))
     found = read_load(plain, comparison, math.pi / 2)
     assert found.moment == pytest.approx(load, rel=0.03, abs=0.05e-3)
