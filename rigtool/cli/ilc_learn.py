@@ -122,6 +122,9 @@ def _check(
     with open_inputs(**paths) as inputs:
         options = ilc_check.as_learned(options, sources, inputs["tables"])
         outcome = run_command(ilc_check, sources, output, options=options, inputs=inputs)
+    if options.dry_run:
+        print_outcome(outcome, output, options)
+        return
     fits = ilc_check.fits(outcome)
     shown = outcome if fits or options.json else replace(outcome, notes=outcome.notes[1:])
     print_outcome(shown, output, options)

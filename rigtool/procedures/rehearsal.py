@@ -48,7 +48,8 @@ class Plan:
         if len(lines) > SHOWN:
             lines = [*lines[:SHOWN], f"  and {len(lines) - SHOWN} kinds of motion more"]
         total = sum(found.duration for _, found in self.motions)
-        head = f"{len(self.motions)} motions, {total:.0f} s of them recorded"
+        count = len(self.motions)
+        head = f"{count} motion{'s' if count != 1 else ''} to record, {total:.0f} s in all"
         parts = [head, *lines]
         if self.bench_work:
             parts.append(f"At the bench: {'; '.join(dict.fromkeys(self.bench_work))}")

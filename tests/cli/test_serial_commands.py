@@ -175,7 +175,9 @@ def test_devices(tmp_path, capsys):
         code, out, _err = call(capsys, "devices", server.port, "--driver", "target")
         assert code == 0
         assert out.startswith(f"{server.port}: target: rigtool target emulator, link version 1")
-        code, out, _err = call(capsys, "devices", "/dev/no-such", server.port, "--json")
+        code, out, _err = call(
+            capsys, "devices", "/dev/no-such", server.port, "--json", "--driver", "target"
+        )
     found = json.loads(out)
     assert "no such port" in found[0]["problem"]
     assert found[1]["driver"] == "target"

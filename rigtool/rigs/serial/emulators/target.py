@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import time
 import zlib
 from collections.abc import Callable, Iterator
-
-import numpy as np
 
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.recipe import Recipe
@@ -86,7 +85,8 @@ class TargetEmulator(Emulator):
         self._log = TargetLog()
         self._clock = self._started = 0.0
         self._period = 1.0
-        self._position = self._current = self._temperature = float("nan")
+        self._current = math.nan
+        self._block: Block | None = None  # the last one of the motion that runs
         self._move: float | None = None
 
     def refuse(self, count: int) -> None:
@@ -106,10 +106,7 @@ class TargetEmulator(Emulator):
             elif silence > self._watchdog:
                 self._end(State.TRIPPED, f"the host was silent for {silence:.2f} s: watchdog")
         if self.state is State.RUNNING:
-            try:
-                self._advance()
-            except MISTAKES as error:
-                self._end(State.TRIPPED, str(error))
+            self._proceed()
         out = b"" if self.state is State.ARMED else self._log.frames(self._visible)
         self.busy = self.state is State.RUNNING and not self._paced
         return out
@@ -297,21 +294,25 @@ class TargetEmulator(Emulator):
         self._signals = self._rig().perform(self._task)
         self._started = time.monotonic()
         self.state = State.RUNNING
+        self._proceed()  # the approach, and the first samples: STATUS tells where it is
         return b""
 
     def _status(self, payload: bytes) -> bytes:
-        if self.rig is not None and self.state is not State.RUNNING:
-            self._position, self._temperature = self.rig.position, self.rig.temperature
         return link.Status(
-            self._boot,
-            self.state,
-            self._visible,
-            self._now,
-            self._position,
-            self._current,
-            self._temperature,
-            self.text,
+            self._boot, self.state, self._visible, *self._measured(), self.text
         ).pack()
+
+    def _measured(self) -> tuple[float, float, float, float]:
+        """Return time, position, current and temperature: of now, or of the last visible sample."""
+        if self._block is None or self.state is not State.RUNNING:
+            if self.rig is None:
+                return self._clock, math.nan, math.nan, math.nan
+            return self._clock, self.rig.position, self._current, self.rig.temperature
+        block, count = self._block, 2 * math.pi / self._recipe.rig.encoder_counts
+        row = len(block["time"]) - 1 - (self._log.recorded - self._visible)
+        names = ("time", "encoder", "current", "temperature")
+        now, encoder, current, temperature = (float(block[name][max(0, row)]) for name in names)
+        return now, encoder * count, current, temperature
 
     def _read(self, payload: bytes) -> bytes:
         first, count = link.READ.unpack(payload)
@@ -388,12 +389,12 @@ class TargetEmulator(Emulator):
             done = min(done, int((time.monotonic() - self._started) / self._period))
         return done
 
-    @property
-    def _now(self) -> float:
-        """Time of the bench clock: of what is simulated, in real time where it is paced."""
-        if self._paced and self.state is State.RUNNING:
-            return self._clock + time.monotonic() - self._started
-        return self._clock
+    def _proceed(self) -> None:
+        """Advance; what cannot be computed trips."""
+        try:
+            self._advance()
+        except MISTAKES as error:
+            self._end(State.TRIPPED, str(error))
 
     def _advance(self) -> None:
         if self._move is not None:
@@ -410,18 +411,15 @@ class TargetEmulator(Emulator):
             return
         self._log.add(block)
         if len(block["time"]):
-            last = float(block["encoder"][-1])
-            if not self._paced or not simulated:
-                self._clock = float(block["time"][0 if self._paced else -1])
-            self._position = last * 2 * np.pi / self._recipe.rig.encoder_counts
+            self._block = block
+            self._clock = float(block["time"][-1])
             self._current = float(block["current"][-1])
-            self._temperature = float(block["temperature"][-1])
         if problem := self._watch.problem(block):
             self._end(State.TRIPPED, problem)
 
     def _end(self, state: State, text: str = "") -> None:
         self._signals = iter(())
-        self._move = None
+        self._move = self._block = None
         self.state, self.text = state, text
 
 
