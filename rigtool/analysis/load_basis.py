@@ -199,18 +199,22 @@ def splines(place: Array, count: int) -> Array:
     return matrix
 
 
-def motion_functions(path: Path, scales: Scales, sign: int) -> dict[str, Array]:
+def motion_functions(
+    path: Path, scales: Scales, sign: int, *, alone: bool = False
+) -> dict[str, Array]:
     """Return the functions of one direction by group, each (n, columns), at the rows of a path.
 
     They vanish in the other direction; the low-pass spreads both over the reversal between them.
-    What it brings of the other direction are the groups `reversal` and `load_reversal`.
+    What it brings of the other direction are the groups `reversal` and `load_reversal`. With
+    `alone` they are those of a motion that goes in this direction only, and has for long: friction
+    at standstill is at most that.
     """
     speed = path.fine_speed / scales.speed
     rest = scales.standstill / scales.speed
     place = (path.fine_position - scales.low) / (scales.high - scales.low)
     magnitude = np.abs(speed)
     slowness = np.log(np.hypot(magnitude, rest))
-    memory = _since_reversal(path, scales)
+    memory = _since_reversal(path, scales) * (not alone)
     groups = {
         "offset": splines(place, SPLINE_COUNT["offset"]).T,
         "load": splines(place, SPLINE_COUNT["load"]).T,
@@ -225,6 +229,8 @@ def motion_functions(path: Path, scales: Scales, sign: int) -> dict[str, Array]:
     }
     way = sign * speed / np.hypot(magnitude, rest)
     here, there = (1 + way) / 2, (1 - way) / 2
+    if alone:
+        here, there = np.ones_like(way), np.zeros_like(way)
     across = splines(place, SPLINE_COUNT["reversal"]).T * (there / here)
     if scales.turn:
         angle = path.fine_position * (2 * math.pi / scales.turn)

@@ -6,7 +6,7 @@ after the other is left out; two leave only recordings to leave out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,9 @@ FEWEST_ROWS = 200
 
 FOLDS = 10
 """Parts into which levels are put that are left out together, at most."""
+
+APART = 0.02
+"""Part of the highest load by which levels differ, at least."""
 
 CELLS = 20
 """Parts of the stroke in which friction that grows with load is told."""
@@ -86,14 +89,15 @@ class Learned:
 def level_numbers(torques: Sequence[float]) -> list[int]:
     """Return the number of the level of each recording by its mean torque, smallest first.
 
-    Levels are apart by more than a quarter of the widest gap.
+    Levels are apart by more than a quarter of the widest gap, and by `APART` of the highest load.
     """
     loads = np.abs(np.asarray(torques, dtype=np.float64))
     order = np.argsort(loads, kind="stable")
     gaps = np.diff(loads[order])
     widest = float(gaps.max()) if len(gaps) else 0.0
     levels = np.empty(len(order), dtype=int)
-    levels[order] = np.concatenate([[0], np.cumsum(gaps > widest / 4)])
+    gap = max(widest / 4, APART * float(loads.max(initial=0.0)))
+    levels[order] = np.concatenate([[0], np.cumsum(gaps > gap)])
     return [int(level) for level in levels]
 
 
@@ -114,16 +118,13 @@ def learn(
     folds, levels = _folds(observations)
     moving = _Moving.of(observations, scales, folds)
     sides, held = [], []
-    for number, (sign, rows) in enumerate(moving.sides()):
-        if len(rows.effort) < FEWEST_ROWS:
-            raise InsufficientDataError(
-                f"{len(rows.effort)} rows move in the {'positive' if sign > 0 else 'negative'} "
-                f"direction, {FEWEST_ROWS} are needed: record more strokes to and fro"
-            )
-        degree: Mapping[str, float] = (
-            rows.choose(levels) if like is None else like.sides[number].degree
-        )
-        side, out = rows.model(degree)
+    for number, sign in enumerate(SIGNS):
+        rows = moving.side(sign)
+        if like is None:
+            side, out = rows.model(rows.choose(levels), rows.choose_each(levels))
+        else:
+            degree = like.sides[number].degree
+            side, out = rows.model(degree, [degree] * rows.sums.folds)
         sides.append(side)
         held.append(out)
     slope = moving.both([item.slope for item in held])
@@ -137,7 +138,8 @@ def learn(
         direction=direction,
         region=learn_region(moving.place, moving.speed, moving.torque, levels),
     )
-    friction = _friction(moving, slope, direction)
+    each = [moving.both(pair) for pair in zip(*(item.slopes for item in held), strict=False)]
+    friction = _friction(moving, slope, each, direction)
     return Learned(model, moving.validation(held), friction)
 
 
@@ -193,23 +195,30 @@ class _Moving:
         scale = (float(np.std(effort)) if len(effort) else 0.0) or 1.0
         return _Moving(scales, scale, names, columns, slopes, effort / scale, *rest)
 
-    def sides(self) -> list[tuple[int, Rows]]:
-        """Return the rows of each direction, positive first."""
-        found = []
-        for sign in SIGNS:
-            mask = sign * self.speed > 0
-            rows = Rows.of(
-                self.names,
-                self.columns[mask],
-                self.slopes[mask],
-                self.effort[mask],
-                self.torque[mask],
-                self.speed[mask],
-                self.fold[mask],
-                self.recording[mask],
+    def side(self, sign: int) -> Rows:
+        """Return the rows of one direction."""
+        mask = sign * self.speed > 0
+        if (count := int(np.count_nonzero(mask))) < FEWEST_ROWS:
+            raise InsufficientDataError(
+                f"{count} rows move in the {'positive' if sign > 0 else 'negative'} direction, "
+                f"{FEWEST_ROWS} are needed: record more strokes to and fro"
             )
-            found.append((sign, rows))
-        return found
+        fold = np.unique(self.fold[mask], return_inverse=True)[1]
+        if fold.max() == 0:
+            raise InsufficientDataError(
+                "only one load, or part of the recordings, moves in one of the directions: record "
+                "all loads to and fro"
+            )
+        return Rows.of(
+            self.names,
+            self.columns[mask],
+            self.slopes[mask],
+            self.effort[mask],
+            self.torque[mask],
+            self.speed[mask],
+            fold,
+            self.recording[mask],
+        )
 
     def both(self, parts: Sequence[NDArray]) -> NDArray:
         """Return values of both directions in the order of all rows."""
@@ -230,26 +239,25 @@ class _Moving:
         )
 
 
-def _friction(moving: _Moving, slope: Array, direction: int) -> LoadFriction:
+def _friction(moving: _Moving, slope: Array, each: Sequence[Array], direction: int) -> LoadFriction:
     """Return friction by load from the slopes of both directions, in cells of the stroke.
 
-    The slope of each row is that of the fold that was left out; leaving out one fold after the
-    other also gives the uncertainty.
+    Its uncertainty is from `each` slope that leaving out one fold after the other gives.
     """
     cell = np.clip((moving.place * CELLS).astype(int), 0, CELLS - 1)
     against = direction * moving.speed > 0
 
-    def share(rows: Mask) -> Array:
+    def share(slope: Array) -> Array:
         means = []
-        for mask in (against & rows, ~against & rows):
+        for mask in (against, ~against):
             count = np.bincount(cell[mask], minlength=CELLS)
             total = np.bincount(cell[mask], weights=slope[mask], minlength=CELLS)
             means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
         mu: Array = (means[0] - means[1]) / (means[0] + means[1])
         return mu
 
-    mu = share(np.ones(len(cell), dtype=bool))
-    without = np.stack([share(moving.fold != fold) for fold in range(int(moving.fold.max()) + 1)])
+    mu = share(slope)
+    without = np.stack([share(part) for part in each])
     u = np.array([standard_uncertainty(column) for column in without.T])
     scales, place = moving.scales, (np.arange(CELLS) + 0.5) / CELLS
     known = np.isfinite(mu + u)

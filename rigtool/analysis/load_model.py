@@ -118,8 +118,7 @@ class LoadModel:
     def estimate(self, effort: Array, path: Path) -> Estimate:
         """Return the torque at the rows (n,) of a path whose effort is given."""
         speed, unit = path.speed / self.scales.speed, self.scales.torque
-        torque, u, slope_share, low, high = (np.full(len(speed), np.nan) for _ in range(5))
-        solved = []
+        torque, u, slope_share = (np.full(len(speed), np.nan) for _ in range(3))
         for sign, side in zip(SIGNS, self.sides, strict=True):
             mask = speed < 0 if sign < 0 else speed >= 0
             functions = motion_functions(path, self.scales, sign)
@@ -129,23 +128,33 @@ class LoadModel:
             variance += scatter_variance(side.scatter, speed, found)
             with np.errstate(invalid="ignore", divide="ignore"):
                 spread = side.factor * np.sqrt(variance) / np.abs(slope)
-            solved.append(found)
             torque[mask], u[mask] = found[mask], spread[mask]
             slope_share[mask] = np.abs(slope[mask]) / side.slope
         still = (np.abs(path.speed) < self.scales.standstill) | (slope_share < FLAT)
         place = (path.position - self.scales.low) / (self.scales.high - self.scales.low)
         inside = self.region.holds(place, speed, torque) & path.regular & ~still
-        # Friction may act either way: both directions bound the torque, where both know one.
-        low, high = np.where(still, np.sort(solved, axis=0), np.nan) * unit
-        bad = np.isnan(low + high)
+        low, high = self._dead_band(effort, path, still)
         return Estimate(
             torque=np.where(inside, torque, np.nan) * unit,
             u=np.where(inside, u, np.nan) * unit,
             inside=inside,
             still=still,
-            low=np.where(bad, np.nan, low),
-            high=np.where(bad, np.nan, high),
+            low=low,
+            high=high,
         )
+
+    def _dead_band(self, effort: Array, path: Path, still: Mask) -> tuple[Array, Array]:
+        """Return the torques (n,) between which the load is where friction may act either way."""
+        edges = np.full((2, len(effort)), np.nan)
+        if still.any():
+            for edge, sign, side in zip(edges, SIGNS, self.sides, strict=True):
+                functions = motion_functions(path, self.scales, sign, alone=True)
+                rows = {name: functions[name][still] for name in side.degree}
+                scaled = effort[still] / self.effort_scale
+                edge[still] = side.solve(rows, scaled, self.torque_range)[0]
+        edges[:, np.isnan(edges).any(axis=0)] = np.nan
+        low, high = np.sort(edges, axis=0) * self.scales.torque
+        return low, high
 
 
 @dataclass(frozen=True, eq=False)

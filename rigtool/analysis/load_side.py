@@ -7,13 +7,14 @@ that the group is of no use: what counts is how the model does where it was not 
 
 The uncertainty has three parts: of the weights, from how whole recordings disagree, so that
 residuals may be correlated in time as they like; scatter, that changes with speed and load; and a
-factor that makes 95 % intervals hold 95 % of the rows of a level that was left out.
+factor that makes 95 % intervals hold 95 % of the rows of a level that was left out, from the choice
+of degrees on.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,8 +43,12 @@ WORTH = 0.002
 ROUNDS = 3
 """Times that the choice goes round all groups, at most."""
 
-RIDGE = 1e-7
-"""Degree by which any weight is held small, so that the equations can be solved."""
+RIDGE = 1e-4
+"""Degree by which weights are held small, at least, so that functions that are alike where it was
+learned, such as those of speed, do not work against each other between."""
+
+TINY = 1e-7
+"""The same for groups that have nothing like them: just that the equations can be solved."""
 
 COVERAGE, NORMAL = 0.95, 1.959963984540054
 """Of intervals, and the normal quantile of that."""
@@ -56,12 +61,14 @@ LOG_CHI2 = 1.270362845461478
 class HeldOut:
     """Rows (n,) of folds that were left out: error and u of the torque, without unit.
 
-    `told` (n,) says where effort depends enough on the load; elsewhere errors mean nothing.
+    `told` (n,) says where effort depends enough on the load; elsewhere errors mean nothing. `slope`
+    (n,) of effort by torque is that of all rows, `slopes` (folds, n) those without each fold.
     """
 
     error: Array
     u: Array
     slope: Array
+    slopes: Array
     told: Mask
 
 
@@ -117,7 +124,9 @@ class Rows:
             ones,
             Sums.of(columns, effort, ones, fold),
         )
-        scatter = _fit_scatter(plain.residual(dict.fromkeys(groups, START)), speed, torque)
+        scatter = _fit_scatter(
+            plain.residual([dict.fromkeys(groups, START)] * plain.sums.folds), speed, torque
+        )
         weight = 1 / scatter_variance(scatter, speed, torque)
         weight /= weight.mean()
         return replace(plain, weight=weight, sums=Sums.of(columns, effort, weight, fold))
@@ -135,43 +144,45 @@ class Rows:
         blocks = []
         for name, value in degree.items():
             count = len(self.groups[name])
-            block = np.eye(count)
+            held, block = max(value, RIDGE), np.zeros((count, count))
             if name in SPLINE_COUNT:
                 bend = np.diff(np.eye(count), 2, axis=0)
                 size = self.size[self.groups[name]]
                 # Neighbours are held together as functions, whatever their columns' sizes
                 block = bend.T @ bend * (float(np.mean(size)) ** 2) / np.outer(size, size)
-            blocks.append(value * block + RIDGE * np.eye(count))
+                held = TINY if name in ALWAYS else RIDGE
+            blocks.append(value * block + held * np.eye(count))
         return np.asarray(block_diag(*blocks))
 
     def weights(self, degree: Degree, without: int | None = None) -> Array:
         """Return weights (k,), one fold left out."""
         return self.sums.solve(self.use(degree), self.penalty(degree), without)
 
-    def residual(self, degree: Degree) -> Array:
-        """Return the residual of effort (n,) in folds that are left out."""
-        use, residual = self.use(degree), np.empty_like(self.effort)
-        for fold in range(self.sums.folds):
+    def residual(self, degrees: Sequence[Degree]) -> Array:
+        """Return the residual of effort (n,) in each fold, left out, with its own degrees."""
+        residual = np.empty_like(self.effort)
+        for fold, degree in enumerate(degrees):
             rows = self.fold == fold
-            model = self.columns[np.ix_(rows, use)] @ self.weights(degree, fold)
+            model = self.columns[np.ix_(rows, self.use(degree))] @ self.weights(degree, fold)
             residual[rows] = self.effort[rows] - model
         return residual
 
-    def choose(self, levels: int) -> dict[str, float]:
+    def choose(self, levels: int, without: int | None = None) -> dict[str, float]:
         """Return the degree of each group that is of use, one group after the other.
 
-        A power of the torque needs more levels than it is high.
+        A fold to be `without` has no say. A power of the torque needs more levels than it is high.
         """
+        sums = self.sums.without(without)
         names = [name for name in self.groups if LOAD_POWER.get(name, 0) < levels]
         degree = dict.fromkeys(names, START)
-        best = self._cost(degree)
+        best = self._cost(degree, sums)
         for _ in range(ROUNDS):
             before = best
             for name in names:
                 tried = [{**degree, name: value} for value in DEGREES if degree.get(name) != value]
                 if name in degree and name not in ALWAYS:
                     tried.append({n: v for n, v in degree.items() if n != name})
-                costs = [self._cost(each) for each in tried]
+                costs = [self._cost(each, sums) for each in tried]
                 if min(costs) < best - WORTH:
                     best = min(costs)
                     degree = tried[int(np.argmin(costs))]
@@ -179,39 +190,57 @@ class Rows:
                 break
         return degree
 
-    def _cost(self, degree: Degree) -> float:
+    def choose_each(self, levels: int) -> list[dict[str, float]]:
+        """Return what each fold's absence would have chosen: the choice is part of the learning."""
+        if self.sums.folds < 3:
+            return [self.choose(levels)] * self.sums.folds
+        return [self.choose(levels, fold) for fold in range(self.sums.folds)]
+
+    def _cost(self, degree: Degree, sums: Sums) -> float:
         """Return the mean logarithm of the residual in folds that are left out.
 
         Logarithms, as the levels at either end would else decide alone: they are extrapolated to.
         """
-        squares = self.sums.held_out(self.use(degree), self.penalty(degree))
+        squares = sums.held_out(self.use(degree), self.penalty(degree))
         return 0.5 * float(np.mean(np.log(np.maximum(squares, 1e-300))))
 
     # -- the model
 
-    def model(self, degree: Degree) -> tuple[Side, HeldOut]:
-        """Return the model of these degrees, and how it did in folds that were left out."""
-        use = self.use(degree)
-        columns, penalty = self.columns[:, use], self.penalty(degree)
+    def model(self, degree: Degree, each: Sequence[Degree]) -> tuple[Side, HeldOut]:
+        """Return the model of these degrees, and how folds did that were left out.
+
+        `each` fold with the degrees that were chosen without it.
+        """
+        use, penalty = self.use(degree), self.penalty(degree)
         weights = self.sums.solve(use, penalty)
-        residual = self.residual(degree)
-        scores = self._scores(columns, residual)
-        scatter = _fit_scatter(self.effort - columns @ weights, self.speed, self.torque)
+        residual = self.residual(each)
+        scores = self._scores(residual)
+        scatter = _fit_scatter(residual, self.speed, self.torque)
         variance, slope = np.empty_like(residual), np.empty_like(residual)
-        for fold in range(self.sums.folds):
-            rows = self.fold == fold
+        slopes = np.empty((len(each), len(residual)))
+        for fold, own in enumerate(each):
+            rows, where = self.fold == fold, self.use(own)
             left = np.unique(self.recording[~rows])
-            within = _covariance(self.sums.inverse(use, penalty, fold), scores[left])
-            variance[rows] = np.einsum("ij,ij->i", columns[rows] @ within, columns[rows])
-            slope[rows] = self.slopes[np.ix_(rows, use)] @ self.sums.solve(use, penalty, fold)
+            inverse = self.sums.inverse(where, self.penalty(own), fold)
+            within = _covariance(inverse, scores[np.ix_(left, where)])
+            columns = self.columns[np.ix_(rows, where)]
+            variance[rows] = np.einsum("ij,ij->i", columns @ within, columns)
+            slopes[fold] = self.slopes[:, where] @ self.weights(own, fold)
+            slope[rows] = slopes[fold, rows]
         variance += scatter_variance(scatter, self.speed, self.torque)
         factor = self._factor(np.abs(residual) / np.sqrt(variance))
         usual = float(np.median(np.abs(slope)))
         told = np.abs(slope) >= FLAT * usual
         safe = np.where(told, slope, usual)
-        held = HeldOut(-residual / safe, factor * np.sqrt(variance) / np.abs(safe), slope, told)
+        held = HeldOut(
+            error=-residual / safe,
+            u=factor * np.sqrt(variance) / np.abs(safe),
+            slope=self.slopes[:, use] @ weights,
+            slopes=slopes,
+            told=told,
+        )
         size = self.size[use]
-        covariance = _covariance(self.sums.inverse(use, penalty), scores)
+        covariance = _covariance(self.sums.inverse(use, penalty), scores[:, use])
         side = Side(
             degree=dict(degree),
             weights=weights / size,
@@ -224,24 +253,23 @@ class Rows:
         return side, held
 
     def _factor(self, ratio: Array) -> float:
-        """Return what makes 95 % intervals hold 95 % of the rows of a level that is yet to come.
+        """Return what makes 95 % intervals hold 95 % of the rows of folds that were left out.
 
-        `ratio` (n,) of residual and its standard uncertainty in folds that were left out. These ask
-        for different factors; a new one for their mean, give or take how they differ. Recordings
-        repeat the measurement: by their number r, Student's t with r - 1 degrees of freedom
-        stands for the normal distribution.
+        `ratio` (n,) is that of residual and its standard uncertainty there. Folds ask for different
+        factors, their mean counts. Recordings repeat the measurement: by their number r, Student's
+        t with r - 1 degrees of freedom stands for the normal distribution.
         """
         from scipy.stats import t
 
         folds = range(self.sums.folds)
         asked = [float(np.quantile(ratio[self.fold == fold], COVERAGE)) for fold in folds]
         wider = float(t.ppf((1 + COVERAGE) / 2, len(np.unique(self.recording)) - 1)) / NORMAL
-        return wider * (float(np.mean(asked)) + float(np.std(asked, ddof=1))) / NORMAL
+        return wider * float(np.mean(asked)) / NORMAL
 
-    def _scores(self, columns: Array, residual: Array) -> Array:
+    def _scores(self, residual: Array) -> Array:
         """Return the sum of row times residual over each recording, (recordings, k)."""
-        scores = np.zeros((int(self.recording.max()) + 1, columns.shape[1]))
-        np.add.at(scores, self.recording, columns * (self.weight * residual)[:, None])
+        scores = np.zeros((int(self.recording.max()) + 1, self.columns.shape[1]))
+        np.add.at(scores, self.recording, self.columns * (self.weight * residual)[:, None])
         return scores
 
 
@@ -275,6 +303,16 @@ class Sums:
     def folds(self) -> int:
         """Number of folds."""
         return len(self.rows)
+
+    def without(self, fold: int | None) -> Sums:
+        """Return the sums of all folds but one."""
+        if fold is None:
+            return self
+        parts = (
+            np.delete(part, fold, axis=0)
+            for part in (self.normal, self.right, self.power, self.rows)
+        )
+        return Sums(*parts)
 
     def solve(self, use: Numbers, penalty: Array, without: int | None = None) -> Array:
         """Return weights (k,), one fold left out."""
