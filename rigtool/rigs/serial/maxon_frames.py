@@ -127,14 +127,18 @@ class LockStepFrames:
 
         def receive() -> bytes:
             self._acknowledged("the op code")
-            self.line.write(lock_step_frame(opcode, data))
-            self._acknowledged("the data")
-            return b"" if reply is None else self._receive(reply)
+            return self.complete(opcode, data, reply)
 
         answer = self.line.exchange(bytes([opcode]), receive, retries=retries)
         if self.line.counts.retries > before:
             self.line.settle()
         return answer
+
+    def complete(self, opcode: int, data: bytes, reply: int | None) -> bytes:
+        """Send what follows an op code that was acknowledged, and return the answer."""
+        self.line.write(lock_step_frame(opcode, data))
+        self._acknowledged("the data")
+        return b"" if reply is None else self._receive(reply)
 
     def _acknowledged(self, what: str) -> None:
         """Wait for `O`. Where neither that nor `F` comes, wait until the device is idle again."""
@@ -150,7 +154,7 @@ class LockStepFrames:
         raise DamagedReply(f"{self.line.port}: the device answers {byte!r} to {what}")
 
     def _let_pass(self) -> None:
-        """Wait until the device has given up a frame: what it gets until then would belong to it."""
+        """Wait until the device has given up a frame, to which all it gets would belong."""
         self.line.pause(SPARE * self.frame_timeout)
 
     def _receive(self, size: int) -> bytes:

@@ -1,0 +1,105 @@
+"""What all maxon drives share: samples that are taken again, settings that come back, the end."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+from rigtool.errors import HardwareError, RecipeError
+from rigtool.rigs.serial.drive import Sample, SetPoint
+from rigtool.rigs.serial.line import Line
+
+RPM = 2 * math.pi / 60
+"""rad/s in one turn a minute."""
+
+SAMPLE_ATTEMPTS = 3
+HALT_ATTEMPTS = 3
+
+STATE_READINGS = 50
+STATE_PAUSE = 0.01
+"""How often, and how far apart [s], a state is asked for that a drive is to reach."""
+
+NO_WATCHDOG = (
+    "has no watchdog on this line, and goes on as it was told last if the line falls silent"
+)
+
+
+class MaxonDrive(ABC):
+    """A drive that answers several requests a sample; positions come in quad counts."""
+
+    def __init__(self, line: Line, encoder_counts: int) -> None:
+        self.line = line
+        self._encoder_counts = encoder_counts
+        self._count = 2 * math.pi / encoder_counts
+
+    @abstractmethod
+    def _measure(self) -> tuple[Sample, int]:
+        """Ask for all values of a sample, and for the status."""
+
+    @abstractmethod
+    def _set(self, setpoint: SetPoint) -> None:
+        """Send the set point of the mode."""
+
+    @abstractmethod
+    def _require_on(self, status: int) -> None:
+        """Raise `HardwareError` where a status says that the drive is not switched on."""
+
+    @abstractmethod
+    def _confirm(self) -> None:
+        """Ask something with a known answer; raises `HardwareError` where another comes."""
+
+    @abstractmethod
+    def _switch_off(self) -> bool:
+        """Switch the power stage off with few attempts; return whether it is off."""
+
+    def step(self, setpoint: SetPoint) -> Sample:
+        """Measure, then send a set point; raises `HardwareError` where the drive is off."""
+        sample, status = self._undisturbed(lambda: self._set(setpoint))
+        self._require_on(status)
+        return sample
+
+    def read(self) -> Sample:
+        """Measure, whatever state the drive is in."""
+        return self._undisturbed(self._confirm)[0]
+
+    def _undisturbed(self, then: Callable[[], None]) -> tuple[Sample, int]:
+        """Measure, do what follows, and do both again where anything had to be repeated.
+
+        Answers do not say which question they belong to: a late one would be taken for the next.
+        `then` would notice, since its answer is of another kind.
+        """
+        for _ in range(SAMPLE_ATTEMPTS):
+            before = self.line.counts.retries
+            measured = self._measure()
+            then()
+            if self.line.counts.retries == before:
+                return measured
+        raise HardwareError(
+            f"{self.line.port}: no sample without damaged or missing answers in {SAMPLE_ATTEMPTS} "
+            "attempts: see to cable, shield and earth"
+        )
+
+    def halt(self) -> None:
+        """Switch the power stage off, whatever state the drive is in."""
+        problem: HardwareError | None = None
+        for _ in range(HALT_ATTEMPTS):
+            try:
+                self.line.settle()  # what comes late answers older questions
+                if self._switch_off():
+                    return
+                problem = HardwareError("it says that it is still on")
+            except HardwareError as error:
+                problem = error
+        raise HardwareError(
+            f"{self.line.port}: the drive was not switched off ({problem}). It has no watchdog: it "
+            "may still turn: use the emergency stop or switch its supply off"
+        )
+
+    def _require_encoder(self, pulses: int | None) -> None:
+        """Compare the drive's encoder, pulses a turn, with the recipe's; None where not known."""
+        if pulses and 4 * pulses != self._encoder_counts:
+            raise RecipeError(
+                f"rig.encoder_counts is {self._encoder_counts}, the drive on {self.line.port} is "
+                f"set to {pulses} pulses, {4 * pulses} counts a turn: correct the one that is wrong"
+            )
