@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from rigtool.recipe import load_recipe
 from rigtool.rigs import CHANNELS, Feedforward, Load, Task, open_rig
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from tests.rigs.serial.recipes import RECIPE, serial_recipe
@@ -125,3 +127,18 @@ def test_blocks_come_down_at_a_megabyte_a_second():
         # of the processor's time, both sides of the line: other programs run here as well
         rate = (rig.line.counts.bytes_received - before) / (time.process_time() - start)
     assert rate > 1e6
+
+
+@pytest.mark.parametrize("log", ["memory", "stream"])
+def test_a_record_plays_back_bit_for_bit(log, tmp_path):
+    path = str(tmp_path / "line.spy")
+    recipe = serial_recipe("none", f"serial.log={log}", "serial.watchdog=5")
+    signals = []
+    with serve(TargetEmulator(virtual()), Fault("cut", at=25), Fault("late", at=33)) as server:
+        for driver, port, spy in (("target", server.port, path), ("replay", path, None)):
+            line = recipe.serial.model_copy(update={"driver": driver, "port": port})
+            bench = replace(BENCH, spy=spy)
+            with open_rig(recipe.model_copy(update={"serial": line}), KT, "test", bench) as rig:
+                signals.append(blocks_of(rig, TRIANGLE))
+                assert json.loads(rig.report())["retries"] > 0
+    assert_same(*signals)
