@@ -1,15 +1,18 @@
 """ODrive over its ASCII protocol, firmware 0.5 and 0.6: USB, or a UART of 460800 bit/s and more.
 
-A set point is one exchange, which reads it back; what is measured is another, half a period later.
-A set point of position stands still for a period while the motion goes on, so that the drive's
-error is a saw-tooth around its mean. Each set point is therefore sent as that of the middle of its
-period, and measured there, where the saw-tooth is zero. The drive's own filter (POS_FILTER) would
-smooth it as well, but throws the feed-forward of torque away.
+A set point, its echo and what is measured are one exchange.
+
+While a motion goes on the drive follows speeds (`v`), which the host corrects by what is left of
+the position, with the drive's own gain; at rest the drive holds the position itself (`p`). Followed
+by positions, the shaft would meet a step of speed times period each time, and the current measured
+there would be off by more than friction is: docs/bench-odrive.md has figures. The drive's filter
+(POS_FILTER) smooths such steps, but throws the feed-forward of torque away.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
@@ -24,6 +27,9 @@ TURN = 2 * math.pi
 
 IDLE, CLOSED_LOOP = 1, 8
 CONTROL_MODES: dict[Mode, int] = {"current": 1, "velocity": 2, "position": 3}
+COMMANDS = {1: ("c", "input_torque"), 2: ("v", "input_vel"), 3: ("p", "input_pos")}
+"""The command of each control mode, and the property that it sets."""
+
 PASSTHROUGH = 1
 GIMBAL = 2
 
@@ -34,6 +40,9 @@ POLLS = 20
 """Times that the state is looked at, every `POLL` s, before it is asked for again."""
 
 POLL = 0.005
+
+CORRECTED = 0.3
+"""Part of an error of position that is taken back in a period at most."""
 
 TEMPERATURE_EVERY = 50
 """Samples for which one reading of the thermistor holds."""
@@ -63,7 +72,10 @@ class ODrive:
         self._temperature = math.nan
         self._samples = 0
         self._trip = 0.0
+        self._gain = 0.0
+        self._last = Sample(0.0, 0.0)
         self._mode: Mode = "position"
+        self._control_mode = 0
         self._before: dict[str, str] = {}
 
     # -- who is there
@@ -88,6 +100,7 @@ class ODrive:
                 f"{self._name(self._dialect.torque_constant)} is {self._torque_constant:g} N m/A: "
                 "set it in the drive to that of the motor"
             )
+        self._gain = min(self._number("controller.config.pos_gain"), CORRECTED / self._period)
         found = self._talk.get_first(*map(self._name, self._dialect.direction))
         self._direction = -1.0 if found and number(found[1]) < 0 else 1.0
         self._find_thermistor()
@@ -202,7 +215,8 @@ class ODrive:
             self.halt()
         self._mode = mode
         self._read_errors()
-        self._set("controller.config.control_mode", CONTROL_MODES[mode])
+        self._control_mode = CONTROL_MODES[mode]
+        self._set("controller.config.control_mode", self._control_mode)
         self._rest(self.read().position)
         clear = ["sc"] if any(self._errors().values()) else []  # the watchdog's only
         self._talk.put(
@@ -256,68 +270,82 @@ class ODrive:
     # -- set points and samples
 
     def step(self, setpoint: SetPoint) -> Sample:
-        """Send a set point, read it back, and measure half a period later.
+        """Send a set point, see that it arrived, and measure.
 
         Raises `HardwareError` where the loop is no longer closed.
         """
-        start = self._line.now()
-        self._send(setpoint)
-        wait = min(self._period / 2, self._period - 1.5 * self._trip)
-        self._line.sleep_until(start + max(0.0, wait))
-        return self._measure(running=True)
+        axis, name = self._axis, "controller.config.control_mode"
+        control_mode, value, rest = self._command(setpoint)
+        letter, echo = COMMANDS[control_mode]
+        commands = [f"{letter} {axis} {value:.7f} {rest}"]
+        echoes = [(f"controller.{echo}", value)]
+        if control_mode != self._control_mode:  # the command itself says so to 0.5; to 0.6, perhaps
+            commands.insert(0, f"w {self._name(name)} {control_mode}")
+            echoes.append((name, control_mode))
+        sample = self._measure(commands, echoes)
+        self._control_mode = control_mode
+        return sample
 
     def read(self) -> Sample:
         """Measure; nothing moves."""
-        return self._measure(running=False)
+        return self._measure()
 
-    def _send(self, setpoint: SetPoint) -> None:
-        axis, torque = self._axis, setpoint.current * self._torque_constant
-        speed = setpoint.speed / TURN
-        if self._mode == "position":
-            value, echo = setpoint.position / TURN + speed * self._period / 2, "input_pos"
-            command = f"p {axis} {value:.7f} {speed:.6f} {torque:.7f}"
-        elif self._mode == "velocity":
-            value, echo = speed, "input_vel"
-            command = f"v {axis} {speed:.7f} {torque:.7f}"
-        else:
-            value, echo = torque, "input_torque"
-            command = f"c {axis} {torque:.7f}"
+    def _command(self, setpoint: SetPoint) -> tuple[int, float, str]:
+        """Return control mode, set point and the words after it, in the units of the drive."""
+        torque = setpoint.current * self._torque_constant
+        if self._mode == "current":
+            return CONTROL_MODES["current"], torque, ""
+        if self._mode == "velocity":
+            return CONTROL_MODES["velocity"], setpoint.speed / TURN, f"{torque:.7f}"
+        if setpoint.speed == 0.0:
+            return CONTROL_MODES["position"], setpoint.position / TURN, f"0 {torque:.7f}"
+        # Where the shaft should have been when it was measured last: the motion went on since.
+        wanted = setpoint.position - setpoint.speed * (self._line.now() - self._last.time)
+        speed = setpoint.speed + self._gain * (wanted - self._last.position)
+        return CONTROL_MODES["velocity"], speed / TURN, f"{torque:.7f}"
 
-        def understand(replies: list[str]) -> None:
-            if not agrees(replies[0], value):
-                raise DamagedReply(f"{echo} is {replies[0]} after {command!r}")
-
-        echoed = self._name(f"controller.{echo}")
-        self._talk.ask([f"r {echoed}"], understand, commands=[command])
-
-    def _measure(self, running: bool) -> Sample:
+    def _measure(
+        self, commands: Sequence[str] = (), echoes: Sequence[tuple[str, float]] = ()
+    ) -> Sample:
+        """Send commands, and measure; `echoes` are properties that the commands set."""
         questions = [
             f"f {self._axis}",
             f"r {self._name(self._dialect.current)}",
             f"r {self._name(self._dialect.current_setpoint)}",
-            self._state_question,  # last: an integer among numbers shows that none was skipped
+            *[f"r {self._name(name)}" for name, _ in echoes],
         ]
         if self._thermistor and self._samples % TEMPERATURE_EVERY == 0:
-            questions.insert(3, f"r {self._thermistor}.temperature")
+            questions.append(f"r {self._thermistor}.temperature")
+        questions.append(self._state_question)  # an integer among numbers: none was skipped
         self._samples += 1
+
+        def understand(replies: list[str]) -> tuple[float, list[float], int]:
+            now = self._line.now()
+            for (name, value), text in zip(echoes, replies[3:], strict=False):
+                if not agrees(text, value):
+                    raise DamagedReply(f"{name} is {text} after {commands[-1]!r}")
+            measured = [*replies[:3], *replies[3 + len(echoes) : -1]]
+            return now, _numbers(measured), _state(replies[-1:])
+
         start, retries = self._line.now(), self._line.counts.retries
-        end, numbers, state = self._talk.ask(
-            questions,
-            lambda replies: (self._line.now(), _numbers(replies[:-1]), _state(replies[-1:])),
-        )
+        end, numbers, state = self._talk.ask(questions, understand, commands=commands)
         if self._line.counts.retries == retries:
             self._trip = end - start
-        if running and state != CLOSED_LOOP:
+        if commands and state != CLOSED_LOOP:
             raise HardwareError(
                 f"axis {self._axis} is in state {state} instead of its closed loop "
                 f"({self._describe_errors()}): watchdog, reset or a fault"
             )
+        self._last = self._sample(self._moment(end, len(questions)), numbers)
+        return self._last
+
+    def _sample(self, moment: float, numbers: Sequence[float]) -> Sample:
         position, speed, current, current_setpoint, *temperature = numbers
         if not math.isfinite(position):
             raise HardwareError(f"axis {self._axis} does not know its position: is its encoder on?")
         self._temperature = temperature[0] if temperature else self._temperature
         return Sample(
-            self._moment(end, len(questions)),
+            moment,
             position * TURN,
             speed * TURN,
             current * self._direction,

@@ -169,10 +169,11 @@ def number(text: str) -> float:
 
 
 def agrees(text: str, value: float) -> bool:
-    """Say whether a reply is this value: cut after 9 characters, of a 32-bit float."""
-    decimals = len(text.partition(".")[2])
+    """Say whether a reply is this value: of a 32-bit float, cut after 9 characters."""
+    _, point, decimals = text.partition(".")
+    cut = 1.05 * 10.0 ** -len(decimals) if point else 0.0
     read = number(text)
-    return read == value or abs(read - value) <= 1.05 * 10.0**-decimals + 2e-7 * abs(value)
+    return read == value or abs(read - value) <= cut + 2e-7 * abs(value)
 
 
 class Talk:
@@ -245,20 +246,20 @@ class Talk:
             lines += whole
             if len(rest) > LONGEST:
                 raise DamagedReply(f"{len(rest)} bytes came without the end of a line")
+        texts = [unseal(line) for line in lines]
+        for text in texts:  # perhaps to a command, which has no reply otherwise
+            if text.startswith(REFUSALS):
+                raise Refused(f"the ODrive refuses {', '.join(questions)}: {text}")
         if rest or len(lines) > len(questions):
             raise DamagedReply("more came than was asked for")
-        return [_reply(question, line) for question, line in zip(questions, lines, strict=True)]
+        for question, text in zip(questions, texts, strict=True):
+            _require_form(question, text)
+        return texts
 
 
-def _reply(question: str, line: bytes) -> str:
-    text = unseal(line)
-    if text.startswith(REFUSALS):
-        raise Refused(f"the ODrive does not do {question!r}: {text}")
-    if text.startswith("invalid"):
-        raise DamagedReply(f"{question!r} was answered {text!r}")
+def _require_form(question: str, text: str) -> None:
     if len(text.split()) != (2 if question.startswith("f ") else 1):
         raise DamagedReply(f"{text!r} is no reply to {question!r}")
-    return text
 
 
 def identify(line: Line, retries: int | None = None) -> Identity:

@@ -46,12 +46,12 @@ class ODriveEmulator(Emulator):
         self.firmware, self._words = firmware, words
         self.dialect = DIALECT_05 if firmware < (0, 6, 0) else DIALECT_06
         self.motor = Motor()
-        self.motor.gain_position = 20.0
         self.saved: dict[str, Value] = {
             self.dialect.current_limit: 30.0,
             self.dialect.torque_constant: 0.045,
             self.dialect.motor_type: 0,
             self.dialect.direction[0]: direction,
+            "controller.config.pos_gain": 20.0,
             "controller.config.vel_limit": 50.0,
             "controller.config.vel_limit_tolerance": 1.2,
             "controller.config.enable_vel_limit": True,
@@ -139,12 +139,13 @@ class ODriveEmulator(Emulator):
     def _turn(self) -> None:
         mode = MODES.get(int(self["controller.config.control_mode"]))
         self.motor.current_limit = self[self.dialect.current_limit]
+        self.motor.gain_position = self["controller.config.pos_gain"]
         limit = self["controller.config.vel_limit"]
         self.motor.advance(
             mode if self.state == CLOSED_LOOP else None,
             self["controller.input_pos"] * TURN + self._zero,
             float(np.clip(self["controller.input_vel"], -limit, limit)) * TURN,
-            self["controller.input_torque"] / self[self.dialect.torque_constant],
+            self["controller.input_torque"] / max(self[self.dialect.torque_constant], 1e-9),
         )
 
     @property
