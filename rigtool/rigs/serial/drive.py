@@ -17,12 +17,14 @@ class Abilities:
 
     `channels` are those of a `Sample` that it fills: some of `current`, `current_setpoint`,
     `temperature`. Position is always there. `feedforward` says whether a current may be added in
-    the modes `position` and `velocity`.
+    the modes `position` and `velocity`; `watchdog`, whether it stops by itself when the line falls
+    silent.
     """
 
     modes: frozenset[Mode]
     feedforward: bool
     channels: frozenset[str]
+    watchdog: bool = True
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 A driver's module has
 
     BAUD_RATE: int                                    the usual one
+    BAUD_RATES: tuple[int, ...]                       where devices differ, all to try
     def probe(line: Line) -> str | None               who answers, None where nobody it knows does;
                                                       asks only, moves and changes nothing
     def make_drive(line: Line, recipe: Recipe) -> Drive    not connected yet
@@ -21,11 +22,11 @@ from rigtool.errors import HardwareError
 MODULES = {
     "odrive": "rigtool.rigs.serial.odrive",
     "moteus": "rigtool.rigs.serial.moteus",
-    "maxon": "rigtool.rigs.serial.maxon",
     "target": "rigtool.rigs.serial.target",
+    "maxon": "rigtool.rigs.serial.maxon",
 }
 """Modules by name, in the order in which they are asked who is there: those that ask in lines of
-text first, because others leave them half a line."""
+text first, because others leave them half a line; the one that takes longest last."""
 
 
 def driver_module(name: str) -> ModuleType:

@@ -118,6 +118,11 @@ class HostedRig(SerialRig):
             self._drive.restore()
             self._configured = False
 
+    def _last_resort(self) -> str:
+        if self._drive is None or self._drive.abilities.watchdog:
+            return super()._last_resort()
+        return "It has no watchdog and may go on: switch its supply off"
+
     def _position(self) -> float:
         return self.drive.read().position
 

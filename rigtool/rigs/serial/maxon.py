@@ -91,5 +91,5 @@ def _introduced(line: Line, ready: bytes, node: int) -> Objects | LockStepFrames
         frames.complete(EPOS2_ACCESS.read, EPOS2_ACCESS.address(node, DEVICE_TYPE), 8)
         return objects
     objects = Objects(DleFrames(line), EPOS4_ACCESS, node)
-    objects.read(DEVICE_TYPE, retries=1)
+    objects.read(DEVICE_TYPE, retries=0)
     return objects

@@ -93,7 +93,7 @@ class MaxonDrive(ABC):
                 problem = error
         raise HardwareError(
             f"{self.line.port}: the drive was not switched off ({problem}). It has no watchdog: it "
-            "may still turn: use the emergency stop or switch its supply off"
+            "may still turn"
         )
 
     def _require_encoder(self, pulses: int | None) -> None:

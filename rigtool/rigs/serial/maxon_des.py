@@ -38,6 +38,7 @@ class DesDrive(MaxonDrive):
         modes=frozenset({"velocity", "current"}),
         feedforward=False,
         channels=frozenset({"current", "current_setpoint"}),
+        watchdog=False,
     )
 
     def __init__(self, frames: LockStepFrames, encoder_counts: int) -> None:

@@ -70,7 +70,10 @@ class EposDrive(MaxonDrive):
         """Current and speed; feed-forward where the family has a torque offset."""
         told = {"current", "current_setpoint"} if self._tells_demand else {"current"}
         return Abilities(
-            modes=frozenset(self.modes), feedforward=self._feeds_forward, channels=frozenset(told)
+            modes=frozenset(self.modes),
+            feedforward=self._feeds_forward,
+            channels=frozenset(told),
+            watchdog=False,
         )
 
     _feeds_forward = False

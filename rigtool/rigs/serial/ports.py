@@ -46,19 +46,18 @@ def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iter
 
 
 def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
-    problem = ""
     for name in drivers:
         module = driver_module(name)
-        try:
-            with Line(port, module.BAUD_RATE, timeout=PROBE_TIME, retries=0) as line:
-                line.settle()
-                identity = module.probe(line)
-        except HardwareError as error:
-            problem = str(error) if "cannot be opened" in str(error) else ""
-            if problem:
-                break
-            time.sleep(PROBE_TIME / 5)  # what the last question may still bring about
-            continue
-        if identity:
-            return Device(port, description, name, identity)
-    return Device(port, description, problem=problem)
+        for baud_rate in getattr(module, "BAUD_RATES", (module.BAUD_RATE,)):
+            try:
+                with Line(port, baud_rate, timeout=PROBE_TIME, retries=0) as line:
+                    line.settle()
+                    identity = module.probe(line)
+            except HardwareError as error:
+                if "cannot be opened" in str(error):
+                    return Device(port, description, problem=str(error))
+                time.sleep(PROBE_TIME / 5)  # what the last question may still bring about
+                continue
+            if identity:
+                return Device(port, description, name, identity)
+    return Device(port, description)

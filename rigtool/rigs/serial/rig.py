@@ -94,6 +94,10 @@ class SerialRig(ABC):
     def _reason(self, need: str) -> str | None:
         """Return why a need or channel is not offered by what is on the line, None where it is."""
 
+    def _last_resort(self) -> str:
+        """Return what stops a drive that can no longer be told, for the operator."""
+        return f"Its watchdog stops it after {self._settings.watchdog:g} s of silence"
+
     def _set_load(self, load: Load) -> None:
         """Bring about what acts from outside; the operator does, unless the rig can."""
         self._ask_for_load(load)
@@ -141,8 +145,8 @@ class SerialRig(ABC):
                 self._line.close()
         if problems:
             text = (
-                f"{'; '.join(problems)}. Its watchdog stops it after {self._settings.watchdog:g} s "
-                "of silence: see that it stands still before you touch it"
+                f"{'; '.join(problems)}. {self._last_resort()}: see that it stands still before "
+                "you touch it"
             )
             if error is None:
                 raise HardwareError(text)
@@ -190,6 +194,8 @@ class SerialRig(ABC):
             **self.line.counts.as_dict(),
             **self._facts(),
         }
+        if self._gauges:
+            facts["instruments"] = {name: gauge.report() for name, gauge in self._gauges.items()}
         return json.dumps(facts, sort_keys=True)
 
     def _facts(self) -> Mapping[str, Any]:
@@ -213,7 +219,7 @@ class SerialRig(ABC):
         try:
             for block in blocks:
                 self._add_instruments(block, task.load)
-                problem = watch.problem(block)
+                problem = watch.problem(block) or self._instrument_problem()
                 if problem:
                     self._break_off()
                     yield block
@@ -253,6 +259,10 @@ class SerialRig(ABC):
             block[name] = gauge.at(self._host_time(block["time"]))
         if load.clamped and "rotor_angle" not in block:
             block["rotor_angle"] = np.full(len(block["time"]), self._clamp_angle)
+
+    def _instrument_problem(self) -> str | None:
+        problems = (gauge.problem() for gauge in self._gauges.values())
+        return next((problem for problem in problems if problem), None)
 
     def _host_time(self, time: Array) -> Array:
         """Return `time.monotonic()` at these times of the bench clock, s."""
