@@ -151,7 +151,7 @@ def test_hello_in_the_middle_stops_and_forgets(host):
     assert link.Hello.unpack(host.ask(Kind.HELLO, b"\1")).boot != boot
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(
     st.lists(st.tuples(st.integers(0, 20), st.binary(max_size=40)), max_size=12),
     st.binary(max_size=40),
