@@ -1,5 +1,6 @@
 # make tables   the whole chain on the virtual rig: Tables 8 and 9 beside the published ones
 # make corrected  known loads learned, Table 8 three times: published, without and with correction
+# make thesis   every figure and table of the thesis beside the virtual rig: docs/reproduction.md
 # make real-data DATA=folder of mis-tool  a real instrument: torque from current against a sensor
 # make test     style, types and tests
 # make docs     the documentation as a site, in build/docs
@@ -17,7 +18,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: real-data tables corrected test docs fixtures bench clean
+.PHONY: real-data tables corrected thesis test docs fixtures bench clean
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -71,6 +72,37 @@ $(BUILD)/corrected/index.html: $(addprefix $(BUILD)/,kt.h5 tables-loads.h5 force
 
 $(BUILD)/report/index.html: $(RUNS)
 	$(RIGTOOL) report $(RUNS) -o $(BUILD)/report --overwrite -q
+
+THESIS := $(BUILD)/thesis
+THESIS_RUNS := $(RUNS) $(addprefix $(THESIS)/,plant.h5 a.h5 b.h5 suspension.h5 idm640.h5)
+
+thesis: $(THESIS_RUNS)
+	.venv/bin/python -m rigtool.report.reproduction $^ --docs docs --html $(THESIS)/reproduction.html
+
+$(THESIS): | $(BUILD)
+	mkdir -p $@
+
+$(THESIS)/plant.h5: $(RECIPE) $(BUILD)/kt.h5 | $(THESIS)
+	$(RIGTOOL) identify-plant $< --kt $(BUILD)/kt.h5 $(PULLEY) -o $@ $(MEASURE)
+
+$(THESIS)/a.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/friction.h5 | $(THESIS)
+	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 --friction $(BUILD)/friction.h5 \
+		$(PULLEY) --implementation A --validate -o $@ $(MEASURE)
+
+$(THESIS)/b.h5: $(RECIPE) $(BUILD)/kt.h5 | $(THESIS)
+	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 $(PULLEY) --implementation B --validate \
+		-o $@ $(MEASURE)
+
+$(THESIS)/suspension.h5: $(RECIPE) | $(INSTALLED) $(THESIS)
+	$(RIGTOOL) suspension $< -o $@ $(MEASURE)
+
+# A faulty amplifier [App. C]: exit code 4 is the result, what was recorded until then is kept.
+FAULTY = --set virtual.amplifier.distortion=0.05 --set virtual.amplifier.distortion_period=0.06
+
+$(THESIS)/idm640.h5: $(RECIPE) $(BUILD)/kt.h5 | $(THESIS)
+	rm -f $@ $@.part
+	$(RIGTOOL) stribeck $< --kt $(BUILD)/kt.h5 $(FAULTY) -o $@ $(MEASURE); test $$? -eq 4
+	$(RIGTOOL) recover $@.part -o $@ && rm $@.part
 
 DATA ?= ../shared/data/mis-tool
 TOOL ?= Tool_4_Maryland_L_4

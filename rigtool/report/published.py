@@ -56,6 +56,17 @@ def published_value(command: str, result: str, attachment: str | None) -> Publis
     return PublishedValue(float(found["value"]), found["section"])
 
 
+def published_entry(path: str) -> Any:
+    """Return what stands at a dotted path of `published.toml`: a value with section, or a list.
+
+    Raises `KeyError` where the thesis is silent.
+    """
+    entry: Any = _published()
+    for name in path.split("."):
+        entry = entry[name]
+    return entry
+
+
 @cache
 def _published() -> dict[str, Any]:
     return tomllib.loads(files("rigtool.report").joinpath("published.toml").read_text("utf-8"))

@@ -17,6 +17,7 @@ from rigtool.report.figures.axes import (
     counts,
     cycle_axis,
     fit_height,
+    thin,
     up_and_down,
 )
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rigtool.runfile import Run, Table
+
+POINTS = 175
+"""Of each cycle where all of them are drawn."""
 
 PROBABILITIES = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 
@@ -44,7 +48,9 @@ def variation(run: Run) -> Figure:
     table = run.table("cycles_no_load")
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
     position, torque = counts(run, table, "position"), MILLI * table["torque"]
-    axes.plot(position, torque.T, color=style.BLUE, linewidth=0.6, alpha=0.5)
+    # Low-passed at 5 Hz, they have nothing between these points.
+    drawn = thin(POINTS, position, torque)
+    axes.plot(drawn[0], drawn[1].T, color=style.BLUE, linewidth=0.6, alpha=0.5)
     cycle_axis(axes, position[-1] / 2)
     straight = _straight(run, axes, position)
     fit_height(axes, torque[:, straight])

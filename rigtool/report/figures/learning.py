@@ -52,9 +52,10 @@ def lookup_table(run: Run) -> Figure:
     axes.locator_params(axis="x", nbins=5)
     axes.set_xlabel(COUNTS, labelpad=6)
     axes.set_ylabel("speed [rad/s]", labelpad=8)
-    shown = rows[:: max(1, len(rows) // 6)]
+    shown = rows[:: max(1, -(-len(rows) // 6))]
     axes.set_yticks(shown, [f"{speeds[row]:.3g}".replace("-", "−") for row in shown])
-    axes.set_zlabel(TORQUE)
+    axes.zaxis.set_rotate_label(False)
+    axes.set_zlabel(TORQUE, rotation=90)
     return figure
 
 

@@ -25,17 +25,11 @@ def spring_curve(run: Run) -> Figure:
 
 
 def eccentric_torque(run: Run) -> Figure:
-    """Fig. 75: torque of the moving mass over a turn, at each speed, and that of the springs."""
+    """Fig. 75: torque of the moving mass over a turn, at the slowest speed."""
     table = run.table("eccentric_torque")
-    speeds = table["speed"]
-    labels = [f"at {speed / (2 * math.pi):.3g} rev/s" for speed in speeds]
-    count = len(speeds) + 1
-    figure, panels = style.panels(count, "angle [deg]", ["torque [nN m]"] * count, 1.7 * count)
-    degrees = table["angle"] * 180 / math.pi
-    for panel, torque, label in zip(panels, table["inertia"], labels, strict=False):
-        panel.plot(degrees, 1e9 * torque, color=style.BLUE, label=f"moving mass {label}")
-    panels[-1].plot(degrees, 1e9 * table["spring"][0], color=style.ORANGE, label="leaf springs")
-    for panel in panels:
-        style.legend_above(panel)
-    panels[-1].set_xticks(range(0, 361, 45))
+    slowest = int(abs(table["speed"]).argmin())
+    turning = table["speed"][slowest] / (2 * math.pi)
+    figure, axes = style.one_panel("angle [deg]", f"torque at {turning:.3g} rev/s [nN m]")
+    axes.plot(table["angle"] * 180 / math.pi, 1e9 * table["inertia"][slowest], color=style.BLUE)
+    axes.set_xticks(range(0, 361, 45))
     return figure

@@ -1,0 +1,105 @@
+"""Figures 43, 45 and 68, from signals and the calibration: turns, and a faulty amplifier."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rigtool.report.figures import style
+from rigtool.report.figures.axes import COUNTS, MILLI, TORQUE, Array, fit_height, thin
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rigtool.runfile import Run
+
+POINTS = 200
+"""Of a curve over one turn, in which Q leaves no more than twenty orders."""
+
+SAMPLES = 1000
+"""A speed with fewer of them is one that the shaft passes, no hold."""
+
+SHARE = (0.5, 99.5)
+"""Percentiles of the samples of a hold between which its bar is drawn."""
+
+
+def before_learning(run: Run, kt: Run) -> Figure:
+    """Fig. 43: twenty turns before learning, and their mean."""
+    from matplotlib.figure import Figure as NewFigure
+
+    counts, turns = _turns(run, kt, "learn_000")
+    figure = NewFigure(figsize=(style.WIDTH, style.HEIGHT), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    left.plot(counts, turns.T, color=style.BLUE, linewidth=0.5, alpha=0.5)
+    left.set_title(f"{len(turns)} revolutions", loc="left")
+    right.plot(counts, turns.mean(axis=0), color=style.BLUE)
+    right.set_title(f"mean of the {len(turns)} revolutions", loc="left")
+    left.set_ylabel(TORQUE)
+    for axes in (left, right):
+        axes.set_xlabel(COUNTS)
+        axes.set_xlim(0, counts[-1])
+    return figure
+
+
+def after_learning(run: Run, kt: Run) -> Figure:
+    """Fig. 45: what the first learning run leaves, on the scale of Fig. 43."""
+    counts, turns = _turns(run, kt, "iterate_01_000")
+    _, before = _turns(run, kt, "learn_000")
+    figure, axes = style.one_panel(COUNTS, TORQUE)
+    axes.plot(counts, turns.T, color=style.BLUE, linewidth=0.5, alpha=0.5)
+    axes.set_xlim(0, counts[-1])
+    fit_height(axes, before)
+    return figure
+
+
+def faulty_amplifier(run: Run, kt: Run) -> Figure:
+    """Fig. 68: torque against speed with an amplifier that is not linear at low current.
+
+    Only constant speeds: no sweep is made once the amplifier is found out.
+    """
+    from rigtool.procedures.calibration import torque_per_ampere
+
+    holds = run.recording("holds")
+    speed = np.gradient(holds.read("position_setpoint"), holds.read("time"))
+    torque = MILLI * torque_per_ampere(kt).value * holds.read("current_setpoint")
+    figure, axes = style.one_panel("motor speed [rad/s]", TORQUE)
+    rounded = np.round(speed, 3)
+    found, often = np.unique(rounded, return_counts=True)
+    levels = found[(often > SAMPLES) & (found != 0)]
+    parts = [torque[rounded == level] for level in levels]
+    mean = np.array([part.mean() for part in parts])
+    low, high = np.array([np.percentile(part, SHARE) for part in parts]).T
+    axes.errorbar(
+        levels,
+        mean,
+        yerr=[mean - low, high - mean],
+        fmt="o",
+        markersize=3,
+        capsize=2,
+        color=style.BLUE,
+        label="mean and 99 % of the samples at each speed",
+    )
+    style.legend_above(axes)
+    return figure
+
+
+def _turns(run: Run, kt: Run, name: str) -> tuple[Array, Array]:
+    """Return quad counts (n,) and the controller's torque by turn, (turns, n), mN m.
+
+    It is filtered with Q, as it is learned, and without its mean, which is friction.
+    """
+    from rigtool.errors import RunFileError
+    from rigtool.procedures.calibration import torque_per_ampere
+    from rigtool.procedures.ilc.one_speed import narrowed
+    from rigtool.procedures.ilc.turning import torque_by, turned
+    from rigtool.procedures.ilc_design import design
+
+    if run.recipe is None:
+        raise RunFileError(f"{run.path}: holds no recipe, so its turns cannot be cut: learn again")
+    recipe, learning = run.recipe, narrowed(design(run.recipe), run.recipe)
+    cut = turned(run.recording(name), recipe, torque_per_ampere(kt).value)
+    torque = torque_by(cut, learning, recipe.rig.encoder_counts).moves
+    places = np.arange(float(recipe.rig.encoder_counts))
+    places, torque = thin(POINTS, places, MILLI * (torque - torque.mean()))
+    return places, torque

@@ -1,0 +1,396 @@
+"""The page that lays rigtool beside the thesis, figure by figure: `make thesis`.
+
+    python -m rigtool.report.reproduction RUN.h5... --docs docs --html page.html
+
+reads `reproduction.toml`, which says what is shown; a run is called by the stem of its file.
+Written are docs/reproduction.md, docs/reproduction/ with the pictures and numbers.json, and one
+HTML file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import shutil
+import sys
+import tomllib
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rigtool.errors import RigtoolError, UsageError
+from rigtool.quantity import Quantity, display_unit, format_number
+from rigtool.report.figures import PLOTS, style, turns
+from rigtool.report.published import published_entry
+from rigtool.report.reproduction_values import Runs, evaluate, low_current_refusal
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rigtool.runfile import Run
+
+LARGEST_SVG = 150_000
+"""Bytes: a larger picture is written as PNG."""
+
+WITH_CALIBRATION = {
+    43: turns.before_learning,
+    45: turns.after_learning,
+    68: turns.faulty_amplifier,
+}
+"""Figures that are drawn from signals, for which the calibration is needed."""
+
+UNITS = {
+    "mA": 1e3,
+    "mN": 1e3,
+    "mm": 1e3,
+    "kN/m": 1e-3,
+    "µN m": 1e6,
+    "nN m": 1e9,
+    "deg/s": 57.29577951308232,
+    "rev/s": 0.15915494309189535,
+    "%": 1e2,
+    "kg m2": 1.0,
+}
+"""Factors from SI to units in which the thesis states some numbers."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One number beside the thesis, as text: `holds` is None where nothing is to be judged."""
+
+    name: str
+    published: str
+    section: str
+    ours: str
+    unit: str
+    tolerance: str
+    holds: bool | None
+    met: bool = True
+
+    @property
+    def verdict(self) -> str:
+        """What the page says of the tolerance; a requirement may be missed by both rigs."""
+        if self.holds is None:
+            return "–"
+        if not self.met:
+            return "not met by either rig" if self.holds else "met, unlike the thesis"
+        return "yes" if self.holds else "NO"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """One row of the page. `picture` is a file name and its bytes, None for a table."""
+
+    name: str
+    heading: str
+    lines: tuple[str, ...]
+    picture: tuple[str, bytes] | None
+    text: tuple[tuple[str, ...], ...]
+    numbers: tuple[Judged, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def data_uri(self) -> str:
+        """The picture as an address that holds it."""
+        if self.picture is None:
+            return ""
+        name, data = self.picture
+        kind = "svg+xml" if name.endswith(".svg") else "png"
+        return f"data:image/{kind};base64,{b64encode(data).decode()}"
+
+
+@cache
+def rows() -> tuple[dict[str, Any], ...]:
+    """Return the rows of `reproduction.toml`, each number with its own name, path and place."""
+    text = files("rigtool.report").joinpath("reproduction.toml").read_text("utf-8")
+    return tuple(
+        row | {"numbers": [n for number in row["numbers"] for n in _by_load(number)]}
+        for row in tomllib.loads(text)["rows"]
+    )
+
+
+def _by_load(number: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a number for each load of Table 8 or 9, any other number as it is."""
+    path = number.get("published", "")
+    if not path.startswith("tables."):
+        yield number
+        return
+    table = published_entry(path.rsplit(".", 1)[0])
+    for index, load in enumerate(table["applied_torque"]):
+        force = 1e3 * table["applied_force"][index]
+        yield number | {
+            "name": f"{number['name']} at {force:.0f} mN, {1e3 * load:.3g} mN m",
+            "value": number["value"].format(load=index + 1),
+            "u": number["u"].format(load=index + 1) if "u" in number else None,
+            "index": index,
+        }
+
+
+def row_name(row: Mapping[str, Any]) -> str:
+    """Return the name of a row: `figure-20`, `table-8`."""
+    return f"figure-{row['figure']}" if "figure" in row else f"table-{row['table']}"
+
+
+def published_of(number: Mapping[str, Any]) -> tuple[float | None, str]:
+    """Return the published value of a number, SI, and its section; None where it is in words."""
+    path = number.get("published")
+    if path is None:
+        return number.get("limit"), ""
+    entry = published_entry(path)
+    if "index" in number:
+        value = float(entry[number["index"]])
+        percent = 0.01 if path.endswith("_percent") else 1.0
+        return percent * value, published_entry(path.rsplit(".", 1)[0])["section"]
+    return float(entry["value"]), entry["section"]
+
+
+def holds(number: Mapping[str, Any], value: float) -> bool | None:
+    """Say whether a value, SI, is as the row demands; None where it demands nothing.
+
+    True for a requirement that neither rig meets means that it is not met here either.
+    """
+    published, _ = published_of(number)
+    if published is None:
+        return None
+    if "rule" in number:
+        inside = value < published if number["rule"] == "below" else value > published
+        return inside is number.get("met", True)
+    return abs(value - published) <= _allowed(number, published)
+
+
+def _allowed(number: Mapping[str, Any], published: float) -> float:
+    if "within" in number:
+        return float(number["within"]) * (0.01 if number.get("unit") == "%" else 1.0)
+    return float(number["tolerance"] * abs(published))
+
+
+# -- making the rows
+
+
+def make_rows(runs: Runs) -> tuple[list[Shown], dict[str, Any]]:
+    """Return all rows of the page, and the numbers that the tests look at.
+
+    Raises `UsageError` where a run is missing.
+    """
+    missing = {row["run"] for row in rows()} - set(runs)
+    if missing:
+        raise UsageError(f"no run file {', '.join(sorted(missing))}: `make thesis` makes them all")
+    shown, stored = [], {}
+    for row in rows():
+        made, numbers = make_row(row, runs)
+        shown.append(made)
+        stored[made.name] = {
+            "command": made.lines[0],
+            "picture": None if made.picture is None else made.picture[0],
+            "numbers": numbers,
+        }
+    return shown, stored
+
+
+def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]:
+    """Return one row, and its numbers by name as `value`, `u`, `unit` (SI)."""
+    run, numbers, stored = runs[row["run"]], [], {}
+    for number in row["numbers"]:
+        found = evaluate(number["value"], runs, number.get("run", row["run"]))
+        if found.unit == "%":
+            found = replace(found, value=found.value / 100, unit="1")
+        if number.get("u") is not None:
+            found = replace(found, u=evaluate(number["u"], runs, row["run"]).value, reason=None)
+        numbers.append(_judged(number, found))
+        stored[number["name"]] = {"value": found.value, "u": found.u, "unit": found.unit}
+    heading, picture = _title(row), None
+    if "figure" in row:
+        picture = _picture(row["figure"], run, runs["kt"])
+    remarks = [row["differs"]] if "differs" in row else []
+    if row.get("refusal"):
+        remarks.insert(0, f"stribeck says: “{low_current_refusal(runs, row['run'])}”")
+    text: tuple[tuple[str, ...], ...] = ()
+    if "text" in row:
+        entry = published_entry(row["text"])
+        text = (tuple(entry["head"]), *(tuple(cells) for cells in entry["rows"]))
+    used = [run, *(runs[name] for name in row.get("also", ()))]
+    lines = (*(command_line(one) for one in used), *row.get("lines", ()))
+    name = row_name(row)
+    return Shown(name, heading, lines, picture, text, tuple(numbers), tuple(remarks)), stored
+
+
+def command_line(run: Run) -> str:
+    """Return the line that made a run, as a user types it in a folder of his own."""
+    words = [word for word in run.provenance["argv"] if word != "--overwrite"]
+    return shlex.join(Path(word).name if word.endswith(".h5") else word for word in words)
+
+
+def _title(row: Mapping[str, Any]) -> str:
+    if "table" in row:
+        return f"Table {row['table']}. {row['title']}"
+    titles = {plot.number: plot.title for plot in PLOTS}
+    return f"Fig. {row['figure']}. {row.get('title') or titles[row['figure']]}"
+
+
+def _picture(number: int, run: Run, kt: Run) -> tuple[str, bytes]:
+    with style.styled():
+        svg, png = style.render(_draw(number, run, kt))
+    if len(svg.encode()) > LARGEST_SVG:
+        return f"figure-{number}.png", png
+    return f"figure-{number}.svg", svg.encode()
+
+
+def _draw(number: int, run: Run, kt: Run) -> Figure:
+    if number in WITH_CALIBRATION:
+        return WITH_CALIBRATION[number](run, kt)
+    for plot in PLOTS:
+        if plot.number == number and plot.fits(run):
+            return plot.draw(run)
+    raise UsageError(f"{run.path}: has nothing to draw Fig. {number} from")
+
+
+def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:
+    published, section = published_of(number)
+    factor, unit = display_unit(found.unit)
+    if "unit" in number:
+        factor, unit = UNITS[number["unit"]], number["unit"]
+    u = None if found.u is None else found.u * factor
+    said = number.get("says")
+    stated = "–" if published is None else f"{published * factor:.4g}".replace("e-0", "e-")
+    tolerance = "–" if published is None else _tolerance(number, factor, stated)
+    return Judged(
+        name=number["name"],
+        published=f"“{said}”" if said else stated,
+        section=section,
+        ours=format_number(found.value * factor, u),
+        unit="" if unit == "1" else unit,
+        tolerance=tolerance,
+        holds=holds(number, found.value),
+        met=number.get("met", True),
+    )
+
+
+def _tolerance(number: Mapping[str, Any], factor: float, stated: str) -> str:
+    if "rule" in number:
+        return f"{number['rule']} {stated}"
+    if "within" in number:
+        return f"±{_allowed(number, 0.0) * factor:.3g}"
+    return f"±{100 * number['tolerance']:.3g} %" if number["tolerance"] else "equal"
+
+
+# -- the page
+
+INTRODUCTION = (
+    "Every figure with data in chapters 7 and 8 and in the appendices of E. Briaire, *Friction "
+    "measurement and compensation on a laparoscopic instrument of a medical robot*, TU Eindhoven, "
+    "2006, and its Tables 5 to 9: made again on the virtual rig by `make thesis`, in the same axes "
+    "and units. Each row has the command that makes it, what the thesis states beside what rigtool "
+    "finds, with its standard uncertainty in brackets where it has one, the tolerance, and whether "
+    "it holds. Words in quotation marks are the thesis's where it gives no number; a dash is where "
+    "it says nothing. How the thesis was read: [notes](thesis-notes.md)."
+)
+
+
+def markdown(shown: Sequence[Shown]) -> str:
+    """Return the page as Markdown, with pictures beside it in `reproduction/`."""
+    parts = ["# The thesis, figure by figure", INTRODUCTION, _summary(shown)]
+    for row in shown:
+        parts += [f"## {row.heading}", "```sh\n" + "\n".join(row.lines) + "\n```"]
+        if row.picture is not None:
+            parts.append(f"![{row.heading}](reproduction/{row.picture[0]})")
+        if row.text:
+            parts.append(_markdown_table(row.text))
+        parts.append(_markdown_table([HEAD, *_number_cells(row)]))
+        parts += row.remarks
+    return "\n\n".join(parts) + "\n"
+
+
+HEAD = ("", "thesis", "section", "rigtool", "unit", "tolerance", "holds")
+
+
+def _number_cells(row: Shown) -> list[tuple[str, ...]]:
+    return [
+        (n.name, n.published, n.section, n.ours, n.unit, n.tolerance, n.verdict)
+        for n in row.numbers
+    ]
+
+
+def _markdown_table(lines: Sequence[Sequence[str]]) -> str:
+    head, *body = [[cell.replace("|", "\\|") for cell in line] for line in lines]
+    return "\n".join(
+        "| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *body)
+    )
+
+
+def _summary(shown: Sequence[Shown]) -> str:
+    judged = [n for row in shown for n in row.numbers if n.holds is not None]
+    good = sum(bool(number.holds) for number in judged)
+    missed = sum(not number.met for number in judged)
+    return (
+        f"{len(shown)} rows, {len(judged)} numbers to judge: {good} are as stated, among them "
+        f"{missed} requirements that the thesis's rig does not meet either."
+    )
+
+
+def html(shown: Sequence[Shown]) -> str:
+    """Return the page as one HTML file with all pictures in it."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    source = files("rigtool.report").joinpath("reproduction.html").read_text("utf-8")
+    template = environment.from_string(source)
+    plain = INTRODUCTION.replace("*", "").replace("`", "").replace("[notes](thesis-notes.md)", "")
+    introduction = plain.replace(" How the thesis was read: .", "")
+    return template.render(
+        rows=shown,
+        head=HEAD,
+        cells=_number_cells,
+        introduction=introduction,
+        summary=_summary(shown),
+    )
+
+
+def write(shown: Sequence[Shown], stored: Mapping[str, Any], docs: Path, page: Path | None) -> None:
+    """Write the Markdown page with its folder into `docs`, and the HTML file."""
+    folder = docs / "reproduction"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for row in shown:
+        if row.picture is not None:
+            (folder / row.picture[0]).write_bytes(row.picture[1])
+    text = json.dumps(stored, indent=1, ensure_ascii=False)
+    (folder / "numbers.json").write_text(text + "\n", "utf-8")
+    (docs / "reproduction.md").write_text(markdown(shown), "utf-8")
+    if page is not None:
+        page.write_text(html(shown), "utf-8")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make the page of run files; exit code 1 where a number is outside its tolerance."""
+    from rigtool.runfile import open_run
+
+    parser = argparse.ArgumentParser(description="The thesis, figure by figure.")
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.h5")
+    parser.add_argument("--docs", type=Path, required=True, help="folder of the documentation")
+    parser.add_argument("--html", type=Path, help="the same as one HTML file")
+    given = parser.parse_args(arguments)
+    try:
+        with ExitStack() as stack:
+            runs = {path.stem: stack.enter_context(open_run(path)) for path in given.runs}
+            shown, stored = make_rows(runs)
+    except RigtoolError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return error.exit_code
+    write(shown, stored, given.docs, given.html)
+    outside = [f"{row.name}: {n.name}" for row in shown for n in row.numbers if n.holds is False]
+    print(_summary(shown))
+    for line in outside:
+        print(f"outside its tolerance: {line}", file=sys.stderr)
+    return 1 if outside else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
