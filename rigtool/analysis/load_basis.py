@@ -27,7 +27,7 @@ from rigtool.errors import InsufficientDataError
 
 Array = NDArray[np.float64]
 
-WORK_RATE = 40
+WORK_RATE = 10
 """Samples for each period of the cut-off at which functions are computed."""
 
 ROW_RATE = 50.0

@@ -185,8 +185,8 @@ def real(tmp_path_factory):
         pytest.skip(f"{DATA} is not there: measured data are not part of the project")
     folder = tmp_path_factory.mktemp("real")
     text = (ROOT / "recipes" / "import" / "mis-tool.toml").read_text()
-    # Three frequencies and eight loads, to be quick: 24 of the 50 runs
-    files = [str(path) for path in sorted(DATA.glob("[023][0-7].TXT.gz"))]
+    # Two frequencies and eight loads, to be quick: 16 of the 50 runs
+    files = [str(path) for path in sorted(DATA.glob("[02][0-7].TXT.gz"))]
     import_files(files, str(folder / "runs"), (parse_mapping(text), text))
     runs = sorted((folder / "runs").glob("*.h5"))
     even = [path for path in runs if int(path.stem[1]) % 2 == 0]
@@ -211,5 +211,5 @@ def test_a_real_instruments_table_8(real):
         levels = run.table("levels")
         loads = levels["applied_torque"] > 25e-3
         assert loads.sum() == 4
-        assert np.abs(levels["error_percent"][loads]).max() < 7
+        assert np.abs(levels["error_percent"][loads]).max() < 8  # of two runs a load only
         assert any("homing" in note for note in run.notes)
