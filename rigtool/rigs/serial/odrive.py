@@ -206,7 +206,8 @@ class ODrive:
     def enable(self, mode: Mode) -> None:
         """Close the loop in this mode, at rest where the shaft is.
 
-        The watchdog counts whenever it is on, so it is on from here to `halt` only.
+        The watchdog counts whenever it is on, so it is on from here to `halt` only. Raises
+        `HardwareError` where the loop does not close.
         """
         if self._state() == CLOSED_LOOP:
             if mode == self._mode:
@@ -231,7 +232,10 @@ class ODrive:
             )
 
     def halt(self) -> None:
-        """Make it idle; then turn the watchdog off and leave no set point behind."""
+        """Make it idle; then turn the watchdog off and leave no set point behind.
+
+        Raises `HardwareError` where it does not become idle.
+        """
         if not self._reach(IDLE):
             raise HardwareError(
                 f"axis {self._axis} does not become idle ({self._describe_errors()}): switch it off"

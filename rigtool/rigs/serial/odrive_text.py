@@ -226,7 +226,10 @@ class Talk:
         return None
 
     def put(self, name: str, text: str, *, commands: Sequence[str] = ()) -> None:
-        """Write a property, and read it back until it is there; `commands` go first."""
+        """Write a property, and read it back until it is there; `commands` go first.
+
+        Raises `Refused` where there is none, `LineLost` where it stays a `DamagedReply`.
+        """
 
         def understand(replies: list[str]) -> None:
             if not agrees(replies[0], number(text)):

@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,9 +24,12 @@ from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost
 from rigtool.rigs.serial.odrive_text import Refused, Talk, agrees, checksum, seal, unseal
 from rigtool.rigs.serial.ports import find_devices
+from tests.cli.test_run_commands import call
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.test_target_faults import wait_until
 
+ROOT = Path(__file__).parents[3]
+HOBBY_MOTOR, FIXTURES = ROOT / "recipes" / "odrive-hobby-motor.toml", ROOT / "tests" / "fixtures"
 PERIOD = 0.008
 TURN = 2 * math.pi
 KT = 0.045
@@ -189,7 +193,7 @@ def test_motor_that_is_not_calibrated_is_not_moved():
     device.calibrated = False
     with (
         serve(device) as server,
-        pytest.raises(HardwareError, match="INVALID_STATE.*calibrated"),
+        pytest.raises(HardwareError, match=r"INVALID_STATE.*calibrated"),
         odrive_rig(server.port) as rig,
     ):
         perform(rig, SHORT)
@@ -365,7 +369,7 @@ SURVIVED = {
     "while it is set up": lambda n: [Fault("flip", at=at) for at in (2, 10, 20)],
 }
 MOVING = {(0, 5, 6): 95, (0, 6, 10): 280}
-"""Number of a write while the motion goes on: there are more where one question waits for another."""
+"""Number of a write while the motion goes on: one question at a time makes more of them."""
 
 
 @pytest.mark.parametrize("name", SURVIVED)
@@ -426,6 +430,15 @@ def test_run_ends_with_a_message_and_the_drive_off(fault, message):
     assert server.error is None
 
 
+def stop_at_first_block(rig, act):
+    for _ in rig.perform(ENDLESS):
+        act()
+
+
+def interrupt():
+    raise KeyboardInterrupt
+
+
 def test_fault_of_the_drive_is_named():
     device = ODriveEmulator()
     with (
@@ -433,8 +446,7 @@ def test_fault_of_the_drive_is_named():
         pytest.raises(HardwareError, match=r"state 1 instead .*\(ESTOP_REQUESTED\)"),
         odrive_rig(server.port) as rig,
     ):
-        for _ in rig.perform(ENDLESS):
-            device.trip(0x4000)
+        stop_at_first_block(rig, lambda: device.trip(0x4000))
     assert settings(device) == settings(ODriveEmulator())
 
 
@@ -458,8 +470,7 @@ def test_interrupt_leaves_it_off_and_as_it_was():
     device = ODriveEmulator()
     with serve(device) as server:
         with pytest.raises(KeyboardInterrupt), odrive_rig(server.port) as rig:
-            for _ in rig.perform(ENDLESS):
-                raise KeyboardInterrupt
+            stop_at_first_block(rig, interrupt)
         assert device.state == IDLE
         assert settings(device) == settings(ODriveEmulator())
 
@@ -469,7 +480,7 @@ def test_speed_beyond_the_limit_ends_the_run():
     device.saved["controller.config.enable_vel_limit"] = False
     with (
         serve(device) as server,
-        pytest.raises(HardwareError, match="speed reached|CONTROLLER_FAILED"),
+        pytest.raises(HardwareError, match=r"speed reached|CONTROLLER_FAILED"),
         odrive_rig(server.port, "serial.limits.speed=20") as rig,
     ):
         perform(rig, Task(CurrentSteps((0.0, 0.5), 0.3)))
@@ -480,9 +491,9 @@ def test_speed_beyond_the_limit_ends_the_run():
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
     path = tmp_path / "line.spy"
     bench = Bench(yes=True, spy=str(path), operator=QUIET)
-    with serve(ODriveEmulator(), Fault("flip", at=110)) as server:
-        with odrive_rig(server.port, bench=bench) as rig:
-            first = perform(rig, SHORT)
+    faulty = serve(ODriveEmulator(), Fault("flip", at=110))
+    with faulty as server, odrive_rig(server.port, bench=bench) as rig:
+        first = perform(rig, SHORT)
     with odrive_rig(f"replay://{path}") as rig:
         again = perform(rig, SHORT)
     for name, values in first.items():
@@ -495,9 +506,19 @@ def test_a_property_that_never_takes_a_value_is_an_error():
             return ()
 
     with serve(Stubborn()) as server, Line(server.port, timeout=0.1) as line:
-        with pytest.raises(LineLost, match="input_vel is 0.000000 after 1"):
+        with pytest.raises(LineLost, match=r"input_vel is 0.000000 after 1"):
             Talk(line).put("axis0.controller.input_vel", "1")
         start = time.monotonic()
         with pytest.raises(Refused):
             Talk(line).get("axis0.nothing")
         assert time.monotonic() - start < 0.1  # a refusal is not asked again
+
+
+@pytest.mark.parametrize("command", ["calibrate-kt", "stribeck", "fft-ripple", "identify-plant"])
+def test_recipe_of_a_hobby_motor_says_what_it_would_do(tmp_path, capsys, command):
+    kt = [] if command == "calibrate-kt" else ["--kt", FIXTURES / "kt.h5"]
+    arguments = [HOBBY_MOTOR, *kt, "-o", tmp_path / "x.h5", "--dry-run"]
+    code, out, err = call(capsys, command, *arguments)
+    assert code == 0, err
+    assert "Within the limits 5 A, 40 rad/s" in out
+    assert list(tmp_path.iterdir()) == []
