@@ -28,7 +28,7 @@ from rigtool.errors import InsufficientDataError
 Array = NDArray[np.float64]
 
 WORK_RATE = 10
-"""Samples for each period of the cut-off at which functions are computed."""
+"""Samples for each period of the cut-off at which functions are computed, at most."""
 
 ROW_RATE = 50.0
 """Rows per second that are kept, after the low-pass, at least: neighbours tell next to nothing."""
@@ -113,7 +113,7 @@ class Scales:
 
 
 def block_means(values: Array, size: int) -> Array:
-    """Return means of `size` samples each (n // size,): a first, coarse low-pass."""
+    """Return means of `size` samples each of values (n,): a first, coarse low-pass."""
     count = len(values) // size
     means: Array = values[: count * size].reshape(count, size).mean(axis=1)
     return means

@@ -1,7 +1,10 @@
 """A load model from recordings at known loads: both directions, judged by levels left out.
 
 Each direction is learned by itself (`load_side`). Where there are three load levels or more, one
-after the other is left out; two leave only recordings to leave out.
+after the other is left out; two leave only recordings to leave out. Of the slopes g of effort by
+torque, against the load and with it, friction takes
+
+    mu = (g_against - g_with) / (g_against + g_with)
 """
 
 from __future__ import annotations

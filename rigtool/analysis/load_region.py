@@ -40,7 +40,7 @@ class Region:
 
 
 def torque_range(torque: Array, levels: int) -> tuple[float, float]:
-    """Return the lowest and highest torque that can be inside."""
+    """Return the lowest and highest torque that can be inside, by those learned (n,)."""
     margin = MARGIN * _spacing(torque, levels)
     return float(torque.min()) - margin, float(torque.max()) + margin
 
