@@ -204,7 +204,7 @@ def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]
             found = replace(found, u=evaluate(number["u"], runs, row["run"]).value, reason=None)
         numbers.append(_judged(number, found))
         stored[number["name"]] = {"value": found.value, "u": found.u, "unit": found.unit}
-    heading, picture = _title(row), None
+    heading, picture = title(row), None
     if "figure" in row:
         picture = _picture(row["figure"], run, runs["kt"])
     remarks = [row["differs"]] if "differs" in row else []
@@ -226,7 +226,8 @@ def command_line(run: Run) -> str:
     return shlex.join(Path(word).name if word.endswith(".h5") else word for word in words)
 
 
-def _title(row: Mapping[str, Any]) -> str:
+def title(row: Mapping[str, Any]) -> str:
+    """Return the heading of a row, from the report's figures where the row has none of its own."""
     if "table" in row:
         return f"Table {row['table']}. {row['title']}"
     titles = {plot.number: plot.title for plot in PLOTS}
@@ -282,19 +283,21 @@ def _tolerance(number: Mapping[str, Any], factor: float, stated: str) -> str:
 # -- the page
 
 INTRODUCTION = (
-    "Every figure with data in chapters 7 and 8 and in the appendices of E. Briaire, *Friction "
-    "measurement and compensation on a laparoscopic instrument of a medical robot*, TU Eindhoven, "
-    "2006, and its Tables 5 to 9: made again on the virtual rig by `make thesis`, in the same axes "
+    "Every figure with data in chapters 7 and 8 and in the appendices of E. Briaire, Friction "
+    "measurement and compensation on a laparoscopic instrument of a medical robot, TU Eindhoven, "
+    "2006, and its Tables 5 to 9: made again on the virtual rig by make thesis, in the same axes "
     "and units. Each row has the command that makes it, what the thesis states beside what rigtool "
     "finds, with its standard uncertainty in brackets where it has one, the tolerance, and whether "
     "it holds. Words in quotation marks are the thesis's where it gives no number; a dash is where "
-    "it says nothing. How the thesis was read: [notes](thesis-notes.md)."
+    "it says nothing."
 )
+
+NOTES = "How the thesis was read where it is silent: [notes](thesis-notes.md)."
 
 
 def markdown(shown: Sequence[Shown]) -> str:
     """Return the page as Markdown, with pictures beside it in `reproduction/`."""
-    parts = ["# The thesis, figure by figure", INTRODUCTION, _summary(shown)]
+    parts = ["# The thesis, figure by figure", INTRODUCTION, _summary(shown), NOTES]
     for row in shown:
         parts += [f"## {row.heading}", "```sh\n" + "\n".join(row.lines) + "\n```"]
         if row.picture is not None:
@@ -342,13 +345,11 @@ def html(shown: Sequence[Shown]) -> str:
     )
     source = files("rigtool.report").joinpath("reproduction.html").read_text("utf-8")
     template = environment.from_string(source)
-    plain = INTRODUCTION.replace("*", "").replace("`", "").replace("[notes](thesis-notes.md)", "")
-    introduction = plain.replace(" How the thesis was read: .", "")
     return template.render(
         rows=shown,
         head=HEAD,
         cells=_number_cells,
-        introduction=introduction,
+        introduction=INTRODUCTION,
         summary=_summary(shown),
     )
 

@@ -18,15 +18,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.quantity import Quantity
 from rigtool.report.published import published_entry
 
 if TYPE_CHECKING:
+    from rigtool.recipe import Recipe
     from rigtool.runfile import Run, Table
 
 Runs = Mapping[str, "Run"]
@@ -50,7 +51,7 @@ def evaluate(expression: str, runs: Runs, run: str) -> Quantity:
     """Return the value of an expression; addresses without a run are of `run`.
 
     Uncertainties are combined as those of independent values (GUM 5.1.2). Raises `UsageError` for
-    what no run holds.
+    what is no address, `RunFileError` for what the run does not hold.
     """
     first, *rest = re.split(r" ([-/*]) ", expression)
     found = _operand(first, runs, run)
@@ -119,12 +120,19 @@ _UNITS = {
 
 
 def _of_recipe(path: str, run: Run) -> Quantity:
-    value: object = run.recipe
+    value: Any = _recipe(run)
     for name in path.split("."):
         value = getattr(value, name)
-    assert isinstance(value, float | int)
-    unit = {"current_limit": "A", "lowpass_hz": "Hz", "grasper_length": "m"}.get(name, "1")
-    return Quantity(float(value), unit, reason=AS_SET)
+    return Quantity(float(value), _RECIPE_UNITS.get(name, "1"), reason=AS_SET)
+
+
+_RECIPE_UNITS = {"current_limit": "A", "lowpass_hz": "Hz", "grasper_length": "m"}
+
+
+def _recipe(run: Run) -> Recipe:
+    if run.recipe is None:
+        raise RunFileError(f"{run.path}: holds no recipe: make it again from one")
+    return run.recipe
 
 
 def _of_table(table: Table, column: str, where: str, reduce: str | None) -> Quantity:
@@ -153,10 +161,8 @@ def low_current_refusal(runs: Runs, run: str) -> str:
     """Return why `stribeck` refuses the holds of a run, "" where it does not [App. C]."""
     from rigtool.procedures.friction_analysis import HOLDS, estimate
 
-    recipe = runs[run].recipe
-    assert recipe is not None
     try:
-        estimate(runs[run].recording(HOLDS), recipe, runs["kt"])
+        estimate(runs[run].recording(HOLDS), _recipe(runs[run]), runs["kt"])
     except InsufficientDataError as error:
         return str(error)
     return ""
@@ -182,9 +188,8 @@ def _phase_advance_of_published_transfer(runs: Runs, run: str) -> Quantity:
 
 def _learned_speed(runs: Runs, run: str) -> Quantity:
     """Return the highest learned speed of the output."""
-    recipe = runs[run].recipe
-    assert recipe is not None
-    speeds = np.abs(np.asarray(runs[run].table("lookup")["speed"])) / recipe.rig.angle_ratio
+    ratio = _recipe(runs[run]).rig.angle_ratio
+    speeds = np.abs(np.asarray(runs[run].table("lookup")["speed"])) / ratio
     return Quantity(float(speeds.max()), "rad/s", reason=AS_SET)
 
 
