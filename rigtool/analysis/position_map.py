@@ -59,6 +59,13 @@ class PositionMap:
             mean=self.mean * factor,
         )
 
+    def by_encoder(self, sign: int, offset: float) -> PositionMap:
+        """Return the map by the angle of an encoder that shows sign*position + offset, rad."""
+        if sign > 0:
+            return replace(self, start=self.start + offset)
+        last = self.start + (self.values.size - 1) * (TURN / self.values.size)
+        return replace(self, start=offset - last, values=self.values[::-1], u=self.u[::-1])
+
 
 def position_map(table: LookupTable, u: Array, speed: float | None) -> PositionMap:
     """Return what a table says at one speed, rad/s; `u` has the shape of its torque.

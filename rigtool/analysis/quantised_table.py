@@ -50,11 +50,17 @@ class Quantised:
         return values
 
 
-def quantise(values: Array, largest_code: int) -> Quantised:
-    """Round values (..., n) to codes from -`largest_code` to `largest_code`; zeros stay zero."""
+def quantise(values: Array, largest_code: int, step: float = 0.0) -> Quantised:
+    """Round values (..., n) to codes from -`largest_code` to `largest_code`; zeros stay zero.
+
+    With `step` the scale is a multiple of it, for a receiver that prints it in such steps.
+    """
     peak = float(np.abs(values).max(initial=0.0))
+    scale = peak / largest_code
+    if step:
+        scale = math.ceil(scale / step) * step
     # The receiver reads the scale as a 4-byte float: round with what it will multiply by.
-    scale = float(np.float32(peak / largest_code))
+    scale = float(np.float32(scale))
     if scale == 0:
         return Quantised(np.zeros(values.shape, dtype=np.int64), 0.0)
     codes = np.clip(np.rint(values / scale), -largest_code, largest_code).astype(np.int64)
@@ -102,9 +108,14 @@ class Sampled:
     loss: Loss
 
 
-def interpolated_codes(turn: PositionMap, count: int, largest_code: int) -> Sampled:
-    """Sample a map at i/count of a turn for a drive that interpolates linearly between codes."""
-    stored = quantise(turn.at(_angles(count, 0.0)), largest_code)
+def interpolated_codes(
+    turn: PositionMap, count: int, largest_code: int, step: float = 0.0
+) -> Sampled:
+    """Sample a map at i/count of a turn for a drive that interpolates linearly between codes.
+
+    `step` is that of the scale, see `quantise`.
+    """
+    stored = quantise(turn.at(_angles(count, 0.0)), largest_code, step)
     used = PositionMap(0.0, stored.values, np.zeros(count), 0.0, turn.speed, True)
     fine = _angles(FINE, 0.5)
     return Sampled(stored, loss(used.at(fine) - turn.at(fine)))

@@ -28,6 +28,7 @@ COMMANDS = {
     "identify-plant": "Measure the frequency response of the plant; fit inertia and friction.",
     "ilc-learn": "Learn the disturbance that repeats with position and speed.",
     "measure-force": "Measure known loads, reading force from current.",
+    "deploy": "Store a learned table in the drive, which then adds it by itself.",
     "suspension": "Measure the motor's leaf springs; compute what eccentric pulleys do.",
     "report": "Write tables, figures and one page from any run files.",
     "import": "Make run files of measured data from other rigs.",

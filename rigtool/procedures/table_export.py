@@ -70,7 +70,7 @@ def export_table(
     remarks: list[str] = []
     contents: str | dict[str, Any]
     if wanted in MAPS:
-        turn = _in_unit(position_map(learned.table, learned.u, speed), learned, wanted, kt)
+        turn = in_unit(position_map(learned.table, learned.u, speed), learned, wanted, kt)
         contents, lost = _map_text(learned, turn, wanted, output)
         if turn.mean:
             unit = "A" if wanted == "moteus" else "N m" if wanted == "odrive" else learned.unit
@@ -87,8 +87,11 @@ def export_table(
     return (f"lost {lost}", *remarks)
 
 
-def _in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | None) -> PositionMap:
-    """Return the map in the unit that the drive takes: moteus A, ODrive N m."""
+def in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | None) -> PositionMap:
+    """Return the map in the unit that the drive takes: moteus A, ODrive N m.
+
+    Raises `UsageError` where the calibration for that is missing, or of no use.
+    """
     needed = {"moteus": "A", "odrive": "N m"}.get(wanted, learned.unit)
     if needed == learned.unit:
         if kt is not None:

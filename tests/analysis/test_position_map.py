@@ -91,3 +91,12 @@ def test_another_period_is_no_turn():
     )
     with pytest.raises(UsageError, match=r"repeats after 3\.14159"):
         position_map(half, u, 2.0)
+
+
+@given(st.floats(-7, 7), st.floats(-7, 7), st.sampled_from([1, -1]), st.floats(-3, 3))
+def test_an_encoder_that_sits_elsewhere_sees_the_same_map(position, offset, sign, start):
+    table, u = turning(start=start)
+    turn = position_map(table, u, 2.0)
+    seen = turn.by_encoder(sign, offset)
+    found = seen.at(np.array([sign * position + offset]))
+    np.testing.assert_allclose(found, turn.at(np.array([position])), rtol=0, atol=1e-14)

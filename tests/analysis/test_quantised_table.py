@@ -89,3 +89,14 @@ def test_held_values_are_those_of_the_middle():
     orders = np.fft.rfft(np.repeat(values.astype(float), 4))[7]
     there = np.fft.rfft(turn.at((np.arange(14400) + 0.5) * TURN / 14400))[7]
     assert np.angle(orders / there) == pytest.approx(0, abs=1e-4)
+
+
+@given(st.lists(st.floats(-3, 3), min_size=2, max_size=20), st.sampled_from([1e-6, 1e-3]))
+def test_scale_is_a_multiple_of_the_step_and_codes_fit(values, step):
+    array = np.array(values)
+    found = quantise(array, 127, step)
+    steps = found.scale / step
+    assert steps == pytest.approx(round(steps), abs=1e-2)
+    assert np.abs(found.codes).max() <= 127
+    # half a code, and the last digits of a 4-byte scale
+    assert np.abs(found.values - array).max() <= 0.5 * found.scale + 1e-6

@@ -2,6 +2,7 @@
 
 import shutil
 import signal
+from contextlib import contextmanager
 from glob import glob
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 import rigtool.cli as cli
+from rigtool.rigs.serial.emulators.moteus import MoteusEmulator
+from rigtool.rigs.serial.emulators.server import serve
 from tests.cli.test_run_commands import interrupted
 from tests.fixtures.make import SHORT
 from tests.procedures.imported_runs import SLOW, slow_turn, take
@@ -87,9 +90,40 @@ torque = { column = "m", unit = "N m" }
     (bench / "runs").rename(bench / "imported")
 
 
+MOTEUS = """
+[serial]
+driver = "moteus"
+port = "PORT"
+[serial.limits]
+current = 10
+speed = 60
+position = [-1e4, 1e4]
+temperature_degc = 90
+duration = 600
+"""
+
+
+@contextmanager
+def drive(bench, line):
+    """Serve the drive that an example's recipe names."""
+    if "moteus.toml" not in line:
+        yield
+        return
+    text = (bench / "recipes" / "briaire-2006.toml").read_text()
+    with serve(MoteusEmulator()) as server:
+        on_line = text.replace('source = "virtual"', 'source = "serial"')
+        (bench / "moteus.toml").write_text(on_line + MOTEUS.replace("PORT", server.port))
+        yield
+
+
 @pytest.mark.parametrize("line", list(examples()))
 def test_the_example_runs(bench, line, capsys):
     prepare(bench, line)
+    with drive(bench, line):
+        run_example(bench, line, capsys)
+
+
+def run_example(bench, line, capsys):
     _, name, *words = line.split()
     arguments = [found for word in words for found in (sorted(glob(word)) or [word])]
     if "recipes/briaire-2006.toml" in arguments and name in SHORTENED:

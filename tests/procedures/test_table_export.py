@@ -348,7 +348,7 @@ def test_another_run_holds_no_table(tmp_path):
 
 def test_the_unit_that_a_drive_takes(tmp_path):
     """Current from torque needs a calibration, and only then may one be given."""
-    from rigtool.procedures.table_export import _in_unit
+    from rigtool.procedures.table_export import in_unit
 
     constant = {"torque_constant_mean": Quantity(0.045, "N m/A", 1e-5)}
     path = tmp_path / "kt.h5"
@@ -359,15 +359,15 @@ def test_the_unit_that_a_drive_takes(tmp_path):
     torque, current = taken(table, u), taken(table, u, unit="A", quantity="current")
     with open_run(path) as kt:
         np.testing.assert_allclose(
-            _in_unit(turn, torque, "moteus", kt).values, turn.values / 0.045, rtol=1e-12, atol=0
+            in_unit(turn, torque, "moteus", kt).values, turn.values / 0.045, rtol=1e-12, atol=0
         )
         np.testing.assert_allclose(
-            _in_unit(turn, current, "odrive", kt).values, turn.values * 0.045, rtol=1e-12, atol=0
+            in_unit(turn, current, "odrive", kt).values, turn.values * 0.045, rtol=1e-12, atol=0
         )
         with pytest.raises(UsageError, match="leave it out"):
-            _in_unit(turn, torque, "odrive", kt)
-    assert _in_unit(turn, current, "moteus", None) is turn
+            in_unit(turn, torque, "odrive", kt)
+    assert in_unit(turn, current, "moteus", None) is turn
     with pytest.raises(UsageError, match="--kt is missing: moteus takes A"):
-        _in_unit(turn, torque, "moteus", None)
+        in_unit(turn, torque, "moteus", None)
     with pytest.raises(UsageError, match="holds 1, moteus takes A"):
-        _in_unit(turn, taken(table, u, unit="1"), "moteus", None)
+        in_unit(turn, taken(table, u, unit="1"), "moteus", None)

@@ -20,6 +20,7 @@ from rigtool.rigs.serial import moteus_frames as frames
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.moteus_link import Link
+from rigtool.rigs.serial.table_store import TableStore
 
 BAUD_RATE = 921600
 USUAL_NODE = 1
@@ -92,6 +93,13 @@ def make_drive(line: Line, recipe: Recipe) -> Moteus:
     """Return the drive that a recipe's [serial] names, not connected yet."""
     assert recipe.serial is not None
     return Moteus(line, recipe.serial.node or USUAL_NODE)
+
+
+def make_table_store(line: Line, recipe: Recipe) -> TableStore:
+    """Return the table in the drive that a recipe's [serial] names, not connected yet."""
+    from rigtool.rigs.serial.moteus_table import MoteusTable
+
+    return MoteusTable(make_drive(line, recipe))
 
 
 def _identity(link: Link) -> str:

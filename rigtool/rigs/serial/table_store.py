@@ -1,0 +1,54 @@
+"""What a drive has to offer that keeps a table of the turn by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class DriveTable:
+    """Codes (size,) of a table in a drive, at equal steps of its encoder; current = code*scale."""
+
+    codes: NDArray[np.int64]
+    scale: float
+
+
+@dataclass(frozen=True)
+class EncoderZero:
+    """Angle by which a drive looks its table up: sign*position + offset, rad, offset with its u."""
+
+    sign: int
+    offset: float
+    u: float
+
+
+class TableStore(Protocol):
+    """A drive behind a `Line` that stores a table; each method may raise `HardwareError`.
+
+    A driver's module that has `make_table_store(line, recipe)` has one. `scale_step` [A] is the
+    step in which the drive tells its scale: so what is stored can be compared exactly.
+    """
+
+    size: int
+    largest_code: int
+    scale_step: float
+
+    def connect(self) -> str:
+        """Identify the drive as it does for motions; nothing changes."""
+        ...
+
+    def zero(self) -> EncoderZero:
+        """Measure how the table's angle belongs to the position, at standstill."""
+        ...
+
+    def read(self) -> DriveTable:
+        """Return the table that the drive uses."""
+        ...
+
+    def store(self, table: DriveTable, before: DriveTable) -> None:
+        """Store a table for good and compare; on any failure bring `before` back."""
+        ...

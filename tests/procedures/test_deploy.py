@@ -1,0 +1,235 @@
+"""A learned table goes into the drive, on its encoder, and comes back out of it."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rigtool.analysis.position_map import position_map
+from rigtool.errors import HardwareError, UsageError
+from rigtool.procedures.deploy import deploy
+from rigtool.procedures.table_export import in_unit
+from rigtool.procedures.table_origin import learned_table_from
+from rigtool.rigs.bench import Bench, Operator
+from rigtool.rigs.serial.emulators.faults import Fault
+from rigtool.rigs.serial.emulators.moteus import TABLE, MoteusEmulator
+from rigtool.rigs.serial.emulators.server import serve
+from rigtool.runfile import open_run
+from tests.cli.test_run_commands import call
+from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
+
+FIXTURES = Path(__file__).parents[1] / "fixtures"
+SPEED = 4 * math.pi
+SERIAL = "000030000000004200005a17"
+QUIET = Operator(say=lambda text: None, present=False)
+
+
+@pytest.fixture
+def tables():
+    with open_run(FIXTURES / "turning.h5") as run:
+        yield run
+
+
+@pytest.fixture
+def kt():
+    with open_run(FIXTURES / "kt.h5") as run:
+        yield run
+
+
+def run_deploy(port, tables, kt, *more, driver="moteus", yes=True, operator=QUIET, **options):
+    recipe = serial_recipe(port, *more, driver=driver)
+    bench = Bench(yes=yes, operator=operator)
+    given = {"speed": SPEED, "dry_run": False, **options}
+    return deploy(tables, recipe, kt=kt, bench=bench, **given)
+
+
+def codes(settings):
+    return [settings[f"{TABLE}{i}"] for i in range(1024)]
+
+
+def old_table(**more):
+    """Return a drive that holds another table already."""
+    values = {f"{TABLE}{i}".replace(".", "__"): (i % 255) - 127 for i in range(1024)}
+    return MoteusEmulator(motor__cogging_dq_scale=0.001, **values, **more)
+
+
+@pytest.mark.parametrize(("encoder", "sign"), [(0.3137, 1), (0.8021, -1)])
+def test_the_drive_adds_what_was_learned_where_it_was_learned(tables, kt, encoder, sign):
+    learned = learned_table_from(tables)
+    turn = in_unit(position_map(learned.table, learned.u, SPEED), learned, "moteus", kt)
+    device = MoteusEmulator(encoder=encoder, sign=sign)
+    device.motor.position = 5.0
+    with serve(device) as server:
+        done = run_deploy(server.port, tables, kt)
+    assert server.error is None
+    angle = np.linspace(-10, 10, 3001)
+    added = np.array([device.compensation(position) for position in angle])
+    # half a code, and what interpolation between 1024 positions loses
+    scale = device.config["motor.cogging_dq_scale"]
+    assert np.abs(added - turn.at(angle)).max() < 3 * scale
+    assert np.corrcoef(added, turn.at(angle))[0, 1] > 0.9999
+    assert device.stored == device.config
+    assert device.mode == 0
+    assert device.log.count("write") == 1
+    assert any("stored and read back" in line for line in done.lines)
+
+
+def test_nobody_agrees_and_nothing_is_stored(tables, kt):
+    device = MoteusEmulator()
+    asked = Operator(ask=lambda text: "n", say=lambda text: None, present=True)
+    with serve(device) as server, pytest.raises(UsageError, match="not agreed to: nothing was"):
+        run_deploy(server.port, tables, kt, yes=False, operator=asked)
+    assert device.log == []
+
+
+def test_damaged_lines_are_repeated(tables, kt):
+    device = MoteusEmulator()
+    faults = [Fault("flip", at=n, towards=to) for n in (2600, 5001) for to in ("host", "device")]
+    with serve(device, *faults, Fault("cut", at=3001)) as server:
+        done = run_deploy(server.port, tables, kt)
+    assert any("requests on the line were repeated" in remark for remark in done.remarks)
+    assert device.stored == device.config
+    assert np.abs(codes(device.stored)).max() > 100
+
+
+def test_a_refusal_in_the_middle_brings_the_old_table_back(tables, kt):
+    device = old_table()
+    before = dict(device.stored)
+    with (
+        serve(device, Fault("refuse", at=3200)) as server,
+        pytest.raises(HardwareError, match="refuses 'conf set") as caught,
+    ):
+        run_deploy(server.port, tables, kt)
+    assert "the table that was there is back" in caught.value.__notes__
+    assert device.config == device.stored == before
+    assert "motor.cogging_dq_scale 0" in device.log  # it was off meanwhile
+
+
+def test_flash_that_keeps_nothing_is_noticed(tables, kt):
+    device = old_table()
+    device.loses_writes = True
+    before = dict(device.stored)
+    with serve(device) as server, pytest.raises(HardwareError, match=r"read back, .* codes differ"):
+        run_deploy(server.port, tables, kt)
+    assert device.config == device.stored == before
+
+
+def test_a_pulled_cable_leaves_the_stored_table_as_it_was(tables, kt):
+    device = old_table()
+    before = dict(device.stored)
+    with (
+        serve(device, Fault("pull", at=3200)) as server,
+        pytest.raises(HardwareError, match="the line is lost") as caught,
+    ):
+        run_deploy(server.port, tables, kt)
+    assert "could not be brought back" in caught.value.__notes__[0]
+    assert device.stored == before
+    assert device.config["motor.cogging_dq_scale"] == 0.0
+
+
+# -- refusals
+
+
+def line_of(driver="moteus", identity=f"moteus 1, serial {SERIAL}, UART"):
+    return json.dumps({"driver": driver, "identity": identity})
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (line_of(driver="odrive"), "was learned through odrive"),
+        (line_of(identity="moteus 1, serial 77, UART"), "serial number 77, on the line is 0000300"),
+        (line_of(identity="moteus 1; its cogging table is on"), "what that left over"),
+    ],
+)
+def test_a_table_of_another_drive_is_refused(tables, kt, line, message):
+    tables.provenance["line"] = line
+    device = MoteusEmulator()
+    with serve(device) as server, pytest.raises(UsageError, match=message):
+        run_deploy(server.port, tables, kt)
+    assert device.log == []
+
+
+def test_a_table_of_this_drive_is_taken_without_a_remark(tables, kt):
+    tables.provenance["line"] = line_of()
+    with serve(MoteusEmulator()) as server:
+        done = run_deploy(server.port, tables, kt, dry_run=True)
+    assert not any("which drive" in remark for remark in done.remarks)
+
+
+def test_what_does_not_fit_is_refused_before_the_line_is_opened(tables, kt):
+    port = "/dev/there-is-none"
+    with pytest.raises(UsageError, match="was measured on the rig briaire-2006, the recipe is of"):
+        run_deploy(port, tables, kt, "rig.name=other")
+    with pytest.raises(UsageError, match="choose by --speed"):
+        run_deploy(port, tables, kt, speed=None)
+    with pytest.raises(UsageError, match="--kt is missing"):
+        run_deploy(port, tables, None)
+    with pytest.raises(UsageError, match=r"beyond serial.limits.current = 1e-05 A"):
+        run_deploy(port, tables, kt, "serial.limits.current=1e-5")
+    with pytest.raises(HardwareError, match="target keeps no table"):
+        run_deploy(port, tables, kt, driver="target")
+    with pytest.raises(UsageError, match="a record has no memory"):
+        run_deploy(port, tables, kt, driver="replay")
+    with (
+        open_run(FIXTURES / "tables.h5") as limited,
+        pytest.raises(UsageError, match="not a whole turn"),
+    ):
+        run_deploy(port, limited, kt)
+    with pytest.raises(HardwareError, match="there is no such port"):
+        run_deploy(port, tables, kt)
+
+
+@pytest.mark.parametrize(
+    ("device", "message"),
+    [
+        (MoteusEmulator(home=0), "not referenced to the rotor"),
+        (MoteusEmulator(motor__Kv=0.0, motor__poles=0), "no calibrated motor"),
+    ],
+)
+def test_a_drive_that_cannot_hold_it_is_refused(tables, kt, device, message):
+    with serve(device) as server, pytest.raises(HardwareError, match=message):
+        run_deploy(server.port, tables, kt)
+    assert device.log == []
+
+
+def test_a_drive_that_runs_is_left_alone(tables, kt):
+    device = MoteusEmulator()
+    device.mode, device.command[0x27] = 10, math.nan
+    with serve(device) as server, pytest.raises(HardwareError, match="is switched on, mode 10"):
+        run_deploy(server.port, tables, kt)
+    assert device.log == []
+
+
+def test_dry_run_of_the_command_asks_and_changes_nothing(capsys):
+    device = old_table()
+    before = dict(device.stored)
+    arguments = [FIXTURES / "turning.h5", "--rig", RECIPE, "--kt", FIXTURES / "kt.h5"]
+    with serve(device) as server:
+        settings = [p for v in overrides(server.port, driver="moteus") for p in ("--set", v)]
+        code, out, err = call(
+            capsys, "deploy", *arguments, "--speed", SPEED, *settings, "--dry-run"
+        )
+    assert code == 0, err
+    assert device.config == device.stored == before
+    assert device.log == []
+    lines = out.splitlines()
+    assert lines[0].startswith("moteus 1, model 0x220, firmware 1.3.5, serial 0000300")
+    assert "scale 0.001 A" in lines[-2]
+    assert lines[-1] == "nothing was changed"
+    assert "does not say which drive it was learned with" in err
+
+
+def test_without_a_terminal_and_without_yes_nothing_is_stored(tables, kt):
+    device = MoteusEmulator()
+    with serve(device) as server, pytest.raises(UsageError, match="then add --yes"):
+        run_deploy(server.port, tables, kt, yes=False)
+    assert device.log == []
+
+
+def test_a_virtual_rig_has_no_drive(capsys):
+    code, _, err = call(capsys, "deploy", FIXTURES / "turning.h5", "--rig", RECIPE)
+    assert code == 2
+    assert "the rig briaire-2006 is virtual" in err
