@@ -1,12 +1,18 @@
 """Signals drawn at the terminal."""
 
+import fcntl
 import io
 import math
+import os
+import pty
+import struct
+import termios
+import time
 from collections import deque
 
 import numpy as np
 
-from rigtool.procedures.live import BARS, INTERVAL, Live, sparkline
+from rigtool.procedures.live import BARS, FORGOTTEN, INTERVAL, PLAIN, Live, sparkline
 
 
 def test_sparkline_runs_from_lowest_to_highest():
@@ -17,7 +23,7 @@ def test_sparkline_runs_from_lowest_to_highest():
 
 
 def test_it_draws_means_over_the_interval_and_draws_again_above():
-    now = iter([0.0, 0.0, INTERVAL / 2, INTERVAL, INTERVAL])
+    now = iter([0.0, INTERVAL / 2, INTERVAL])
     out = io.StringIO()
     live = Live(out, columns=4, clock=lambda: next(now))
     for first in range(3):
@@ -32,7 +38,7 @@ def test_it_draws_means_over_the_interval_and_draws_again_above():
 
 
 def test_another_recording_begins_below():
-    now = iter([0.0, 0.0, 1.0, 1.0])
+    now = iter([0.0, 1.0])
     out = io.StringIO()
     live = Live(out, clock=lambda: next(now))
     block = {"time": np.array([1.0]), "encoder": np.array([math.nan])}
@@ -40,3 +46,61 @@ def test_another_recording_begins_below():
     live.show("b", block)
     assert "\x1b[2A" not in out.getvalue()
     assert out.getvalue().count("nan count") == 2
+
+
+BLOCK = {"time": np.array([1.0]), "signal_current": np.array([1.0])}
+
+
+def test_what_was_written_below_meanwhile_stays():
+    now = iter([0.0, 1.0, 1.0 + 2 * FORGOTTEN])
+    out = io.StringIO()
+    live = Live(out, clock=lambda: next(now))
+    live.show("a", BLOCK)
+    live.show("a", BLOCK)
+    assert out.getvalue().count("\x1b[2A") == 1
+    out.write("hang 1 N on the cord\n")  # as an operator is asked
+    live.show("a", BLOCK)
+    assert out.getvalue().count("\x1b[2A") == 1
+
+
+def test_lines_fit_a_narrow_terminal():
+    """A line that wraps would leave its upper half behind when it is drawn again."""
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 60, 0, 0))
+    now = iter(np.arange(100) * INTERVAL * 1.01)
+    with open(slave, "w", encoding="utf-8") as out:
+        live = Live(out, clock=lambda: next(now))
+        drawn = ""
+        for value in range(40):
+            live.show("a", {**BLOCK, "signal_current": np.array([-1e-5 / (1 + value)])})
+            drawn += os.read(master, 10000).decode()
+    os.close(master)
+    lines = drawn.replace("\x1b[K", "").replace("\x1b[2A", "").split("\r\n")
+    assert max(len(line.strip("\r")) for line in lines) == 59
+    assert len(lines) == 2 * 40 + 1
+
+
+def test_terminal_without_bars_gets_plain_ones():
+    out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    now = iter(np.arange(9) * INTERVAL * 1.01)
+    live = Live(out, clock=lambda: next(now))
+    for value in range(8):
+        live.show("a", {**BLOCK, "signal_current": np.array([float(value)])})
+    assert out.buffer.getvalue().decode("ascii").rstrip().endswith(PLAIN)
+
+
+def test_terminal_that_is_gone_ends_no_measurement():
+    class Gone(io.StringIO):
+        def flush(self):
+            raise OSError
+
+    Live(Gone()).show("a", BLOCK)
+
+
+def test_it_costs_next_to_nothing():
+    block = {name: np.zeros(2000) for name in ("time", "encoder", "current", "force")}
+    live = Live(io.StringIO())
+    start = time.process_time()
+    for _ in range(1000):  # 250 s at 8 kHz
+        live.show("a", block)
+    assert time.process_time() - start < 0.25
