@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -49,6 +50,8 @@ class Operator:
             try:
                 value = float(text.replace(",", "."))
             except ValueError:
+                value = math.nan
+            if not math.isfinite(value):
                 self.say(f"{text!r} is not a number of {unit}")
                 continue
             if self.ask(f"{what} {value:g} {unit}: Enter to take it, r to repeat:") != "r":

@@ -6,8 +6,10 @@ own line, in its own thread, and is asked afterwards what it read at the times o
 
 from __future__ import annotations
 
+import importlib
 import math
-from typing import Protocol, Self
+from types import ModuleType
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +41,14 @@ class Gauge(Protocol):
         """Return readings at these moments of `time.monotonic()`, NaN where there is none near."""
         ...
 
+    def problem(self) -> str | None:
+        """Return why a run cannot go on with this instrument, None where it can."""
+        ...
+
+    def report(self) -> dict[str, Any]:
+        """Return what is to be kept about the instrument with a run."""
+        ...
+
 
 class OperatorGauge:
     """An instrument that the operator reads once for each recording."""
@@ -63,14 +73,52 @@ class OperatorGauge:
         """Return what was read, for each moment."""
         return np.full(len(moments), self._value)
 
+    def problem(self) -> str | None:
+        """Nothing is wrong: the operator reads again until it is right."""
+        return None
+
+    def report(self) -> dict[str, Any]:
+        """Return that somebody read it."""
+        settings = self._settings
+        return {"driver": "operator", "scale": settings.scale, "offset": settings.offset}
+
+
+MODULES = {
+    "mark10": "rigtool.rigs.serial.instruments.mark10",
+    "kern": "rigtool.rigs.serial.instruments.kern",
+    "scpi": "rigtool.rigs.serial.instruments.scpi",
+    "mecmesin": "rigtool.rigs.serial.instruments.mecmesin",
+    "sauter": "rigtool.rigs.serial.instruments.sauter",
+    "number-lines": "rigtool.rigs.serial.instruments.number_lines",
+}
+"""Modules by name: each has BAUD_RATE and `make_reader(line, channel)`, see `readings.Reader`.
+
+Those that can be asked who they are have `probe(line)`; asked in this order, whole lines first.
+"""
+
+
+def instrument_module(name: str) -> ModuleType:
+    """Import the module of a kind of instrument."""
+    return importlib.import_module(MODULES[name])
+
 
 def open_gauge(channel: str, settings: Instrument, operator: Operator) -> Gauge:
     """Return the gauge that a recipe names for a channel; not connected yet.
 
-    Raises `RecipeError` for an unknown driver.
+    Raises `RecipeError` for an unknown driver, or one without a port.
     """
     if settings.driver == "operator":
         return OperatorGauge(channel, settings, operator)
-    raise RecipeError(
-        f"serial.{channel}.driver {settings.driver!r} is not known: use one of operator"
-    )
+    if settings.driver not in MODULES:
+        raise RecipeError(
+            f"serial.{channel}.driver {settings.driver!r} is not known: use one of operator, "
+            f"{', '.join(MODULES)}"
+        )
+    if not settings.port:
+        raise RecipeError(
+            f"serial.{channel}.port is missing: a {settings.driver} is on a port of its own"
+        )
+    from rigtool.rigs.serial.instruments.gauge import LineGauge
+
+    module = instrument_module(settings.driver)
+    return LineGauge(channel, settings, module.make_reader, baud_rate=module.BAUD_RATE)

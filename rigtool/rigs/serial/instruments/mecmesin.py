@@ -1,0 +1,86 @@
+"""Mecmesin force gauges AFG and CFG+: `?` asks for the reading, `U` for the unit, `M` for the mode.
+
+An AFG that knows no `U` is set to N (`b`). Which sign a push has is not documented: it is handed on
+as sent. Source: manual of the CFG+; the form of its readings is not in there.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from rigtool.errors import HardwareError
+from rigtool.rigs.serial.instruments.readings import (
+    Form,
+    Polled,
+    Reading,
+    as_text,
+    flag_of,
+    next_line,
+    number,
+    to_si,
+)
+from rigtool.rigs.serial.line import DamagedReply, Line
+
+BAUD_RATE = 9600
+
+UNITS = ("mN", "N", "kN", "gf", "kgf", "ozf", "lbf")
+MODES = ("Normal", "MaxC", "MaxT")
+_REPLY = re.compile(r"([+-]? ?\d+\.?\d*) ?([A-Za-z]*)", re.ASCII)
+
+
+def parse(line: bytes, unit: str, channel: str, form: Form) -> Reading:
+    """Return the reading in a line, in `unit` where it says none.
+
+    Raises `DamagedReply`, or `HardwareError` where its unit is not that of the channel.
+    """
+    text = as_text(line)
+    if flag := flag_of(text):
+        return Reading(math.nan, flag)
+    found = _REPLY.fullmatch(text)
+    if found is None or found.group(2) not in ("", unit):
+        raise DamagedReply(f"{text!r} is not a reading in {unit}")
+    digits = found.group(1).replace(" ", "")
+    value = number(digits)
+    form.require(digits, unit)
+    return Reading(to_si(value, unit, channel))
+
+
+class Mecmesin(Polled):
+    """Asks for one reading after the other."""
+
+    _unit = "N"
+
+    def connect(self) -> str:
+        """Return the kind of gauge; raises `HardwareError` where it shows peaks, not the force."""
+        unit = self.ask_if_known(b"U")
+        if unit in UNITS:
+            self._unit = unit
+        else:
+            self._line.write(b"b")
+            self._line.settle()
+        mode = self.ask_if_known(b"M")
+        if mode in MODES[1:]:
+            raise HardwareError(
+                f"the gauge is in mode {mode}, and would send peaks: press MAX until it shows the "
+                "force itself"
+            )
+        self._form.learn(self.read)
+        return f"Mecmesin force gauge, in {self._unit}"
+
+    def read(self) -> Reading:
+        """Return the next reading; raises `HardwareError` where none comes."""
+
+        def take(line: bytes) -> Reading:
+            return parse(line, self._unit, self._channel, self._form)
+
+        return self.ask(b"?", take)
+
+
+make_reader = Mecmesin
+
+
+def probe(line: Line) -> str | None:
+    """Return who answers on the line, None where it is no Mecmesin gauge that knows its unit."""
+    unit = line.exchange(b"U", lambda: as_text(next_line(line, line.timeout)))
+    return f"Mecmesin force gauge, in {unit}" if unit in UNITS else None

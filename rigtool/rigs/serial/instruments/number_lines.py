@@ -1,0 +1,77 @@
+"""Whatever sends one number a line by itself: loggers of load cells (HX711), of Pt100 (MAX31865).
+
+A unit may stand behind the number; without one it is that of the channel. Words like nan, OL or
+fault are counted, and are no value. The first line is left out: it may have begun earlier.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+
+from rigtool.rigs.serial.instruments.readings import (
+    Form,
+    Reading,
+    as_text,
+    flag_of,
+    next_line,
+    number,
+    to_si,
+)
+from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
+
+BAUD_RATE = 115200
+TIMEOUT = 0.5
+GREETING = 10.0
+"""Time in which a board that restarts when its port is opened must send numbers, s."""
+
+_LINE = re.compile(r"(\S+?)(?:\s*([A-Za-z°]+))?", re.ASCII)
+_SI = {"force": "N", "temperature": "C", "deflection": "m"}
+
+
+def parse(line: bytes, channel: str, form: Form) -> Reading:
+    """Return the reading in a line.
+
+    Raises `DamagedReply`, or `HardwareError` for a unit of something else.
+    """
+    text = as_text(line)
+    if flag := flag_of(text):
+        return Reading(math.nan, flag)
+    found = _LINE.fullmatch(text)
+    if found is None:
+        raise DamagedReply(f"{text!r} is not a number")
+    value, unit = number(found.group(1)), found.group(2) or ""
+    form.require("", unit)  # loggers leave zeros out: only the unit stays the same
+    return Reading(to_si(value, unit or _SI[channel], channel))
+
+
+class NumberLines:
+    """Listens."""
+
+    streams = True
+    pause = 0.0
+    resolution = 0.0
+
+    def __init__(self, line: Line, channel: str) -> None:
+        self._line, self._channel = line, channel
+        self._form = Form()
+
+    def connect(self) -> str:
+        """Wait for the first whole number; raises `HardwareError` where none comes."""
+        next_line(self._line, GREETING)
+        deadline = time.monotonic() + GREETING
+        while True:
+            try:
+                self._form.learn(self.read)
+                return "sends numbers"
+            except (LineTimeout, DamagedReply):
+                if time.monotonic() > deadline:
+                    raise
+
+    def read(self) -> Reading:
+        """Return the next reading; raises `LineTimeout` or `DamagedReply` where it is none."""
+        return parse(next_line(self._line, TIMEOUT), self._channel, self._form)
+
+
+make_reader = NumberLines

@@ -1,0 +1,246 @@
+"""What instruments send: numbers, units, and words for what is no reading.
+
+A line that is not exactly as it must be is `DamagedReply`, never a number that is nearly right.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+from rigtool.errors import HardwareError
+from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
+
+T = TypeVar("T")
+
+STANDARD_GRAVITY = 9.80665
+POUND_FORCE = 0.45359237 * STANDARD_GRAVITY
+
+FORCES = {
+    "n": 1.0,
+    "mn": 1e-3,
+    "kn": 1e3,
+    "gf": 1e-3 * STANDARD_GRAVITY,
+    "kgf": STANDARD_GRAVITY,
+    "ozf": POUND_FORCE / 16,
+    "lbf": POUND_FORCE,
+    # scales show the mass that weighs as much
+    "g": 1e-3 * STANDARD_GRAVITY,
+    "kg": STANDARD_GRAVITY,
+    "oz": POUND_FORCE / 16,
+    "lb": POUND_FORCE,
+}
+"""N in a unit of force; capitals differ from maker to maker (lbF, kgF)."""
+
+LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "inch": 0.0254}
+"""m in a unit of length."""
+
+TEMPERATURES = {
+    "c": (1.0, 0.0),
+    "cel": (1.0, 0.0),
+    "degc": (1.0, 0.0),
+    "°c": (1.0, 0.0),
+    "k": (1.0, -273.15),
+    "f": (5 / 9, -160 / 9),
+    "far": (5 / 9, -160 / 9),
+    "degf": (5 / 9, -160 / 9),
+    "°f": (5 / 9, -160 / 9),
+}
+"""Factor and what is added to get degC."""
+
+NUMBER = re.compile(r"[+-]?[0-9]{1,12}(\.[0-9]{0,12})?([eE][+-]?[0-9]{1,3})?")
+LONGEST = 80
+"""Characters in a line of an instrument, at most."""
+
+OVERLOAD = "overload"
+UNDERRANGE = "below its range"
+UNSTABLE = "unstable"
+NO_VALUE = "no value"
+
+_WORDS = {
+    "ol": OVERLOAD,
+    "+ol": OVERLOAD,
+    "over": OVERLOAD,
+    "overload": OVERLOAD,
+    "ovl": OVERLOAD,
+    "-ol": UNDERRANGE,
+    "under": UNDERRANGE,
+    "nan": NO_VALUE,
+    "inf": NO_VALUE,
+    "-inf": NO_VALUE,
+    "+inf": NO_VALUE,
+    "ovf": NO_VALUE,
+    "err": NO_VALUE,
+    "error": NO_VALUE,
+    "fault": NO_VALUE,
+    "xxxx": NO_VALUE,  # Mecmesin: load cell not calibrated, or faulty
+}
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A value in the unit of the channel; `flag` says what is wrong with it.
+
+    Only an unstable reading has a value all the same.
+    """
+
+    value: float
+    flag: str = ""
+
+
+class Reader(Protocol):
+    """What speaks to one kind of instrument, on a line that is open.
+
+    `streams`: it sends by itself; `pause`: time to leave between two questions, s.
+    """
+
+    streams: bool
+    pause: float
+
+    @property
+    def resolution(self) -> float:
+        """A step of the last decimal in the unit of the channel, 0 where it is unknown."""
+        ...
+
+    def connect(self) -> str:
+        """Return who answers, in a line. Raises `HardwareError` where it is set up wrongly."""
+        ...
+
+    def read(self) -> Reading:
+        """Return the next reading. Raises `HardwareError` where it is refused or does not come."""
+        ...
+
+
+def to_si(value: float, unit: str, channel: str) -> float:
+    """Return a value in N, degC or m; raises `HardwareError` for a unit of something else."""
+    key = unit.lower()
+    if channel == "temperature" and key in TEMPERATURES:
+        factor, added = TEMPERATURES[key]
+        return factor * value + added
+    known = {"force": FORCES, "deflection": LENGTHS}.get(channel, {})
+    if key not in known:
+        raise HardwareError(
+            f"the instrument reads in {unit!r}, which is no unit of {channel}: set another one at "
+            "the instrument"
+        )
+    return value * known[key]
+
+
+def number(text: str) -> float:
+    """Return a decimal number. Raises `DamagedReply` for anything else."""
+    if not NUMBER.fullmatch(text):
+        raise DamagedReply(f"{text[:40]!r} is not a number")
+    return float(text)
+
+
+def flag_of(text: str) -> str | None:
+    """Return what a word says in place of a number, None where it is no such word."""
+    return _WORDS.get(text.strip().lower())
+
+
+def as_text(line: bytes) -> str:
+    """Return a line as text; raises `DamagedReply` where it is none, or too long for one."""
+    text = line.strip(b" \r\n").decode("latin-1")
+    if not text.isprintable() or len(text) > LONGEST:
+        raise DamagedReply(f"{line[:40]!r} is not a reading")
+    return text
+
+
+def next_line(line: Line, timeout: float) -> bytes:
+    """Return what comes up to an end of line, CR, LF or both, without it; never an empty one.
+
+    Raises `LineTimeout` where it does not come within `timeout`, s, and `DamagedReply` where it is
+    too long.
+    """
+    deadline = time.monotonic() + timeout
+    got = b""
+    while True:
+        data = line.read_some(max(0.0, deadline - time.monotonic()))
+        if not data:
+            raise LineTimeout(f"{line.port}: no whole line within {timeout:g} s, only {got[:40]!r}")
+        got = (got + data).lstrip(b"\r\n")
+        ends = [place for end in (b"\r", b"\n") if (place := got.find(end)) >= 0]
+        if ends:
+            line.give_back(got[min(ends) + 1 :])
+            return got[: min(ends)]
+        if len(got) > 4 * LONGEST:
+            raise DamagedReply(f"{line.port}: {len(got)} bytes without an end of line")
+
+
+class Polled:
+    """An instrument that is asked for each reading and answers with a line."""
+
+    streams = False
+    pause = 0.0
+    timeout = 0.3
+
+    def __init__(self, line: Line, channel: str) -> None:
+        self._line, self._channel, self._form = line, channel, Form()
+
+    @property
+    def resolution(self) -> float:
+        """A step of the last decimal in the unit of the channel, 0 where it is unknown."""
+        return self._form.resolution(self._channel)
+
+    def ask(self, request: bytes, take: Callable[[bytes], T]) -> T:
+        """Return what `take` makes of the line that answers; see `Line.exchange` for errors."""
+        self._line.settle(0.0)  # what is left of an older answer
+        return self._line.exchange(request, lambda: take(next_line(self._line, self.timeout)))
+
+    def ask_if_known(self, request: bytes, retries: int = 1) -> str | None:
+        """Return the answer to a question that not every model knows, None where it is silent."""
+        self._line.settle(0.0)
+        try:
+            reply = self._line.exchange(
+                request, lambda: as_text(next_line(self._line, self.timeout)), retries=retries
+            )
+        except HardwareError:
+            self._line.settle()
+            return None
+        return reply
+
+
+LEARNING = 5
+"""Pairs of readings in which two must have the same form."""
+
+
+class Form:
+    """Holds readings to the form of the first: an instrument does not change its decimals.
+
+    Protocols without a checksum leave nothing else to tell a line that lost a digit.
+    """
+
+    def __init__(self) -> None:
+        self._form: tuple[int, str] | None = None
+
+    def learn(self, read: Callable[[], Reading]) -> None:
+        """Read until two readings in a row have one form; `HardwareError` where none have."""
+        reading = None
+        for _ in range(LEARNING):
+            self._form = None
+            reading = read()
+            first, self._form = self._form, None
+            reading = read()
+            if first is not None and first == self._form and not math.isnan(reading.value):
+                return
+        said = f"says {reading.flag!r}" if reading and reading.flag else "changes its decimals"
+        raise HardwareError(f"the instrument {said}: it must read before a run can begin")
+
+    def resolution(self, channel: str) -> float:
+        """Return a step of the last decimal in the unit of the channel, 0 where it is unknown."""
+        if self._form is None or self._form[0] < 0:
+            return 0.0
+        decimals, unit = self._form
+        return abs(to_si(10.0**-decimals, unit, channel) - to_si(0.0, unit, channel))
+
+    def require(self, digits: str, unit: str) -> None:
+        """Raise `DamagedReply` where decimals or unit differ from those before."""
+        form = (len(digits.partition(".")[2]) if "." in digits else -1, unit.lower())
+        if self._form is None:
+            self._form = form
+        if form != self._form:
+            raise DamagedReply(f"{digits} {unit}: other decimals or unit than the readings before")

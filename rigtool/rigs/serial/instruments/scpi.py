@@ -1,0 +1,115 @@
+"""SCPI multimeters and thermometers (`READ?`), Hart 1502A and its kin (`FETC?`, `t: 25.587 C`).
+
+Temperature comes in the unit that the instrument says it is set to (`UNIT:TEMP?`), in the one
+behind the number, or else in degC. Force and deflection come as volts or whatever it measures: the
+recipe's scale and offset make N and m of them. Values of 9.9e37 and beyond are overload (IEEE
+488.2, SCPI). Sources: manuals of Fluke 1521, 1522 and 1529, Keysight B2961A.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from rigtool.errors import HardwareError
+from rigtool.rigs.serial.instruments.readings import (
+    NO_VALUE,
+    OVERLOAD,
+    TEMPERATURES,
+    UNDERRANGE,
+    Form,
+    Polled,
+    Reading,
+    as_text,
+    flag_of,
+    number,
+    to_si,
+)
+from rigtool.rigs.serial.line import DamagedReply, Line
+
+BAUD_RATE = 9600
+
+SLOW = 3.0
+"""Longest time that a reading takes, s: multimeters integrate over many periods of the mains."""
+
+QUICK = 0.5
+"""Longest time that any other answer takes, s."""
+
+OVERRANGE = 9.9e37
+NOT_A_NUMBER = 9.91e37
+_REPLY = re.compile(r"(?:t: *)?(\S+?)(?: +([A-Za-z]+))?", re.ASCII)
+
+
+def parse(line: bytes, channel: str, unit: str, form: Form) -> Reading:
+    """Return the reading in a line; `unit` of temperature where it says none.
+
+    Raises `DamagedReply`, or `HardwareError` for a unit of something else.
+    """
+    text = as_text(line)
+    if flag := flag_of(text):
+        return Reading(math.nan, flag)
+    found = _REPLY.fullmatch(text)
+    if found is None:
+        raise DamagedReply(f"{text!r} is not a reading")
+    value, said = number(found.group(1)), found.group(2)
+    form.require("", said or "")
+    if abs(value) >= OVERRANGE:
+        missing = NO_VALUE if abs(value) == NOT_A_NUMBER else OVERLOAD
+        return Reading(math.nan, UNDERRANGE if value < 0 and missing == OVERLOAD else missing)
+    if channel != "temperature":
+        return Reading(value)
+    return Reading(to_si(value, said or unit, channel))
+
+
+class Scpi(Polled):
+    """Asks for one reading after the other."""
+
+    timeout = SLOW
+    _request = b"READ?\n"
+    _unit = "C"
+
+    def connect(self) -> str:
+        """Return what the instrument says it is, or that it answers.
+
+        Raises `HardwareError` where nothing does, or it measures no temperature.
+        """
+        self.timeout = QUICK
+        identity = self.ask_if_known(b"*IDN?\n")
+        if self._channel == "temperature" and identity:
+            self._require_temperature()
+        self.timeout = SLOW
+        # `READ?` measures anew; where an instrument knows only `FETC?`, it measures by itself.
+        known = (b"READ?\n", b"FETC?\n") if identity else (b"FETC?\n", b"READ?\n")
+        self._request = known[0 if self.ask_if_known(known[0], retries=0) else 1]
+        self._form.learn(self.read)
+        return identity or f"answers {self._request.decode().strip()}"
+
+    def _require_temperature(self) -> None:
+        function = (self.ask_if_known(b"FUNC?\n") or "").strip('"').upper()
+        if re.fullmatch("(VOLT|CURR|RES|FRES|FREQ|PER|CONT|DIOD|CAP)[A-Z:]*", function):
+            raise HardwareError(
+                f"the instrument measures {function}, not temperature: set it to temperature"
+            )
+        unit = (self.ask_if_known(b"UNIT:TEMP?\n") or "").strip('"')
+        if unit.lower() in TEMPERATURES:
+            self._unit = unit
+
+    def read(self) -> Reading:
+        """Return the next reading; raises `HardwareError` where none comes."""
+        return self.ask(
+            self._request, lambda line: parse(line, self._channel, self._unit, self._form)
+        )
+
+
+make_reader = Scpi
+
+
+def probe(line: Line) -> str | None:
+    """Return what an instrument says it is, None where it does not know the question."""
+
+    def accept(reply: bytes) -> str | None:
+        text = as_text(reply)
+        return text if text.count(",") >= 2 else None
+
+    # The first end of line ends what another question has left in the instrument.
+    return line.ask(b"\n*IDN?\n", accept)
