@@ -82,7 +82,7 @@ def _find(line: Line, node: int) -> Objects | LockStepFrames | None:
 
 def _introduced(line: Line, ready: bytes, node: int) -> Objects | LockStepFrames | None:
     """Return who answered so to the op code of an EPOS2, once it has answered a whole question."""
-    frames = LockStepFrames(line)
+    frames = LockStepFrames(line, FRAME_TIMEOUT)
     if ready == FAILED:  # it knows acknowledges, and no objects
         read_status(frames)
         return frames

@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import Generic, TypeVar
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs.serial.drive import Sample, SetPoint
-from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.line import Line, LineLost
+
+Place = TypeVar("Place")
 
 RPM = 2 * math.pi / 60
 """rad/s in one turn a minute."""
 
-SAMPLE_ATTEMPTS = 3
+SAMPLE_ATTEMPTS = 5
 HALT_ATTEMPTS = 3
+RESTORE_ATTEMPTS = 3
 
 STATE_READINGS = 50
 STATE_PAUSE = 0.01
@@ -25,13 +29,17 @@ NO_WATCHDOG = (
 )
 
 
-class MaxonDrive(ABC):
-    """A drive that answers several requests a sample; positions come in quad counts."""
+class MaxonDrive(ABC, Generic[Place]):
+    """A drive that answers several requests a sample; positions come in quad counts.
+
+    `Place` is what names a setting.
+    """
 
     def __init__(self, line: Line, encoder_counts: int) -> None:
         self.line = line
         self._encoder_counts = encoder_counts
         self._count = 2 * math.pi / encoder_counts
+        self._before: dict[Place, int] = {}
 
     @abstractmethod
     def _measure(self) -> tuple[Sample, int]:
@@ -52,6 +60,14 @@ class MaxonDrive(ABC):
     @abstractmethod
     def _switch_off(self) -> bool:
         """Switch the power stage off with few attempts; return whether it is off."""
+
+    @abstractmethod
+    def _read_setting(self, place: Place) -> int:
+        """Return a setting."""
+
+    @abstractmethod
+    def _write_setting(self, place: Place, value: int) -> None:
+        """Change a setting."""
 
     def step(self, setpoint: SetPoint) -> Sample:
         """Measure, then send a set point; raises `HardwareError` where the drive is off."""
@@ -95,6 +111,36 @@ class MaxonDrive(ABC):
             f"{self.line.port}: the drive was not switched off ({problem}). It has no watchdog: it "
             "may still turn"
         )
+
+    def restore(self) -> None:
+        """Bring back what was changed, the last first; what is refused is tried again."""
+        problem: HardwareError | None = None
+        for _ in range(RESTORE_ATTEMPTS):
+            for place, value in reversed(list(self._before.items())):
+                try:
+                    self._write_setting(place, value)
+                    del self._before[place]
+                except LineLost:
+                    raise
+                except HardwareError as error:
+                    problem = error
+        if self._before and problem is not None:
+            raise problem
+
+    def _remember(self, place: Place) -> None:
+        """Keep the value that a setting had at first."""
+        if place not in self._before:
+            self._before[place] = self._read_setting(place)
+
+    def _change(self, place: Place, value: int, name: str) -> None:
+        """Change a setting that is remembered, and see that it is changed."""
+        self._write_setting(place, value)
+        found = self._read_setting(place)
+        if found != value:
+            raise HardwareError(
+                f"{self.line.port}: the drive was told that its {name} be {value}, and has {found}:"
+                " set it with maxon's program"
+            )
 
     def _require_encoder(self, pulses: int | None) -> None:
         """Compare the drive's encoder, pulses a turn, with the recipe's; None where not known."""

@@ -31,7 +31,7 @@ def read_status(frames: LockStepFrames) -> int:
     return int.from_bytes(answer, "little")
 
 
-class DesDrive(MaxonDrive):
+class DesDrive(MaxonDrive[int]):
     """Its rotor position counts within a turn: turns are counted here, with the measured speed."""
 
     abilities = Abilities(
@@ -44,7 +44,6 @@ class DesDrive(MaxonDrive):
     def __init__(self, frames: LockStepFrames, encoder_counts: int) -> None:
         super().__init__(frames.line, encoder_counts)
         self._frames = frames
-        self._before: dict[int, int] = {}
         self._mode: Mode = "velocity"
         self._last: tuple[float, float, float] | None = None
 
@@ -66,9 +65,9 @@ class DesDrive(MaxonDrive):
             (MAX_SPEED_CURRENT_MODE, speed),
         ):
             self._remember(number)
-            self._change(number, min(self._before[number], value))
+            self._change(number, min(self._before[number], value), f"parameter {number}")
         self._remember(CONFIGURATION)
-        self._change(CONFIGURATION, self._configuration("velocity"))
+        self._change(CONFIGURATION, self._configuration("velocity"), "configuration")
         return [NO_WATCHDOG, "has no limit of position"]
 
     def enable(self, mode: Mode) -> None:
@@ -76,19 +75,12 @@ class DesDrive(MaxonDrive):
         self._require_no_error(self._read(STATUS))
         self._command(ENABLE, 0)
         self._remember(CONFIGURATION)
-        self._change(CONFIGURATION, self._configuration(mode))
+        self._change(CONFIGURATION, self._configuration(mode), "configuration")
         self._mode = mode
         self._set(SetPoint())
         self._command(ENABLE, 1)
         self._set(SetPoint())
         self._require_on(self._read(STATUS))
-
-    def restore(self) -> None:
-        """Bring back what was changed, the last first."""
-        while self._before:
-            number, value = list(self._before.items())[-1]
-            self._write(number, value)
-            del self._before[number]
 
     # -- one sample
 
@@ -151,26 +143,16 @@ class DesDrive(MaxonDrive):
         word |= SPEED_BY_SOFTWARE | CURRENT_BY_SOFTWARE
         return word | CURRENT_REGULATOR if mode == "current" else word
 
-    def _remember(self, number: int) -> None:
-        if number not in self._before:
-            self._before[number] = self._read(number)
+    def _read_setting(self, place: int) -> int:
+        return self._read(place)
 
-    def _change(self, number: int, value: int) -> None:
-        self._write(number, value)
-        found = self._read(number)
-        if found != value:
-            raise HardwareError(
-                f"{self.line.port}: parameter {number} of the drive was set to {value} and is "
-                f"{found}: set it with maxon's program"
-            )
+    def _write_setting(self, place: int, value: int) -> None:
+        self._frames.command(WRITE, struct.pack("<HHH", place, 0, value), None)
 
     def _read(self, number: int, *, signed: bool = False, retries: int | None = None) -> int:
         """Return a parameter or a status variable of 16 bit."""
         answer = self._frames.command(READ, struct.pack("<HH", number, 0), 2, retries)
         return int.from_bytes(answer, "little", signed=signed)
-
-    def _write(self, number: int, value: int) -> None:
-        self._frames.command(WRITE, struct.pack("<HHH", number, 0, value), None)
 
     def _command(self, opcode: int, value: int, retries: int | None = None) -> None:
         try:

@@ -35,7 +35,7 @@ FRAME_TIMEOUT = 0.05
 """Time after which an EPOS2 is to give up a frame that does not go on, s."""
 
 
-class EposDrive(MaxonDrive):
+class EposDrive(MaxonDrive[Entry]):
     """What EPOS4 and EPOS2 have in common."""
 
     family: str
@@ -48,7 +48,6 @@ class EposDrive(MaxonDrive):
     def __init__(self, objects: Objects, encoder_counts: int) -> None:
         super().__init__(objects.frames.line, encoder_counts)
         self._objects = objects
-        self._before: dict[Entry, int] = {}
         self._mode: Mode = "velocity"
         self._device_type = 0
         self._tells_demand = True
@@ -99,7 +98,7 @@ class EposDrive(MaxonDrive):
             (od.HIGHEST, limits.position[1], min),
         ):
             counts = min(max(round(bound / self._count), -(2**31)), 2**31 - 1)
-            self._change(entry, counts, choose)
+            self._tighten(entry, counts, choose)
         gaps.append("may not watch position when it follows speeds and currents")
         return gaps
 
@@ -118,13 +117,6 @@ class EposDrive(MaxonDrive):
         self._mode = mode
         self._objects.write(od.CONTROL, SWITCH_ON)
         self._await(ENABLED)
-
-    def restore(self) -> None:
-        """Bring back what was changed, the last first."""
-        while self._before:
-            entry, value = list(self._before.items())[-1]
-            self._objects.write(entry, value)
-            del self._before[entry]
 
     # -- one sample
 
@@ -184,28 +176,24 @@ class EposDrive(MaxonDrive):
                 "Studio"
             )
 
-    def _remember(self, entry: Entry) -> None:
-        if entry not in self._before:
-            self._before[entry] = self._objects.read(entry)
+    def _read_setting(self, place: Entry) -> int:
+        return self._objects.read(place)
+
+    def _write_setting(self, place: Entry, value: int) -> None:
+        self._objects.write(place, value)
 
     def _lower(self, entry: Entry, value: int) -> bool:
         """Lower a limit; return whether the drive has it."""
         if self._objects.find(entry) is None:
             return False
-        self._change(entry, value, min)
+        self._tighten(entry, value, min)
         return True
 
-    def _change(self, entry: Entry, value: int, choose: Callable[[int, int], int]) -> None:
-        """Set an object to the tighter of a value and what it was at first, and see that it is."""
+    def _tighten(self, entry: Entry, value: int, choose: Callable[[int, int], int]) -> None:
+        """Set an object to the tighter of a value and what it was at first."""
         self._remember(entry)
-        value = choose(self._before[entry], value)
-        self._objects.write(entry, value)
-        found = self._objects.read(entry)
-        if found != value:
-            raise HardwareError(
-                f"{self.line.port}: the drive was told that its {entry.name} be {value}, and has "
-                f"{found}: see {entry.index:04X}:{entry.sub:02X} in EPOS Studio"
-            )
+        name = f"{entry.name} ({entry.index:04X}:{entry.sub:02X})"
+        self._change(entry, choose(self._before[entry], value), name)
 
 
 class Epos4Drive(EposDrive):
@@ -295,7 +283,7 @@ class Epos2Drive(EposDrive):
             isinstance(frames, LockStepFrames)
             and self._objects.find(od.FRAME_TIMEOUT_2) is not None
         ):
-            self._change(od.FRAME_TIMEOUT_2, round(FRAME_TIMEOUT * 1e3), min)
+            self._tighten(od.FRAME_TIMEOUT_2, round(FRAME_TIMEOUT * 1e3), min)
             frames.frame_timeout = FRAME_TIMEOUT
         return super().configure(limits, watchdog)
 

@@ -115,7 +115,7 @@ class DleFrames:
 class LockStepFrames:
     """The framing of an EPOS2 and a DES 70/10; `frame_timeout` [s] is the device's."""
 
-    def __init__(self, line: Line, frame_timeout: float = FRAME_TIMEOUT) -> None:
+    def __init__(self, line: Line, frame_timeout: float) -> None:
         self.line = line
         self.frame_timeout = frame_timeout
 

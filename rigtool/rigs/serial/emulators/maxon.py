@@ -181,7 +181,7 @@ class Epos(Device):
             return struct.pack("<I", 0x0F00FFB9) + (b"" if value is not None else bytes(4))
         if value is None:
             return self.read(index, sub)
-        if self.refused():
+        if index != 0x6040 and self.refused():
             return struct.pack("<I", WRONG_STATE)
         if (index, sub) not in self.objects:
             return struct.pack("<I", NO_OBJECT)
