@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 LARGEST_SVG = 150_000
 """Bytes: a larger picture is written as PNG."""
 
+UNBROKEN = "\N{NO-BREAK SPACE}"
+
 WITH_CALIBRATION = {
     43: turns.before_learning,
     45: turns.after_learning,
@@ -194,7 +196,7 @@ def make_rows(runs: Runs) -> tuple[list[Shown], dict[str, Any]]:
 
 
 def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]:
-    """Return one row, and its numbers by name as `value`, `u`, `unit` (SI)."""
+    """Return one row, and its numbers by name: `value`, `u`, `unit` (SI), `reason` without u."""
     run, numbers, stored = runs[row["run"]], [], {}
     for number in row["numbers"]:
         found = evaluate(number["value"], runs, number.get("run", row["run"]))
@@ -203,7 +205,12 @@ def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]
         if number.get("u") is not None:
             found = replace(found, u=evaluate(number["u"], runs, row["run"]).value, reason=None)
         numbers.append(_judged(number, found))
-        stored[number["name"]] = {"value": found.value, "u": found.u, "unit": found.unit}
+        stored[number["name"]] = {
+            "value": found.value,
+            "u": found.u,
+            "unit": found.unit,
+            "reason": found.reason,
+        }
     heading, picture = title(row), None
     if "figure" in row:
         picture = _picture(row["figure"], run, runs["kt"])
@@ -265,7 +272,7 @@ def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:
         published=f"“{said}”" if said else stated,
         section=section,
         ours=format_number(found.value * factor, u),
-        unit="" if unit == "1" else unit,
+        unit="" if unit == "1" else unit.replace(" ", UNBROKEN),
         tolerance=tolerance,
         holds=holds(number, found.value),
         met=number.get("met", True),
@@ -274,10 +281,10 @@ def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:
 
 def _tolerance(number: Mapping[str, Any], factor: float, stated: str) -> str:
     if "rule" in number:
-        return f"{number['rule']} {stated}"
+        return f"{number['rule']}{UNBROKEN}{stated}"
     if "within" in number:
         return f"±{_allowed(number, 0.0) * factor:.3g}"
-    return f"±{100 * number['tolerance']:.3g} %" if number["tolerance"] else "equal"
+    return f"±{100 * number['tolerance']:.3g}{UNBROKEN}%" if number["tolerance"] else "equal"
 
 
 # -- the page
@@ -289,7 +296,8 @@ INTRODUCTION = (
     "and units. Each row has the command that makes it, what the thesis states beside what rigtool "
     "finds, with its standard uncertainty in brackets where it has one, the tolerance, and whether "
     "it holds. Words in quotation marks are the thesis's where it gives no number; a dash is where "
-    "it says nothing."
+    "it says nothing. A number without brackets has no uncertainty of its own: it is a setting, or "
+    "the rms, peak or span of a curve."
 )
 
 NOTES = "How the thesis was read where it is silent: [notes](thesis-notes.md)."

@@ -82,7 +82,8 @@ def test_numbers_are_within_what_is_stated(one, committed):
     stored = committed[reproduction.row_name(one)]["numbers"]
     assert list(stored) == [number["name"] for number in one["numbers"]]
     for number in one["numbers"]:
-        value = stored[number["name"]]["value"]
+        value, u, reason = (stored[number["name"]][key] for key in ("value", "u", "reason"))
+        assert (u is None) == bool(reason)
         assert math.isfinite(value)
         assert reproduction.holds(number, value) is not False, f"{number['name']}: {value}"
 
@@ -243,7 +244,7 @@ def test_rows_are_made_of_runs(made):
     assert shown.heading.startswith("Fig. 20. ")
     assert shown.lines == ("rigtool calibrate-kt ../../recipes/briaire-2006.toml -o kt.h5 " + TAIL,)
     constant = shown.numbers[0]
-    assert (constant.published, constant.unit, constant.verdict) == ("45.8", "mN m/A", "yes")
+    assert (constant.published, constant.unit, constant.verdict) == ("45.8", "mN\u00a0m/A", "yes")
     assert numbers[constant.name]["value"] == pytest.approx(45.8e-3, rel=0.01)
     name, data = shown.picture
     assert (name, data[:5]) == ("figure-20.svg", b"<?xml")
