@@ -17,12 +17,13 @@ if TYPE_CHECKING:
 @click.command(epilog=example("rigtool report kt.h5 tables.h5 force.h5 -o report"))
 @click.argument("paths", nargs=-1, required=True, metavar="RUN.h5...")
 @click.option("-o", "--output", required=True, metavar="FOLDER", help="Folder to write.")
+@click.option("--pdf", is_flag=True, help="Write report.pdf too (pip install rigtool[pdf]).")
 @json_option
 @quiet_option
 @overwrite_option
 @debug_option
 def command(
-    paths: tuple[str, ...], output: str, as_json: bool, quiet: bool, overwrite: bool
+    paths: tuple[str, ...], output: str, pdf: bool, as_json: bool, quiet: bool, overwrite: bool
 ) -> None:
     """Write tables, figures and one page from any run files.
 
@@ -32,13 +33,16 @@ def command(
     """
     from rigtool.report.build import build_report
     from rigtool.report.folder import require_free, terminal_text, write_report
+    from rigtool.report.page import require_pdf
     from rigtool.runfile import open_run
 
     require_free(output, overwrite=overwrite)
+    if pdf:
+        require_pdf()
     with ExitStack() as stack:
         runs = [stack.enter_context(open_run(path)) for path in paths]
         report = build_report(runs)
-    write_report(report, output, overwrite=overwrite)
+    write_report(report, output, overwrite=overwrite, pdf=pdf)
     if as_json:
         from rigtool.cli.printing import json_text
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.report.build import Report
 from rigtool.report.formats import csv_text, latex, markdown, terminal
-from rigtool.report.page import render_page
+from rigtool.report.page import render_page, render_pdf
 
-ENTRIES = frozenset({"index.html", "tables.txt", "tables", "figures"})
+ENTRIES = frozenset({"index.html", "report.pdf", "tables.txt", "tables", "figures"})
 """What a report's folder holds; a folder with anything else is never replaced."""
 
 
@@ -47,7 +47,9 @@ def require_free(output: str | os.PathLike[str], *, overwrite: bool) -> Path:
     return target
 
 
-def write_report(report: Report, output: str | os.PathLike[str], *, overwrite: bool) -> None:
+def write_report(
+    report: Report, output: str | os.PathLike[str], *, overwrite: bool, pdf: bool = False
+) -> None:
     """Write all files beside the folder, then put them in its place in one step.
 
     Raises `UsageError` as `require_free`, `RigtoolError` where the disk refuses.
@@ -57,7 +59,7 @@ def write_report(report: Report, output: str | os.PathLike[str], *, overwrite: b
     try:
         scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
         new = scratch / "new"
-        for name, data in _contents(report).items():
+        for name, data in _contents(report, pdf).items():
             path = new / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
@@ -69,7 +71,7 @@ def write_report(report: Report, output: str | os.PathLike[str], *, overwrite: b
             shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _contents(report: Report) -> dict[str, bytes]:
+def _contents(report: Report, pdf: bool) -> dict[str, bytes]:
     """Return every file of the report by its path within the folder."""
     texts = {"index.html": render_page(report), "tables.txt": terminal_text(report)}
     for table in (*report.force_tables, *report.results):
@@ -79,6 +81,8 @@ def _contents(report: Report) -> dict[str, bytes]:
     for picture in report.pictures:
         texts[f"figures/{picture.name}.svg"] = picture.svg
     contents = {name: text.encode() for name, text in texts.items()}
+    if pdf:
+        contents["report.pdf"] = render_pdf(texts["index.html"])
     for picture in report.pictures:
         contents[f"figures/{picture.name}.png"] = picture.png
     return contents

@@ -1,8 +1,12 @@
 import re
+import sys
 from html.parser import HTMLParser
 
+import pytest
+
+from rigtool.errors import UsageError
 from rigtool.report.build import build_report
-from rigtool.report.page import render_page
+from rigtool.report.page import render_page, render_pdf, require_pdf
 
 VOID = {"meta", "img", "br"}
 
@@ -65,3 +69,20 @@ def test_a_users_matplotlib_settings_change_nothing(make, open_all):
     expected = build_report(runs).pictures
     with matplotlib.rc_context({"lines.linewidth": 20, "font.size": 30, "axes.grid": False}):
         assert build_report(runs).pictures == expected
+
+
+def test_the_page_as_pdf_is_the_same_each_time():
+    try:
+        require_pdf()
+    except UsageError:
+        pytest.skip("WeasyPrint comes with the extra pdf, Pango with the system")
+    page = "<!DOCTYPE html><title>a</title><h1>Force</h1><p>45.80(4) mN m/A"
+    first = render_pdf(page)
+    assert first.startswith(b"%PDF-")
+    assert render_pdf(page) == first
+
+
+def test_without_the_printer_the_remedy_is_told(monkeypatch):
+    monkeypatch.setitem(sys.modules, "weasyprint", None)
+    with pytest.raises(UsageError, match=r"pip install rigtool\[pdf\]"):
+        require_pdf()
