@@ -16,6 +16,8 @@ from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.moteus import TABLE, MoteusEmulator
 from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.moteus_frames import text_to_drive
+from rigtool.rigs.serial.moteus_link import Link
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
@@ -113,6 +115,25 @@ def test_flash_that_keeps_nothing_is_noticed(tables, kt):
     before = dict(device.stored)
     with serve(device) as server, pytest.raises(HardwareError, match=r"read back, .* codes differ"):
         run_deploy(server.port, tables, kt)
+    assert device.config == device.stored == before
+
+
+def test_ctrl_c_in_the_middle_brings_the_old_table_back(tables, kt, monkeypatch):
+    device, sets = old_table(), []
+    before = dict(device.stored)
+    set_one = Link.set
+
+    def interrupted(link, name, value):
+        sets.append(name)
+        if len(sets) == 500:
+            link._exchange(text_to_drive(f"conf set {name} {value}\n".encode()))
+            raise KeyboardInterrupt  # the answer was not read yet
+        set_one(link, name, value)
+
+    monkeypatch.setattr(Link, "set", interrupted)
+    with serve(device) as server, pytest.raises(KeyboardInterrupt) as caught:
+        run_deploy(server.port, tables, kt)
+    assert caught.value.__notes__ == ["the table that was there is back"]
     assert device.config == device.stored == before
 
 

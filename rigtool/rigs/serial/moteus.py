@@ -250,6 +250,8 @@ class Moteus:
 
     def restore(self) -> None:
         """Bring back all settings that were changed, the last one first."""
+        if self._before:
+            self.link.flush()  # answers to what was interrupted
         for name in reversed(list(self._before)):
             self.link.set(name, self._before[name])
             del self._before[name]

@@ -115,6 +115,8 @@ class MoteusTable:
     def _bring_back(self, before: DriveTable) -> str:
         """Store what was there; return what became of it."""
         try:
+            self.link.line.settle()
+            self.link.flush()
             self._set(before, None)
             self._keep()
             self._require(before)
