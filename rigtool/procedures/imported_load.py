@@ -42,6 +42,9 @@ from rigtool.runfile import Column, Recording, Run, Table
 
 __all__ = ["COMMAND", "NEEDED", "analyse", "analyse_imported", "measure", "recordings"]
 
+IMPORTED_SETTINGS = {"measure_force.lowpass_hz": "bandwidth_hz"}
+"""What `--set` may change for imported runs, and what `analyse_imported` calls it."""
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -61,8 +64,9 @@ def analyse_imported(
     kt: Run | None = None,
     friction: Run | None = None,
     plant: Run | None = None,
+    bandwidth_hz: float = MeasureForce().lowpass_hz,
 ) -> Outcome:
-    """Learn effort by motion and load.
+    """Learn effort by motion and load, from signals with this bandwidth.
 
     Raises `RunFileError` for runs without a reference torque, `InsufficientDataError` where they do
     not tell how effort grows with load, `UsageError` for options of the bench's own rig.
@@ -78,9 +82,8 @@ def analyse_imported(
                 f"{run.path}: has no channel {REFERENCE}, so it tells nothing of the load: learn "
                 "from runs with a sensor at the load, imported with that channel mapped"
             )
-    bandwidth = MeasureForce().lowpass_hz
     signals = [
-        read_signals(run, recording, kt, bandwidth)
+        read_signals(run, recording, kt, bandwidth_hz)
         for run, recording in zip(runs, recordings_, strict=True)
     ]
     levels = levels_of(signals)

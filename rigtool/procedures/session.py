@@ -5,6 +5,7 @@ A source is a recipe (measure on its rig, then analyse) or run files (analyse wh
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -33,8 +34,9 @@ class Procedure(Protocol):
     A module that says BARE_MOTOR = True measures without the instrument, whatever the recipe
     attaches: motor and amplifier are characterised on their own [7.1, 7.2]. One that says ACCEPTS
     takes stored runs of these commands instead of its own alone. One that has a function
-    `analyse_imported(runs, **inputs)` also takes runs of other rigs; `NEEDED` are then the inputs
-    that only those can do without. `rig_needs(recipe)` names what a rig has to offer for motions
+    `analyse_imported(runs, **inputs)` also takes runs of other rigs, and of `--set` what its
+    `IMPORTED_SETTINGS` name; `NEEDED` are the inputs that only those can do without.
+    `rig_needs(recipe)` names what a rig has to offer for motions
     that depend on what is measured first, see `rehearsal`.
     """
 
@@ -199,11 +201,7 @@ def _analyse_imported(
     """Analyse measurements of other rigs: there is no recipe, the runs say what is known."""
     for run in runs:
         run.require_command(IMPORTED)
-    if options.overrides:
-        raise UsageError(
-            f"--set {options.overrides[0]}: imported runs have no recipe; what is known of the rig "
-            "is in the mapping file, import them again"
-        )
+    settings = _imported_settings(procedure, options.overrides)
     with RunWriter(
         output,
         command=procedure.COMMAND,
@@ -213,9 +211,29 @@ def _analyse_imported(
         overwrite=options.overwrite,
         rig=runs[0].rig,
     ) as writer:
-        outcome: Outcome = procedure.analyse_imported(runs, **inputs)
+        outcome: Outcome = procedure.analyse_imported(runs, **inputs, **settings)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
+
+
+def _imported_settings(procedure: Any, overrides: Sequence[str]) -> dict[str, float]:
+    """Return the values of `--set` that an analysis of imported runs takes, by its own names."""
+    accepted: Mapping[str, str] = getattr(procedure, "IMPORTED_SETTINGS", {})
+    settings = {}
+    for override in overrides:
+        key, _, value = override.partition("=")
+        if key.strip() not in accepted:
+            raise UsageError(
+                f"--set {override}: imported runs have no recipe; what is known of the rig is in "
+                "the mapping file, import them again"
+            )
+        try:
+            settings[accepted[key.strip()]] = number = float(value)
+        except ValueError:
+            number = math.nan
+        if not 0 < number < math.inf:
+            raise UsageError(f"--set {override}: must be a number above 0")
+    return settings
 
 
 def _require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:

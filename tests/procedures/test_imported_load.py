@@ -140,6 +140,22 @@ def test_learning_needs_two_loads(tmp_path):
     assert "at one load" in found.stderr
 
 
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("measure_force.lowpass_hz=fast", "must be a number above 0"),
+        ("measure_force.lowpass_hz=-1", "must be a number above 0"),
+        ("measure_force.cycles=3", "imported runs have no recipe"),
+    ],
+)
+def test_only_the_bandwidth_can_be_set(tmp_path, setting, message):
+    run = instrument(tmp_path, (0.04,))[0]
+    options = ("--implementation", "D", "--set", setting, "-o", tmp_path / "t.h5")
+    found = rigtool("ilc-learn", run, *options)
+    assert found.exit_code == 2
+    assert message in found.stderr
+
+
 def test_tables_of_another_rig_are_refused(learned, tmp_path):
     mapping = MAPPING.replace("loaded drive", "another drive") + SENSOR
     runs = instrument(tmp_path, (0.03,), mapping=mapping)
