@@ -59,11 +59,11 @@ LARGEST_BOUND = 32768.0
 STARTING = 2.0
 """Longest time in which a drive has to be ready after it is switched on, s."""
 
-ASKED_AGAIN = 2
-"""Times that a sample is measured anew because its answer was late: host busy, or retries."""
+SLACK = 0.005
+"""What an answer may take beyond twice the shortest time that one took, s; host busy, or retries.
 
-SLACK = 0.001
-"""What an answer may take beyond twice the shortest time that one took, s."""
+Less would ask twice each time on a busy computer, which is no help to it.
+"""
 
 FAULTS = {
     32: "calibration fault: encoder sees no magnet",
@@ -149,7 +149,7 @@ class Moteus:
     # -- who it is
 
     def connect(self) -> str:
-        """Identify the drive; refuse one that cannot be measured with."""
+        """Identify the drive; raises `HardwareError` for one that cannot be measured with."""
         self.link.find_seal(STATE)
         identity = _identity(self.link)
         state = self.link.query(STATE, EXPECTED)
@@ -206,7 +206,10 @@ class Moteus:
     # -- settings
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
-        """Set limits, watchdog, and what happens when it runs out: the power stage goes off."""
+        """Set limits, watchdog, and what happens when it runs out: the power stage goes off.
+
+        Raises `HardwareError` for a limit up to which the drive's torque is not known.
+        """
         if limits.current > self.motor.straight_up_to:
             raise HardwareError(
                 f"serial.limits.current is {limits.current:g} A, and above motor."
@@ -266,7 +269,10 @@ class Moteus:
     # -- motion
 
     def enable(self, mode: Mode) -> None:
-        """Switch on at rest where the shaft is; the position loop has no gain in mode current."""
+        """Switch on at rest where the shaft is; the position loop has no gain in mode current.
+
+        Raises `HardwareError` where the drive does not get ready.
+        """
         self.halt()
         self._mode = mode
         self._set_table(on=mode != "current")
@@ -323,16 +329,11 @@ class Moteus:
 
     def _measure(self, command: bytes, *, running: bool) -> Sample:
         """Measure; again where the answer came so late that nobody knows when it was measured."""
-        for _ in range(ASKED_AGAIN + 1):
-            asked = self.line.now()
-            state = self.link.query(command + STATE, EXPECTED)
-            answered = self.line.now()
-            if running:
-                self._require_running(state)
-            self._fastest = min(self._fastest, answered - asked)
-            if answered - asked <= 2 * self._fastest + SLACK:
-                break
-            command = b""
+        state, asked, answered = self._ask(command)
+        if answered - asked > 2 * self._fastest + SLACK:
+            state, asked, answered = self._ask(b"")
+        if running:
+            self._require_running(state)
         ratio = self.motor.ratio
         return Sample(
             time=(asked + answered) / 2,
@@ -342,6 +343,14 @@ class Moteus:
             current_setpoint=state[CONTROL_TORQUE] * ratio / self.motor.torque_constant,
             temperature=state[MOTOR_TEMPERATURE] if self.motor.has_thermometer else math.nan,
         )
+
+    def _ask(self, command: bytes) -> tuple[Mapping[int, float], float, float]:
+        """Send a command; return the state, and the times of question and answer."""
+        asked = self.line.now()
+        state = self.link.query(command + STATE, EXPECTED)
+        answered = self.line.now()
+        self._fastest = min(self._fastest, answered - asked)
+        return state, asked, answered
 
     def _require_running(self, state: Mapping[int, float]) -> None:
         if state[MODE] == IN_POSITION:
@@ -359,7 +368,7 @@ class Moteus:
         )
 
     def halt(self) -> None:
-        """Switch the power stage off; tried three times."""
+        """Switch the power stage off; tried three times, then raises `HardwareError`."""
         for last in (False, False, True):
             try:
                 state = self.link.query(STOP + frames.read(MODE), (MODE,))

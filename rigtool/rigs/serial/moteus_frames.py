@@ -180,7 +180,7 @@ class Subframes:
         return found
 
     def varuint(self) -> int:
-        """Return the next number."""
+        """Return the next number; raises `BadFrame` where it is too long."""
         value = shift = 0
         while True:
             byte = self.byte()

@@ -137,7 +137,7 @@ class Link:
         return self._talk(f"conf get {name}", lambda answer: answer != "OK")
 
     def number(self, name: str) -> float:
-        """Return a setting as number."""
+        """Return a setting as number; raises `HardwareError` where it is none."""
         text = self.get(name)
         try:
             return float(text)
@@ -155,7 +155,7 @@ class Link:
         self._talk(text, lambda answer: answer == "OK")
 
     def flush(self) -> None:
-        """Drop text that the drive still has."""
+        """Drop text that the drive still has; raises `HardwareError` where it does not end."""
         for _ in range(100):
             if not self._exchange(frames.ask_text(), frames.text_from_drive):
                 return

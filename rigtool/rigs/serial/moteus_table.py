@@ -38,7 +38,10 @@ class MoteusTable:
         self._drive, self.link = drive, drive.link
 
     def connect(self) -> str:
-        """Identify the drive; refuse one that runs, or whose position means nothing."""
+        """Identify the drive.
+
+        Raises `HardwareError` for one that runs, or whose position means nothing.
+        """
         identity = self._drive.connect()
         state = self.link.query(frames.read(moteus.MODE) + frames.read(HOMED), (moteus.MODE, HOMED))
         if state[moteus.MODE] not in (moteus.STOPPED, moteus.TIMED_OUT):
@@ -54,7 +57,10 @@ class MoteusTable:
         return identity
 
     def zero(self) -> EncoderZero:
-        """Measure how the encoder that the table goes by belongs to the position."""
+        """Measure how the encoder that the table goes by belongs to the position.
+
+        Raises `HardwareError` for a direction that is none.
+        """
         source = int(self.link.number("motor_position.commutation_source"))
         sign = int(self.link.number("motor_position.output.sign"))
         if sign not in (1, -1):
