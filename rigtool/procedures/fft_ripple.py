@@ -66,6 +66,9 @@ SHORTEST = 4
 
 # -- measuring
 
+SHOWN_REVOLUTIONS = 100
+"""Single revolutions that are stored, the first ones: the signals hold all of them."""
+
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """List the runs at constant speed, at constant torque, and after power cycles."""
@@ -310,12 +313,13 @@ def _psd_table(recordings: Sequence[Recording], welches: Sequence[Welch], segmen
 
 
 def _revolutions_table(ripple: Ripple) -> Table:
+    waveforms = ripple.waveforms[:SHOWN_REVOLUTIONS]
     return Table(
         ("revolution", "position"),
         {
-            "revolution": Column(np.arange(len(ripple.waveforms)), "1"),
+            "revolution": Column(np.arange(len(waveforms)), "1"),
             "position": Column(ripple.angle, "rad", "of the rotor"),
-            "torque": Column(ripple.waveforms, "N m", "offset removed"),
+            "torque": Column(waveforms, "N m", "offset removed"),
         },
         "torque",
         "ripple of single revolutions at the slowest motion",
