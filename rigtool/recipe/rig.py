@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from rigtool.recipe.base import Section
 
@@ -81,6 +81,10 @@ class Suspension(Section):
     tool_eccentricity: float = Field(ge=0, description="of the pulley on the instrument, m")
 
 
+LONGEST_VIRTUAL = 0.01
+"""Longest period of the virtual loop, s."""
+
+
 class Rig(Section):
     """The rig as its owner describes it."""
 
@@ -91,7 +95,7 @@ class Rig(Section):
     attachment: Attachment = Field(
         "instrument", description="what the motor drives: its bare pulley, or the instrument"
     )
-    sample_time: float = Field(125e-6, gt=0, le=0.01, description="of the control loop, s")
+    sample_time: float = Field(125e-6, gt=0, le=0.1, description="of the control loop, s")
     encoder_counts: int = Field(4000, ge=16, description="quad counts a turn")
     torque_constant: float = Field(0.045, gt=0, description="of the data sheet, N m/A")
     current_limit: float = Field(10.0, gt=0, description="of the amplifier, A")
@@ -101,6 +105,15 @@ class Rig(Section):
     instrument: Instrument = Instrument()
     arm: ForceArm = ForceArm()
     suspension: Suspension | None = None
+
+    @model_validator(mode="after")
+    def _loop_is_fast_enough(self) -> Rig:
+        if self.source == "virtual" and self.sample_time > LONGEST_VIRTUAL:
+            raise ValueError(
+                f"sample_time of a virtual rig is at most {LONGEST_VIRTUAL} s, got "
+                f"{self.sample_time}: only slow lines need longer"
+            )
+        return self
 
     @property
     def nominal_inertia(self) -> float:

@@ -4,13 +4,17 @@ import binascii
 import json
 import struct
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigtool.cli import rigtool
 from rigtool.errors import HardwareError, RecipeError
+from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
@@ -23,8 +27,10 @@ from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.maxon_frames import DleFrames, crc, dle_frame, lock_step_frame
 from rigtool.rigs.serial.maxon_objects import CURRENT_TARGET_2, MODE, POSITION, TARGET_TORQUE
 from rigtool.rigs.serial.ports import find_devices
-from tests.rigs.serial.recipes import serial_recipe
+from tests.rigs.serial.recipes import RECIPE, serial_recipe
 
+ROOT = Path(__file__).parents[3]
+EPOS4_RECIPE, FIXTURES = ROOT / "recipes" / "maxon-epos4.toml", ROOT / "tests" / "fixtures"
 PERIOD = 0.01
 FAMILIES = {"epos4": Epos4Emulator, "epos2": Epos2Emulator, "des": DesEmulator}
 SHORT = Task(SpeedProfile((0.0, 0.1, 0.3, 0.4), (0.0, 4.0, 4.0, 0.0)))
@@ -501,3 +507,21 @@ def test_a_single_dle_within_an_answer_is_damage():
         with pytest.raises(LineLost, match="single 0x90"):
             DleFrames(line).command(0x60, bytes.fromhex("01 40 60 00"), 8)
         assert line.counts.damaged == 1
+
+
+# -- the recipe to start from
+
+
+def test_recipe_says_what_it_would_do(tmp_path):
+    arguments = ["fft-ripple", str(EPOS4_RECIPE), "--kt", str(FIXTURES / "kt.h5"), "--dry-run"]
+    result = CliRunner().invoke(rigtool, [*arguments, "-o", str(tmp_path / "ripple.h5")])
+    assert result.exit_code == 0, result.output
+    assert "6 motions to record" in result.output
+    assert "Within the limits 2 A, 40 rad/s" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_slow_lines_may_have_a_slow_loop_and_a_virtual_rig_may_not():
+    assert load_recipe(EPOS4_RECIPE, ("rig.sample_time=0.06",))[0].rig.sample_time == 0.06
+    with pytest.raises(RecipeError, match=r"sample_time of a virtual rig is at most 0\.01 s"):
+        load_recipe(RECIPE, ("rig.sample_time=0.06",))
