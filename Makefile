@@ -10,7 +10,8 @@ PYTHON ?= python3
 RECIPE ?= recipes/briaire-2006.toml
 BUILD ?= build
 SET ?=
-RIGTOOL := .venv/bin/rigtool
+BIN := .venv/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+RIGTOOL := $(BIN)/rigtool
 INSTALLED := .venv/installed
 MEASURE = --overwrite $(foreach value,$(SET),--set $(value))
 PULLEY = --set rig.attachment=pulley
@@ -29,8 +30,8 @@ corrected: $(BUILD)/corrected/index.html
 
 $(INSTALLED): requirements.lock pyproject.toml
 	$(PYTHON) -m venv .venv
-	.venv/bin/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	.venv/bin/python -m pip install --quiet --disable-pip-version-check \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --no-build-isolation --editable .
 	touch $@
 
@@ -77,7 +78,7 @@ THESIS := $(BUILD)/thesis
 THESIS_RUNS := $(RUNS) $(addprefix $(THESIS)/,plant.h5 a.h5 b.h5 suspension.h5 idm640.h5)
 
 thesis: $(THESIS_RUNS)
-	.venv/bin/python -m rigtool.report.reproduction $^ --docs docs --html $(THESIS)/reproduction.html
+	$(BIN)/python -m rigtool.report.reproduction $^ --docs docs --html $(THESIS)/reproduction.html
 
 $(THESIS): | $(BUILD)
 	mkdir -p $@
@@ -119,19 +120,19 @@ real-data: | $(INSTALLED) $(BUILD)
 	$(RIGTOOL) report $(BUILD)/$(TOOL)-force.h5 -o $(BUILD)/$(TOOL)-report --overwrite
 
 test: $(INSTALLED)
-	.venv/bin/ruff check .
-	.venv/bin/ruff format --check .
-	.venv/bin/mypy
-	.venv/bin/pytest
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest
 
 docs: $(INSTALLED)
-	.venv/bin/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
+	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
 
 fixtures: $(INSTALLED)
-	.venv/bin/python tests/fixtures/make.py
+	$(BIN)/python tests/fixtures/make.py
 
 bench: $(INSTALLED)
-	.venv/bin/python benchmarks/bench.py
+	$(BIN)/python benchmarks/bench.py
 
 clean:
 	rm -rf $(BUILD)
