@@ -9,10 +9,15 @@ import struct
 import termios
 import time
 from collections import deque
+from pathlib import Path
 
 import numpy as np
 
 from rigtool.procedures.live import BARS, FORGOTTEN, INTERVAL, PLAIN, Live, sparkline
+from tests.cli.test_run_commands import call
+
+ROOT = Path(__file__).parents[2]
+RECIPE, KT = ROOT / "recipes" / "briaire-2006.toml", ROOT / "tests" / "fixtures" / "kt.h5"
 
 
 def test_sparkline_runs_from_lowest_to_highest():
@@ -104,3 +109,24 @@ def test_it_costs_next_to_nothing():
     for _ in range(1000):  # 250 s at 8 kHz
         live.show("a", block)
     assert time.process_time() - start < 0.25
+
+
+def fft_ripple(folder, *options):
+    settings = ("rig.attachment=pulley", "fft_ripple.speeds=[3]", "fft_ripple.torques=[]")
+    more = ("fft_ripple.power_cycles=0", "fft_ripple.revolutions=2")
+    changed = [part for value in (*settings, *more) for part in ("--set", value)]
+    return ["fft-ripple", RECIPE, "--kt", KT, "-o", folder / "x.h5", *changed, *options]
+
+
+def test_option_draws_at_a_terminal(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    code, _, err = call(capsys, *fft_ripple(tmp_path, "--live"))
+    assert code == 0, err
+    assert "\x1b[K  encoder" in err
+
+
+def test_option_is_refused_where_there_is_no_terminal(tmp_path, capsys):
+    code, _, err = call(capsys, *fft_ripple(tmp_path, "--live"))
+    assert code == 2
+    assert "--live draws at a terminal" in err
+    assert not (tmp_path / "x.h5").exists()

@@ -12,14 +12,23 @@ there would be off by more than friction is: docs/bench-odrive.md has figures. T
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
 from rigtool.rigs.serial.line import DamagedReply, Line
-from rigtool.rigs.serial.odrive_text import BUFFERED, Dialect, Talk, agrees, identify, number
+from rigtool.rigs.serial.odrive_settings import Settings, as_said
+from rigtool.rigs.serial.odrive_text import (
+    BUFFERED,
+    DIALECT_05,
+    Dialect,
+    Talk,
+    agrees,
+    identify,
+    number,
+)
 
 BAUD_RATE = 115200
 
@@ -30,8 +39,13 @@ CONTROL_MODES: dict[Mode, int] = {"current": 1, "velocity": 2, "position": 3}
 COMMANDS = {1: ("c", "input_torque"), 2: ("v", "input_vel"), 3: ("p", "input_pos")}
 """The command of each control mode, and the property that it sets."""
 
+WATCHDOG = "config.enable_watchdog"
+CONTROL_MODE = "controller.config.control_mode"
 PASSTHROUGH = 1
 GIMBAL = 2
+
+HALTS = 2
+"""Times that stopping and restoring are tried, each with the retries of the line."""
 
 ATTEMPTS = 3
 """Times that a state is asked for: the request may be lost in silence."""
@@ -76,7 +90,7 @@ class ODrive:
         self._last = Sample(0.0, 0.0)
         self._mode: Mode = "position"
         self._control_mode = 0
-        self._before: dict[str, str] = {}
+        self._settings = Settings(self._talk, f"axis{axis}.")
 
     # -- who is there
 
@@ -89,7 +103,7 @@ class ODrive:
         identity = identify(self._line)
         self._dialect = identity.dialect
         self._talk.at_once = BUFFERED <= identity.firmware < (0, 6, 0)
-        self._read_errors()
+        self._require_no_fault()
         if self._number(self._dialect.motor_type) == GIMBAL:
             raise HardwareError(
                 f"axis {self._axis} drives a gimbal motor: its current is not measured"
@@ -102,6 +116,10 @@ class ODrive:
             )
         self._gain = min(self._number("controller.config.pos_gain"), CORRECTED / self._period)
         found = self._talk.get_first(*map(self._name, self._dialect.direction))
+        if found is None and self._dialect is DIALECT_05:
+            raise HardwareError(
+                f"axis {self._axis} does not tell its direction: update its firmware"
+            )
         self._direction = -1.0 if found and number(found[1]) < 0 else 1.0
         self._find_thermistor()
         return f"{identity}, axis {self._axis}"
@@ -117,20 +135,24 @@ class ODrive:
         )
 
     def _find_thermistor(self) -> None:
-        names = [f"{self._name(name)}.config.enabled" for name in self._dialect.thermistor]
-        found = self._talk.get_first(*names)
-        on = found is not None and number(found[1]) == 1
-        self._thermistor = found[0].removesuffix(".config.enabled") if found and on else None
+        self._thermistor = None
+        for name in self._dialect.thermistor:
+            found = self._talk.get_first(self._name(f"{name}.config.enabled"))
+            if found and number(found[1]) == 1:
+                self._thermistor = name
 
-    def _read_errors(self) -> None:
-        """Raise `HardwareError` for errors other than the watchdog's, which is ours to clear."""
-        codes = self._errors()
-        main = self._dialect.errors[0]
-        if codes.pop(main) & ~self._dialect.watchdog_error or any(codes.values()):
+    def _require_no_fault(self) -> None:
+        if self._has_fault():
             raise HardwareError(
                 f"axis {self._axis} reports {self._describe_errors()}: find the cause with the "
                 "maker's tool and clear it"
             )
+
+    def _has_fault(self) -> bool:
+        """Say whether there is an error other than the watchdog's, which is ours to clear."""
+        codes = self._errors()
+        main = codes.pop(self._dialect.errors[0])
+        return bool(main & ~self._dialect.watchdog_error or any(codes.values()))
 
     def _errors(self) -> dict[str, int]:
         return {name: int(self._number(name)) for name in self._dialect.errors}
@@ -148,58 +170,28 @@ class ODrive:
     # -- settings
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
-        """Set limits and watchdog; a limit that is lower already stays.
-
-        Only values that differ are written, since the drive tells no more than 9 characters of
-        what was there.
-        """
-        gaps = ["has no limit of position"]
-        self._lower(self._dialect.current_limit, limits.current)
-        self._lower("controller.config.vel_limit", limits.speed / TURN)
+        """Set limits and watchdog; a limit that is lower already stays."""
+        settings = self._settings
+        settings.begin()
+        settings.lower(self._dialect.current_limit, limits.current)
+        settings.lower("controller.config.vel_limit", limits.speed / TURN)
         for name in ("enable_vel_limit", "enable_overspeed_error"):
-            self._set(f"controller.config.{name}", 1)
-        self._set("config.enable_watchdog", 0)
-        self._set("config.watchdog_timeout", watchdog)
-        self._set("controller.config.input_mode", PASSTHROUGH)
-        self._set("controller.config.circular_setpoints", 0)
-        self._remember("controller.config.control_mode")
+            settings.set(f"controller.config.{name}", 1)
+        settings.set(WATCHDOG, 0)
+        settings.set("config.watchdog_timeout", watchdog)
+        settings.set("controller.config.input_mode", PASSTHROUGH)
+        settings.set("controller.config.circular_setpoints", 0)
+        settings.remember(CONTROL_MODE)
         if self._thermistor is not None:
-            self._lower_temperature(limits.temperature_degc)
-        return gaps
-
-    def _lower_temperature(self, limit: float) -> None:
-        prefix = f"{self._thermistor}.config.temp_limit".removeprefix(f"axis{self._axis}.")
-        if self._lower(f"{prefix}_upper", limit):
-            self._lower(f"{prefix}_lower", limit - 5.0)  # where it begins to take current back
+            prefix = f"{self._thermistor}.config.temp_limit"
+            if settings.lower(f"{prefix}_upper", limits.temperature_degc):
+                # where the drive begins to take current back
+                settings.lower(f"{prefix}_lower", limits.temperature_degc - 5.0)
+        return ["has no limit of position"]
 
     def restore(self) -> None:
-        """Bring back what was there, the last change first."""
-        for name, text in reversed(self._before.items()):
-            if not agrees(self._talk.get(name), number(text)):
-                # Its owner's watchdog, if any, starts to count now.
-                self._talk.put(name, text, commands=[f"u {self._axis}"])
-        self._before.clear()
-
-    def _remember(self, name: str) -> str:
-        now = self._talk.get(self._name(name))
-        self._before.setdefault(self._name(name), now)
-        return now
-
-    def _lower(self, name: str, value: float) -> bool:
-        """Set a limit unless it is as low already; say whether it was set."""
-        if number(self._remember(name)) <= value:
-            return False
-        self._talk.put(self._name(name), f"{value:.7g}")
-        return True
-
-    def _set(self, name: str, value: float) -> None:
-        now = self._remember(name)
-        if number(now) == value:
-            return
-        text = f"{value:.7g}"
-        if now.lower() in ("true", "false"):  # firmware that says it in words wants words
-            text = "true" if value else "false"
-        self._talk.put(self._name(name), text)
+        """Bring back what `configure` changed."""
+        _persist(lambda: self._settings.restore(f"u {self._axis}"))
 
     # -- states
 
@@ -214,33 +206,42 @@ class ODrive:
                 self._talk.ask([self._state_question], _first, commands=[f"u {self._axis}"])
                 return
             self.halt()
-        self._mode = mode
-        self._read_errors()
-        self._control_mode = CONTROL_MODES[mode]
-        self._set("controller.config.control_mode", self._control_mode)
+        self._mode, self._control_mode = mode, CONTROL_MODES[mode]
+        self._require_no_fault()
+        self._settings.require()
+        self._talk.put(self._name(CONTROL_MODE), str(self._control_mode))
         self._rest(self.read().position)
-        clear = ["sc"] if any(self._errors().values()) else []  # the watchdog's only
-        self._talk.put(
-            self._name("config.enable_watchdog"),
-            self._truth("config.enable_watchdog", True),
-            commands=[*clear, f"u {self._axis}"],
+        for _ in range(ATTEMPTS):
+            self._start_watchdog()
+            if self._reach(CLOSED_LOOP):
+                return
+            if self._has_fault():
+                break
+        raise HardwareError(
+            f"axis {self._axis} does not close its loop: {self._describe_errors()}; are motor "
+            "and encoder calibrated since it was switched on?"
         )
-        if not self._reach(CLOSED_LOOP):
-            raise HardwareError(
-                f"axis {self._axis} does not close its loop: {self._describe_errors()}; are motor "
-                "and encoder calibrated since it was switched on?"
-            )
+
+    def _start_watchdog(self) -> None:
+        """Turn it on; that it ran out before is cleared."""
+        clear = ["sc"] if any(self._errors().values()) else []
+        yes = as_said(self._talk.get(self._name(WATCHDOG)), 1)
+        self._talk.put(self._name(WATCHDOG), yes, commands=[*clear, f"u {self._axis}"])
 
     def halt(self) -> None:
         """Make it idle; then turn the watchdog off and leave no set point behind.
 
         Raises `HardwareError` where it does not become idle.
         """
+        _persist(self._stop)
+
+    def _stop(self) -> None:
         if not self._reach(IDLE):
             raise HardwareError(
                 f"axis {self._axis} does not become idle ({self._describe_errors()}): switch it off"
             )
-        self._set("config.enable_watchdog", 0)
+        now = self._talk.get(self._name(WATCHDOG))
+        self._talk.put(self._name(WATCHDOG), as_said(now, 0))
         self._rest(None)
 
     def _rest(self, position: float | None) -> None:
@@ -278,14 +279,13 @@ class ODrive:
 
         Raises `HardwareError` where the loop is no longer closed.
         """
-        axis, name = self._axis, "controller.config.control_mode"
         control_mode, value, rest = self._command(setpoint)
         letter, echo = COMMANDS[control_mode]
-        commands = [f"{letter} {axis} {value:.7f} {rest}"]
+        commands = [f"{letter} {self._axis} {value:.7f} {rest}"]
         echoes = [(f"controller.{echo}", value)]
         if control_mode != self._control_mode:  # the command itself says so to 0.5; to 0.6, perhaps
-            commands.insert(0, f"w {self._name(name)} {control_mode}")
-            echoes.append((name, control_mode))
+            commands.insert(0, f"w {self._name(CONTROL_MODE)} {control_mode}")
+            echoes.append((CONTROL_MODE, control_mode))
         sample = self._measure(commands, echoes)
         self._control_mode = control_mode
         return sample
@@ -319,7 +319,7 @@ class ODrive:
             *[f"r {self._name(name)}" for name, _ in echoes],
         ]
         if self._thermistor and self._samples % TEMPERATURE_EVERY == 0:
-            questions.append(f"r {self._thermistor}.temperature")
+            questions.append(f"r {self._name(self._thermistor)}.temperature")
         questions.append(self._state_question)  # an integer among numbers: none was skipped
         self._samples += 1
 
@@ -369,11 +369,16 @@ class ODrive:
     def _number(self, name: str) -> float:
         return self._talk.ask([f"r {self._name(name)}"], lambda replies: number(replies[0]))
 
-    def _truth(self, name: str, value: bool) -> str:
-        """Return yes or no as this firmware says it."""
-        if self._talk.get(self._name(name)).lower() in ("true", "false"):
-            return "true" if value else "false"
-        return "1" if value else "0"
+
+def _persist(act: Callable[[], None]) -> None:
+    """Do what has to be done, again where it fails."""
+    for attempt in range(HALTS):
+        try:
+            return act()
+        except HardwareError:
+            if attempt == HALTS - 1:
+                raise
+    return None
 
 
 def _first(replies: list[str]) -> str:

@@ -77,6 +77,10 @@ class Refused(HardwareError):
     """The drive understood, and does not do it."""
 
 
+class Missing(Refused):
+    """This firmware has no such property."""
+
+
 @dataclass(frozen=True)
 class Dialect:
     """What a firmware calls things, below `axisN.`; several names where versions differ."""
@@ -197,7 +201,7 @@ class Talk:
 
         A reply does not say what it answers: whatever is not as expected - the number of words,
         something left over - has the whole asked again, as has a `DamagedReply` of `understand`.
-        Raises `Refused` where the drive does.
+        Raises `Refused` where the drive does, `Missing` for a property that it does not have.
         """
         first = list(questions) if self.at_once else [questions[0]]
         rest = list(questions[len(first) :])
@@ -221,7 +225,7 @@ class Talk:
         for name in names:
             try:
                 return name, self.get(name)
-            except Refused:
+            except Missing:
                 continue
         return None
 
@@ -250,9 +254,11 @@ class Talk:
             if len(rest) > LONGEST:
                 raise DamagedReply(f"{len(rest)} bytes came without the end of a line")
         texts = [unseal(line) for line in lines]
-        for text in texts:  # perhaps to a command, which has no reply otherwise
-            if text.startswith(REFUSALS):
-                raise Refused(f"the ODrive refuses {', '.join(questions)}: {text}")
+        for number, text in enumerate(texts):
+            if text.startswith(REFUSALS):  # perhaps a command before, which has no reply otherwise
+                kind = Missing if text.startswith("invalid property") else Refused
+                asked = questions[min(number, len(questions) - 1)]
+                raise kind(f"the ODrive refuses {asked!r}, or what went with it: {text}")
         if rest or len(lines) > len(questions):
             raise DamagedReply("more came than was asked for")
         for question, text in zip(questions, texts, strict=True):

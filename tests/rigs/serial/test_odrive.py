@@ -338,6 +338,33 @@ def test_owners_watchdog_comes_back_and_its_error_is_no_obstacle():
         assert device["config.watchdog_timeout"] == pytest.approx(0.05)
 
 
+def perform_after_reset(rig, device):
+    device.reset()
+    perform(rig, SHORT)
+
+
+def test_drive_that_was_reset_between_motions_has_no_limits_and_is_not_moved():
+    device = ODriveEmulator()
+    with (
+        serve(device) as server,
+        pytest.raises(HardwareError, match=r"current_lim is 30\.0+, not 10 .*reset"),
+        odrive_rig(server.port) as rig,
+    ):
+        perform_after_reset(rig, device)
+    assert "closed loop" not in device.log
+
+
+def test_refusing_once_does_not_keep_it_from_being_stopped_and_restored(drive):
+    found, device = drive
+    found.enable("velocity")
+    device.refuse(1)
+    found.halt()
+    assert device.state == IDLE
+    device.refuse(1)
+    found.restore()
+    assert settings(device) == settings(ODriveEmulator(direction=-1))
+
+
 def test_power_cycle_brings_the_drive_back_and_its_settings_in_the_end():
     device = ODriveEmulator()
 
@@ -364,11 +391,11 @@ SURVIVED = {
         Fault("double", at=n + 20, towards="device"),
     ],
     "cut": lambda n: [Fault("cut", at=n), Fault("cut", at=n + 20, towards="device")],
-    "silence": lambda n: [Fault("silence", at=n, duration=0.08)],
+    "silence": lambda n: [Fault("silence", at=n, duration=0.15)],
     "a reply to an older question": lambda n: [Fault("late", at=n), Fault("late", at=n + 20)],
     "while it is set up": lambda n: [Fault("flip", at=at) for at in (2, 10, 20)],
 }
-MOVING = {(0, 5, 6): 95, (0, 6, 10): 280}
+MOVING = {(0, 5, 6): 105, (0, 6, 10): 300}
 """Number of a write while the motion goes on: one question at a time makes more of them."""
 
 
@@ -377,7 +404,7 @@ MOVING = {(0, 5, 6): 95, (0, 6, 10): 280}
 def test_run_is_complete_after_retries(name, firmware):
     device = ODriveEmulator(firmware)
     faults = SURVIVED[name](MOVING[firmware])
-    with serve(device, *faults) as server, odrive_rig(server.port) as rig:
+    with serve(device, *faults) as server, odrive_rig(server.port, "serial.watchdog=0.5") as rig:
         got = perform(rig, SHORT)
         facts = json.loads(rig.report())
     assert len(got["time"]) == 50
@@ -410,10 +437,10 @@ def test_noise_while_its_loop_is_opened_and_closed():
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
-        (Fault("pull", at=110), "cable pulled"),
-        (Fault("reset", at=110), "is in state 1 .*watchdog, reset"),
-        (Fault("refuse", at=110), "not implemented"),
-        (Fault("silence", at=110, duration=0.5), "no valid reply"),
+        (Fault("pull", at=125), "cable pulled"),
+        (Fault("reset", at=125), "is in state 1 .*watchdog, reset"),
+        (Fault("refuse", at=125), "not implemented"),
+        (Fault("silence", at=125, duration=0.5), "no valid reply"),
     ],
 )
 def test_run_ends_with_a_message_and_the_drive_off(fault, message):
@@ -453,7 +480,7 @@ def test_fault_of_the_drive_is_named():
 def test_silent_host_is_stopped_by_the_watchdog():
     device = ODriveEmulator()
     with serve(device) as server:
-        rig = odrive_rig(server.port, "serial.watchdog=0.1").__enter__()
+        rig = odrive_rig(server.port, "serial.watchdog=0.2").__enter__()
         running = rig.perform(ENDLESS)
         next(running)
         assert device.state == CLOSED_LOOP
@@ -491,7 +518,7 @@ def test_speed_beyond_the_limit_ends_the_run():
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
     path = tmp_path / "line.spy"
     bench = Bench(yes=True, spy=str(path), operator=QUIET)
-    faulty = serve(ODriveEmulator(), Fault("flip", at=110))
+    faulty = serve(ODriveEmulator(), Fault("flip", at=125))
     with faulty as server, odrive_rig(server.port, bench=bench) as rig:
         first = perform(rig, SHORT)
     with odrive_rig(f"replay://{path}") as rig:
