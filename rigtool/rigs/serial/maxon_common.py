@@ -97,7 +97,7 @@ class MaxonDrive(ABC, Generic[Place]):
         )
 
     def halt(self) -> None:
-        """Switch the power stage off, whatever state the drive is in."""
+        """Switch the power stage off in any state; `HardwareError` where it stays on, or is silent."""
         problem: HardwareError | None = None
         for _ in range(HALT_ATTEMPTS):
             try:
@@ -113,7 +113,10 @@ class MaxonDrive(ABC, Generic[Place]):
         )
 
     def restore(self) -> None:
-        """Bring back what was changed, the last first; what is refused is tried again."""
+        """Bring back what was changed, the last first; what is refused is tried again.
+
+        Raises `HardwareError` where it is refused each time, `LineLost` where nothing answers.
+        """
         problem: HardwareError | None = None
         for _ in range(RESTORE_ATTEMPTS):
             for place, value in reversed(list(self._before.items())):
