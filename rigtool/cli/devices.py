@@ -23,12 +23,11 @@ def command(ports: tuple[str, ...], drivers: tuple[str, ...], as_json: bool) -> 
     from dataclasses import asdict
 
     from rigtool.errors import UsageError
-    from rigtool.rigs.serial.drivers import available
-    from rigtool.rigs.serial.ports import find_devices
+    from rigtool.rigs.serial.ports import askable, find_devices
 
     for name in drivers:
-        if name not in available():
-            raise UsageError(f"--driver {name}: there is none; use one of {', '.join(available())}")
+        if name not in askable():
+            raise UsageError(f"--driver {name}: there is none; use one of {', '.join(askable())}")
     found = []
     for device in find_devices(ports, drivers):
         found.append(device)

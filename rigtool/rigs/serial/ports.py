@@ -7,7 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.drivers import available, driver_module
+from rigtool.rigs.serial.drivers import MODULES, available, driver_module
+from rigtool.rigs.serial.instruments import BY_CHARACTER, instrument_module
+from rigtool.rigs.serial.instruments import MODULES as INSTRUMENTS
 from rigtool.rigs.serial.line import Line
 
 PROBE_TIME = 0.15
@@ -35,19 +37,29 @@ def list_ports() -> list[tuple[str, str]]:
     return sorted((item.device, item.description or "") for item in list_ports.comports())
 
 
+def askable() -> list[str]:
+    """Return the names of drives and instruments that can be asked who they are."""
+    return [*available(), *INSTRUMENTS]
+
+
+def _asked_unless_told() -> list[str]:
+    return [name for name in askable() if name not in BY_CHARACTER]
+
+
 def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iterator[Device]:
     """Ask on these ports, or on all of this computer, which of these drivers' devices answers.
 
-    Only questions are asked: nothing moves and nothing is changed.
+    Only questions are asked: nothing moves and nothing is changed. Instruments that take each
+    character for a command are asked where they are named, and no one else is then.
     """
     known = dict(list_ports())
     for port in ports or known:
-        yield _ask_on(port, known.get(port, ""), drivers or available())
+        yield _ask_on(port, known.get(port, ""), drivers or _asked_unless_told())
 
 
 def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
     for name in drivers:
-        module = driver_module(name)
+        module = driver_module(name) if name in MODULES else instrument_module(name)
         for baud_rate in getattr(module, "BAUD_RATES", (module.BAUD_RATE,)):
             try:
                 with Line(port, baud_rate, timeout=PROBE_TIME, retries=0) as line:

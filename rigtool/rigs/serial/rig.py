@@ -22,7 +22,7 @@ from rigtool.rigs.base import NEEDS, Block, Load, Task
 from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move
 from rigtool.rigs.serial import safety
-from rigtool.rigs.serial.instruments import Gauge, open_gauge
+from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
 from rigtool.rigs.serial.line import Line
 
 Array = NDArray[np.float64]
@@ -156,6 +156,11 @@ class SerialRig(ABC):
 
     def lacks(self, need: str) -> str | None:
         """Return why a need or channel is not offered; None where it is."""
+        if need == "force" and isinstance(self._gauges.get(need), OperatorGauge):
+            return (
+                "an operator reads once a motion, and the force changes with every step of "
+                "current: a gauge on a line is needed"
+            )
         if need in self._gauges or need == "rotor_angle":
             return None
         reason = self._reason(need)
@@ -213,6 +218,9 @@ class SerialRig(ABC):
         self._set_load(task.load)
         for gauge in self._gauges.values():
             gauge.begin()
+        yield from self._perform(task)
+
+    def _perform(self, task: Task) -> Iterator[Block]:
         watch = safety.Watch(self._limits, self._recipe.rig.encoder_counts)
         self._running = blocks = self._execute(task)
         complete = False
@@ -233,7 +241,9 @@ class SerialRig(ABC):
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
         speed = safety.speed_of_moves(self._limits)
-        for _ in self.perform(Task(Move(angle, SETTLE_TIME + abs(angle) / speed), load=self._load)):
+        task = Task(Move(angle, SETTLE_TIME + abs(angle) / speed), load=self._load)
+        self._require_permission(task)
+        for _ in self._perform(task):
             pass
 
     def _require_permission(self, task: Task) -> None:

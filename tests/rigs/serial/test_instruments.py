@@ -20,6 +20,7 @@ from rigtool.rigs.serial.emulators.instruments import (
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.instruments import MODULES, gauge, instrument_module, open_gauge
 from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.ports import find_devices
 
 NOBODY = Operator(say=lambda text: None, present=False)
 
@@ -118,9 +119,10 @@ def test_value_follows_the_force_in_time():
         time.sleep(0.4)
         moments = time.monotonic() - np.linspace(0.3, 0.05, 50)
         got = instrument.at(moments)
-    error = got - 10 * (moments - start)
-    assert np.abs(error).max() < 0.15  # 15 ms: half of question and answer
-    assert abs(np.median(error)) < 0.06
+    late = moments - start - got / 10
+    assert late.min() > -1e-4
+    assert late.max() < 0.1
+    assert np.median(late) < 0.04
 
 
 def test_series_4_is_asked_for_what_it_displays():
@@ -321,6 +323,22 @@ def test_probe_knows_its_own_and_no_other(name, asked):
         except HardwareError:
             identity = None
     assert identity == (ASKED[name][1] if name == asked else None)
+
+
+def test_devices_are_found_by_asking(monkeypatch):
+    listening = "rigtool.rigs.serial.instruments.number_lines.LISTENING"
+    monkeypatch.setattr(listening, 0.05)
+    with serve(ScpiEmulator(lambda: 2.5)) as server:
+        found = list(find_devices([server.port], ["mark10", "scpi", "number-lines"]))
+    assert [(item.driver, item.identity[:8]) for item in found] == [("scpi", "KEITHLEY")]
+    with serve(NumberLinesEmulator(lambda: 2.5)) as server:
+        found = list(find_devices([server.port], ["mark10", "kern", "number-lines"]))
+    assert found[0].identity == "sends numbers by itself, e.g. 2.500 N"
+    gauge = MecmesinEmulator(lambda: 1.0)
+    with serve(gauge) as server:
+        (found,) = find_devices([server.port], ["mecmesin"])
+    assert found.driver == "mecmesin"
+    assert set(gauge.asked) == {b"U"}
 
 
 def test_every_module_offers_what_a_gauge_needs():

@@ -93,8 +93,12 @@ MODULES = {
 }
 """Modules by name: each has BAUD_RATE and `make_reader(line, channel)`, see `readings.Reader`.
 
-Those that can be asked who they are have `probe(line)`; asked in this order, whole lines first.
+`probe(line)` says who answers, None where it is somebody else; asked in this order.
 """
+
+BY_CHARACTER = ("mecmesin", "sauter")
+"""Those to which each character is a command: a question meant for others may set or zero them, so
+nobody else is asked on their port, and they are asked only by name."""
 
 
 def instrument_module(name: str) -> ModuleType:

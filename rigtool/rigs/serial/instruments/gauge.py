@@ -19,10 +19,10 @@ from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
 Array = NDArray[np.float64]
 
 NEAR = {"force": 0.5, "deflection": 0.5, "temperature": 10.0}
-"""Longest time between two readings that are joined by a line, s."""
+"""Longest time for which a reading holds, s."""
 
 WAIT = 0.5
-"""Longest wait for the reading that follows a moment, s; then the last one holds if it is near."""
+"""Longest wait for the readings that follow a moment and show whether one is a spike, s."""
 
 SILENCE = 5.0
 """Time without a valid reading after which an instrument that sends by itself is lost, s."""
@@ -125,9 +125,9 @@ class LineGauge:
         self._spikes_now = 0
 
     def at(self, moments: Array) -> Array:
-        """Return readings (n,) at moments (n,) of `time.monotonic()`, joined by straight lines.
+        """Return the last readings (n,) until moments (n,) of `time.monotonic()`.
 
-        NaN where there is none near, or where the instrument had no value; see `problem`.
+        NaN where they are old, or where the instrument had no value; see `problem`.
         """
         if len(moments) == 0:
             return np.empty(0)
@@ -138,7 +138,7 @@ class LineGauge:
             flag = self._last_flag
         good = ~spikes(values, self._reader.resolution)
         self._spikes_now = int(np.count_nonzero(~good))
-        found = between(times[good], values[good], moments, NEAR[self._channel])
+        found = latest(times[good], values[good], moments, NEAR[self._channel])
         lacking = int(np.count_nonzero(np.isnan(found)))
         if lacking:
             self._missing += lacking
@@ -181,7 +181,6 @@ class LineGauge:
     def _run(self) -> None:
         heard = time.monotonic()
         while not self._stop.is_set():
-            asked = time.monotonic()
             try:
                 reading = self._reader.read()
             except (LineTimeout, DamagedReply) as error:  # of one that sends by itself
@@ -197,7 +196,7 @@ class LineGauge:
                 self._give_up(f"{type(error).__name__}: {error}")
                 return
             heard = time.monotonic()
-            self._take(reading, heard if self._reader.streams else (asked + heard) / 2)
+            self._take(reading, heard)
             self._stop.wait(self._reader.pause)
 
     def _take(self, reading: Reading, moment: float) -> None:
@@ -216,27 +215,17 @@ class LineGauge:
             self._arrived.notify_all()
 
 
-def between(times: Array, values: Array, moments: Array, near: float) -> Array:
-    """Return values (n,) at moments (n,) on straight lines between readings (m,); times in s.
+def latest(times: Array, values: Array, moments: Array, near: float) -> Array:
+    """Return at moments (n,) the last value of readings (m,) until then; times in s.
 
-    NaN where two readings are further apart than `near`, or one of them is NaN. After the last
-    reading its value holds for as long.
+    NaN where it is older than `near`, or NaN itself. A line between readings would let the end of a
+    step know of the next one; this is only late, which the time of settling takes care of.
     """
     found = np.full(len(moments), np.nan)
-    if len(times) == 0:
-        return found
-    after = np.searchsorted(times, moments)
-    inside = (after > 0) & (after < len(times))
-    right = after[inside]
-    left = right - 1
-    span = times[right] - times[left]
-    part = (moments[inside] - times[left]) / np.where(span > 0, span, 1.0)
-    joined = values[left] + part * (values[right] - values[left])
-    found[inside] = np.where(span <= near, joined, np.nan)
-    late = (after == len(times)) & (moments - times[-1] <= near)
-    found[late] = values[-1]
-    exact = np.flatnonzero(after == 0)
-    found[exact] = np.where(times[0] - moments[exact] <= 1e-9, values[0], np.nan)
+    last = np.searchsorted(times, moments, side="right") - 1
+    known = np.flatnonzero(last >= 0)
+    known = known[moments[known] - times[last[known]] <= near]
+    found[known] = values[last[known]]
     return found
 
 

@@ -26,6 +26,9 @@ TIMEOUT = 0.5
 GREETING = 10.0
 """Time in which a board that restarts when its port is opened must send numbers, s."""
 
+LISTENING = 0.6
+"""Time in which a logger is expected to send something, s."""
+
 _LINE = re.compile(r"(\S+?)(?:\s*([A-Za-z°]+))?", re.ASCII)
 _SI = {"force": "N", "temperature": "C", "deflection": "m"}
 
@@ -75,3 +78,14 @@ class NumberLines:
 
 
 make_reader = NumberLines
+
+
+def probe(line: Line) -> str | None:
+    """Return what comes by itself on the line, None where it is no number."""
+    next_line(line, LISTENING)
+    text = next_line(line, LISTENING)
+    found = _LINE.fullmatch(as_text(text))
+    if found is None:
+        return None
+    number(found.group(1))
+    return f"sends numbers by itself, e.g. {as_text(text)}"
