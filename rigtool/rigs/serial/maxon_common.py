@@ -97,7 +97,7 @@ class MaxonDrive(ABC, Generic[Place]):
         )
 
     def halt(self) -> None:
-        """Switch the power stage off in any state; `HardwareError` where it stays on, or is silent."""
+        """Switch the power stage off, in any state; `HardwareError` where it is not known to be."""
         problem: HardwareError | None = None
         for _ in range(HALT_ATTEMPTS):
             try:
