@@ -1,0 +1,215 @@
+"""Whole commands with instruments and an operator beside a drive, over pseudo-terminals."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rigtool.errors import HardwareError
+from rigtool.procedures import calibrate_kt, measure_force, session
+from rigtool.procedures.options import CommonOptions
+from rigtool.procedures.session import run_command
+from rigtool.recipe import load_recipe
+from rigtool.rigs import Load, Task
+from rigtool.rigs.bench import Bench, Operator
+from rigtool.rigs.motion import CurrentSteps
+from rigtool.rigs.serial import drivers
+from rigtool.rigs.serial.emulators.faults import Fault
+from rigtool.rigs.serial.emulators.instruments import Mark10Emulator, NumberLinesEmulator
+from rigtool.rigs.serial.emulators.motor import Motor
+from rigtool.rigs.serial.emulators.server import serve
+from rigtool.runfile import open_run
+from tests.rigs.serial import toy
+from tests.rigs.serial.recipes import RECIPE, overrides
+from tests.rigs.serial.test_hosted import toy_rig
+
+SILENT = Bench(yes=True, operator=Operator(ask=lambda q: "", say=lambda t: None, present=True))
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+ARM = load_recipe(RECIPE)[0].rig.arm.length
+
+
+@dataclass
+class Loaded(Motor):
+    """A motor against a torque, N m; or clamped, where it takes currents."""
+
+    load: float = 0.0
+
+    def _step(self, dt, mode, position, speed, current):
+        if mode == "current":
+            self.current = self.current_setpoint = current
+        else:
+            self.speed -= dt * self.load / self.inertia
+            super()._step(dt, mode, position, speed, current)
+
+    @property
+    def push(self):
+        """Force of the arm on the gauge, N."""
+        return self.torque_constant * self.current / ARM
+
+
+@pytest.fixture
+def device(monkeypatch):
+    monkeypatch.setitem(drivers.MODULES, "odrive", "tests.rigs.serial.toy")
+    device = toy.ToyEmulator()
+    device.motor = Loaded()
+    return device
+
+
+def run(module, port, more, output, monkeypatch, ask, inputs=None):
+    person = Operator(ask=ask, say=lambda text: None, present=True)
+    monkeypatch.setattr(session, "Bench", lambda yes, spy: Bench(yes, spy, person))
+    settings = overrides(port, "serial.watchdog=2", *more, driver="odrive", sample_time=0.01)
+    options = CommonOptions(overrides=settings, yes=True)
+    return run_command(module, [str(RECIPE)], str(output), options=options, inputs=inputs or {})
+
+
+def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
+    device, tmp_path, monkeypatch
+):
+    asked = []
+    answers = {"temperature [degC]:": iter(["2l", "26", "21", "36"])}
+    takes = iter(["r", "", ""])
+
+    def ask(question):
+        asked.append(question)
+        if question in answers:
+            return next(answers[question])
+        return next(takes) if "Enter to take it" in question else ""
+
+    gauge = Mark10Emulator(lambda: device.motor.push / 4.4482216, unit="lbF", decimals=4)
+    with serve(device) as server, serve(gauge, Fault("flip", at=60)) as beside:
+        more = (
+            "calibrate_kt.temperatures_degc=[21, 36]",
+            "calibrate_kt.rotor_positions=1",
+            "calibrate_kt.steps=4",
+            "calibrate_kt.staircases=1",
+            "calibrate_kt.step_time=0.25",
+            "calibrate_kt.settle_time=0.2",
+            "calibrate_kt.record_every=1",
+            "serial.force.driver=mark10",
+            f'serial.force.port="{beside.port}"',
+            "serial.temperature.driver=operator",
+        )
+        found = run(calibrate_kt, server.port, more, tmp_path / "kt.h5", monkeypatch, ask)
+    assert found.results["torque_constant_mean"].value == pytest.approx(0.045, rel=5e-3)
+    assert asked[0] == "Bring the motor to 21 degC and wait until it has it throughout, " + (
+        "then press Enter:"
+    )
+    assert asked[1].startswith("Clamp the arm on the force gauge with the shaft at 0.0 deg")
+    assert "temperature 26 degC: Enter to take it, r to repeat:" in asked
+    with open_run(tmp_path / "kt.h5") as stored:
+        line = json.loads(stored.provenance["line"])
+        degc = stored.recording("staircase").read("temperature")
+    assert sorted(set(degc.tolist())) == [21.0, 36.0]  # the repeated reading is not in it
+    force = line["instruments"]["force"]
+    assert force["identity"] == "Mark-10 force gauge"
+    assert force["missing_samples"] == 0
+    assert line["instruments"]["temperature"]["driver"] == "operator"
+
+
+def test_force_with_loads_that_the_operator_hangs_on(device, tmp_path, monkeypatch):
+    asked = []
+    torque = {"Hang 2.5 N": 0.01, "Take all": 0.0}
+
+    def ask(question):
+        asked.append(question)
+        for words, load in torque.items():
+            if question.startswith(words):
+                device.motor.load = load
+        return ""
+
+    more = (
+        "measure_force.forces=[2.5]",
+        "measure_force.speed_rev_per_s=2",
+        "measure_force.cycles=3",
+        "measure_force.extra_cycles=2",
+        "measure_force.record_every=1",
+        "rig.controller.crossover_hz=5",
+        "rig.controller.integrator_hz=0.5",
+        "rig.controller.lowpass_hz=30",
+        "measure_force.lowpass_hz=10",
+        "measure_force.correction=none",
+        "serial.temperature.driver=number-lines",
+    )
+    logger = NumberLinesEmulator(lambda: 24.5, unit="C", decimals=1)
+    inputs = {name: open_run(FIXTURES / f"{name}.h5") for name in ("kt", "tables")}
+    with serve(device) as server, serve(logger) as beside:
+        more = (*more, f'serial.temperature.port="{beside.port}"')
+        found = run(measure_force, server.port, more, tmp_path / "f.h5", monkeypatch, ask, inputs)
+    for stored in inputs.values():
+        stored.close()
+    loads = found.tables["loads"].columns
+    added = loads["mean_torque"].values[1] - loads["mean_torque"].values[0]
+    assert asked[0].startswith("Hang 2.5 N (254.8 g) on the grasper, see that the arm is away")
+    assert 0.8 < added / (0.01 * 1.18) < 2.2  # friction of the emulated motor is not compensated
+    with open_run(tmp_path / "f.h5") as stored:
+        degc = stored.recording("load_001").read("temperature")
+    np.testing.assert_allclose(degc, 24.5)
+
+
+def with_gauge(beside, *more):
+    return ("serial.force.driver=mark10", f'serial.force.port="{beside.port}"', *more)
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (Fault("pull", at=30), "the line is lost"),
+        (Fault("refuse", at=30), "the gauge refuses"),
+    ],
+)
+def test_drive_stops_where_the_gauge_is_lost(device, fault, message):
+    gauge = Mark10Emulator(lambda: device.motor.push)
+    long = Task(CurrentSteps((0.0, 0.5, 1.0), 1.0), load=Load(clamped=True))
+    got = []
+    with serve(device) as server, serve(gauge, fault) as beside:
+        with (
+            pytest.raises(HardwareError, match=message),
+            toy_rig(server.port, *with_gauge(beside), bench=SILENT) as rig,
+        ):
+            got.extend(rig.perform(long))
+        assert device.mode is None
+        assert device.limit == 20.0
+    assert 0 < sum(len(block["time"]) for block in got) < 700
+
+
+def test_overload_stops_the_drive_and_what_was_measured_is_kept(device):
+    gauge = Mark10Emulator(lambda: device.motor.push, highest=0.06)
+    got = []
+    with serve(device) as server, serve(gauge) as beside:
+        with (
+            pytest.raises(HardwareError, match="its last word was: overload"),
+            toy_rig(server.port, *with_gauge(beside), bench=SILENT) as rig,
+        ):
+            got.extend(rig.perform(Task(CurrentSteps((0.0, 1.0), 0.6), load=Load(clamped=True))))
+        assert device.mode is None
+    force = np.concatenate([block["force"] for block in got])
+    assert np.isfinite(force[:80]).all()
+    assert np.isnan(force[-1])
+
+
+def test_operator_cannot_read_a_force_that_changes_with_each_step(device):
+    with (
+        serve(device) as server,
+        toy_rig(server.port, "serial.force.driver=operator") as rig,
+    ):
+        assert "the force changes with every step" in rig.lacks("force")
+
+
+def test_moves_between_recordings_ask_for_no_reading(device):
+    asked = []
+
+    def ask(question):
+        asked.append(question)
+        return "25" if question == "temperature [degC]:" else ""
+
+    bench = Bench(yes=True, operator=Operator(ask=ask, say=lambda text: None, present=True))
+    with (
+        serve(device) as server,
+        toy_rig(server.port, "serial.temperature.driver=operator", bench=bench) as rig,
+    ):
+        rig.move_by(0.2)
+        assert asked == []
+        assert device.motor.position == pytest.approx(0.2, abs=0.05)
