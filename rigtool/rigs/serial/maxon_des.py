@@ -56,6 +56,7 @@ class DesDrive(MaxonDrive[int]):
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
         """Set limits of current and speed in RAM, none wider than they are, and make them count."""
+        self._require_obedience()
         current = min(int(limits.current * 1e3), LARGEST)
         speed = min(max(1, int(limits.speed / RPM)), LARGEST)
         for number, value in (
@@ -120,6 +121,16 @@ class DesDrive(MaxonDrive[int]):
         if self._last is not None:  # it comes to rest unseen
             self._last = (*self._last[:2], 0.0)
         return not self._read(STATUS, retries=1) & STATUS_ENABLED
+
+    def _require_obedience(self) -> None:
+        """See that software can switch the drive off, before anything else is changed."""
+        self._command(ENABLE, 0)
+        status = self._read(STATUS)
+        if status & STATUS_ENABLED:
+            raise HardwareError(
+                f"{self.line.port}: the drive stays on (status {status:#06x}) though it was told to"
+                " switch off: its enable input decides; configure it so that software does"
+            )
 
     def _require_on(self, status: int) -> None:
         self._require_no_error(status)

@@ -420,6 +420,16 @@ def test_error_of_a_des_is_told():
         maxon_rig(server.port).__enter__()
 
 
+def test_des_that_software_cannot_switch_off_is_refused():
+    device = DesEmulator()
+    device.switch("velocity")
+    device.switch = lambda mode: None  # its enable input decides
+    before = settings(device)
+    with serve(device) as server, pytest.raises(HardwareError, match="its enable input decides"):
+        maxon_rig(server.port).__enter__()
+    assert settings(device) == before
+
+
 def test_motor_that_was_not_set_up_is_refused():
     device = Epos4Emulator(x3001_5=46000)
     device.objects[0x3001, 5] = 20000
