@@ -277,7 +277,9 @@ class MoteusEmulator(Emulator):
         if self.mode == 10:
             mode = "position" if self.command[0x23] else "current"
         ratio = self.config["motor_position.rotor_to_output_ratio"]
-        self.motor.advance(mode, position * TURN / ratio, speed * TURN / ratio, current + added)
+        self.motor.advance(
+            mode, position * TURN / ratio, speed * TURN / ratio, current + added, moving=True
+        )
 
     def _start(self) -> None:
         low, high = self.config["servopos.position_min"], self.config["servopos.position_max"]

@@ -30,17 +30,27 @@ class Motor:
     current_setpoint: float = 0.0
     _then: float = field(default_factory=time.monotonic)
 
-    def advance(self, mode: str | None, position: float, speed: float, current: float) -> None:
+    def advance(
+        self,
+        mode: str | None,
+        position: float,
+        speed: float,
+        current: float,
+        *,
+        moving: bool = False,
+    ) -> None:
         """Turn until now under a set point: `mode` position, velocity, current, or None for off.
 
-        In position and velocity mode `current` [A] is added to what the loops ask.
+        In position and velocity mode `current` [A] is added to what the loops ask. `moving`: the
+        set point came to `position` at `speed`, instead of having been there all the time.
         """
         now = time.monotonic()
         span, self._then = now - self._then, now
         steps = max(1, math.ceil(min(span, 1.0) / STEP))
         dt = min(span, 1.0) / steps
-        for _ in range(steps):
-            self._step(dt, mode, position, speed, current)
+        for step in range(steps):
+            behind = (steps - 1 - step) * dt * speed if moving else 0.0
+            self._step(dt, mode, position - behind, speed, current)
 
     def _step(
         self, dt: float, mode: str | None, position: float, speed: float, current: float
