@@ -1,0 +1,12 @@
+"""Tests in real time are repeated: where the machine stalls, rigtool rightly ends the motion."""
+
+import pytest
+
+REAL_TIME = ("rigs/serial/", "cli/test_serial_commands", "procedures/test_deploy", "test_extending")
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        where = item.path.as_posix()
+        if any(name in where for name in REAL_TIME) or "deploy" in item.name:
+            item.add_marker(pytest.mark.flaky(reruns=2))
