@@ -20,6 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rigtool.errors import RecipeError
+
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -119,7 +121,7 @@ def controller_sections(
 
     Rows are [b0 b1 b2 1 a1 a2] as in scipy; the gain is in the first. The open loop has gain one
     at the crossover with the discrete plant of this inertia, kg m2. `integrator_hz` 0 leaves the
-    integrator out. Raises ValueError where a frequency is not below half the sampling rate.
+    integrator out. Raises `RecipeError` where a frequency is not below half the sampling rate.
     """
     sections = _controller_factors(
         crossover_hz,
@@ -144,9 +146,9 @@ def _controller_factors(
 ) -> list[_Section]:
     for name, value in (("crossover_hz", crossover_hz), ("lowpass_hz", lowpass_hz)):
         if not 0 < value < 0.5 / sample_time:
-            raise ValueError(
+            raise RecipeError(
                 f"{name} {value} Hz must lie between zero and half the sampling rate, "
-                f"{0.5 / sample_time} Hz"
+                f"{0.5 / sample_time:.6g} Hz: lower it in [rig.controller], or sample faster"
             )
     crossover = 2 * math.pi * crossover_hz
     integrator = 2 * math.pi * integrator_hz

@@ -236,3 +236,14 @@ def test_nan_in_a_signal(command, folder):
     code, message = command("nan.h5")
     assert code == 3, message
     assert "current_setpoint" in message
+
+
+def test_a_controller_faster_than_the_loop_is_a_bad_recipe(tmp_path, capsys):
+    recipe = Path(__file__).parents[2] / "recipes" / "briaire-2006.toml"
+    line = ["calibrate-kt", str(recipe), "--set", "rig.sample_time=0.005", "-o"]
+    with pytest.raises(SystemExit) as caught:
+        main([*line, str(tmp_path / "a.h5")])
+    code, err = caught.value.code, capsys.readouterr().err
+    assert code == 3
+    assert "half the sampling rate" in err
+    assert not list(tmp_path.iterdir())
