@@ -99,7 +99,7 @@ def test_a_load_far_beyond_the_learned_ones_is_refused(learned, unloaded):
 
 def test_the_sum_of_components_is_u(learned, known):
     found = read_load(learned, known[0][2], math.pi / 2)
-    assert found.u == pytest.approx(math.hypot(*found.components.values()))
+    assert found.u == pytest.approx(math.hypot(*found.components.values()), rel=1e-9, abs=0)
     assert set(found.components) == {"scatter", "zero", "disturbance", "misfit"}
 
 
@@ -107,4 +107,4 @@ def test_torque_is_that_of_the_motor_less_its_own_inertia():
     held = cycles(0.0, 1.5, friction=0.0, ripple=0.0, tendon=Tendon(0.25, 1e-3, 0.0))
     middle = held.crossing(math.pi / 2 * DRIVE.angle_ratio, 1)
     assert held.at(held.mean, middle) == pytest.approx(10e-3, rel=0.05)
-    assert held.torque_per_ampere == pytest.approx(DRIVE.torque_factor * CONSTANT)
+    assert held.torque_per_ampere == pytest.approx(DRIVE.torque_factor * CONSTANT, rel=1e-9, abs=0)

@@ -78,6 +78,12 @@ def polynomial(found, scale=1.0):
     return result
 
 
+def apart(zeros):
+    """Say whether zeros are distinct: those of high multiplicity are found to a few digits only."""
+    distance = np.abs(zeros[:, None] - zeros[None, :]) + np.eye(len(zeros))
+    return distance.min(initial=1.0) > 0.02
+
+
 @settings(max_examples=100, deadline=None)
 @given(
     poles=roots,
@@ -85,7 +91,7 @@ def polynomial(found, scale=1.0):
     outside=roots,
     sampling=st.integers(0, 2),
     delay=st.integers(0, 3),
-    radius=st.floats(0.3, 0.99),
+    radius=st.floats(0.9, 0.99),  # lower ones are ill-conditioned for so many zeros
     gain=st.floats(1e-3, 1e3),
 )
 def test_inverse_has_no_phase_and_gain_one_at_dc(
@@ -100,17 +106,17 @@ def test_inverse_has_no_phase_and_gain_one_at_dc(
     system = TransferFunction.from_z(num, den, SAMPLE_TIME)
     zeros = np.abs(system.zeros())
     assume((np.abs(zeros - radius) > 0.01).all())
+    assume(apart(system.zeros()[np.abs(system.zeros() + 1) > 0.1]))
     at_one = np.prod(1 - system.zeros()[zeros >= radius])
     assume(abs(at_one) > 1e-3)
     inverse = zpetc(system, radius)
     assert inverse.advance == system.relative_degree + (zeros >= radius).sum()
     product = inverse.response(FREQUENCY) * system.response(FREQUENCY)
     scale = np.abs(product).max()
-    # Roots of high multiplicity are found to a few digits only.
-    assert np.abs(product.imag).max() < 1e-4 * scale
-    assert product.real.min() > -1e-4 * scale
-    assert product[0].real == pytest.approx(1, rel=1e-4, abs=0)
-    assert np.abs(inverse.filter.poles()).max(initial=0) < 1
+    assert np.abs(product.imag).max() < 1e-6 * scale
+    assert product.real.min() > -1e-6 * scale
+    assert product[0].real == pytest.approx(1, rel=1e-5, abs=0)
+    assert np.abs(inverse.filter.poles()).max(initial=0) < radius < 1
     assert inverse.filter.relative_degree == 0
     unshifted = inverse.response(FREQUENCY, shifted=False)
     turn = np.exp(2j * np.pi * FREQUENCY * inverse.advance * SAMPLE_TIME)
