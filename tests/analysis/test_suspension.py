@@ -81,3 +81,12 @@ def test_readings_that_carry_no_stiffness(force, deflection, message):
 def test_no_frequency_without_a_mass():
     with pytest.raises(ValueError, match="do not oscillate"):
         eigenfrequency(1.0, 0.0)
+
+
+@given(st.floats(0, 6.3))
+def test_it_is_the_second_order_of_the_turn(angle):
+    """Derivative of the springs' energy k (e sin angle)^2 / 2, by central differences."""
+    near = angle + np.array([-1e-4, 1e-4])
+    energy = 14.5e3 * (E * np.sin(near)) ** 2 / 2
+    spring, _ = eccentric_torque(angle, eccentricity=E, stiffness=14.5e3, mass=1.0, speed=0.0)
+    assert float(spring) == pytest.approx(float(np.diff(energy)[0]) / 2e-4, rel=0, abs=1e-11)
