@@ -27,8 +27,17 @@ CURRENT_TOLERANCE = 0.05
 current at the limit, and noise is on top."""
 
 WINDOW = 0.01
-"""Time over which current is averaged and speed is taken from the encoder, s: a count a sample at
-8 kHz would be 12 rad/s."""
+"""Time over which current is averaged, s."""
+
+SPEED_WINDOWS = 0.01 * 2.0 ** np.arange(7)
+"""Times over which speed is taken from the encoder, s: a count a sample at 8 kHz would be 12 rad/s.
+Longer ones judge more closely, shorter ones sooner."""
+
+BLIND = 0.5
+"""Longest time for which a position may be missing, s: nobody would see where the motor goes."""
+
+JUMP = 5.0
+"""Multiple of the limit of speed beyond which the encoder is doubted as well as the motor."""
 
 
 ROUNDING = 1e-6
@@ -155,14 +164,34 @@ def check(found: Extremes, limits: Limits, what: str = "this motion") -> None:
 
 
 class Watch:
-    """Keeps an eye on what a running motion measures; speed and current over `WINDOW`."""
+    """Keeps an eye on what a running motion measures.
+
+    **Speed.** Stamps may be late and jitter. All that is relied on is that a reading was made after
+    the stamp before its own, and no later after its own than that is before it: so it is where the
+    answer is stamped, the middle of question and answer, or the moment itself. What is judged is
+    the slowest motion which that allows, over `SPEED_WINDOWS`, less one count of the encoder.
+    - A motor that keeps to the limit never trips, whatever the jitter.
+    - Let T be the longest interval between samples. A speed v that lasts for W + 6 T, W one of the
+      windows, always trips where v (W - 2 T) > limit (W + 2 T) + 2 counts, counts in rad. At 8 kHz
+      and 4000 counts that is 1.06 times the limit and 0.3 rad/s, over 11 ms; at 250 Hz 1.5 times
+      the limit over 64 ms, 1.22 times over 0.11 s; at 50 Hz 1.7 times over 0.28 s, 1.3 times over
+      0.44 s.
+
+    **Current.** The mean of its magnitude over `WINDOW`, or over two samples that are further apart
+    than that: one noisy sample among many is forgiven, a current that oscillates is not. Beyond the
+    limit by `CURRENT_TOLERANCE` all that time always trips, within it never.
+
+    **Position, temperature.** Each sample. NaN is a sample that is missing, it is left out; where
+    the position is missing for longer than `BLIND`, that is a problem of its own. A position that
+    jumps, since the encoder wrapped around or lost its place, shows as speed, or as a position.
+    """
 
     def __init__(self, limits: Limits, encoder_counts: int) -> None:
         self._limits = limits
         self._count = 2 * math.pi / encoder_counts
-        self._time = np.empty(0)
-        self._encoder = np.empty(0)
-        self._current = np.empty(0)
+        self._positions = _Tail(float(SPEED_WINDOWS[-1]))
+        self._currents = _Tail(WINDOW)
+        self._seen = math.nan
 
     def problem(self, block: Block) -> str | None:
         """Return what is beyond the limits in the signals that follow those so far, or None."""
@@ -179,42 +208,79 @@ class Watch:
                 if not limits.position[0] <= value <= limits.position[1]:
                     nearest = limits.position[0 if value < limits.position[0] else 1]
                     return _beyond("position", float(value), nearest, "rad")
-        return self._fast(time, encoder, block.get("current"))
+            found = self._blind(time, position) or self._fast(time, position)
+            if found:
+                return found
+        current = block.get("current")
+        return None if current is None else self._strong(time, current)
 
-    def _fast(self, time: Array, encoder: Array | None, current: Array | None) -> str | None:
-        limits, count = self._limits, len(self._time)
-        everything = np.concatenate([self._time, time])
-        if encoder is None:
-            encoder = np.full(len(time), np.nan)
-        if current is None:
-            current = np.full(len(time), np.nan)
-        encoders = np.concatenate([self._encoder, encoder])
-        currents = np.concatenate([self._current, current])
-        # from each sample back to the one at least a window before
-        before = np.searchsorted(everything, everything - WINDOW, side="right") - 1
-        rows = np.flatnonzero(before >= 0)
-        kept = max(0, int(np.searchsorted(everything, everything[-1] - 2 * WINDOW)) - 1)
-        self._time, self._encoder, self._current = (
-            everything[kept:],
-            encoders[kept:],
-            currents[kept:],
-        )
-        rows = rows[rows >= count]
-        if rows.size == 0:
+    def _blind(self, time: Array, position: Array) -> str | None:
+        """Judge how long the position was missing, up to the last sample."""
+        known = time[np.isfinite(position)]
+        begin = time[0] if math.isnan(self._seen) else self._seen
+        ends = np.concatenate([[begin], known, time[-1:]])
+        self._seen = float(ends[-2])
+        longest = float(np.diff(ends).max())
+        if longest <= BLIND:
             return None
-        span = everything[rows] - everything[before[rows]]
-        speed = np.abs(encoders[rows] - encoders[before[rows]]) * self._count / span
-        # a count more or less over the window is the encoder's resolution, not speed
-        speed -= self._count / span
-        if (fastest := _top(speed)) is not None and fastest > limits.speed:
-            return _beyond("speed", fastest, limits.speed, "rad/s")
-        total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(currents))])
-        mean = np.abs(total[rows + 1] - total[before[rows] + 1]) / (rows - before[rows])
-        if (largest := _top(mean)) is not None and largest > limits.current * (
-            1 + CURRENT_TOLERANCE
-        ):
-            return _beyond("current", largest, limits.current, "A")
-        return None
+        return (
+            f"the position was missing for {longest:.3g} s, so nobody watched where the motor "
+            f"went: it was stopped and switched off; see to its encoder, or to the line"
+        )
+
+    def _fast(self, time: Array, position: Array) -> str | None:
+        """Judge speed, over each of the windows."""
+        new, time, position = self._positions.follow(time, position)
+        first = np.searchsorted(time, time[new:, None] - SPEED_WINDOWS, side="right") - 1
+        row, window = np.nonzero(first >= 1)
+        if row.size == 0:
+            return None
+        first, last = first[row, window], row + new
+        # from the stamp before the first reading, to as long after the last stamp as another is
+        # before it
+        longest = (2 * time[last] - time[last - 1]) - time[first - 1]
+        turned = np.abs(position[last] - position[first]) - self._count
+        fastest = float((turned / longest).max())
+        if fastest <= self._limits.speed:
+            return None
+        found = _beyond("speed", fastest, self._limits.speed, "rad/s")
+        if fastest > JUMP * self._limits.speed:
+            found += ". So fast a position may also have jumped: see to the encoder"
+        return found
+
+    def _strong(self, time: Array, current: Array) -> str | None:
+        """Judge the mean of the current's magnitude."""
+        new, time, current = self._currents.follow(time, current)
+        before = np.searchsorted(time, time[new:] - WINDOW, side="right") - 1
+        row = np.flatnonzero(before >= 0)
+        if row.size == 0:
+            return None
+        total = np.concatenate([[0.0], np.cumsum(np.abs(current))])
+        mean = (total[row + new + 1] - total[before[row] + 1]) / (row + new - before[row])
+        largest = float(mean.max())
+        if largest <= self._limits.current * (1 + CURRENT_TOLERANCE):
+            return None
+        return _beyond("current", largest, self._limits.current, "A")
+
+
+class _Tail:
+    """The end of a signal, `length` s of it, without what is missing."""
+
+    def __init__(self, length: float) -> None:
+        self._length = length
+        self._time = np.empty(0)
+        self._values = np.empty(0)
+
+    def follow(self, time: Array, values: Array) -> tuple[int, Array, Array]:
+        """Return tail and block (n,), the number of what is old in it, and keep its end."""
+        there = np.isfinite(values)
+        old = len(self._time)
+        time = np.concatenate([self._time, time[there]])
+        values = np.concatenate([self._values, values[there]])
+        if len(time):
+            kept = max(0, int(np.searchsorted(time, time[-1] - self._length)) - 2)
+            self._time, self._values = time[kept:], values[kept:]
+        return old, time, values
 
 
 def _any(values: Array) -> bool:

@@ -6,7 +6,7 @@ import signal
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from rigtool.analysis.lookup_table import LookupTable
@@ -109,9 +109,9 @@ def signals(count=400, dt=1e-3, **channels):
     return block | {name: np.asarray(values, float) for name, values in channels.items()}
 
 
-def watched(block, pieces=7):
+def watched(block, pieces=7, limits=LIMITS):
     """Return the first problem that a watch finds in signals that come in pieces."""
-    watch = safety.Watch(LIMITS, 4000)
+    watch = safety.Watch(limits, 4000)
     for part in np.array_split(np.arange(len(block["time"])), pieces):
         if problem := watch.problem({name: values[part] for name, values in block.items()}):
             return problem
@@ -147,6 +147,132 @@ def test_one_count_at_8_khz_is_no_speed():
     encoder = np.zeros(4000)
     encoder[2000:] = 1.0
     assert watched(signals(4000, DT, encoder=encoder, current=np.zeros(4000))) is None
+
+
+# -- what a watch promises, with drives that answer when they can
+
+COUNT = 2 * math.pi / 4000
+FAR = LIMITS.model_copy(update={"position": (-1e9, 1e9)})
+
+
+@st.composite
+def exchanges(draw):
+    """Return times of readings (n,) and their stamps (n,), s: questions asked one after another.
+
+    Most answers come soon, some wait for a computer that is busy, or for a retry. Stamps are those
+    of the readings, of the answers, or in the middle of question and answer.
+    """
+    random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    period, share = (
+        draw(st.floats(2.5e-4, 0.03) | st.just(2.5e-4)),
+        draw(st.sampled_from([0.0, 0.02, 0.5])),
+    )
+    count = min(400, math.ceil(1.5 / period))
+    longest = np.where(random.random(count) < share, 4 * period, 0.9 * period)
+    waits = np.maximum(random.random(count) * longest, 1e-6)
+    asked, answered, free = np.empty(count), np.empty(count), 0.0
+    for n in range(count):
+        asked[n] = max(free, n * period)
+        answered[n] = free = asked[n] + waits[n]
+    read = asked + random.random(count) * waits
+    return read, {"read": read, "middle": (asked + answered) / 2, "answer": answered}[
+        draw(st.sampled_from(["read", "middle", "answer"]))
+    ]
+
+
+def judged(stamps, angle, limit, pieces=9, missing=()):
+    encoder = np.floor(angle / COUNT)
+    encoder[[n for n in missing if n < len(stamps)]] = np.nan
+    signal = {"time": stamps, "encoder": encoder, "current": np.zeros(len(stamps))}
+    limits = FAR.model_copy(update={"speed": limit})
+    return watched(signal, min(pieces, len(stamps)), limits)
+
+
+@given(
+    exchanges(),
+    st.floats(0.2, 50) | st.just(0.2),
+    st.floats(-1, 1) | st.sampled_from([-1, 1]),
+    st.floats(-1, 1) | st.sampled_from([-1, 1]),
+    st.floats(0, 1.5),
+    st.sets(st.integers(0, 40)),
+    st.sampled_from([1, 9, 10**6]),
+)
+def test_a_motor_within_the_limit_never_trips(
+    exchanged, limit, first, then, change, missing, pieces
+):
+    read, stamps = exchanged
+    turns = first * np.minimum(read, change) + then * np.maximum(read - change, 0)
+    assert judged(stamps, (1 - 1e-9) * limit * turns, limit, pieces, missing) is None
+
+
+@given(
+    exchanges(),
+    st.floats(0.2, 50),
+    st.sampled_from(safety.SPEED_WINDOWS.tolist()),
+    st.floats(0, 1),
+    st.sampled_from([-1, 1]),
+    st.sets(st.integers(0, 40)),
+)
+def test_a_speed_beyond_the_limit_always_trips_in_time(
+    exchanged, limit, window, start, way, missing
+):
+    read, stamps = exchanged
+    there = np.ones(len(read), bool)
+    there[[n for n in missing if n < len(read)]] = False
+    interval = np.diff(stamps[there], prepend=0.0).max()
+    lasts = window + 6 * interval
+    assume(interval < safety.BLIND and 2.01 * interval < window and lasts < read[there][-1])
+    margin = limit * (window + 2 * interval) + 2 * COUNT
+    speed = 1.001 * margin / (window - 2 * interval)
+    begin = start * (read[there][-1] - lasts)
+    angle = way * speed * np.clip(read - begin, 0, lasts)
+    assert "speed reached" in judged(stamps, angle, limit, 9, missing)
+
+
+@given(
+    exchanges(),
+    st.floats(0, 1),
+    st.sampled_from([1.0, -1.0, 0.0]),
+    st.booleans(),
+    st.sets(st.integers(0, 40)),
+)
+def test_current_is_judged_by_its_magnitude(exchanged, start, sign, beyond, missing):
+    _, time = exchanged
+    current = (1.05 + (1e-9 if beyond else -1e-9)) * LIMITS.current * np.ones(len(time))
+    current *= sign or np.where(np.arange(len(time)) % 2, 1, -1)  # or it oscillates
+    there = np.ones(len(time), bool)
+    there[[n for n in missing if n < len(time)]] = False
+    interval = np.diff(time[there], prepend=0.0).max()
+    lasts = safety.WINDOW + 2 * interval
+    begin = start * (time[-1] - lasts)
+    if beyond:
+        current[(time < begin) | (time > begin + lasts)] = 0.0
+    current[~there] = np.nan
+    found = watched({"time": time, "current": current}, 9)
+    assert ("current reached" in found) if beyond else (found is None)
+
+
+@pytest.mark.parametrize("pieces", [1, 40, 4000])
+def test_a_position_that_is_missing_for_long_is_a_problem(pieces):
+    time = np.arange(4000) * 1e-3
+    for gone, seconds in ((time > 3.4, None), (time > 3.6, 0.4), ((time > 1) & (time < 1.4), 0.4)):
+        encoder = np.where(gone, np.nan, 0.0)
+        found = watched(signals(4000, encoder=encoder, current=np.zeros(4000)), pieces)
+        assert (found is None) == (seconds is not None)
+    assert "position was missing for" in watched(
+        signals(4000, encoder=np.full(4000, np.nan), current=np.zeros(4000)), pieces
+    )
+
+
+@pytest.mark.parametrize("period", [DT, 4e-3, 0.02])
+@pytest.mark.parametrize("jump", [-4000, 4000, 65536])
+def test_an_encoder_that_jumps_is_a_problem_that_names_it(period, jump):
+    count = round(0.5 / period)
+    encoder = np.where(np.arange(count) < count // 2, 0.0, jump)
+    found = watched(signals(count, period, encoder=encoder, current=np.zeros(count)), 40, FAR)
+    assert "speed reached" in found
+    if period < 0.01:
+        assert "a position may also have jumped" in found
 
 
 def test_second_interrupt_waits_until_the_motor_is_off():
