@@ -119,6 +119,8 @@ def _measure(
     bench = Bench(yes=options.yes, spy=options.spy)
     rig = open_rig(recipe, constant, procedure.COMMAND, bench)
     plan = procedure.recordings(recipe)
+    if isinstance(rig, SerialRig):
+        rig.use_only({channel.name for spec in plan for channel in spec.channels})
     writer = _WatchedWriter(
         output,
         command=procedure.COMMAND,

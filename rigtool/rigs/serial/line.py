@@ -68,7 +68,9 @@ class LineCounts:
 class Line:
     """An open serial port, closed as a context manager. `port` may be any URL of pyserial.
 
-    Raises `HardwareError` where it cannot be opened, with the remedy. Timeouts are in s.
+    Raises `HardwareError` where it cannot be opened, with the remedy. Timeouts are in s. A line
+    `beside` another has its clock and its spy file, where `role` tells it apart; beside one that is
+    played back it is played back as well, whatever its port.
     """
 
     def __init__(
@@ -80,18 +82,26 @@ class Line:
         retries: int = 3,
         spy: str | Path | None = None,
         driver: str = "unknown",
+        beside: Line | None = None,
+        role: str = "",
     ) -> None:
         self.port = port
         self.timeout = timeout
         self.retries = retries
         self.counts = LineCounts()
-        self.opened = time.monotonic()
+        self.opened: float = time.monotonic() if beside is None else beside.opened
         self._baud_rate = baud_rate
-        self._port = _open(port, baud_rate)
+        self._role = role
+        self._port = _open(port, baud_rate) if beside is None else beside._open_beside(self)
         self._buffer = bytearray()
         self._snatched = 0
+        self._spy: Spy | None = None if beside is None else beside._spy
+        self._owns_spy = spy is not None
         try:
-            self._spy = Spy(spy, driver) if spy is not None else None
+            if spy is not None:
+                self._spy = Spy(spy, driver)
+            elif self._spy is not None:
+                self._spy.name(role, driver, port)
         except HardwareError:
             self._port.close()
             raise
@@ -106,9 +116,9 @@ class Line:
         """Let go of the port; closing twice does no harm."""
         with contextlib.suppress(OSError):  # it may be gone already
             self._port.close()
-        if self._spy is not None:
+        if self._spy is not None and self._owns_spy:
             self._spy.close()
-            self._spy = None
+        self._spy = None
 
     def reopen(self, patience: float) -> None:
         """Open the port anew: a device that was switched off may have taken it away.
@@ -129,6 +139,21 @@ class Line:
                 if time.monotonic() > deadline:
                     raise
                 time.sleep(0.1)
+
+    @property
+    def replays(self) -> bool:
+        """Whether a record is played back: then time passes as fast as it is read."""
+        return isinstance(self._port, Replay)
+
+    @property
+    def over(self) -> bool:
+        """Whether a record that is played back has come to its end; never on a port."""
+        return isinstance(self._port, Replay) and self._port.over
+
+    def _open_beside(self, line: Line) -> Any:
+        if isinstance(self._port, Replay):
+            return Replay(self._port.path, line._role)
+        return _open(line.port, line._baud_rate)
 
     # -- time
 
@@ -311,14 +336,16 @@ class Line:
                 self._note("<", data)
                 return data
             if time.monotonic() >= deadline or isinstance(self._port, Replay):
+                self._note("-", b"")
                 return b""
 
     def _note(self, kind: str, data: bytes, now: float | None = None) -> None:
         if self._spy is not None:
             moment = time.monotonic() - self.opened if now is None else now
-            self._spy.note(Event(moment, kind, data))
+            self._spy.note(Event(moment, kind, data, self._role))
 
     def _lost(self, error: Exception) -> LineLost:
+        self._note("!", str(error).encode("latin-1", "replace"))
         return LineLost(
             f"{self.port}: the line is lost ({error}): cable pulled, device switched off or reset, "
             "or another program reads from this port"

@@ -8,7 +8,7 @@ import math
 import queue
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -53,7 +53,7 @@ class SerialRig(ABC):
         self._load = Load()
         self._clamp_angle = math.nan
         self._gauges: dict[str, Gauge] = {
-            name: open_gauge(name, settings, bench.operator)
+            name: open_gauge(name, settings, bench.operator, lambda: self._line)
             for name, settings in (
                 ("force", recipe.serial.force),
                 ("temperature", recipe.serial.temperature),
@@ -61,8 +61,11 @@ class SerialRig(ABC):
             )
             if settings is not None
         }
-
+        self._unused: list[str] = []
         self.notes: list[str] = []
+        self.watcher: Callable[[Block], None] | None = None
+        """Gets what is told of a motion before its signals come, where that is late; shall return
+        at once."""
 
     # -- for subclasses
 
@@ -143,6 +146,8 @@ class SerialRig(ABC):
                 gauge.__exit__(None, None, None)
             if self._line is not None:
                 self._line.close()
+        if problems and self._line is not None and self._line.replays and error is not None:
+            return  # a record has no drive that could be left running
         if problems:
             text = (
                 f"{'; '.join(problems)}. {self._last_resort()}: see that it stands still before "
@@ -170,9 +175,22 @@ class SerialRig(ABC):
             return f"{reason}, and serial.operator is false: nobody is there to {NEEDS[need]}"
         return reason
 
+    def use_only(self, channels: Collection[str]) -> None:
+        """Leave the instruments alone that fill none of these channels; to be said before `with`.
+
+        A thermometer is read in any case: the limit of temperature is watched by it.
+        """
+        self._unused = [name for name in self._gauges if name not in {*channels, "temperature"}]
+        for name in self._unused:
+            del self._gauges[name]
+
     def permit(self, plan: str) -> None:
         """Show what is about to happen, and let the operator agree to it."""
-        notes = list(self.notes)
+        notes = [
+            *(f"{name} is read: {gauge.name}" for name, gauge in self._gauges.items()),
+            *(f"serial.{name} is left alone: nothing of it is recorded" for name in self._unused),
+            *self.notes,
+        ]
         if self.lacks("temperature"):
             notes.append("the temperature of the motor is not measured: its limit is not watched")
         self._bench.permit("\n".join([f"{self._identity} on {self.line.port}", plan, *notes]))
@@ -216,8 +234,10 @@ class SerialRig(ABC):
         """
         self._require_permission(task)
         self._set_load(task.load)
+        on_lines = any(not isinstance(gauge, OperatorGauge) for gauge in self._gauges.values())
+        moment = self.line.now() if on_lines else math.nan
         for gauge in self._gauges.values():
-            gauge.begin()
+            gauge.begin(moment)
         yield from self._perform(task)
 
     def _perform(self, task: Task) -> Iterator[Block]:
@@ -275,8 +295,8 @@ class SerialRig(ABC):
         return next((problem for problem in problems if problem), None)
 
     def _host_time(self, time: Array) -> Array:
-        """Return `time.monotonic()` at these times of the bench clock, s."""
-        return self.line.opened + time
+        """Return what the line's clock said at these times of the bench clock, s."""
+        return time
 
     # -- the operator
 

@@ -1,34 +1,49 @@
-r"""The bytes on a line with time stamps, and such a file as the other end of a line.
+r"""The bytes on a rig's lines with time stamps, and such a file as the other end of the lines.
 
-A spy file is text, a line an event, `seconds direction bytes`: `>` to the device, `<` from it,
-bytes that are not printable as `\xNN`. `.` is a reading of the clock that went into set points or
-time stamps: played back, host and device see the same times, so a run comes out as it was.
-The first line says what was at the other end: `# rigtool spy 1 driver=... baud_rate=...`.
+A spy file is text, a line an event, `seconds kind bytes`: `>` to the device, `<` from it, bytes
+that are not printable as `\xNN`; `-` where the host waited and nothing came; `!` where the line was
+lost, and why. `.` is a reading of the clock that went into set points or time stamps: played back,
+host and device see the same times, so a run comes out as it was. Of an instrument beside the drive
+the channel stands before the kind: `0.713 force< 4.285 N\r\n`. All times are of one clock, that
+begins when the drive's line is opened.
+
+The first line says what was at the other end: `# rigtool spy 2 driver=...`; another line with `#`
+says it of an instrument. Files of version 1 have neither instruments, `-` nor `!`.
 """
 
 from __future__ import annotations
 
+import re
+import threading
 from collections import deque
 from pathlib import Path
 from typing import NamedTuple
 
 from rigtool.errors import HardwareError, RecipeError
 
-HEAD = "# rigtool spy 1"
+HEAD = "# rigtool spy"
+VERSION = 2
+KINDS = "><-!."
 
 
 class Event(NamedTuple):
-    """Something on the line at `time`, s: `kind` is `>`, `<` or `.`."""
+    """Something on a line at `time`, s: `kind` is one of KINDS, `role` empty for the drive."""
 
     time: float
     kind: str
     data: bytes = b""
+    role: str = ""
+
+
+class RecordEnd(HardwareError):
+    """The host goes on where the record ends."""
 
 
 class Spy:
     """Writes a spy file. Every event reaches the file at once: a killed program leaves it whole.
 
-    Raises `HardwareError` where it cannot be written.
+    Several lines write into it, each from a thread of its own. Raises `HardwareError` where it
+    cannot be written.
     """
 
     def __init__(self, path: str | Path, driver: str) -> None:
@@ -36,12 +51,19 @@ class Spy:
             self._file = Path(path).open("w", encoding="ascii", buffering=1)  # noqa: SIM115
         except OSError as error:
             raise HardwareError(f"--spy {path}: cannot be written: {error.strerror}") from None
-        self._file.write(f"{HEAD} driver={driver}\n")
+        self._lock = threading.Lock()
+        self._file.write(f"{HEAD} {VERSION} driver={driver}\n")
+
+    def name(self, role: str, driver: str, port: str) -> None:
+        """Write what is on the line of an instrument."""
+        with self._lock:
+            self._file.write(f"# {role} driver={driver} port={port!a}\n")
 
     def note(self, event: Event) -> None:
         """Write an event."""
         text = event.data.decode("latin-1").encode("unicode_escape").decode("ascii")
-        self._file.write(f"{event.time!r} {event.kind} {text}\n")
+        with self._lock:
+            self._file.write(f"{event.time!r} {event.role}{event.kind} {text}\n")
 
     def close(self) -> None:
         """Close the file."""
@@ -49,44 +71,67 @@ class Spy:
 
 
 def read_spy(path: str | Path) -> tuple[str, list[Event]]:
-    """Return the driver that a spy file was written with, and its events.
+    """Return the driver that a spy file was written with, and the events on all of its lines.
 
-    Raises `RecipeError` for another kind of file.
+    Raises `RecipeError` for another kind of file, or one of a newer rigtool.
     """
     try:
         lines = Path(path).read_text(encoding="ascii").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise RecipeError(f"{path}: cannot be read as a file of --spy: {error}") from None
-    if not lines or not lines[0].startswith(f"{HEAD} driver="):
+    found = re.fullmatch(rf"{HEAD} (\d+) driver=(\S+).*", lines[0] if lines else "", re.ASCII)
+    if found is None:
         raise RecipeError(f"{path}: is not a file of --spy: its first line is not {HEAD!r}")
+    if int(found[1]) > VERSION:
+        raise RecipeError(
+            f"{path}: is a file of --spy of version {found[1]}, this rigtool knows {VERSION} and "
+            "older: take a newer rigtool"
+        )
     events = []
     for number, line in enumerate(lines[1:], start=2):
+        if line.startswith("# "):
+            continue
         try:
-            seconds, kind, text = line.split(" ", 2)
-            data = text.encode("ascii").decode("unicode_escape").encode("latin-1")
-            events.append(Event(float(seconds), kind, data))
+            events.append(_event(line))
         except ValueError:
             if number == len(lines):
                 break  # the program was killed while it wrote its last line
             raise RecipeError(f"{path}:{number}: is not an event of --spy: {line[:60]!r}") from None
-    return lines[0].partition("driver=")[2].split()[0], events
+    return found[2], events
+
+
+def _event(line: str) -> Event:
+    """Return what a line says; raises `ValueError` where it is no event."""
+    seconds, what, text = line.split(" ", 2)
+    role, kind = what[:-1], what[-1:]
+    if kind not in KINDS or not kind or not (role.isalpha() or not role):
+        raise ValueError
+    data = text.encode("ascii").decode("unicode_escape").encode("latin-1")
+    return Event(float(seconds), kind, data, role)
 
 
 class Replay:
     """A spy file as the other end of a line, with the methods of a serial port that `Line` uses.
 
-    The host has to say what was said then: where it does not, `HardwareError` tells the difference.
+    `role` chooses one of its lines: a `HardwareError` where it has none of that name. The host has
+    to say what was said then: where it does not, a `HardwareError` tells the difference.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.driver, events = read_spy(path)
-        self._path = path
-        self._events = deque(events)
+    def __init__(self, path: str | Path, role: str = "") -> None:
+        self.path = path
+        self._events = deque(event for event in read_spy(path)[1] if event.role == role)
+        if role and not self._events:
+            raise HardwareError(
+                f"{path}: holds nothing of the {role} gauge: it was recorded without one, or "
+                "by a rigtool that did not write the lines of instruments yet: record it again, or "
+                f"take [serial.{role}] out of the recipe"
+            )
         self._said = bytearray()
         self._now = 0.0
 
     def clock(self) -> float:
         """Return the reading of the clock as it was at this point, s."""
+        self._pass_silence()
         if self._events:
             self._now = self._events[0].time
             if self._events[0].kind == ".":
@@ -97,17 +142,19 @@ class Replay:
         """Compare with what was sent then; what was received then can be read afterwards."""
         self._said += data
         while self._said:
-            while self._events and self._events[0].kind != ">":
+            while self._events and self._events[0].kind not in ">!":
                 self._events.popleft()  # what arrived then, and was dropped unread
+            self._raise_if_lost()
             if not self._events:
-                raise HardwareError(
-                    f"{self._path}: the record ends here, the host goes on with {data[:40]!r}"
+                raise RecordEnd(
+                    f"{self.path}: the record ends here, the host goes on with {data[:40]!r}"
                 )
             event = self._events[0]
             said = bytes(self._said[: len(event.data)])
             if not event.data.startswith(said):
+                self._said.clear()
                 raise HardwareError(
-                    f"{self._path}: at {event.time:.6f} s the host sent {event.data[:40]!r}, now "
+                    f"{self.path}: at {event.time:.6f} s the host sent {event.data[:40]!r}, now "
                     f"it sends {said[:40]!r}: play a record back with the recipe it was made with"
                 )
             if len(said) < len(event.data):
@@ -118,7 +165,10 @@ class Replay:
 
     def read(self, size: int = 1) -> bytes:
         """Return what was received at this point; nothing where nothing was."""
+        self._raise_if_lost()
         if not self.in_waiting:
+            if self._events and self._events[0].kind == "-":
+                self._events.popleft()
             return b""
         event = self._events.popleft()
         if len(event.data) > size:
@@ -130,5 +180,20 @@ class Replay:
         """Bytes that can be read at this point."""
         return len(self._events[0].data) if self._events and self._events[0].kind == "<" else 0
 
+    @property
+    def over(self) -> bool:
+        """Whether there is nothing left to say or to hear."""
+        return not self._events
+
     def close(self) -> None:
         """Nothing to close."""
+
+    def _pass_silence(self) -> None:
+        while self._events and self._events[0].kind == "-":
+            self._events.popleft()
+
+    def _raise_if_lost(self) -> None:
+        """Fail as the port did; it stays lost."""
+        if self._events and self._events[0].kind == "!":
+            self._said.clear()
+            raise OSError(self._events[0].data.decode("latin-1"))

@@ -202,8 +202,8 @@ class TargetRig(SerialRig):
             super().power_cycle()
 
     def _host_time(self, time: Array) -> Array:
-        """Return `time.monotonic()` at these times of the target's clock, s."""
-        return self.line.opened + self._clock_offset + time
+        """Return what the line's clock said at these times of the target's, s."""
+        return self._clock_offset + time
 
     def _set_load(self, load: Load) -> None:
         if Ability.LOAD in self._hello.abilities:

@@ -57,8 +57,8 @@ def device(monkeypatch):
     return device
 
 
-def run(module, port, more, output, monkeypatch, ask, inputs=None):
-    person = Operator(ask=ask, say=lambda text: None, present=True)
+def run(module, port, more, output, monkeypatch, ask, inputs=None, say=lambda text: None):
+    person = Operator(ask=ask, say=say, present=True)
     monkeypatch.setattr(session, "Bench", lambda yes, spy: Bench(yes, spy, person))
     settings = overrides(port, "serial.watchdog=2", *more, driver="odrive", sample_time=0.01)
     options = CommonOptions(overrides=settings, yes=True)
@@ -132,12 +132,18 @@ def test_force_with_loads_that_the_operator_hangs_on(device, tmp_path, monkeypat
         "measure_force.lowpass_hz=10",
         "measure_force.correction=none",
         "serial.temperature.driver=number-lines",
+        "serial.force.driver=mark10",
+        'serial.force.port="/dev/no-such-gauge"',  # unplugged, and of no use here
     )
+    said = []
     logger = NumberLinesEmulator(lambda: 24.5, unit="C", decimals=1)
     inputs = {name: open_run(FIXTURES / f"{name}.h5") for name in ("kt", "tables")}
     with serve(device) as server, serve(logger) as beside:
         more = (*more, f'serial.temperature.port="{beside.port}"')
-        found = run(measure_force, server.port, more, tmp_path / "f.h5", monkeypatch, ask, inputs)
+        output = tmp_path / "f.h5"
+        found = run(measure_force, server.port, more, output, monkeypatch, ask, inputs, said.append)
+    assert f"temperature is read: sends numbers on {beside.port}" in said[0]
+    assert "serial.force is left alone: nothing of it is recorded" in said[0]
     for stored in inputs.values():
         stored.close()
     loads = found.tables["loads"].columns

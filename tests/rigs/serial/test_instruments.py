@@ -31,10 +31,14 @@ def opened(driver, port, channel="force", **settings):
 
 def watch(instrument, seconds=0.2, moments=40):
     """Return what it read over the next seconds."""
-    start = time.monotonic()
-    instrument.begin()
+    start = now(instrument)
+    instrument.begin(start)
     time.sleep(seconds)
     return instrument.at(np.linspace(start + 0.12, start + seconds, moments))
+
+
+def now(instrument):
+    return instrument._line.now()
 
 
 def with_options(device, **options):
@@ -115,11 +119,11 @@ def test_value_follows_the_force_in_time():
     start = time.monotonic()
     device = Mark10Emulator(lambda: 10 * (time.monotonic() - start), decimals=4)
     with serve(device) as server, opened("mark10", server.port) as instrument:
-        instrument.begin()
+        instrument.begin(now(instrument))
         time.sleep(0.4)
-        moments = time.monotonic() - np.linspace(0.3, 0.05, 50)
+        moments = now(instrument) - np.linspace(0.3, 0.05, 50)
         got = instrument.at(moments)
-    late = moments - start - got / 10
+        late = moments + instrument._line.opened - start - got / 10
     assert late.min() > -1e-4
     assert late.max() < 0.1
     assert np.median(late) < 0.04
@@ -277,15 +281,17 @@ def test_instrument_that_is_gone_is_told(driver, fault, monkeypatch):
         deadline = time.monotonic() + 3
         while instrument.problem() is None and time.monotonic() < deadline:
             time.sleep(0.02)
+            instrument.at(np.array([now(instrument)]))
         assert f"serial.force ({driver} on " in instrument.problem()
         with pytest.raises(HardwareError, match="on /dev/pts"):
-            instrument.begin()
+            instrument.begin(now(instrument))
 
 
 def test_gauge_that_refuses_ends_the_run():
     device = Mark10Emulator(lambda: 1.0)
     with serve(device, Fault("refuse", at=10)) as server, opened("mark10", server.port) as it:
         time.sleep(0.3)
+        it.at(np.array([now(it)]))
         assert "the gauge refuses: *11 (not applicable)" in it.problem()
 
 
@@ -294,7 +300,7 @@ def test_samples_that_the_instrument_knows_nothing_of_are_missing():
         serve(Mark10Emulator(lambda: 1.0)) as server,
         opened("mark10", server.port) as instrument,
     ):
-        future = time.monotonic() + np.array([0.0, 100.0])
+        future = now(instrument) + np.array([0.0, 100.0])
         np.testing.assert_array_equal(instrument.at(future), [1.0, np.nan])
         assert "1 samples have no reading near them" in instrument.problem()
         assert instrument.at(np.empty(0)).shape == (0,)

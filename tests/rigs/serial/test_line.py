@@ -192,3 +192,45 @@ def test_files_that_are_no_spy_files(tmp_path):
         read_spy(path)
     path.write_text("# rigtool spy 1 driver=toy\n0.1 > a\n0.2 > \\x0")  # cut by a kill
     assert read_spy(path) == ("toy", [Event(0.1, ">", b"a")])
+    path.write_text("# rigtool spy 3 driver=toy\n")
+    with pytest.raises(RecipeError, match="version 3, this rigtool knows 2 and older"):
+        read_spy(path)
+    for wrong in ("0.1 force? a", "0.1 f0rce> a", "0.1  a"):
+        path.write_text(f"# rigtool spy 2 driver=toy\n{wrong}\n0.2 > b\n")
+        with pytest.raises(RecipeError, match=":2: is not an event"):
+            read_spy(path)
+
+
+OLD = "# rigtool spy 1 driver=toy\n0.01 . \n0.02 > one\\n\n0.03 < O\n0.04 < NE\\r\\n\n0.05 . \n"
+
+
+def test_files_of_version_1_still_play_back(tmp_path):
+    path = tmp_path / "old.spy"
+    path.write_text(OLD)
+    with Line(f"replay://{path}") as line:
+        assert line.now() == 0.01
+        assert line.ask(b"one\n", same(b"ONE")) == b"ONE"
+        assert line.now() == 0.05
+        with pytest.raises(HardwareError, match="holds nothing of the force gauge: it was rec"):
+            Line("/dev/pts/7", beside=line, role="force")
+
+
+def test_late_answers_and_lost_lines_come_again_where_they_came(tmp_path):
+    """What came too late then must not answer in time now."""
+
+    def talk(line):
+        line.write(b"first\n")
+        with pytest.raises(LineTimeout):
+            line.read_until(b"\n")
+        line.write(b"second\n")
+        got = [line.read_until(b"\n"), line.read_until(b"\n")]
+        with pytest.raises(LineLost, match="cable pulled") as lost:
+            line.ask(b"third\n", same(b"THIRD"))
+        return [*got, str(lost.value).partition(": ")[2]]
+
+    path = tmp_path / "line.spy"
+    faults = Fault("late", at=0), Fault("pull", at=2)
+    with serve(Echo(), *faults) as server, Line(server.port, spy=path, timeout=0.05) as line:
+        then = talk(line)
+    with Line(f"replay://{path}", timeout=0.05) as line:
+        assert talk(line) == then

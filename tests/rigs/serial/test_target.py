@@ -92,7 +92,7 @@ def test_times_of_the_target_are_told_in_the_hosts():
         begin = time.monotonic()
         got = blocks_of(rig, Task(motion, record_every=8))
         end = time.monotonic()
-        moments = rig._host_time(got["time"])
+        moments = rig.line.opened + rig._host_time(got["time"])
     assert begin < moments[0] < begin + 1.0
     assert moments[-1] - moments[0] == pytest.approx(0.6, abs=2e-3)
     assert moments[-1] < end + 0.3

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any, Protocol, Self
 
@@ -18,6 +19,7 @@ from rigtool.errors import RecipeError
 from rigtool.recipe.serial import Instrument
 from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.bench import Operator
+from rigtool.rigs.serial.line import Line
 
 Array = NDArray[np.float64]
 
@@ -33,12 +35,17 @@ class Gauge(Protocol):
         """Let go of the line."""
         ...
 
-    def begin(self) -> None:
-        """A recording is about to begin: here an operator is asked."""
+    @property
+    def name(self) -> str:
+        """Who reads it, and where, for the operator."""
+        ...
+
+    def begin(self, moment: float) -> None:
+        """A recording is about to begin, at `moment` of the drive's line: an operator is asked."""
         ...
 
     def at(self, moments: Array) -> Array:
-        """Return readings at these moments of `time.monotonic()`, NaN where there is none near."""
+        """Return readings at these moments of the drive's line, s, NaN where there is none near."""
         ...
 
     def problem(self) -> str | None:
@@ -63,7 +70,12 @@ class OperatorGauge:
     def __exit__(self, *details: object) -> None:
         pass
 
-    def begin(self) -> None:
+    @property
+    def name(self) -> str:
+        """Say that somebody is asked."""
+        return "by the operator, once a recording"
+
+    def begin(self, moment: float) -> None:
         """Ask for the reading."""
         unit = CHANNELS[self._channel][0]
         reading = self._operator.reading(self._channel, unit)
@@ -106,10 +118,16 @@ def instrument_module(name: str) -> ModuleType:
     return importlib.import_module(MODULES[name])
 
 
-def open_gauge(channel: str, settings: Instrument, operator: Operator) -> Gauge:
+def open_gauge(
+    channel: str,
+    settings: Instrument,
+    operator: Operator,
+    beside: Callable[[], Line | None] = lambda: None,
+) -> Gauge:
     """Return the gauge that a recipe names for a channel; not connected yet.
 
-    Raises `RecipeError` for an unknown driver, or one without a port.
+    `beside` returns the line of the drive once that is open: clock and spy file are shared. Raises
+    `RecipeError` for an unknown driver, or one without a port.
     """
     if settings.driver == "operator":
         return OperatorGauge(channel, settings, operator)
@@ -125,4 +143,6 @@ def open_gauge(channel: str, settings: Instrument, operator: Operator) -> Gauge:
     from rigtool.rigs.serial.instruments.gauge import LineGauge
 
     module = instrument_module(settings.driver)
-    return LineGauge(channel, settings, module.make_reader, baud_rate=module.BAUD_RATE)
+    return LineGauge(
+        channel, settings, module.make_reader, baud_rate=module.BAUD_RATE, beside=beside
+    )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from typing import Any, Self
 
@@ -15,6 +17,7 @@ from rigtool.recipe.serial import Instrument
 from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.serial.instruments.readings import UNSTABLE, Reader, Reading
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
+from rigtool.rigs.serial.spy import RecordEnd
 
 Array = NDArray[np.float64]
 
@@ -22,7 +25,11 @@ NEAR = {"force": 0.5, "deflection": 0.5, "temperature": 10.0}
 """Longest time for which a reading holds, s."""
 
 WAIT = 0.5
-"""Longest wait for the readings that follow a moment and show whether one is a spike, s."""
+"""Longest wait for the readings that follow a moment and show whether one is a spike, s.
+
+What is found depends on when readings came, not on when somebody asks: so a record plays back as
+it was.
+"""
 
 SILENCE = 5.0
 """Time without a valid reading after which an instrument that sends by itself is lost, s."""
@@ -41,7 +48,10 @@ ENOUGH = 10
 
 
 class LineGauge:
-    """Reads through `make_reader(line, channel)` from `with` to its end; see `Gauge`."""
+    """Reads through `make_reader(line, channel)` from `with` to its end; see `Gauge`.
+
+    `beside` returns the line of the drive, whose clock and spy file its own line shares.
+    """
 
     def __init__(
         self,
@@ -50,22 +60,28 @@ class LineGauge:
         make_reader: Callable[[Line, str], Reader],
         *,
         baud_rate: int,
+        beside: Callable[[], Line | None] = lambda: None,
     ) -> None:
         self._channel, self._settings = channel, settings
         self._make_reader, self._baud_rate = make_reader, settings.baud_rate or baud_rate
+        self._beside = beside
         self._line: Line | None = None
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
         self._arrived = threading.Condition()
         self._times: list[float] = []
         self._values: list[float] = []
-        self._error = ""
-        self._gap = ""
+        self._flagged: list[str] = []
+        self._heard = -math.inf  # as late as the thread knows of, s
+        self._error, self._lost = "", math.inf  # why and when reading ended before its time
+        self._finished = False
+        self._since = -math.inf  # what was read before is forgotten, s
+        self._judged = -math.inf  # readings until then were looked at as spikes, s
+        self._told = ""
         self._flags: dict[str, int] = {}
-        self._last_flag = ""
         self._identity = ""
         self._count = self._discarded = self._missing = 0
-        self._spikes_before = self._spikes_now = 0
+        self._spikes = 0
 
     # -- in and out
 
@@ -73,8 +89,14 @@ class LineGauge:
         """Connect and read until the first value is there; raises `HardwareError`."""
         assert self._settings.port is not None
         self._stop.clear()
-        self._line = Line(self._settings.port, self._baud_rate, driver=self._settings.driver)
         try:
+            self._line = Line(
+                self._settings.port,
+                self._baud_rate,
+                driver=self._settings.driver,
+                beside=self._beside(),
+                role=self._channel,
+            )
             self._reader = self._make_reader(self._line, self._channel)
             if not self._reader.streams:
                 self._line.settle()
@@ -90,8 +112,9 @@ class LineGauge:
         return self
 
     def __exit__(self, *details: object) -> None:
-        """End reading and close the port."""
-        self._stop.set()
+        """End reading and close the port; a record is read to its end."""
+        if self._line is None or not self._line.replays:
+            self._stop.set()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
@@ -100,11 +123,14 @@ class LineGauge:
 
     def _await_first(self) -> None:
         with self._arrived:
-            self._arrived.wait_for(lambda: bool(self._times or self._error), FIRST)
-        if self._error:
-            raise HardwareError(self._error)
+            self._arrived.wait_for(lambda: bool(self._times or self._finished), FIRST)
         if not self._times:
-            raise HardwareError(f"{self._name}: no reading within {FIRST:g} s")
+            raise HardwareError(self._error or f"{self._name}: no reading within {FIRST:g} s")
+
+    @property
+    def name(self) -> str:
+        """Return who answered, and the port."""
+        return f"{self._identity} on {self._settings.port}"
 
     @property
     def _name(self) -> str:
@@ -112,50 +138,76 @@ class LineGauge:
 
     # -- what a rig asks for
 
-    def begin(self) -> None:
-        """Forget what was read before this recording; raises `HardwareError` where it is lost."""
-        if self._error:
-            raise HardwareError(self._error)
+    def begin(self, moment: float) -> None:
+        """Forget what was read before a recording begins at `moment`, s.
+
+        Raises `HardwareError` where the instrument is lost by then.
+        """
         with self._arrived:
-            old = time.monotonic() - NEAR[self._channel]
-            keep = int(np.searchsorted(self._times, old))
-            del self._times[:keep], self._values[:keep]
-            self._gap = ""
-        self._spikes_before += self._spikes_now
-        self._spikes_now = 0
+            self._wait_for(lambda: self._heard >= moment, 0.0)
+            if self._error and self._lost <= moment:
+                raise HardwareError(self._error)
+            self._since = moment - NEAR[self._channel]
+            old = bisect_left(self._times, self._since)
+            del self._times[:old], self._values[:old], self._flagged[:old]
+            self._told = ""
 
     def at(self, moments: Array) -> Array:
-        """Return the last readings (n,) until moments (n,) of `time.monotonic()`.
+        """Return the last readings (n,) until moments (n,) of the line's clock, s.
 
         NaN where they are old, or where the instrument had no value; see `problem`.
         """
         if len(moments) == 0:
             return np.empty(0)
+        near, last = NEAR[self._channel], float(moments[-1])
         with self._arrived:
-            last = float(moments[-1])
-            self._arrived.wait_for(lambda: bool(self._error) or self._covers(last), WAIT)
-            times, values = np.array(self._times), np.array(self._values)
-            flag = self._last_flag
-        good = ~spikes(values, self._reader.resolution)
-        self._spikes_now = int(np.count_nonzero(~good))
-        found = latest(times[good], values[good], moments, NEAR[self._channel])
+            self._wait_for(lambda: self._knows(last), last + WAIT)
+            first = bisect_left(self._times, max(self._since, float(moments[0]) - near))
+            some = slice(max(0, first - USUAL), self._end(last))
+            times, values = np.array(self._times[some]), np.array(self._values[some])
+            flag = self._flagged[some.stop - 1] if some.stop else ""
+            lost = not self._covers(last) and self._lost <= last + WAIT
+        alone = spikes(values, self._reader.resolution)
+        self._spikes += int(np.count_nonzero(alone & (times > self._judged)))
+        if len(times) > 1:
+            self._judged = max(self._judged, times[-2])
+        found = latest(times[~alone], values[~alone], moments, near)
         lacking = int(np.count_nonzero(np.isnan(found)))
-        if lacking:
-            self._missing += lacking
+        self._missing += lacking
+        if lost:
+            self._told = self._error
+        elif lacking:
             why = f"its last word was: {flag}" if flag else "silence, or damaged lines"
-            self._gap = (
+            self._told = (
                 f"{self._name}: {lacking} samples have no reading near them: {why}; look at the "
                 "instrument, its range, cable and battery"
             )
         return self._settings.scale * found + self._settings.offset
 
+    def _wait_for(self, known: Callable[[], bool], moment: float) -> None:
+        """Wait until something is known, or no longer than until a moment of the line's clock."""
+        assert self._line is not None
+        if self._line.replays:  # the clock is the record's, and comes to an end by itself
+            self._arrived.wait_for(lambda: known() or self._finished)
+        else:
+            left = moment - (time.monotonic() - self._line.opened)
+            self._arrived.wait_for(lambda: known() or self._finished, min(max(0.0, left), WAIT))
+
+    def _knows(self, moment: float) -> bool:
+        return self._covers(moment) or self._heard >= moment + WAIT
+
     def _covers(self, moment: float) -> bool:
-        """Say whether two readings follow: the second tells whether the first is a spike."""
-        return len(self._times) > 1 and self._times[-2] >= moment
+        """Say whether two readings follow soon: the second tells if the first is a spike."""
+        return self._end(moment) - bisect_left(self._times, moment) >= 2
+
+    def _end(self, moment: float) -> int:
+        """Return how many readings are used: up to the second that follows, unless it is late."""
+        follow = bisect_left(self._times, moment) + 2
+        return min(follow, bisect_right(self._times, moment + WAIT))
 
     def problem(self) -> str | None:
         """Return why the run cannot go on: readings are missing or the line is lost, or None."""
-        return self._error or self._gap or None
+        return self._told or None
 
     def report(self) -> dict[str, Any]:
         """Return what is to be kept about the instrument with a run."""
@@ -169,7 +221,7 @@ class LineGauge:
             "readings": self._count,
             "missing_samples": self._missing,
             "discarded_lines": self._discarded,
-            "spikes": self._spikes_before + self._spikes_now,
+            "spikes": self._spikes,
             "flags": dict(sorted(self._flags.items())),
             "retries": counts.get("retries", 0),
             "timeouts": counts.get("timeouts", 0),
@@ -179,40 +231,52 @@ class LineGauge:
     # -- the thread
 
     def _run(self) -> None:
-        heard = time.monotonic()
-        while not self._stop.is_set():
+        assert self._line is not None
+        try:
+            self._read_on(self._line)
+        except RecordEnd:
+            pass
+        except HardwareError as error:
+            self._give_up(str(error))
+        except Exception as error:  # a mistake here must stop the rig as well
+            self._give_up(f"{type(error).__name__}: {error}")
+        with self._arrived:
+            self._finished = True
+            self._arrived.notify_all()
+
+    def _read_on(self, line: Line) -> None:
+        valid = line.now()
+        while not (self._stop.is_set() or line.over):
             try:
                 reading = self._reader.read()
             except (LineTimeout, DamagedReply) as error:  # of one that sends by itself
                 self._discarded += isinstance(error, DamagedReply)
-                if time.monotonic() - heard > SILENCE:
-                    self._give_up(f"no valid reading for {SILENCE:g} s: {error}")
-                    return
+                with self._arrived:
+                    self._heard = line.now()
+                if self._heard - valid > SILENCE:
+                    raise HardwareError(f"no valid reading for {SILENCE:g} s: {error}") from None
                 continue
-            except HardwareError as error:
-                self._give_up(str(error))
-                return
-            except Exception as error:  # a mistake here must stop the rig as well
-                self._give_up(f"{type(error).__name__}: {error}")
-                return
-            heard = time.monotonic()
-            self._take(reading, heard)
-            self._stop.wait(self._reader.pause)
+            valid = self._take(reading, line)
+            line.pause(self._reader.pause)
 
-    def _take(self, reading: Reading, moment: float) -> None:
+    def _take(self, reading: Reading, line: Line) -> float:
+        """Keep a reading with the time of its arrival, and return that, s."""
         with self._arrived:
+            self._heard = line.now()
             self._count += 1
             if reading.flag:
                 self._flags[reading.flag] = self._flags.get(reading.flag, 0) + 1
-            self._last_flag = "" if reading.flag == UNSTABLE else reading.flag
-            self._times.append(moment)
+            self._times.append(self._heard)
             self._values.append(reading.value)
+            self._flagged.append("" if reading.flag == UNSTABLE else reading.flag)
             self._arrived.notify_all()
+            return self._heard
 
     def _give_up(self, why: str) -> None:
+        assert self._line is not None
         with self._arrived:
-            self._error = f"{self._name}: {why}" if not self._stop.is_set() else ""
-            self._arrived.notify_all()
+            if not self._stop.is_set():
+                self._error, self._lost = f"{self._name}: {why}", self._line.now()
 
 
 def latest(times: Array, values: Array, moments: Array, near: float) -> Array:
