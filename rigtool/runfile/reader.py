@@ -9,14 +9,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,18 +22,13 @@ from rigtool.errors import RigtoolError, RunFileError
 from rigtool.quantity import Quantity
 from rigtool.runfile import provenance, schema, tree
 from rigtool.runfile.model import Channel, Column, Table
+from rigtool.runfile.opened import DAMAGED, OpenFile, SharedFile, guard, require_schema
 
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
 
 BLOCK = 8 * schema.CHUNK
 """Samples that `Recording.blocks` reads at a time: what fits a processor's cache."""
-
-_CHUNK_CACHE = {"rdcc_nbytes": 2 * 8 * schema.CHUNK, "rdcc_nslots": 101}
-"""Two chunks for each open signal: blocks end where chunks do, so that none is read twice, and
-HDF5's own 8 MiB would only push the samples out of the processor's cache."""
-
-_DAMAGED = "restore it from a copy, or make it anew"
 
 
 class Recording:
@@ -45,7 +38,9 @@ class Recording:
     counts.
     """
 
-    def __init__(self, file: h5py.File, group: tree.Group, path: str | os.PathLike[str]) -> None:
+    def __init__(
+        self, file: OpenFile | SharedFile, group: tree.Group, path: str | os.PathLike[str]
+    ) -> None:
         self._file = file
         self._group = group
         self._path = Path(path)
@@ -116,7 +111,8 @@ class Recording:
             )
         with guard(self._path, f"channel {channel!r} of recording {self.name!r}"):
             signal = self._group.values[channel]
-            return tree.read_samples(self._file, signal, start, self.size if stop is None else stop)
+            with self._file.use() as file:
+                return tree.read_samples(file, signal, start, self.size if stop is None else stop)
 
     def sha256(self, channel: str) -> str | None:
         """Return the stored hash of a channel's samples; None in an unfinished run."""
@@ -157,7 +153,9 @@ class Recording:
 class Run:
     """An open run file; use as a context manager. Made by `open_run`."""
 
-    def __init__(self, file: h5py.File, root: tree.Group, path: str | os.PathLike[str]) -> None:
+    def __init__(
+        self, file: OpenFile | SharedFile, root: tree.Group, path: str | os.PathLike[str]
+    ) -> None:
         self._file = file
         self.path = Path(path)
         entry = root.group(schema.ENTRY)
@@ -256,58 +254,17 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     Schema version, structure, and the hashes of everything but the samples of signals are checked
     here; samples are when they are read.
     """
-    file = open_hdf5(path)
+    shared = SharedFile(path)
     try:
-        with guard(path, "the file"):
+        with guard(path, "the file"), shared.use() as file:
             require_schema(file, path)
             root = tree.load(file)
-            run = Run(file, root, path)
+            run = Run(shared, root, path)
             _require_hashes(root, run.provenance, path)
             return run
     except BaseException:
-        file.close()
+        shared.close()
         raise
-
-
-def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
-    """Open an HDF5 file for reading only; raises `RunFileError` with the reason."""
-    path = Path(path)
-    if not path.is_file():
-        what = "is a folder, not a file" if path.is_dir() else "no such file"
-        raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
-    try:
-        with path.open("rb") as stream:
-            size, magic = os.fstat(stream.fileno()).st_size, stream.read(8)
-    except OSError as error:
-        raise RunFileError(f"{path}: cannot be read: {error.strerror}") from error
-    if magic != b"\x89HDF\r\n\x1a\n":
-        what = "is empty" if size == 0 else "is not an HDF5 file"
-        raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
-    try:
-        return h5py.File(path, "r", locking="best-effort", **_CHUNK_CACHE)
-    except Exception as error:
-        raise RunFileError(f"{path}: {_open_problem(path, str(error))}") from error
-
-
-def require_schema(file: h5py.File, path: str | os.PathLike[str]) -> None:
-    """Raise `RunFileError` unless the file is a run file of a version that this rigtool reads."""
-    if tree.root_text(file, "schema") != schema.SCHEMA:
-        raise RunFileError(
-            f"{path}: is HDF5 but not a run file of rigtool (no attribute schema = "
-            f"{schema.SCHEMA}); other people's data come in through `rigtool import`"
-        )
-    found = str(tree.root_text(file, "schema_version"))
-    try:
-        major = schema.parse_version(found)[0]
-    except ValueError:
-        raise RunFileError(
-            f"{path}: its schema version {found!r} is no version; {_DAMAGED}"
-        ) from None
-    if major > schema.VERSION[0]:
-        raise RunFileError(
-            f"{path}: has schema version {found}, this rigtool reads versions up to "
-            f"{schema.VERSION[0]}.x: use a newer rigtool"
-        )
 
 
 def _require_hashes(
@@ -322,30 +279,8 @@ def _require_hashes(
     record = provenance.record_sha256(root, content)
     if (stored.get("content_sha256"), stored["record_sha256"]) != (content, record):
         raise RunFileError(
-            f"{path}: does not match its own hash: it is damaged or was edited; {_DAMAGED}"
+            f"{path}: does not match its own hash: it is damaged or was edited; {DAMAGED}"
         )
-
-
-def _open_problem(path: Path, reason: str) -> str:
-    if "truncated" in reason:
-        return f"is truncated: its end is missing; {_DAMAGED}"
-    if "already open for write" in reason or "consistency flags" in reason:
-        return (
-            "was not closed: it is being written, or its writer was killed; wait, or "
-            f"`rigtool recover {path}`"
-        )
-    return f"cannot be read as HDF5: {reason}; {_DAMAGED}"
-
-
-@contextmanager
-def guard(path: str | os.PathLike[str], what: str) -> Iterator[None]:
-    """Turn whatever h5py raises on a damaged file into `RunFileError`."""
-    try:
-        yield
-    except RigtoolError:
-        raise
-    except Exception as error:  # damaged files make h5py raise nearly anything
-        raise RunFileError(f"{path}: {what} is damaged: {error}; {_DAMAGED}") from error
 
 
 @lru_cache(maxsize=8)

@@ -11,7 +11,8 @@ import numpy as np
 from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import schema, tree
 from rigtool.runfile.model import RecordingSpec
-from rigtool.runfile.reader import Recording, Run, guard, open_hdf5, require_schema
+from rigtool.runfile.opened import OpenFile, guard, open_hdf5, require_schema
+from rigtool.runfile.reader import Recording, Run
 from rigtool.runfile.storage import storage_errors
 from rigtool.runfile.unclosed import open_unclosed
 from rigtool.runfile.writer import RunWriter
@@ -85,7 +86,7 @@ def _open_unfinished(path: Path) -> Run:
     try:
         with guard(path, "the file"):
             require_schema(file, path)
-            run = Run(file, tree.load(file), path)
+            run = Run(OpenFile(file), tree.load(file), path)
     except RunFileError as error:
         file.close()
         raise RunFileError(

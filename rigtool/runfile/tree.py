@@ -75,10 +75,13 @@ def read_samples(file: h5py.File, signal: Values, start: int, stop: int) -> NDAr
     count = max(0, min(stop, signal.shape[0]) - start)
     samples = np.empty(count, signal.kind)
     if count:
-        chosen = h5py.h5s.create_simple(signal.shape)
-        chosen.select_hyperslab((start,), (count,))
         dataset = h5py.h5d.open(file.id, signal.path.encode())
-        dataset.read(h5py.h5s.create_simple((count,)), chosen, samples)
+        if (count,) == dataset.shape:
+            dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, samples)
+        else:
+            chosen = h5py.h5s.create_simple(signal.shape)
+            chosen.select_hyperslab((start,), (count,))
+            dataset.read(h5py.h5s.create_simple((count,)), chosen, samples)
     return samples
 
 
@@ -119,9 +122,9 @@ class _Loader:
         if len(handle) > schema.MAX_MEMBERS:
             raise self._refuse(path, f"has {len(handle)} members, above {schema.MAX_MEMBERS}")
         found = Group(path, self._attributes(handle, path), {}, {})
-        for raw in handle:
+        for raw, kind in self._links(handle):
             name = raw.decode()
-            if handle.links.get_info(raw).type != h5py.h5l.TYPE_HARD:
+            if kind != h5py.h5l.TYPE_HARD:
                 raise self._refuse(path, f"has a link {name!r} that leads elsewhere")
             below = f"{path.rstrip('/')}/{name}"
             member = h5py.h5o.open(handle, raw)
@@ -133,10 +136,21 @@ class _Loader:
                 raise self._refuse(below, "is neither group nor dataset")
         return found
 
+    def _links(self, handle: Any) -> list[tuple[bytes, int]]:
+        """Return name and type of the members of a group, in the order they were written."""
+        found: list[tuple[bytes, int]] = []
+        ordered = handle.get_create_plist().get_link_creation_order() & h5py.h5p.CRT_ORDER_TRACKED
+        handle.links.iterate(
+            lambda name, info: found.append((name, info.type)),
+            info=True,
+            idx_type=h5py.h5.INDEX_CRT_ORDER if ordered else h5py.h5.INDEX_NAME,
+        )
+        return found
+
     def _values(self, handle: Any, path: str) -> Values:
         kind = handle.get_type()
         text = self._is_text(kind, path)
-        dtype = None if text else handle.dtype
+        dtype = None if text else kind.dtype
         shape = handle.shape
         self._check(handle, path, shape, dtype)
         attributes = self._attributes(handle, path)
@@ -167,8 +181,8 @@ class _Loader:
             if self._is_text(kind, path):
                 found[name.decode()] = _decoded(_read(attribute.read, shape, kind))
                 continue
-            array = np.empty(shape, attribute.dtype)
-            attribute.read(array)
+            array = np.empty(shape, kind.dtype)
+            attribute.read(array, kind)
             found[name.decode()] = array.tolist()
         return found
 

@@ -23,7 +23,8 @@ from rigtool.errors import RigtoolError, UsageError
 from rigtool.quantity import Quantity
 from rigtool.runfile import layout, provenance, schema, tree
 from rigtool.runfile.model import RecordingSpec, Table
-from rigtool.runfile.reader import Recording, Run, open_hdf5
+from rigtool.runfile.opened import OpenFile, open_hdf5
+from rigtool.runfile.reader import Recording, Run
 from rigtool.runfile.storage import flush, reserve, storage_errors, sync_folder, sync_path
 from rigtool.runfile.stream import Stream
 
@@ -152,7 +153,7 @@ class RunWriter:
             self._complete(stream)
             self._sync()
             file = self._file
-        return Recording(file, tree.load(file, stream.path), self.path)
+        return Recording(OpenFile(file), tree.load(file, stream.path), self.path)
 
     def recorded(self) -> Run:
         """Return all recordings, complete and readable; the run has no results yet."""
@@ -160,7 +161,7 @@ class RunWriter:
             with storage_errors(self.path):
                 self._close_streams()
                 file = open_hdf5(self.part)
-                self._recorded = Run(file, tree.load(file), self.path)
+                self._recorded = Run(OpenFile(file), tree.load(file), self.path)
         return self._recorded
 
     def finish(

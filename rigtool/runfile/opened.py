@@ -1,0 +1,162 @@
+"""HDF5 files that are read: opened with the reasons why one cannot be, and shut while many are.
+
+Whatever is wrong with a file becomes a `RunFileError` that says what to do.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import ClassVar
+
+import h5py
+
+from rigtool.errors import RigtoolError, RunFileError
+from rigtool.runfile import schema, tree
+
+MAX_OPEN = 8
+"""Files that are kept open between two reads: each takes most of a megabyte, and h5py takes longer
+to close one the more there are."""
+
+_CHUNK_CACHE = {"rdcc_nbytes": 2 * 8 * schema.CHUNK, "rdcc_nslots": 101}
+"""Two chunks for each open signal: blocks end where chunks do, so that none is read twice, and
+HDF5's own 8 MiB would only push the samples out of the processor's cache."""
+
+DAMAGED = "restore it from a copy, or make it anew"
+
+
+class OpenFile:
+    """An HDF5 file that stays open from one use to the next."""
+
+    def __init__(self, file: h5py.File) -> None:
+        self._file = file
+
+    @contextmanager
+    def use(self) -> Iterator[h5py.File]:
+        """Lend the file for one read."""
+        yield self._file
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class SharedFile:
+    """A stored file among any number of others: only the `MAX_OPEN` last used are kept open.
+
+    A file that was shut is opened again by its next use, and refused if it is not the same any
+    more: what was checked when it was first opened would not hold.
+    """
+
+    _lock = threading.RLock()
+    _in_use: ClassVar[dict[SharedFile, h5py.File]] = {}
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = path
+        self._identity: tuple[int, ...] | None = None
+        self._closed = False
+
+    @contextmanager
+    def use(self) -> Iterator[h5py.File]:
+        """Lend the file for one read; raises `RunFileError` where it was replaced meanwhile."""
+        with self._lock:  # of several threads only one at a time is in HDF5 anyway
+            assert not self._closed, "a closed run is not read"
+            file = self._in_use.pop(self, None) or self._open()
+            self._in_use[self] = file  # behind all others
+            for oldest in list(self._in_use)[:-MAX_OPEN]:
+                oldest._shut()
+            yield file
+
+    def close(self) -> None:
+        """Close the file for good."""
+        with self._lock:
+            self._shut()
+            self._closed = True
+
+    def _shut(self) -> None:
+        # Nothing of the file may stay: whatever h5py closes, it goes through all that it knows.
+        if (file := self._in_use.pop(self, None)) is not None:
+            file.close()
+
+    def _open(self) -> h5py.File:
+        file = open_hdf5(self._path)
+        identity = _identity(file)
+        if self._identity not in (None, identity):
+            file.close()
+            raise RunFileError(
+                f"{self._path}: was replaced or changed while it was being read: run the command "
+                "again"
+            )
+        self._identity = identity
+        return file
+
+
+def _identity(file: h5py.File) -> tuple[int, ...]:
+    found = os.fstat(file.id.get_vfd_handle())
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
+    """Open an HDF5 file for reading only; raises `RunFileError` with the reason."""
+    path = Path(path)
+    if not path.is_file():
+        what = "is a folder, not a file" if path.is_dir() else "no such file"
+        raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
+    try:
+        with path.open("rb") as stream:
+            size, magic = os.fstat(stream.fileno()).st_size, stream.read(8)
+    except OSError as error:
+        raise RunFileError(f"{path}: cannot be read: {error.strerror}") from error
+    if magic != b"\x89HDF\r\n\x1a\n":
+        what = "is empty" if size == 0 else "is not an HDF5 file"
+        raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
+    try:
+        return h5py.File(path, "r", locking="best-effort", **_CHUNK_CACHE)
+    except Exception as error:
+        raise RunFileError(f"{path}: {_open_problem(path, str(error))}") from error
+
+
+def require_schema(file: h5py.File, path: str | os.PathLike[str]) -> None:
+    """Raise `RunFileError` unless the file is a run file of a version that this rigtool reads."""
+    if tree.root_text(file, "schema") != schema.SCHEMA:
+        raise RunFileError(
+            f"{path}: is HDF5 but not a run file of rigtool (no attribute schema = "
+            f"{schema.SCHEMA}); other people's data come in through `rigtool import`"
+        )
+    found = str(tree.root_text(file, "schema_version"))
+    try:
+        major = schema.parse_version(found)[0]
+    except ValueError:
+        raise RunFileError(
+            f"{path}: its schema version {found!r} is no version; {DAMAGED}"
+        ) from None
+    if major > schema.VERSION[0]:
+        raise RunFileError(
+            f"{path}: has schema version {found}, this rigtool reads versions up to "
+            f"{schema.VERSION[0]}.x: use a newer rigtool"
+        )
+
+
+def _open_problem(path: Path, reason: str) -> str:
+    if "truncated" in reason:
+        return f"is truncated: its end is missing; {DAMAGED}"
+    if "already open for write" in reason or "consistency flags" in reason:
+        return (
+            "was not closed: it is being written, or its writer was killed; wait, or "
+            f"`rigtool recover {path}`"
+        )
+    return f"cannot be read as HDF5: {reason}; {DAMAGED}"
+
+
+@contextmanager
+def guard(path: str | os.PathLike[str], what: str) -> Iterator[None]:
+    """Turn whatever h5py raises on a damaged file into `RunFileError`."""
+    try:
+        yield
+    except RigtoolError:
+        raise
+    except Exception as error:  # damaged files make h5py raise nearly anything
+        raise RunFileError(f"{path}: {what} is damaged: {error}; {DAMAGED}") from error
