@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.analysis.position_map import PositionMap, position_map
 from rigtool.analysis.quantised_table import Sampled, interpolated_codes
-from rigtool.errors import HardwareError, UsageError
+from rigtool.errors import HardwareError, InsufficientDataError, UsageError
 from rigtool.procedures.table_export import in_unit
 from rigtool.procedures.table_origin import learned_table_from, told_loss
 from rigtool.recipe import Recipe
@@ -23,6 +24,8 @@ from rigtool.rigs.serial.drivers import driver_module
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.table_store import DriveTable, EncoderZero, TableStore
 from rigtool.runfile import Run
+
+Array = NDArray[np.float64]
 
 TIMEOUT = 1.0
 """Longest wait for an answer, s: a drive that writes its flash is busy."""
@@ -51,12 +54,14 @@ def deploy(
     """Store the table of a run in the drive of a recipe; with `dry_run` only look.
 
     Raises `UsageError` for a table that no drive can hold or that is not this rig's,
+    `InsufficientDataError` for one that made the motor run worse when it was tried,
     `HardwareError` for a drive that keeps no table, or where storing fails: then the table that
     was there is back.
     """
     module = _module(recipe)
     assert recipe.serial is not None
     turn, remarks = _map(tables, recipe, speed, kt)
+    remarks.append(_told_ripple(tables, turn.speed))
     remarks = [*remarks, *_origin_remarks(tables, recipe)]
     settings = recipe.serial
     baud_rate = settings.baud_rate or module.BAUD_RATE
@@ -131,6 +136,30 @@ def _map(
     if not turn.both_directions:
         remarks.append("one direction alone: friction that varies with position is in the map")
     return turn, remarks + learned.friction_told()
+
+
+def _told_ripple(tables: Run, speed: float) -> str:
+    """Say what the table left of the ripple when it was tried, at the learned speed next to this.
+
+    Raises `InsufficientDataError` where it left no less than there was.
+    """
+    tried = tables.table("residual_waveforms").columns
+    distance = np.abs(np.abs(tried["speed"].values) - abs(speed))
+    next_to = distance == distance.min()
+    before, after = (_ripple(tried[name].values[next_to]) for name in ("before", "residual"))
+    told = f"from {before * 1e3:.3g} to {after * 1e3:.3g} mN m (rms, mean of directions)"
+    if after >= before:
+        raise InsufficientDataError(
+            f"{tables.path}: with the table switched on, ripple went {told}: it would make the "
+            "motor run worse. [rig.controller] has to be the loop that the drive closes, and "
+            "ilc_learn.robustness_hz below its bandwidth: correct them, and learn again"
+        )
+    return f"when the table was tried while learning, ripple went {told}"
+
+
+def _ripple(waveforms: Array) -> float:
+    """Return the rms of waveforms (directions, positions), their mean without its offset."""
+    return float(np.std(waveforms.mean(axis=0)))
 
 
 def _line_facts(run: Run) -> dict[str, Any]:

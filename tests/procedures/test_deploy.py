@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 
 from rigtool.analysis.position_map import position_map
-from rigtool.errors import HardwareError, UsageError
+from rigtool.errors import HardwareError, InsufficientDataError, UsageError
+from rigtool.procedures import fft_ripple
 from rigtool.procedures.deploy import deploy
+from rigtool.procedures.ilc import turning
 from rigtool.procedures.table_export import in_unit
 from rigtool.procedures.table_origin import learned_table_from
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.moteus import TABLE, MoteusEmulator
+from rigtool.rigs.serial.emulators.motor import Motor
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.moteus_frames import text_to_drive
 from rigtool.rigs.serial.moteus_link import Link
@@ -254,3 +257,101 @@ def test_a_virtual_rig_has_no_drive(capsys):
     code, _, err = call(capsys, "deploy", FIXTURES / "turning.h5", "--rig", RECIPE)
     assert code == 2
     assert "the rig briaire-2006 is virtual" in err
+
+
+def test_a_table_that_made_it_worse_is_refused(tables, kt):
+    waveforms = tables.tables["residual_waveforms"].columns
+    before = waveforms["before"].values
+    np.copyto(waveforms["residual"].values, 1.2 * before)
+    device = MoteusEmulator()
+    with (
+        serve(device) as server,
+        pytest.raises(InsufficientDataError, match="it would make the motor run worse"),
+    ):
+        run_deploy(server.port, tables, kt)
+    assert device.log == []
+
+
+# -- learned on a drive, stored in it, and measured again
+
+TURNS_PER_S = 2.0
+OWN_LOOP = (
+    "rig.sample_time=0.004",
+    # as the drive is tuned: kd/J = 180 rad/s, kp/kd = 60 rad/s
+    "rig.controller.crossover_hz=28",
+    "rig.controller.integrator_hz=0",
+    "rig.controller.lowpass_hz=120",
+)
+TURNING = (
+    "ilc_learn.robustness_hz=20",
+    f"ilc_learn.turning.speeds_rev_per_s=[{TURNS_PER_S}]",
+    "ilc_learn.turning.low_speeds_rev_per_s=[]",
+    "ilc_learn.turning.revolutions=3",
+    "ilc_learn.turning.record_every=1",
+)
+RIPPLE = (
+    f"fft_ripple.speeds=[{2 * math.pi * TURNS_PER_S}]",
+    "fft_ripple.torques=[]",
+    "fft_ripple.power_cycles=0",
+    "fft_ripple.revolutions=3",
+    "fft_ripple.record_every=1",
+)
+
+
+class Cogging(Motor):
+    """A motor with torque that depends on where its shaft is."""
+
+    def _step(self, dt, *what):
+        torque = 1.5e-3 * math.sin(2 * self.position + 0.4) + 1e-3 * math.cos(6 * self.position - 1)
+        self.speed -= dt * torque / self.inertia
+        super()._step(dt, *what)
+
+
+def ripple_of(path):
+    """Return ripple of the controller's torque, N m, and of the position, rad; rms of a steady run.
+
+    The second is of the encoder alone, whatever the drive says of its torques.
+    """
+    with open_run(path) as run:
+        recording = run.recording("speed_000")
+        time = recording.read("time")
+        steady = (time > recording.condition("steady_from")) & (
+            time < recording.condition("steady_until")
+        )
+        angle = recording.read("encoder")[steady] * (2 * math.pi / 4000)
+        evenly = np.polynomial.Polynomial.fit(time[steady], angle, 1)
+        return run.result("repeatable_rms").value, float(np.std(angle - evenly(time[steady])))
+
+
+def test_a_table_learned_on_the_drive_makes_it_run_evenly(tmp_path, capsys, monkeypatch):
+    for module in (turning, fft_ripple):
+        monkeypatch.setattr(module, "ACCELERATION", 100.0)
+        monkeypatch.setattr(module, "SETTLE_TIME", 0.1)
+    device = MoteusEmulator(encoder=0.31, sign=-1)
+    device.motor = Cogging()
+    kt = ("--kt", FIXTURES / "kt.h5")
+    before, tables, after = (tmp_path / f"{name}.h5" for name in ("before", "tables", "after"))
+
+    def run(command, *more, settings=()):
+        on_line = overrides(
+            server.port, "rig.attachment=pulley", *OWN_LOOP, *settings, driver="moteus"
+        )
+        changes = [part for value in on_line for part in ("--set", value)]
+        code, out, err = call(capsys, command, *more, *kt, *changes, "--yes")
+        assert code == 0, err
+        return out + err
+
+    with serve(device) as server:
+        run("fft-ripple", RECIPE, "-o", before, settings=RIPPLE)
+        run("ilc-learn", RECIPE, "--implementation", "B", "-o", tables, settings=TURNING)
+        told = run("deploy", tables, "--rig", RECIPE)
+        run("fft-ripple", RECIPE, "-o", after, settings=RIPPLE)
+    assert server.error is None
+    assert "stored and read back" in told
+    assert "ripple went from" in told
+    assert device.stored["motor.cogging_dq_scale"] > 0
+    with open_run(after) as run_with_it:
+        assert "cogging table is on" in run_with_it.provenance["line"]
+    (torque, unevenness), (torque_left, unevenness_left) = ripple_of(before), ripple_of(after)
+    assert torque_left < torque / 3
+    assert unevenness_left < unevenness / 3
