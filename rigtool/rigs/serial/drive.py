@@ -18,13 +18,15 @@ class Abilities:
     `channels` are those of a `Sample` that it fills: some of `current`, `current_setpoint`,
     `temperature`. Position is always there. `feedforward` says whether a current may be added in
     the modes `position` and `velocity`; `watchdog`, whether it stops by itself when the line falls
-    silent.
+    silent. `moves_along` says whether in mode `position` the set point goes on at its speed until
+    the next one comes; where it stands still meanwhile, each one is a step, which shows in current.
     """
 
     modes: frozenset[Mode]
     feedforward: bool
     channels: frozenset[str]
     watchdog: bool = True
+    moves_along: bool = False
 
 
 @dataclass(frozen=True)

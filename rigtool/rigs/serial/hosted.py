@@ -3,6 +3,10 @@
 The host's loop has the period `rig.sample_time`; a thread of its own owns the line while a motion
 runs, so that writing files does not disturb it. A tick that comes late is made up for, and each
 sample carries the time at which it was taken; how evenly is in the run's record of the line.
+
+A drive whose set point of position stands still between two of them answers each with a step of
+current. It is made to follow speeds, which the host corrects by what is left of the position; where
+it takes positions only, `between` tells what that does to the samples.
 """
 
 from __future__ import annotations
@@ -22,9 +26,11 @@ from rigtool.rigs.base import NEEDS, Block, Task
 from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move, OpenLoop
 from rigtool.rigs.serial import safety
+from rigtool.rigs.serial.between import ROOM, Between, usual_time
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
+from rigtool.rigs.serial.ticks import Clock
 
 Array = NDArray[np.float64]
 
@@ -33,6 +39,12 @@ BLOCK_TIME = 0.25
 
 RATE_READINGS = 40
 """Readings at standstill by which the rate of a line is found."""
+
+CORRECTED = 0.3
+"""Part of an error of position that is taken back in a period at most."""
+
+LONGER = 1.5
+"""Period that is recommended, in times of a reading."""
 
 COLUMNS = (
     "time",
@@ -66,6 +78,7 @@ class HostedRig(SerialRig):
         self._drive: Drive | None = None
         self._configured = False
         self._ticks = self._late = 0
+        self._between = Between()
         self._longest_gap = self._driven = 0.0
 
     @property
@@ -97,17 +110,20 @@ class HostedRig(SerialRig):
 
     def _require_rate(self) -> None:
         """Refuse a loop that the line cannot keep up with."""
-        start = self.line.now()
-        for _ in range(RATE_READINGS):
-            self.drive.read()
-        period = (self.line.now() - start) / RATE_READINGS
-        wanted = self._recipe.rig.sample_time
-        if period > wanted:
+        usual = usual_time(self.drive.read, self.line, RATE_READINGS)
+        wanted, needed = self._recipe.rig.sample_time, usual
+        why = "a reading"
+        if self.steps_in_position:
+            needed = (1 + ROOM) * usual
+            why = "two readings and a half, to see what its steps of position do to current,"
+        if needed > wanted:
+            longer = _rounded_up(LONGER * needed)
             raise RecipeError(
-                f"rig.sample_time is {wanted:g} s, and a reading on {self.line.port} takes "
-                f"{period * 1e3:.2f} ms: set it to {1.5 * period:.1g} s or more, or use a faster "
-                "line"
+                f"rig.sample_time is {wanted:g} s, and {why} on {self.line.port} takes "
+                f"{needed * 1e3:.2f} ms (median of {RATE_READINGS}): set it to {longer:g} s or "
+                "more, or use a faster line"
             )
+        self._between.reading = usual
 
     def _halt(self) -> None:
         if self._drive is not None and self._configured:
@@ -151,6 +167,8 @@ class HostedRig(SerialRig):
             "rate_hz": round(rate, 3),
             "late_samples": self._late,
             "longest_gap_s": round(self._longest_gap, 6),
+            "steps_in_position": self.steps_in_position,
+            "between_set_points": list(self._between.found()),
         }
 
     # -- motions
@@ -179,8 +197,16 @@ class HostedRig(SerialRig):
 
     @property
     def mode(self) -> Mode:
-        """How motions are followed: by position, or by speed with the host's correction."""
-        return "position" if "position" in self.drive.abilities.modes else "velocity"
+        """How motions are followed: by speed with the host's correction, unless it moves along."""
+        able = self.drive.abilities
+        if "velocity" in able.modes and not able.moves_along:
+            return "velocity"
+        return "position" if "position" in able.modes else "velocity"
+
+    @property
+    def steps_in_position(self) -> bool:
+        """Whether the drive is sent positions between which it stands still."""
+        return self.mode == "position" and not self.drive.abilities.moves_along
 
 
 class _Loop:
@@ -191,7 +217,11 @@ class _Loop:
         self._drive, self._line = rig.drive, rig.line
         self._recipe = rig._recipe
         self._watch = safety.Watch(rig._limits, self._recipe.rig.encoder_counts)
+        self._clock = Clock(rig.line, self._recipe.rig.sample_time, rig._settings.watchdog)
         self._rows: list[tuple[float, ...]] = []
+        self._open_loop = isinstance(task.motion, OpenLoop)
+        self._gain = min(rig._settings.position_gain, CORRECTED / self._recipe.rig.sample_time)
+        self._start = self._origin = 0.0
         self.ticks = self.late = 0
         self.longest_gap = self.elapsed = 0.0
 
@@ -208,54 +238,61 @@ class _Loop:
             self._hand_on()
 
     def _ticking(self, stop: threading.Event) -> None:
-        task, line, rig = self._task, self._line, self._rig
+        task, line, between = self._task, self._line, self._rig._between
         dt = self._recipe.rig.sample_time
-        open_loop = isinstance(task.motion, OpenLoop)
-        origin = rig._position()
-        begin = origin
+        last = self._drive.read()
+        begin = self._origin = last.position
         motion = task.motion
         if not isinstance(motion, OpenLoop) and motion.start is not None:
-            origin = motion.start
-        self._drive.enable("current" if open_loop else rig.mode)
+            self._origin = motion.start
+        self._drive.enable("current" if self._open_loop else self._rig.mode)
         block = max(1, round(BLOCK_TIME / dt / task.record_every)) * task.record_every
-        start = line.now()
-        last, here = start, begin
+        self._start = start = line.now()
+        probe: Sample | None = None
         for tick in range(round(motion.duration / dt)):
             if stop.is_set():
                 self._drive.halt()
                 return
-            line.sleep_until(start + tick * dt)
-            now = line.now()
-            lateness = now - start - tick * dt
-            if lateness > rig._settings.watchdog:
-                raise HardwareError(
-                    f"{line.port}: the loop is {lateness * 1e3:.0f} ms late after {tick} samples: "
-                    f"this line does not keep a period of {dt:g} s; set rig.sample_time longer"
-                )
-            setpoint, parts = self._setpoint(now - start, origin, here)
+            now, lateness = self._clock.wait(start, tick)
+            setpoint, parts = self._setpoint(now - start, last)
             sample = self._drive.step(setpoint)
-            here = sample.position
-            # What was sent is a little older than the sample: record the set point of its time.
-            wanted = self._wanted(sample.time - start, origin, here)
-            self._note(sample, (wanted, *parts), lateness > dt, sample.time - last)
-            last = sample.time
-            self.elapsed = sample.time - start
+            self._clock.exchanged(now)
+            if probe is not None:
+                self._compare(last, probe, sample)
+            self._note(sample, parts, lateness > dt, sample.time - max(last.time, start))
+            last, probe = sample, None
             if len(self._rows) == block:
                 self._hand_on()
-            if task.stop_angle is not None and open_loop and abs(here - begin) > task.stop_angle:
+            travelled = abs(last.position - begin)
+            if task.stop_angle is not None and self._open_loop and travelled > task.stop_angle:
                 return
+            if not self._open_loop and between.due(tick):
+                probe = between.read(self._drive, line, start + (tick + 1) * dt)
+
+    def _compare(self, before: Sample, probe: Sample, after: Sample) -> None:
+        """Take in a reading between two samples where the motion goes on at a constant speed."""
+        _, speeds, accelerations = self._motion_at(before.time, after.time)
+        if speeds[0] != 0.0 and not accelerations.any():
+            self._rig._between.compare(float(speeds[0]), before, probe, after)
+
+    def _motion_at(self, *moments: float) -> tuple[Array, Array, Array]:
+        """Return position on the drive's zero, speed and acceleration at times of the line."""
+        motion = self._task.motion
+        assert not isinstance(motion, OpenLoop)
+        time = np.clip(np.array(moments) - self._start, 0.0, motion.duration)
+        position, speed, acceleration = motion.setpoint(time)
+        return position + self._origin, speed, acceleration
 
     def _setpoint(
-        self, elapsed: float, origin: float, here: float
+        self, elapsed: float, last: Sample
     ) -> tuple[SetPoint, tuple[float, float, float]]:
         """Return what to send, and (feed-forward, table, signal current) to record."""
         motion, feedforward = self._task.motion, self._task.feedforward
-        time = np.array([min(elapsed, motion.duration)])
         if isinstance(motion, OpenLoop):
+            time = np.array([min(elapsed, motion.duration)])
             return SetPoint(current=float(motion.current(time)[0])), (0.0, 0.0, 0.0)
         constant = self._rig._torque_constant
-        position, speed, acceleration = motion.setpoint(time)
-        position = position + origin
+        position, speed, acceleration = self._motion_at(self._start + elapsed)
         model = float(safety.model_torque(feedforward, speed, acceleration)[0]) / constant
         table = signal = 0.0
         if feedforward.table is not None:
@@ -263,31 +300,35 @@ class _Loop:
         if feedforward.signal is not None:
             step = int(elapsed / self._recipe.rig.sample_time) % len(feedforward.signal)
             signal = float(feedforward.signal[step]) / constant
-        wanted, rate = float(position[0]), float(speed[0])
+        rate = float(speed[0])
         if self._rig.mode == "velocity":
             limit = self._rig._limits.speed
-            rate += self._rig._settings.position_gain * (wanted - here)
+            # Where the shaft should have been when it was measured last: a sample that is older
+            # than the set point would look like a distance that grows with speed and delay.
+            rate += self._gain * (float(self._motion_at(last.time)[0][0]) - last.position)
             rate = min(max(rate, -limit), limit)
-        return SetPoint(wanted, rate, model + table + signal), (model, table, signal)
+        sent = SetPoint(float(position[0]), rate, model + table + signal)
+        return sent, (model, table, signal)
 
-    def _wanted(self, elapsed: float, origin: float, here: float) -> float:
-        """Return the set point of position at a time of the motion, rad."""
-        motion = self._task.motion
-        if isinstance(motion, OpenLoop):
-            return here
-        position, _, _ = motion.setpoint(np.array([min(elapsed, motion.duration)]))
-        return float(position[0]) + origin
+    def _wanted(self, sample: Sample) -> float:
+        """Return the set point of position at the time of a sample, rad.
+
+        What was sent is a little older than the sample.
+        """
+        if self._open_loop:
+            return sample.position
+        return float(self._motion_at(sample.time)[0][0])
 
     def _note(
-        self, sample: Sample, parts: tuple[float, float, float, float], late: bool, gap: float
+        self, sample: Sample, parts: tuple[float, float, float], late: bool, gap: float
     ) -> None:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
         encoder = sample.position * counts
-        setpoint, model, table, signal = parts
+        model, table, signal = parts
         self._rows.append(
             (
                 sample.time,
-                setpoint,
+                self._wanted(sample),
                 encoder,
                 sample.current_setpoint,
                 sample.current,
@@ -300,6 +341,7 @@ class _Loop:
         self.ticks += 1
         self.late += late
         self.longest_gap = max(self.longest_gap, gap)
+        self.elapsed = sample.time - self._start
         problem = self._watch.problem(
             {
                 "time": np.array([sample.time]),
@@ -320,3 +362,9 @@ class _Loop:
             means = table.mean(axis=1)
             self._put({name: means[:, n].copy() for n, name in enumerate(COLUMNS)})
         self._rows.clear()
+
+
+def _rounded_up(period: float) -> float:
+    """Return a period with one digit, not shorter, s."""
+    digit = 10.0 ** math.floor(math.log10(period))
+    return float(f"{math.ceil(period / digit) * digit:.1g}")

@@ -201,7 +201,7 @@ class Moteus:
         if self.motor.has_thermometer:
             channels.add("temperature")
         modes: set[Mode] = {"position", "velocity", "current"}
-        return Abilities(frozenset(modes), True, frozenset(channels))
+        return Abilities(frozenset(modes), True, frozenset(channels), moves_along=True)
 
     # -- settings
 

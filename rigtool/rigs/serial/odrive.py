@@ -132,6 +132,7 @@ class ODrive:
             frozenset({"position", "velocity", "current"}),
             True,
             frozenset({"current", "current_setpoint"} | temperature),
+            moves_along=True,
         )
 
     def _find_thermistor(self) -> None:

@@ -147,7 +147,7 @@ def test_silent_host_is_stopped_by_the_watchdog():
         rig = toy_rig(server.port, "serial.watchdog=0.1").__enter__()
         running = rig.perform(Task(SpeedProfile((0.0, 0.1, 5.0), (0.0, 4.0, 4.0))))
         next(running)
-        assert device.mode == "position"
+        assert device.mode == "velocity"
         rig.line.close()
         wait_until(lambda: device.mode is None)
         assert device.log[-1] == "watchdog"

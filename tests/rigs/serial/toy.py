@@ -81,6 +81,7 @@ class ToyEmulator(Emulator):
                 self.refusals -= 1
                 return sealed("refused")
             case ["s", _, *numbers]:
+                self.turn()  # so far under the set point before
                 self.target = tuple(float(number) for number in numbers)
                 return self.measured() if self.mode else sealed("off")
             case ["e", mode]:

@@ -12,15 +12,17 @@ STEP = 2e-4
 
 @dataclass
 class Motor:
-    """J dw/dt = Kt i - fc sign(w) - fv w; SI units. Current follows at once, within its limit.
+    """J dw/dt = Kt i - load - fc sign(w) - fv w; SI units. Current follows, up to its limit.
 
-    `gain_position` (rad/s)/rad and `gain_speed` A/(rad/s) close the drive's loops.
+    `gain_position` (rad/s)/rad and `gain_speed` A/(rad/s) close the drive's loops. `load` N m is
+    that of a weight, which somebody holds while the power stage is off.
     """
 
     inertia: float = 1.5e-5
     torque_constant: float = 0.045
     coulomb: float = 2.3e-3
     viscous: float = 5e-5
+    load: float = 0.0
     gain_position: float = 60.0
     gain_speed: float = 0.06
     current_limit: float = 10.0
@@ -49,7 +51,9 @@ class Motor:
         steps = max(1, math.ceil(min(span, 1.0) / STEP))
         dt = min(span, 1.0) / steps
         for step in range(steps):
-            behind = (steps - 1 - step) * dt * speed if moving else 0.0
+            # Shaft and set point of one and the same time: that of a step's end would ask for a
+            # current that depends on how long the step is.
+            behind = (steps - step) * dt * speed if moving else 0.0
             self._step(dt, mode, position - behind, speed, current)
 
     def _step(
@@ -66,6 +70,7 @@ class Motor:
         self.current_setpoint = min(max(asked, -self.current_limit), self.current_limit)
         self.current = self.current_setpoint
         torque = self.torque_constant * self.current - self.viscous * self.speed
+        torque -= self.load if mode is not None else 0.0
         # Coulomb friction brakes, and never turns the shaft backwards
         free = self.speed + dt * torque / self.inertia
         brake = dt * self.coulomb / self.inertia

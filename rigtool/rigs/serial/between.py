@@ -1,0 +1,98 @@
+"""Readings between two set points: whether current is the same all through a period of the loop.
+
+A drive that is driven by set points one by one measures where it gets one, always at the same phase
+of the period. Where its loop answers each set point with a step of current, as it does to steps of
+position, that sample is off the mean of the period by an amount that grows with speed and repeats:
+it looks like friction, and no average takes it away. So every few periods the current is read once
+more, at a phase that goes through the whole period, and compared with what the samples before and
+after it say of that moment. The mean difference is what the samples lack.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+
+from rigtool.rigs.serial.drive import Drive, Sample
+from rigtool.rigs.serial.line import Line
+
+EVERY = 4
+"""Periods from one reading in between to the next."""
+
+GOLDEN = (math.sqrt(5) - 1) / 2
+"""Multiples of it, modulo one, fill a period evenly whatever their number."""
+
+ROOM = 1.5
+"""Readings that have to fit into what is left of a period before another one is taken."""
+
+FEWEST = 8
+"""Readings at a speed from which on their mean and scatter are told."""
+
+
+class Between:
+    """Differences of current set point within a period, by speed; `reading` takes so long, s."""
+
+    def __init__(self) -> None:
+        self.reading = 0.0
+        self._sums: dict[float, tuple[int, float, float]] = {}
+        self._taken = 0
+
+    def due(self, tick: int) -> bool:
+        """Say whether to read after this tick."""
+        return tick % EVERY == EVERY - 1
+
+    def read(self, drive: Drive, line: Line, next_tick: float) -> Sample | None:
+        """Wait for a phase of what is left of the period, and measure; None without the time."""
+        left = next_tick - line.now()
+        if left < ROOM * self.reading:
+            return None
+        self._taken += 1
+        line.sleep_until(next_tick - left + (left - self.reading) * (self._taken * GOLDEN % 1.0))
+        return drive.read()
+
+    def compare(self, speed: float, before: Sample, between: Sample, after: Sample) -> None:
+        """Take in a reading, at a constant speed of the set point, rad/s, that is not zero."""
+        value = _current(between)
+        part = (between.time - before.time) / (after.time - before.time)
+        expected = _current(before) + part * (_current(after) - _current(before))
+        difference = math.copysign(1.0, speed) * (value - expected)
+        if math.isfinite(difference):
+            key = float(f"{abs(speed):.3g}")
+            n, total, squares = self._sums.get(key, (0, 0.0, 0.0))
+            self._sums[key] = (n + 1, total + difference, squares + difference**2)
+
+    def found(self) -> Iterator[dict[str, float]]:
+        """Yield speed [rad/s], mean difference and its standard uncertainty [A], and their number.
+
+        A positive difference is current that the samples lack in the direction of motion.
+        """
+        for speed, (n, total, squares) in sorted(self._sums.items()):
+            if n >= FEWEST:
+                mean = total / n
+                variance = max(0.0, squares / n - mean**2) * n / (n - 1)
+                yield {
+                    "speed": speed,
+                    "lacking_current": mean,
+                    "u": math.sqrt(variance / n),
+                    "readings": n,
+                }
+
+
+def _current(sample: Sample) -> float:
+    """Return the current that analyses read; what flows, where the drive does not tell it."""
+    asked = sample.current_setpoint
+    return asked if math.isfinite(asked) else sample.current
+
+
+def usual_time(read: Callable[[], object], line: Line, count: int) -> float:
+    """Return the median time of `count` readings, s: single ones that were repeated do not matter.
+
+    Median, so that neither a retry nor a moment in which the host was busy counts.
+    """
+    times = [line.now()]
+    for _ in range(count):
+        read()
+        times.append(line.now())
+    spans = sorted(b - a for a, b in pairwise(times))
+    return (spans[(count - 1) // 2] + spans[count // 2]) / 2

@@ -1,0 +1,174 @@
+"""What a loop that the host drives reads of friction and load, against what the motor has.
+
+In emulated time: the only error left is that of the method.
+"""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from rigtool.analysis.friction import fit_direction
+from rigtool.analysis.holds import find_holds, pool
+from rigtool.errors import HardwareError, RecipeError
+from rigtool.procedures.stribeck import hold_profile
+from rigtool.recipe.commands import Stribeck
+from rigtool.rigs import Task
+from rigtool.rigs.bench import Bench, Operator
+from rigtool.rigs.motion import SpeedProfile
+from rigtool.rigs.serial import maxon, moteus, odrive
+from rigtool.rigs.serial.drive import Abilities
+from rigtool.rigs.serial.emulators.maxon import Epos4Emulator
+from rigtool.rigs.serial.emulators.moteus import MoteusEmulator
+from rigtool.rigs.serial.emulators.odrive import ODriveEmulator
+from rigtool.rigs.serial.hosted import HostedRig
+from tests.rigs.serial import toy
+from tests.rigs.serial.emulated_time import pass_time
+from tests.rigs.serial.recipes import serial_recipe
+
+CONSTANT = 0.045
+COUNT = 2 * math.pi / 4000
+DRIVES = {
+    "toy": (toy.ToyEmulator, toy.make_drive),
+    "odrive": (ODriveEmulator, odrive.make_drive),
+    "moteus": (MoteusEmulator, moteus.make_drive),
+    "maxon": (Epos4Emulator, maxon.make_drive),
+}
+HOLD = Task(SpeedProfile((0.0, 0.2, 1.2), (0.0, 12.0, 12.0)))
+
+
+class PositionsOnly(toy.ToyDrive):
+    """Takes positions, and stands still between them as far as its set point goes."""
+
+    abilities = Abilities(frozenset({"position"}), True, frozenset({"current", "current_setpoint"}))
+
+
+def make_positions_only(line, recipe):
+    return PositionsOnly(line)
+
+
+def emulated(monkeypatch, name, period, *more, make_drive=None, **world):
+    make_device, usual = DRIVES[name]
+    world, device = pass_time(monkeypatch, make_device, **world)
+    driver = "odrive" if name == "toy" else name
+    recipe = serial_recipe("none", *more, driver=driver, sample_time=period)
+    bench = Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
+    make_drive = make_drive or usual
+    rig = HostedRig(recipe, CONSTANT, "test", bench, make_drive=make_drive, baud_rate=115200)
+    return world, device, rig
+
+
+def perform(rig, task):
+    blocks = list(rig.perform(task))
+    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+
+
+def friction_fits(rig, **settings):
+    parts = []
+    for direction in (1, -1):
+        got = perform(rig, Task(hold_profile(Stribeck(speed_max=30, **settings), direction)))
+        parts.append(
+            find_holds(
+                time=got["time"],
+                angle=got["encoder"] * COUNT,
+                torque=CONSTANT * got["current_setpoint"],
+                setpoint=got["position_setpoint"],
+                inertia=1.5e-5,
+            )
+        )
+    holds = pool(parts)
+    for sign in (1, -1):
+        k = holds.speed * sign > 0
+        yield fit_direction(holds.speed[k] * sign, holds.torque[k] * sign, holds.u[k])
+
+
+@pytest.mark.parametrize(
+    ("name", "period", "delay", "tolerance"),
+    [
+        ("toy", 0.01, 3e-4, 1e-3),
+        ("toy", 0.004, 8e-4, 1e-3),
+        ("odrive", 0.004, 3e-4, 1e-3),
+        ("moteus", 0.004, 3e-4, 1e-3),
+        ("moteus", 0.01, 8e-4, 1e-3),
+        # It tells current in mA, 45 uN m: half of that over 28 rad/s is 3 % of viscous friction.
+        ("maxon", 0.02, 3e-4, 0.03),
+    ],
+)
+def test_viscous_friction_is_that_of_the_motor(monkeypatch, name, period, delay, tolerance):
+    _, device, rig = emulated(monkeypatch, name, period, delay=delay)
+    with rig:
+        fits = list(friction_fits(rig, hold_speeds=(2, 5, 10, 20, 30), hold_time=1.0))
+    for fit in fits:
+        assert fit.viscous[0] == pytest.approx(device.motor.viscous, rel=tolerance)
+        assert fit.coulomb[0] == pytest.approx(device.motor.coulomb, rel=tolerance)
+
+
+def test_a_drive_that_follows_steps_of_position_reads_friction_that_is_not_there(monkeypatch):
+    """And what was read between the set points says by how much, within a tenth."""
+    _, device, rig = emulated(monkeypatch, "toy", 0.01, make_drive=make_positions_only)
+    with rig:
+        got = perform(rig, HOLD)
+        facts = json.loads(rig.report())
+    steady = got["time"] - got["time"][0] > 0.6
+    friction = (device.motor.coulomb + device.motor.viscous * 12.0) / CONSTANT
+    lacking = friction - got["current_setpoint"][steady].mean()
+    assert lacking < -3 * friction
+    (found,) = facts["between_set_points"]
+    assert facts["steps_in_position"]
+    assert found["speed"] == 12.0
+    assert found["lacking_current"] == pytest.approx(lacking, rel=0.1)
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_current_is_the_same_all_through_the_period(monkeypatch, name):
+    _, device, rig = emulated(monkeypatch, name, 0.02)
+    with rig:
+        perform(rig, Task(SpeedProfile((0.0, 0.2, 3.2), (0.0, 12.0, 12.0))))
+        facts = json.loads(rig.report())
+    (found,) = facts["between_set_points"]
+    friction = (device.motor.coulomb + device.motor.viscous * 12.0) / CONSTANT
+    assert abs(found["lacking_current"]) < 3 * found["u"] < 0.06 * friction
+    assert found["readings"] > 30
+    assert not facts["steps_in_position"]
+
+
+def test_steps_of_position_need_a_line_that_shows_them(monkeypatch):
+    options = {"make_drive": make_positions_only, "delay": 1.5e-3}
+    with pytest.raises(RecipeError, match=r"two readings and a half, .* takes 7\.50 ms .* 0\.02 s"):
+        emulated(monkeypatch, "toy", 0.005, **options)[2].__enter__()
+
+
+def test_a_single_repeated_reading_does_not_refuse_a_good_line(monkeypatch):
+    """It costs 50 ms, and 40 readings have 160: their mean would be beyond the period."""
+    _, device, rig = emulated(monkeypatch, "toy", 0.002, "serial.watchdog=0.25")
+    answer, asked = device.receive, []
+
+    def receive(data):
+        asked.append(data)
+        return b"" if len(asked) == 20 else answer(data)
+
+    monkeypatch.setattr(device, "receive", receive)
+    with rig:
+        assert rig.line.counts.retries == 1
+
+
+SLOW_HOST, SLOW_LINE = "this computer did not let rigtool run", "exchanges with the drive took"
+
+
+def test_a_loop_that_is_late_says_that_this_computer_stalled(monkeypatch):
+    _, device, rig = emulated(monkeypatch, "toy", 0.004, stalls={0.7: 0.3})
+    with rig, pytest.raises(HardwareError, match=rf"late after \d+ .* for 300 ms .*{SLOW_HOST}"):
+        perform(rig, HOLD)
+    assert device.mode is None
+
+
+def test_a_loop_that_is_late_says_that_the_line_is_slow(monkeypatch):
+    world, device, rig = emulated(monkeypatch, "toy", 0.004)
+    with rig:
+        running = rig.perform(HOLD)
+        next(running)
+        world.delay = 0.01
+        with pytest.raises(HardwareError, match=rf"late after \d+ .*{SLOW_LINE} \d+ ms more than"):
+            list(running)
+    assert device.mode is None
