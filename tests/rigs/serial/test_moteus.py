@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.errors import HardwareError
+from rigtool.procedures.ilc_design import design
+from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
@@ -21,9 +24,12 @@ from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.ports import find_devices
+from tests.cli.test_run_commands import call
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.test_target_faults import wait_until
 
+ROOT = Path(__file__).parents[3]
+MOTEUS_R4, FIXTURES = ROOT / "recipes" / "moteus-r4.toml", ROOT / "tests" / "fixtures"
 PERIOD = 0.004
 SHORT = Task(SpeedProfile((0.0, 0.1, 0.3, 0.4), (0.0, 4.0, 4.0, 0.0)))
 QUIET = Operator(say=lambda text: None, present=False)
@@ -377,3 +383,29 @@ def test_rate_of_the_line_is_well_above_the_loop():
         for _ in range(100):
             rig.drive.read()
         assert (time.monotonic() - start) / 100 < PERIOD
+
+
+# -- the recipe to start from
+
+
+@pytest.mark.parametrize("command", ["calibrate-kt", "stribeck", "fft-ripple", "ilc-learn"])
+def test_recipe_says_what_it_would_do(tmp_path, capsys, command):
+    kt = [] if command == "calibrate-kt" else ["--kt", FIXTURES / "kt.h5"]
+    code, out, err = call(capsys, command, MOTEUS_R4, *kt, "-o", tmp_path / "x.h5", "--dry-run")
+    assert code == 0, err
+    assert "Within the limits 3 A, 20 rad/s, -500 to 500 rad" in out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_recipe_has_a_loop_that_can_be_learned_with():
+    recipe, _ = load_recipe(MOTEUS_R4)
+    loop = design(recipe).learning
+    # the loop follows cogging, as often a turn as 12 slots and 14 poles meet
+    cogging = 84 * np.array(recipe.ilc_learn.turning.speeds_rev_per_s)
+    assert np.abs(loop.loop_response(cogging)).min() > 0.5
+    # the gains that the recipe gives for the drive make the loop that it describes
+    kp, kd, inertia = 1.6, 0.039, recipe.rig.nominal_inertia
+    crossover = kd / (4 * math.pi**2 * inertia)
+    assert recipe.rig.controller.crossover_hz == pytest.approx(crossover, rel=0.02)
+    lead = 2 * math.pi * crossover * kd / kp
+    assert recipe.rig.controller.lead_ratio == pytest.approx(lead, rel=0.05)
