@@ -20,6 +20,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """For numpy and scipy, which are imported later. Their matrices are small here: more threads would
 only wait in a busy loop, and round differently on another number of cores."""
 
+BLOCK_BYTES = 32 * 2**20
+"""What is smaller is a block of samples, and its memory is soon needed again: glibc's limit."""
+
 COMMANDS = {
     "recipe": "Copy a recipe that comes with rigtool, to change it.",
     "calibrate-kt": "Find the torque constant against temperature.",
@@ -96,6 +99,7 @@ def rigtool() -> None:
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code; errors become messages on stderr."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    _keep_memory_of_blocks()
     signal.signal(signal.SIGTERM, _terminate)
     if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         signal.signal(signal.SIGHUP, _terminate)  # the terminal was closed; nohup ignores it
@@ -106,6 +110,23 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
             traceback.print_exc()
         sys.exit(_report(error))
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _keep_memory_of_blocks() -> None:
+    """Let the C library keep the memory of a block of samples for the next one.
+
+    glibc would give each back to the kernel and fetch it again page by page, which takes a tenth
+    of the time of an analysis. Other C libraries stay as they are.
+    """
+    import ctypes
+
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):
+        return
+    m_trim_threshold, m_mmap_threshold = -1, -3  # of malloc.h
+    mallopt(m_mmap_threshold, BLOCK_BYTES)
+    mallopt(m_trim_threshold, 4 * BLOCK_BYTES)
 
 
 def _report(error: BaseException) -> int:

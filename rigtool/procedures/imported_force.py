@@ -16,19 +16,20 @@ from numpy.typing import NDArray
 from rigtool.analysis.load_model import Estimate, LoadModel
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.procedures.imported import require_one_rig, signals_of
-from rigtool.procedures.imported_load import RANDOM, WIDE, carries
 from rigtool.procedures.load_accuracy import (
     FAST,
     REFERENCE,
+    WIDE,
     Accuracy,
     Signals,
     accuracy,
     accuracy_columns,
+    carries,
     judge,
     levels_of,
     read_signals,
 )
-from rigtool.procedures.load_model_tables import WIDE_MODEL, load_model_from
+from rigtool.procedures.load_model_tables import RANDOM, WIDE_MODEL, load_model_from
 from rigtool.procedures.load_strokes import levels_table, read_strokes, scatter_results
 from rigtool.procedures.outcome import Outcome
 from rigtool.quantity import Quantity

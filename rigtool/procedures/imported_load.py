@@ -26,19 +26,21 @@ from rigtool.procedures.ilc_learn import COMMAND, NEEDED, analyse, measure, reco
 from rigtool.procedures.imported import is_linear, require_one_rig, signals_of
 from rigtool.procedures.load_accuracy import (
     REFERENCE,
+    WIDE,
     Accuracy,
     Signals,
     accuracy,
     accuracy_columns,
+    carries,
     judge,
     levels_of,
     read_signals,
 )
-from rigtool.procedures.load_model_tables import WIDE_MODEL, tables_of
+from rigtool.procedures.load_model_tables import RANDOM, WIDE_MODEL, tables_of
 from rigtool.procedures.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.recipe.commands import MeasureForce
-from rigtool.runfile import Column, Recording, Run, Table
+from rigtool.runfile import Column, Run, Table
 
 __all__ = ["COMMAND", "NEEDED", "analyse", "analyse_imported", "measure", "recordings"]
 
@@ -47,12 +49,6 @@ IMPORTED_SETTINGS = {"measure_force.lowpass_hz": "bandwidth_hz"}
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-RANDOM = "random_split"
-"""The table of errors at samples chosen at random."""
-
-WIDE = 50.0
-"""The bandwidth of the same paper, Hz, at which accuracy is told as well."""
 
 SEED = 1
 """Of the random halves; the result hardly depends on it."""
@@ -108,12 +104,6 @@ def analyse_imported(
         RANDOM: _random_table(random),
     }
     return Outcome(_results(learned, levels), tables, tuple(_notes(learned, levels)))
-
-
-def carries(recordings_: Sequence[Recording], bandwidth_hz: float) -> bool:
-    """Say whether the sampling carries a bandwidth."""
-    steps = [np.median(np.diff(item.read("time", 0, 1000))) for item in recordings_]
-    return float(max(steps)) * bandwidth_hz < 0.2
 
 
 def _random_split(

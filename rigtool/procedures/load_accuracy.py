@@ -28,6 +28,9 @@ END = 1.0
 FAST = 0.25
 """Strokes count as moving fast from this speed of the output on, rad/s; from the same paper."""
 
+WIDE = 50.0
+"""The bandwidth of the same paper, Hz, at which accuracy is told as well."""
+
 NORMAL_95 = 1.959963984540054
 
 
@@ -53,6 +56,12 @@ class Signals:
         if self.reference is None:
             raise ValueError(f"nothing to learn from without {REFERENCE}")
         return Observation(self.path, self.effort, self.reference, self.counts, level)
+
+
+def carries(recordings: Sequence[Recording], bandwidth_hz: float) -> bool:
+    """Say whether the sampling carries a bandwidth."""
+    steps = [np.median(np.diff(item.read("time", 0, 1000))) for item in recordings]
+    return float(max(steps)) * bandwidth_hz < 0.2
 
 
 def read_signals(run: Run, recording: Recording, kt: Run | None, bandwidth_hz: float) -> Signals:

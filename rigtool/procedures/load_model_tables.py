@@ -25,6 +25,9 @@ MODEL = "load_model"
 WIDE_MODEL = "wide_load_model"
 """The same for a model of a wider bandwidth."""
 
+RANDOM = "random_split"
+"""The table of errors at samples chosen at random."""
+
 _SCALES = {
     "low": ("rad", "lowest position"),
     "high": ("rad", "highest position"),
