@@ -15,7 +15,7 @@ import functools
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -60,7 +60,12 @@ def common_options(function: Function) -> Function:
     @click.option(
         "--spy", metavar="FILE", help="Write every byte on the serial line, with time stamps."
     )
-    @click.option("--live", is_flag=True, help="Draw signals at the terminal while they come.")
+    @click.option("--live-window", "live", flag_value="window", help="Draw them in a window.")
+    @click.option(
+        "--live",
+        flag_value="terminal",
+        help="Draw signals at the terminal while they come.",
+    )
     @click.option("--yes", is_flag=True, help="Move a rig on a serial line without asking first.")
     @click.option("--dry-run", is_flag=True, help="Say what would move, and move nothing.")
     @click.option(
@@ -87,10 +92,10 @@ def common_options(function: Function) -> Function:
         dry_run: bool,
         yes: bool,
         spy: str | None,
-        live: bool,
+        live: Literal["terminal", "window"] | None,
         **kwargs: Any,
     ) -> Any:
-        if live and not sys.stderr.isatty():
+        if live == "terminal" and not sys.stderr.isatty():
             raise click.UsageError("--live draws at a terminal, and stderr is none: leave it out")
         options = CommonOptions(
             json=as_json,

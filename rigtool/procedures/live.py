@@ -1,17 +1,28 @@
-"""Signals drawn at the terminal while they are recorded: a line a channel, newest on the right."""
+"""Signals drawn while they are recorded, at the terminal or in a window.
+
+At the terminal it is a line a channel, newest on the right; the window is a process of its own,
+`live_window`. Whoever measures hands blocks to a `Feed` and never waits for a drawing.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import os
+import pickle
+import queue
+import subprocess
+import sys
+import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from typing import Any, TextIO
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Literal, Protocol, TextIO
 
 import numpy as np
 
+from rigtool.errors import UsageError
 from rigtool.rigs import CHANNELS
 
 INTERVAL = 0.2
@@ -29,6 +40,126 @@ COLUMNS = 60
 
 FORGOTTEN = 3.0
 """Time after which something else may have been written below a drawing, s: begin a new one."""
+
+
+WAITING = 64
+"""Blocks that wait to be drawn at most: those beyond are not drawn."""
+
+CLOSING = 1.0
+"""Longest time that drawings may still take when all is measured, s."""
+
+OPENING = 60.0
+"""Time in which the window must be there, s: matplotlib's first start lists all fonts."""
+
+READY = "ready"
+
+
+class View(Protocol):
+    """What draws."""
+
+    def show(self, recording: str, block: Mapping[str, Any]) -> None:
+        """Draw a block of a recording; may take its time. Raises `OSError` where it is gone."""
+        ...
+
+
+@contextmanager
+def open_live(where: Literal["terminal", "window"]) -> Iterator[Feed]:
+    """Return what takes blocks for a drawing, for a `with` block.
+
+    Raises `UsageError` where there is nothing to open a window on.
+    """
+    with contextlib.ExitStack() as stack:
+        view = Live(sys.stderr) if where == "terminal" else stack.enter_context(Window())
+        feed = Feed(view)
+        stack.callback(feed.close)
+        yield feed
+
+
+class Feed:
+    """Hands blocks to a view from a thread of its own.
+
+    Never waits and never fails: what is too much is left out, and a view that is gone stays gone.
+    """
+
+    def __init__(self, view: View) -> None:
+        self._view = view
+        self._blocks: queue.Queue[tuple[str, Mapping[str, Any]]] = queue.Queue(WAITING)
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="live", daemon=True)
+        self._thread.start()
+
+    def show(self, recording: str, block: Mapping[str, Any]) -> None:
+        """Take a block of a recording."""
+        with contextlib.suppress(queue.Full):
+            self._blocks.put_nowait((recording, block))
+
+    def close(self) -> None:
+        """Draw what waits, as far as there is time."""
+        self._closed = True
+        self._thread.join(CLOSING)
+
+    def _run(self) -> None:
+        with contextlib.suppress(OSError, ValueError):  # what drew is closed
+            while True:
+                try:
+                    recording, block = self._blocks.get(timeout=INTERVAL / 4)
+                except queue.Empty:
+                    if self._closed:
+                        return
+                    continue
+                self._view.show(recording, block)
+
+
+class Window:
+    """A window of the desktop, drawn by a process of its own; a context manager.
+
+    Raises `UsageError` where none can be opened.
+    """
+
+    def __init__(self) -> None:
+        command = [sys.executable, "-m", "rigtool.procedures.live_window"]
+        self._process = subprocess.Popen(
+            command,
+            bufsize=0,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        said: list[bytes] = []
+        assert self._process.stdout is not None
+        read = self._process.stdout.readline
+        listener = threading.Thread(target=lambda: said.append(read()), daemon=True)
+        listener.start()
+        listener.join(OPENING)
+        answer = said[0].decode("utf-8", "replace").strip() if said else "it does not start"
+        if answer != READY:
+            self.__exit__()
+            raise UsageError(
+                f"--live-window: no window can be opened: {answer or 'its process ended'}; run "
+                "rigtool on a desktop, or use --live, which draws at the terminal"
+            )
+
+    def __enter__(self) -> Window:
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        """Let the window draw what has come, and close it."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        try:
+            self._process.wait(CLOSING)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+
+    def show(self, recording: str, block: Mapping[str, Any]) -> None:
+        """Send a block; raises `OSError` where the window was closed."""
+        assert self._process.stdin is not None
+        data = memoryview(pickle.dumps((recording, dict(block)), pickle.HIGHEST_PROTOCOL))
+        while data:
+            data = data[self._process.stdin.write(data) or 0 :]
 
 
 class Live:

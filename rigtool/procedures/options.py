@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -12,7 +13,7 @@ class CommonOptions:
     `progress` says whether progress bars are drawn (stderr is a terminal and nobody objected).
     `overrides` are the `key=value` texts of `--set`. `dry_run` says what would move and moves
     nothing; `yes` lets a rig on a serial line move without asking; `spy` is a file for every byte
-    on that line; `live` draws signals at the terminal.
+    on that line; `live` says where signals are drawn while they come, if anywhere.
     """
 
     json: bool = False
@@ -24,7 +25,7 @@ class CommonOptions:
     dry_run: bool = False
     yes: bool = False
     spy: str | None = None
-    live: bool = False
+    live: Literal["terminal", "window"] | None = None
 
     def with_override(self, override: str) -> CommonOptions:
         """Return the options with one more `key=value`, which counts above those given so far."""

@@ -8,13 +8,14 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.procedures.calibration import torque_per_ampere
-from rigtool.procedures.live import Live
+from rigtool.procedures.live import Feed, open_live
 from rigtool.procedures.options import CommonOptions
 from rigtool.procedures.outcome import Outcome
 from rigtool.procedures.rehearsal import dry_run, rehearse, require_offered
@@ -26,6 +27,10 @@ from rigtool.runfile import Channel, RecordingSpec, Run, RunWriter, open_run
 
 IMPORTED = "import"
 """The command of runs that hold other people's measurements."""
+
+
+MEANWHILE = "told while it moves, not recorded"
+"""Name for drawings of what a rig tells before the signals of a motion come."""
 
 
 class Procedure(Protocol):
@@ -131,14 +136,20 @@ def _measure(
         seed=seed,
         overwrite=options.overwrite,
     )
-    with writer, _progress(options, plan, writer):
+    live = nullcontext() if options.live is None else open_live(options.live)
+    with live as feed, writer, _progress(options, plan, writer):
+        writer.live = feed
+        if isinstance(rig, SerialRig) and feed is not None:
+            rig.watcher = partial(feed.show, MEANWHILE)
         with rig:
             if isinstance(rig, SerialRig):
                 _permit(rig, procedure, recipe, constant, inputs)
             procedure.measure(rig, recipe, writer, **inputs)
+        run = writer.recorded()
         if isinstance(rig, SerialRig):
-            writer.note_line(rig.report())
-        outcome = procedure.analyse([writer.recorded()], recipe, **inputs)
+            run.provenance["line"] = report = rig.report()
+            writer.note_line(report)
+        outcome = procedure.analyse([run], recipe, **inputs)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
 
@@ -257,7 +268,7 @@ def _assumed_torque_constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float
 class _WatchedWriter(RunWriter):
     """A writer that tells somebody which recording grows."""
 
-    live: Live | None = None
+    live: Feed | None = None
 
     def watch(self, bar: Any, order: Mapping[str, int]) -> None:
         """Advance a progress bar by one for each new recording."""
@@ -277,9 +288,7 @@ class _WatchedWriter(RunWriter):
 def _progress(
     options: CommonOptions, plan: Sequence[RecordingSpec], writer: _WatchedWriter
 ) -> Iterator[None]:
-    if options.live:
-        writer.live = Live(sys.stderr)
-    if options.live or not options.progress:
+    if options.live == "terminal" or not options.progress:
         yield
         return
     import click

@@ -14,7 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from rigtool.procedures.live import BARS, FORGOTTEN, INTERVAL, PLAIN, Live, sparkline
+from rigtool.procedures.session import MEANWHILE
+from rigtool.recipe import load_recipe
+from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.emulators.target import TargetEmulator
 from tests.cli.test_run_commands import call
+from tests.rigs.serial.recipes import overrides
 
 ROOT = Path(__file__).parents[2]
 RECIPE, KT = ROOT / "recipes" / "briaire-2006.toml", ROOT / "tests" / "fixtures" / "kt.h5"
@@ -78,7 +83,8 @@ def test_lines_fit_a_narrow_terminal():
         drawn = ""
         for value in range(40):
             live.show("a", {**BLOCK, "signal_current": np.array([-1e-5 / (1 + value)])})
-            drawn += os.read(master, 10000).decode()
+            while drawn.count("\n") < 2 * (value + 1):
+                drawn += os.read(master, 10000).decode(errors="replace")
     os.close(master)
     lines = drawn.replace("\x1b[K", "").replace("\x1b[2A", "").split("\r\n")
     assert max(len(line.strip("\r")) for line in lines) == 59
@@ -123,6 +129,22 @@ def test_option_draws_at_a_terminal(tmp_path, capsys, monkeypatch):
     code, _, err = call(capsys, *fft_ripple(tmp_path, "--live"))
     assert code == 0, err
     assert "\x1b[K  encoder" in err
+
+
+def test_target_that_keeps_its_log_is_drawn_by_what_it_tells(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    recipe = load_recipe(RECIPE, ["rig.attachment=pulley"])[0]
+    with serve(TargetEmulator(recipe, paced=True)) as server:
+        settings = overrides(server.port, "fft_ripple.speeds=[30]", "serial.watchdog=5")
+        on_line = [part for value in settings for part in ("--set", value)]
+        code, _, err = call(capsys, *fft_ripple(tmp_path, "--live", "--yes", *on_line))
+    assert code == 0, err
+    told = [line for line in err.split("\n") if MEANWHILE in line]
+    assert len(told) >= 2
+    times = [float(line.split()[-2]) for line in told]
+    assert times == sorted(times)
+    drawn = err[err.index(MEANWHILE) :]
+    assert all(f"\x1b[K  {name} " in drawn for name in ("encoder", "current", "temperature"))
 
 
 def test_option_is_refused_where_there_is_no_terminal(tmp_path, capsys):

@@ -64,8 +64,7 @@ class SerialRig(ABC):
         self._unused: list[str] = []
         self.notes: list[str] = []
         self.watcher: Callable[[Block], None] | None = None
-        """Gets what is told of a motion before its signals come, where that is late; shall return
-        at once."""
+        """Gets what a rig tells while it moves, where the signals come later; it must not wait."""
 
     # -- for subclasses
 

@@ -139,7 +139,11 @@ class Replay:
         return self._now
 
     def write(self, data: bytes) -> int:
-        """Compare with what was sent then; what was received then can be read afterwards."""
+        """Compare with what was sent then; what was received then can be read afterwards.
+
+        Raises `HardwareError` where it differs, `RecordEnd` behind the last, and `OSError` where
+        the line was lost then.
+        """
         self._said += data
         while self._said:
             while self._events and self._events[0].kind not in ">!":

@@ -266,14 +266,15 @@ class TargetRig(SerialRig):
 
     def _watch_over(self, status: Status, watch: Watch, until: float) -> None:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
-        problem = watch.problem(
-            {
-                "time": np.array([status.time]),
-                "encoder": np.array([status.position * counts]),
-                "current": np.array([status.current]),
-                "temperature": np.array([status.temperature]),
-            }
-        )
+        told = {
+            "time": np.array([status.time]),
+            "encoder": np.array([status.position * counts]),
+            "current": np.array([status.current]),
+            "temperature": np.array([status.temperature]),
+        }
+        if self.watcher is not None and not self._talk.streaming:
+            self.watcher(told)
+        problem = watch.problem(told)
         if problem is None and self.line.now() > until:
             problem = f"{self.line.port}: the motion does not come to its end: it was stopped"
         if problem:
