@@ -44,6 +44,18 @@ with h5py.File(sys.argv[1]) as file:
                 dataset[chunk]
 """
 
+READ_FILES = """
+import sys, h5py
+for path in sys.argv[1:]:
+    with h5py.File(path) as file:
+        def read(name, item):
+            dict(item.attrs)
+            if isinstance(item, h5py.Dataset):
+                item[()]
+        file.visititems(read)
+"""
+"""All that is in many files."""
+
 MEMORY = """
 print(open("/proc/self/status").read().split("VmHWM:")[1].split()[0])
 """
@@ -109,24 +121,33 @@ def hour(folder: Path, command: str, repeats: int = 3) -> dict[str, float]:
 
 
 def many(folder: Path, count: int = 1000, repeats: int = 2) -> dict[str, float]:
-    """Return the milliseconds of processor time that each of many small files adds to a command."""
+    """Return the milliseconds of processor time that each of many small files adds to a command.
+
+    For comparison, that of a program in which h5py alone reads all that is in the same files.
+    """
     with open_run(KT) as kt, open_run(FIXTURES / "friction.h5") as friction:
         staircases = _cut(kt, "staircase", folder, count)
         holds = _cut(friction, "holds", folder, count)
     few, found = count // 5, {}
-    for command, paths, more in (
-        ("calibrate-kt", staircases, ["-o", folder / "out.h5"]),
-        ("stribeck", holds, ["--kt", KT, "-o", folder / "out.h5"]),
-        ("report", staircases, ["-o", folder / "report"]),
+    quietly = ["--overwrite", "-q"]
+    for name, program, paths, before, after in (
+        (
+            "calibrate-kt",
+            COMMAND,
+            staircases,
+            ["calibrate-kt"],
+            ["-o", folder / "out.h5", *quietly],
+        ),
+        ("stribeck", COMMAND, holds, ["stribeck", "--kt", KT], ["-o", folder / "out.h5", *quietly]),
+        ("report", COMMAND, staircases, ["report"], ["-o", folder / "report", *quietly]),
+        ("h5py alone, staircases", READ_FILES, staircases, [], []),
+        ("h5py alone, holds", READ_FILES, holds, [], []),
     ):
         part, whole = (
-            min(
-                used(COMMAND, command, *paths[:size], *more, "--overwrite", "-q")[1]
-                for _ in range(repeats)
-            )
+            min(used(program, *before, *paths[:size], *after)[1] for _ in range(repeats))
             for size in (few, count)
         )
-        found[command] = (whole - part) / (count - few) * 1e3
+        found[name] = (whole - part) / (count - few) * 1e3
     return found
 
 
