@@ -14,6 +14,7 @@ from typing import Any, Self
 from rigtool.errors import HardwareError
 from rigtool.procedures.outcome import Outcome
 from rigtool.recipe import Recipe
+from rigtool.recipe.serial import WITHOUT_WATCHDOG
 from rigtool.rigs import NEEDS, Block, Rig, Task
 from rigtool.rigs.motion import OpenLoop
 from rigtool.rigs.serial import safety
@@ -187,6 +188,11 @@ def dry_run(
             f"Within the limits {limits.current:g} A, {limits.speed:g} rad/s, {low:g} to {high:g} "
             f"rad (counted from where the shaft is), {limits.duration:g} s a motion"
         )
+        if recipe.serial.driver in WITHOUT_WATCHDOG:
+            notes.append(
+                "This drive has no watchdog: where computer or cable fail it goes on as it was "
+                "told last. It runs only with serial.emergency_stop = true; try that stop first"
+            )
     return Outcome(results={}, tables={}, notes=tuple(notes))
 
 

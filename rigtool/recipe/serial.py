@@ -11,6 +11,9 @@ from pydantic import Field, model_validator
 
 from rigtool.recipe.base import Section
 
+WITHOUT_WATCHDOG = ("maxon",)
+"""Drivers of drives that do not stop by themselves where computer or cable fail."""
+
 Driver = Literal["target", "odrive", "moteus", "maxon", "replay"]
 
 
@@ -70,6 +73,10 @@ class Serial(Section):
     temperature: Instrument | None = Field(None, description="thermometer on the motor")
     deflection: Instrument | None = Field(
         None, description="micrometer at the motor on its leaf springs"
+    )
+    emergency_stop: bool = Field(
+        False,
+        description="is wired, tried and within reach: a drive without watchdog (maxon) needs one",
     )
     operator: bool = Field(
         True, description="somebody is there to hang loads, clamp, heat and switch off"

@@ -70,7 +70,8 @@ class Line:
 
     Raises `HardwareError` where it cannot be opened, with the remedy. Timeouts are in s. A line
     `beside` another has its clock and its spy file, where `role` tells it apart; beside one that is
-    played back it is played back as well, whatever its port.
+    played back it is played back as well, whatever its port. One that is not `exclusive` is opened
+    although another program has the port.
     """
 
     def __init__(
@@ -84,6 +85,7 @@ class Line:
         driver: str = "unknown",
         beside: Line | None = None,
         role: str = "",
+        exclusive: bool = True,
     ) -> None:
         self.port = port
         self.timeout = timeout
@@ -92,7 +94,10 @@ class Line:
         self.opened: float = time.monotonic() if beside is None else beside.opened
         self._baud_rate = baud_rate
         self._role = role
-        self._port = _open(port, baud_rate) if beside is None else beside._open_beside(self)
+        if beside is not None:
+            self._port = beside._open_beside(self)
+        else:
+            self._port = _open(port, baud_rate) if exclusive else _open(port, baud_rate, None)
         self._buffer = bytearray()
         self._snatched = 0
         self._spy: Spy | None = None if beside is None else beside._spy
@@ -352,7 +357,7 @@ class Line:
         )
 
 
-def _open(port: str, baud_rate: int) -> Any:
+def _open(port: str, baud_rate: int, exclusive: bool | None = True) -> Any:
     if port.startswith(REPLAY):
         return Replay(port.removeprefix(REPLAY))
     import serial
@@ -361,7 +366,7 @@ def _open(port: str, baud_rate: int) -> Any:
         if port.startswith(SOCKET):
             return Socket(port.removeprefix(SOCKET), POLL)
         return serial.serial_for_url(
-            port, baudrate=baud_rate, timeout=POLL, write_timeout=1.0, exclusive=True
+            port, baudrate=baud_rate, timeout=POLL, write_timeout=1.0, exclusive=exclusive
         )
     except (OSError, ValueError) as error:
         raise HardwareError(f"{port}: cannot be opened: {_why(error)}") from None

@@ -2,12 +2,12 @@
 
 Which of them is there is found by asking: the single byte that is an op code to those in lock-step
 is nothing to an EPOS4. All of them are driven by current and by speed; none has a watchdog on
-this line.
+this line, so a process beside this one watches over it (`maxon_guard`).
 """
 
 from __future__ import annotations
 
-from rigtool.errors import HardwareError
+from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.rigs.serial.drive import Drive
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
@@ -21,12 +21,17 @@ from rigtool.rigs.serial.maxon_frames import (
     DleFrames,
     LockStepFrames,
 )
+from rigtool.rigs.serial.maxon_guard import Guard
 from rigtool.rigs.serial.maxon_objects import DEVICE_TYPE, EPOS2_ACCESS, EPOS4_ACCESS, Objects
 
 BAUD_RATE = 115200
 """The usual one of EPOS; a DES has 38400."""
 
 BAUD_RATES = (115200, 38400)
+
+SILENCE, SHORTEST_SILENCE = 2.0, 1.0
+"""Multiple of `serial.watchdog`, and time [s], after which the guard hears too little: the host
+gives up first, and switching on takes a while."""
 
 FACTORY_NODE = 1
 """Address that an EPOS is delivered with; `serial.node` = 0 stands for it."""
@@ -46,8 +51,24 @@ def probe(line: Line) -> str | None:
 def make_drive(line: Line, recipe: Recipe) -> Drive:
     """Return the driver of what answers on a line; raises `HardwareError` where nothing does."""
     assert recipe.serial is not None
-    found = _find(line, recipe.serial.node or FACTORY_NODE)
-    counts = recipe.rig.encoder_counts
+    settings, node = recipe.serial, recipe.serial.node or FACTORY_NODE
+    if not settings.emergency_stop:
+        raise RecipeError(
+            f"{line.port}: maxon drives have no watchdog on this line: where computer or cable "
+            "fail, the motor goes on as it was told last. Wire the enable or STO input, or the "
+            "supply, to an emergency stop within reach, try it, and say serial.emergency_stop = "
+            "true"
+        )
+    drive = drive_on(line, node, recipe.rig.encoder_counts)
+    if not line.replays:
+        silence = max(SHORTEST_SILENCE, SILENCE * settings.watchdog)
+        drive.guard = Guard(settings.port, settings.baud_rate or BAUD_RATE, node, silence)
+    return drive
+
+
+def drive_on(line: Line, node: int, encoder_counts: int) -> DesDrive | EposDrive:
+    """Return the driver of what answers on a line; raises `HardwareError` where nothing does."""
+    found, counts = _find(line, node), encoder_counts
     if found is None:
         raise HardwareError(
             f"{line.port}: no maxon drive answers: check power and cable; an EPOS talks at 115200 "

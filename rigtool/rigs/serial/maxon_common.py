@@ -8,8 +8,9 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from rigtool.errors import HardwareError, RecipeError
-from rigtool.rigs.serial.drive import Sample, SetPoint
+from rigtool.rigs.serial.drive import Mode, Sample, SetPoint
 from rigtool.rigs.serial.line import Line, LineLost
+from rigtool.rigs.serial.maxon_guard import Guard
 
 Place = TypeVar("Place")
 
@@ -25,7 +26,8 @@ STATE_PAUSE = 0.01
 """How often, and how far apart [s], a state is asked for that a drive is to reach."""
 
 NO_WATCHDOG = (
-    "has no watchdog on this line, and goes on as it was told last if the line falls silent"
+    "has no watchdog on this line: if the computer or the cable fails, it goes on as it was told "
+    "last, until you stop it. If rigtool is killed or hangs, another process switches it off"
 )
 
 
@@ -40,6 +42,7 @@ class MaxonDrive(ABC, Generic[Place]):
         self._encoder_counts = encoder_counts
         self._count = 2 * math.pi / encoder_counts
         self._before: dict[Place, int] = {}
+        self.guard: Guard | None = None
 
     @abstractmethod
     def _measure(self) -> tuple[Sample, int]:
@@ -58,6 +61,10 @@ class MaxonDrive(ABC, Generic[Place]):
         """Ask something with a known answer; raises `HardwareError` where another comes."""
 
     @abstractmethod
+    def _switch_on(self, mode: Mode) -> None:
+        """Switch on in a mode, with set points of zero."""
+
+    @abstractmethod
     def _switch_off(self) -> bool:
         """Switch the power stage off with few attempts; return whether it is off."""
 
@@ -68,6 +75,12 @@ class MaxonDrive(ABC, Generic[Place]):
     @abstractmethod
     def _write_setting(self, place: Place, value: int) -> None:
         """Change a setting."""
+
+    def enable(self, mode: Mode) -> None:
+        """Switch on in a mode, with set points of zero, once the guard is told."""
+        if self.guard is not None:
+            self.guard.watch()
+        self._switch_on(mode)
 
     def step(self, setpoint: SetPoint) -> Sample:
         """Measure, then send a set point; raises `HardwareError` where the drive is off."""
@@ -90,6 +103,8 @@ class MaxonDrive(ABC, Generic[Place]):
             measured = self._measure()
             then()
             if self.line.counts.retries == before:
+                if self.guard is not None:
+                    self.guard.beat()
                 return measured
         raise HardwareError(
             f"{self.line.port}: no sample without damaged or missing answers in {SAMPLE_ATTEMPTS} "
@@ -103,6 +118,8 @@ class MaxonDrive(ABC, Generic[Place]):
             try:
                 self.line.settle()  # what comes late answers older questions
                 if self._switch_off():
+                    if self.guard is not None:
+                        self.guard.rest()
                     return
                 problem = HardwareError("it says that it is still on")
             except HardwareError as error:
@@ -127,6 +144,8 @@ class MaxonDrive(ABC, Generic[Place]):
                     raise
                 except HardwareError as error:
                     problem = error
+        if self.guard is not None:
+            self.guard.close()
         if self._before and problem is not None:
             raise problem
 

@@ -71,8 +71,7 @@ class DesDrive(MaxonDrive[int]):
         self._change(CONFIGURATION, self._configuration("velocity"), "configuration")
         return [NO_WATCHDOG, "has no limit of position"]
 
-    def enable(self, mode: Mode) -> None:
-        """Switch on in a mode, with a set point of zero."""
+    def _switch_on(self, mode: Mode) -> None:
         self._require_no_error(self._read(STATUS))
         self._command(ENABLE, 0)
         self._remember(CONFIGURATION)

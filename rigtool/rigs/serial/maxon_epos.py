@@ -106,8 +106,7 @@ class EposDrive(MaxonDrive[Entry]):
         """Return the objects that limit current and speed, with the values they are to have."""
         raise NotImplementedError
 
-    def enable(self, mode: Mode) -> None:
-        """Switch on in a mode, with set points of zero."""
+    def _switch_on(self, mode: Mode) -> None:
         self._require_no_fault(self._objects.read(od.STATUS))
         self._objects.write(od.CONTROL, SHUT_DOWN)
         self._await(READY)
@@ -219,9 +218,8 @@ class Epos4Drive(EposDrive):
         self._speed_unit = RPM * 10.0**power
         return f"{identity}, speeds in steps of {10.0**power:g} rpm"
 
-    def enable(self, mode: Mode) -> None:
-        """Switch on in a mode, with set points of zero."""
-        super().enable(mode)
+    def _switch_on(self, mode: Mode) -> None:
+        super()._switch_on(mode)
         self._offset = 0
 
     def _limits(self, limits: Limits) -> list[tuple[Entry, int]]:

@@ -18,6 +18,8 @@ LIMITS = (
 def overrides(port, *more, driver="target", sample_time=None):
     """Return what makes the thesis's recipe one of a rig on a line."""
     period = () if sample_time is None else (f"rig.sample_time={sample_time}",)
+    if driver == "maxon":
+        more = ("serial.emergency_stop=true", *more)
     return (
         "rig.source=serial",
         f"serial.driver={driver}",

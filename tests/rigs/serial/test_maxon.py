@@ -18,7 +18,7 @@ from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
-from rigtool.rigs.serial import hosted, maxon
+from rigtool.rigs.serial import hosted, maxon, maxon_guard
 from rigtool.rigs.serial.emulators.faults import Fault, Faults
 from rigtool.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4Emulator
 from rigtool.rigs.serial.emulators.server import serve
@@ -41,6 +41,13 @@ BRIEF = Task(SpeedProfile((0.0, 0.05, 0.1), (0.0, 1.0, 0.0)))
 @pytest.fixture(autouse=True)
 def short_blocks(monkeypatch):
     monkeypatch.setattr(hosted, "BLOCK_TIME", 0.05)
+
+
+@pytest.fixture(autouse=True)
+def no_guard(monkeypatch):
+    """Start no process beside each of these tests; test_maxon_guard.py has those about it."""
+    monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
+    monkeypatch.setattr(maxon_guard.Guard, "_tell", lambda guard, word: None)
 
 
 @pytest.fixture(params=FAMILIES)
@@ -275,16 +282,18 @@ def test_a_drive_left_alone_goes_on_within_its_limits_until_told(device):
 
 def test_limit_that_is_passed_stops_the_drive(device):
     with serve(device) as server, maxon_rig(server.port, "serial.limits.speed=8") as rig:
-        device.apply = lambda: None  # it does not keep to its own
         with pytest.raises(HardwareError, match="speed reached .* limit of 8 rad/s"):  # noqa: RUF043
             tripped(rig, device)
         assert device.mode is None
 
 
 def tripped(rig, device):
-    """Run a motion while something else drives the shaft."""
+    """Run a motion while something else drives the shaft: the drive keeps to no speed."""
+    advance = device.motor.advance
     for _ in rig.perform(Task(SpeedProfile((0.0, 0.1, 0.9), (0.0, 1.0, 1.0)))):
-        device.speed = 30.0
+        device.motor.advance = lambda mode, position, speed, current: advance(
+            mode, position, 30.0, current
+        )
 
 
 def interrupt():
@@ -447,6 +456,15 @@ def test_another_encoder_is_refused(device):
         maxon_rig(server.port, "rig.encoder_counts=2000").__enter__()
 
 
+def test_without_an_emergency_stop_nothing_runs(epos4, tmp_path):
+    with (
+        serve(epos4) as server,
+        pytest.raises(RecipeError, match=r"no watchdog .* serial.emergency_stop = true"),
+    ):
+        maxon_rig(server.port, "serial.emergency_stop=false").__enter__()
+    assert epos4.log == []
+
+
 def test_wrong_node_is_said(epos4):
     with (
         serve(epos4) as server,
@@ -528,6 +546,7 @@ def test_recipe_says_what_it_would_do(tmp_path):
     assert result.exit_code == 0, result.output
     assert "6 motions to record" in result.output
     assert "Within the limits 2 A, 40 rad/s" in result.output
+    assert "no watchdog: where computer or cable fail it goes on" in result.output
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,0 +1,129 @@
+"""A maxon drive is switched off although rigtool was killed, or hangs: by a process beside it."""
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rigtool.errors import HardwareError
+from rigtool.rigs import Task
+from rigtool.rigs.motion import SpeedProfile
+from rigtool.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4Emulator
+from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.maxon_guard import Guard
+from tests.rigs.serial.recipes import RECIPE, overrides
+from tests.rigs.serial.test_maxon import maxon_rig
+from tests.rigs.serial.test_target_faults import wait_until
+
+ROOT = Path(__file__).parents[3]
+KT = ROOT / "tests" / "fixtures" / "kt.h5"
+RIGTOOL = str(Path(sys.executable).with_name("rigtool"))
+SLOW = Task(SpeedProfile((0.0, 0.1, 5.0), (0.0, 4.0, 4.0)))
+
+
+TURNS = """
+import sys
+from tests.rigs.serial.test_maxon_guard import SLOW, maxon_rig
+with maxon_rig(sys.argv[1]) as rig:
+    list(rig.perform(SLOW))
+"""
+
+
+def program(*arguments):
+    """Return a program that turns a motor for a while, as a process of its own."""
+    return subprocess.Popen([*map(str, arguments)], stderr=subprocess.PIPE, text=True, cwd=ROOT)
+
+
+def learning(port, folder):
+    settings = overrides(
+        port,
+        "rig.attachment=pulley",
+        "rig.controller.crossover_hz=2",
+        "rig.controller.integrator_hz=0.2",
+        "rig.controller.lowpass_hz=10",
+        "ilc_learn.robustness_hz=3",
+        "serial.watchdog=0.5",
+        driver="maxon",
+        sample_time=0.02,
+    )
+    changes = [part for value in settings for part in ("--set", value)]
+    learn = (RIGTOOL, "ilc-learn", RECIPE, "--implementation", "B", "--kt", KT, "--yes")
+    return program(*learn, "-o", folder / "x.h5", *changes)
+
+
+def until_it_turns(device, process):
+    wait_until(lambda: device.mode == "velocity" or process.poll() is not None, 15)
+    wait_until(lambda: device.motor.speed > 1 or process.poll() is not None, 5)
+    assert process.poll() is None, process.communicate()[1]
+
+
+@pytest.mark.parametrize("make_device", [Epos4Emulator, Epos2Emulator, DesEmulator])
+def test_killed_program_leaves_it_off(make_device):
+    device = make_device()
+    with serve(device) as server, program(sys.executable, "-c", TURNS, server.port) as process:
+        until_it_turns(device, process)
+        process.send_signal(signal.SIGKILL)
+        wait_until(lambda: device.mode is None, 4)
+        assert "it is switched off now" in process.stderr.read()
+    assert device.log[-1] == "off"
+
+
+def test_rigtool_that_hangs_leaves_it_off_and_says_so_when_it_goes_on(tmp_path):
+    device = Epos4Emulator()
+    with serve(device) as server, learning(server.port, tmp_path) as process:
+        until_it_turns(device, process)
+        process.send_signal(signal.SIGSTOP)
+        wait_until(lambda: device.mode is None, 4)
+        process.send_signal(signal.SIGCONT)
+        told = process.stderr.read()
+        assert process.wait(10) == 5
+    assert "was killed or hangs while the drive was on: it is switched off now" in told
+    assert re.search("ms late|is switched off|is gone", told)
+    assert (tmp_path / "x.h5.part").exists()
+
+
+def test_a_guard_that_is_not_needed_does_nothing():
+    device = Epos4Emulator()
+    with serve(device) as server:
+        guard = Guard(server.port, 115200, 1, silence=0.1)
+        guard.beat()  # nothing is on: nothing is started
+        assert guard.process is None
+        guard.watch()
+        guard.rest()
+        device.switch("velocity")  # somebody else's, afterwards
+        guard.beat()
+        guard.close()
+        wait_until(lambda: guard.process.poll() is not None)
+    assert guard.process.returncode == 0
+    assert device.mode == "velocity"
+
+
+def turned_while_its_guard_is_killed(rig):
+    for _ in rig.perform(SLOW):
+        rig.drive.guard.process.kill()
+
+
+def test_without_its_guard_a_motion_ends():
+    device = Epos4Emulator()
+    with (
+        serve(device) as server,
+        pytest.raises(HardwareError, match="is gone: it was ended"),
+        maxon_rig(server.port) as rig,
+    ):
+        turned_while_its_guard_is_killed(rig)
+    assert device.mode is None
+
+
+def test_a_guard_that_cannot_be_started_keeps_the_motor_off(monkeypatch):
+    device = Epos4Emulator()
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with (
+        serve(device) as server,
+        pytest.raises(HardwareError, match="cannot be started"),
+        maxon_rig(server.port) as rig,
+    ):
+        list(rig.perform(SLOW))
+    assert device.log == []
