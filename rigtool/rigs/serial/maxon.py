@@ -49,7 +49,10 @@ def probe(line: Line) -> str | None:
 
 
 def make_drive(line: Line, recipe: Recipe) -> Drive:
-    """Return the driver of what answers on a line; raises `HardwareError` where nothing does."""
+    """Return the driver of what answers on a line; raises `HardwareError` where nothing does.
+
+    Raises `RecipeError` where the recipe does not say that there is an emergency stop.
+    """
     assert recipe.serial is not None
     settings, node = recipe.serial, recipe.serial.node or FACTORY_NODE
     if not settings.emergency_stop:
