@@ -75,14 +75,14 @@ def measure(
     plain = feedforward(recipe.rig.nominal_inertia, friction_results(friction))
     kinds = _kinds(recipe)
     bench = turning.Bench(rig, recipe, recorder)
-    runs = [bench.turn(kinds["learn"], plain)]
+    first = bench.turn(kinds["learn"], plain)
     low = bench.turn(kinds["low"], plain)
-    while True:
-        learned = _learn(runs, low, recipe, constant, learning)
-        if len(runs) == iterations.runs_at_most(recipe) or learned.history[-1].finished:
-            break
-        kind = iterations.kind_of(len(runs))
-        runs.append(bench.turn(kinds[kind], replace(plain, table=learned.table)))
+    learned = iterations.run_by_run(
+        recipe,
+        first,
+        lambda runs: _learn(runs, low, recipe, constant, learning),
+        lambda kind, so_far: bench.turn(kinds[kind], replace(plain, table=so_far.table)),
+    )
     bench.check(kinds, plain, without_low_speeds(learned.table), learned.table)
 
 

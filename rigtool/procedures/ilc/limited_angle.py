@@ -110,13 +110,14 @@ def measure(
             record(rig, Task(motion(recipe, spec), fed), recorder, spec.name)
         return [recorder.recording(spec.name) for spec in specs]
 
-    runs = [move("learn", plain)]
+    first = move("learn", plain)
     low = move("low", plain)
-    for updates in range(1, iterations.runs_at_most(recipe) + 1):
-        learned = _learn(runs, low, recipe, constant, learning)
-        if len(runs) == iterations.runs_at_most(recipe) or learned.history[-1].finished:
-            break
-        runs.append(move(iterations.kind_of(updates), replace(plain, table=learned.table)))
+    learned = iterations.run_by_run(
+        recipe,
+        first,
+        lambda runs: _learn(runs, low, recipe, constant, learning),
+        lambda kind, so_far: move(kind, replace(plain, table=so_far.table)),
+    )
     compensated = replace(plain, table=learned.table)
     move("validate", compensated)
     move("off", plain)

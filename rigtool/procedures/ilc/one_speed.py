@@ -79,13 +79,14 @@ def measure(
     plain = feedforward(recipe.rig.nominal_inertia, friction_results(friction))
     kinds = _kinds(recipe)
     bench = turning.Bench(rig, recipe, recorder)
-    runs = [bench.turn(kinds["learn"], plain)]
-    while True:
-        learned, history = _learn(runs, recipe, constant, learning)
-        if len(runs) == iterations.runs_at_most(recipe) or history[-1].finished:
-            break
-        kind = iterations.kind_of(len(runs))
-        runs.append(bench.turn(kinds[kind], replace(plain, table=untuned(learned, recipe))))
+    learned = iterations.run_by_run(
+        recipe,
+        bench.turn(kinds["learn"], plain),
+        lambda runs: _learn(runs, recipe, constant, learning),
+        lambda kind, so_far: bench.turn(
+            kinds[kind], replace(plain, table=untuned(so_far.row, recipe))
+        ),
+    ).row
     others = bench.turn(kinds["tune"], plain)
     tuned = _tune(learned, [turning.turned(r, recipe, constant) for r in others], recipe, learning)
     bench.check(kinds, plain, untuned(learned, recipe), tuned.table)
@@ -155,7 +156,8 @@ def analyse(
     recorded = iterations.recorded_runs(run, recipe)
     turning.require_friction_fed(recorded[0][0], recipe, constant, fed)
     narrow = narrowed(filters, recipe)
-    learned, history = _learn(recorded, recipe, constant, narrow)
+    taught = _learn(recorded, recipe, constant, narrow)
+    learned, history = taught.row, taught.history
     others = [turning.turned(r, recipe, constant) for r in common.found(run, "tune")]
     tuned = _tune(learned, others, recipe, narrow)
     after = [turning.turned(r, recipe, constant) for r in common.found(run, "validate")]
@@ -206,10 +208,18 @@ def _ripple(item: Turned) -> Turned:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Learned:
+    """The map at the speed of learning, with its uncertainty, and all runs judged."""
+
+    row: Row
+    history: list[LearningRun]
+
+
 def _learn(
     runs: Sequence[Sequence[Recording]], recipe: Recipe, torque_constant: float, learning: Learning
-) -> tuple[Row, list[LearningRun]]:
-    """Return the map at the speed of learning, with its uncertainty, and all runs judged."""
+) -> _Learned:
+    """Return what all runs so far teach."""
     counts = recipe.rig.encoder_counts
     cut = [[_ripple(turning.turned(r, recipe, torque_constant)) for r in run] for run in runs]
     history = [turning.judge(run, learning, updates) for updates, run in enumerate(cut)]
@@ -219,7 +229,7 @@ def _learn(
     # The scatter of single turns, as wide as what several updates carry.
     mean = repeatable_row(updated, spread).mean
     wider = mean + np.sqrt(spread) * (updated.moves - updated.mean)
-    return Row(updated.speed, wider), history
+    return _Learned(Row(updated.speed, wider), history)
 
 
 @dataclass(frozen=True, eq=False)

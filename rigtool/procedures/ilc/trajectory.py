@@ -93,12 +93,12 @@ def measure(
         record(rig, Task(move(recipe), fed), recorder, f"{kind}_000")
         return recorder.recording(f"{kind}_000")
 
-    runs = [perform("learn", None)]
-    while True:
-        learned = _learn(runs, recipe, constant, filters)
-        if len(runs) == iterations.runs_at_most(recipe) or learned.history[-1].finished:
-            break
-        runs.append(perform(iterations.kind_of(len(runs)), learned.torque))
+    learned = iterations.run_by_run(
+        recipe,
+        perform("learn", None),
+        lambda runs: _learn(runs, recipe, constant, filters),
+        lambda kind, so_far: perform(kind, so_far.torque),
+    )
     perform("validate", learned.torque)
 
 
