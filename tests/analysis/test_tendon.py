@@ -68,7 +68,7 @@ def test_contact_turns_round_over_its_angle():
     count = 4096
     speed = np.where(np.arange(count) < count / 2, 1.0, -1.0)
     direction = contact(speed, 2.0)
-    assert direction[count // 4] == pytest.approx(1)
-    assert direction[-1] == pytest.approx(-1)
+    assert direction[count // 4] == pytest.approx(1, rel=1e-9)
+    assert direction[-1] == pytest.approx(-1, rel=1e-9)
     way = np.argmax(direction[count // 2 :] < 0) * 2.0 / count
     assert 0.3 * CONTACT_ANGLE < way < CONTACT_ANGLE

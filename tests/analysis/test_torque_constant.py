@@ -176,7 +176,7 @@ def test_plateaus_leave_the_settling_out():
 def test_a_gap_in_time_begins_a_staircase():
     bench = Bench()
     plateaus = find_plateaus(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
-    assert_allclose(np.bincount(plateaus.staircase), np.full(6, 41))
+    assert_allclose(np.bincount(plateaus.staircase), np.full(6, 41), rtol=1e-9)
 
 
 def test_linearity_finds_the_worst_level():

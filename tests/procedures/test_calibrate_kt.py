@@ -108,7 +108,7 @@ def test_staircase_goes_up_and_down():
     settings = CalibrateKt(current_max=2.0, steps=4, staircases=2)
     levels = calibrate_kt.staircase(settings)
     up = [0.0, 0.5, 1.0, 1.5, 2.0, 1.5, 1.0, 0.5]
-    assert_allclose(levels, [*up, *up, 0.0])
+    assert_allclose(levels, [*up, *up, 0.0], rtol=1e-9)
 
 
 def test_the_motor_is_measured_without_instrument(measured):

@@ -233,6 +233,7 @@ def test_the_excitation_keeps_to_its_limits(attachment):
             np.testing.assert_allclose(
                 np.abs(task.feedforward.signal.reshape(-1, 2000)),
                 np.abs(torque)[None].repeat(int(periods), 0),
+                rtol=1e-9,
             )
 
 

@@ -94,7 +94,7 @@ def test_little_remains_at_any_speed(proof):
     assert b.results["residual_peak"].value == b.results["validation_peak_learned"].value
     table = b.tables["validation"]
     assert (np.abs(table["speed"]).min(), np.abs(table["speed"]).max()) == pytest.approx(
-        (0.3 * REV, 5 * REV)
+        (0.3 * REV, 5 * REV), rel=1e-9
     )
     assert table["learned"].sum() == 6
     assert table["between"].sum() == 6
@@ -172,7 +172,7 @@ def test_friction_is_in_the_table_as_a_function_of_position(learned):
     # The amplifier's offset and the asymmetry of the rig's friction are friction here.
     np.testing.assert_allclose(lookup["torque"].mean(axis=1), expected, rtol=0.05, atol=0.1e-3)
     assert (lookup["torque"].std(axis=1) > 0.3e-3).all()
-    assert learned[1].tables["amplitude"]["low_speed"][1] == pytest.approx(0.3 * REV)
+    assert learned[1].tables["amplitude"]["low_speed"][1] == pytest.approx(0.3 * REV, rel=1e-9)
 
 
 def test_where_nothing_repeats_the_table_is_zero_and_says_so(folder, kt, friction):
@@ -259,9 +259,9 @@ def test_the_cut_off_follows_from_bandwidth_and_speeds():
     filters = design(recipe)
     bandwidth = one_speed.bandwidth(filters.learning)
     assert bandwidth == pytest.approx(100, rel=0.1)
-    assert one_speed.narrowed(filters, recipe).cutoff_hz == pytest.approx(bandwidth / 5)
+    assert one_speed.narrowed(filters, recipe).cutoff_hz == pytest.approx(bandwidth / 5, rel=1e-9)
     faster = load_recipe(RECIPE, [PULLEY, "ilc_learn.turning.speeds_rev_per_s=[1, 10]"])[0]
-    assert one_speed.narrowed(filters, faster).cutoff_hz == pytest.approx(bandwidth / 10)
+    assert one_speed.narrowed(filters, faster).cutoff_hz == pytest.approx(bandwidth / 10, rel=1e-9)
 
 
 def test_ripple_lags_behind_the_rotor_as_it_turns_faster(proof):

@@ -92,7 +92,7 @@ def test_a_table_8_of_its_own(measured):
         assert np.abs(levels["error_percent"]).max() < 5
         assert (levels["strokes"] >= 4).all()
         error = levels["mean_torque"] - levels["applied_torque"]
-        assert levels["error_torque"] == pytest.approx(error)
+        assert levels["error_torque"] == pytest.approx(error, rel=1e-9)
         assert (levels["std_torque"] >= 0).all()
 
 
