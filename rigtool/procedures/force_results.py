@@ -39,7 +39,8 @@ class Reading:
     """One recording, filtered: signals (n,), its cycles, and the torque read in each (cycles,).
 
     `position` in quad counts of the motor; `torque` at the output and `feedforward` (of the learned
-    table) at the motor, N m.
+    table) at the motor, N m. `method_u` is the standard uncertainty at the output of what a reading
+    holds beside the load by the way it is made, N m.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Reading:
     feedforward: Array
     cycles: list[Cycle]
     values: Array
+    method_u: float = 0.0
 
     def strokes(self, signal: Array, grid: Array) -> tuple[Array, Array]:
         """Return a signal over position of the rising and of the falling strokes."""
@@ -87,15 +89,18 @@ def loads_outcome(
         statistics(load.values - zero, float(applied_torque(recipe, load.force, angle)))
         for load in loads[1:]
     ]
-    # The error of the table is in the zero reading as well and goes with it; the scatter of the
-    # zero reading comes instead.
-    offset_u = unloaded.u / recipe.rig.torque_factor if recipe.measure_force.zero else table_u
+    # The error of the table is in the zero reading as well and goes with it; what makes the zero
+    # reading uncertain comes instead.
+    zero_u = math.hypot(unloaded.u, loads[0].method_u) / recipe.rig.torque_factor
+    offset_u = zero_u if recipe.measure_force.zero else table_u
     judged = normality(loads[0].values)
     results = {
         "std_torque_no_load": Quantity(
             unloaded.std, "N m", _std_u(unloaded), float(unloaded.count - 1)
         ),
-        "mean_torque_no_load": _mean_quantity(unloaded, recipe, constant, table_u),
+        "mean_torque_no_load": _mean_quantity(
+            unloaded, recipe, constant, table_u, loads[0].method_u
+        ),
         "normality_p": Quantity(judged.p, "1", reason="a probability is not measured"),
     }
     probability = Table(
@@ -126,8 +131,8 @@ def _loads_table(
     offset_u: float,
 ) -> Table:
     means = [
-        _mean_quantity(row, recipe, constant, offset_u if number else table_u)
-        for number, row in enumerate(rows)
+        _mean_quantity(row, recipe, constant, offset_u if number else table_u, load.method_u)
+        for number, (row, load) in enumerate(zip(rows, loads, strict=True))
     ]
     columns = {
         "load": Column(np.arange(len(loads)), "1", "in the order of measurement"),
@@ -139,7 +144,7 @@ def _loads_table(
         "mean_torque_u": Column(
             np.array([mean.u for mean in means]),
             "N m",
-            "standard uncertainty: scatter, torque constant, zero reading or learned table",
+            "standard uncertainty: scatter, torque constant, zero reading or learned table, method",
         ),
         "mean_torque_dof": Column(
             np.array([math.nan if mean.dof is None else mean.dof for mean in means]),
@@ -166,12 +171,13 @@ def _loads_table(
 
 
 def _mean_quantity(
-    row: LoadStatistics, recipe: Recipe, constant: Quantity, offset_u: float
+    row: LoadStatistics, recipe: Recipe, constant: Quantity, offset_u: float, method_u: float
 ) -> Quantity:
     """Return the mean torque with its whole uncertainty; `constant` is that at one rotor angle.
 
-    torque = factor * (Kt * current + offset) (GUM 5.1.2, by GTC). The offset is zero; `offset_u`,
-    N m at the motor, is how well that is known: from the zero reading, or from the learned table.
+    torque = factor * (Kt * current + offset) + method (GUM 5.1.2, by GTC). The offset is zero;
+    `offset_u`, N m at the motor, is how well that is known: from the zero reading, or from the
+    learned table. `method_u` is that of `Reading`.
     """
     from GTC import dof, uncertainty, ureal
 
@@ -179,7 +185,7 @@ def _mean_quantity(
     scale = factor * constant.value
     current = ureal(row.mean / scale, row.u / scale, row.dof)
     kt = ureal(constant.value, constant.u or 0.0, constant.dof or math.inf)
-    torque = factor * (kt * current + ureal(0.0, offset_u))
+    torque = factor * (kt * current + ureal(0.0, offset_u)) + ureal(0.0, method_u)
     degrees = float(dof(torque))
     return Quantity(
         row.mean, "N m", float(uncertainty(torque)), degrees if math.isfinite(degrees) else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from rigtool.analysis.holds import SHAKING_LIMIT, Holds, find_holds, pool
 from rigtool.analysis.low_current import require_linear_at_low_current
 from rigtool.analysis.torque_speed import TorqueSpeed, torque_speed_curve
 from rigtool.errors import InsufficientDataError
+from rigtool.procedures.between_set_points import LIMIT, REMEDY, Lacking, resolution
 from rigtool.procedures.friction_results import (
     DIRECTIONS,
     Estimate,
@@ -43,6 +45,9 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run, Table
 
 Array = NDArray[np.float64]
+
+TOLD = 0.1
+"""Part of its limit from which on what samples lack is worth a note."""
 
 HOLDS = "holds"
 SWEEPS = ("sweep", "sweep_coulomb", "sweep_viscous")
@@ -81,6 +86,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         found.notes.extend(notes)
         found.tables["holds"] = holds_table(holds)
         offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
+        _note_lacking(Lacking.of(runs), holds, found)
     elif "sweep" in curves:
         fits = _fit_sweep(curves["sweep"])
         found.notes.append("friction is taken from the sweep, without repeated measurements")
@@ -127,17 +133,17 @@ def _fit_holds(
     parts, notes = [], []
     setpoints, currents = [], []
     for recording in recordings:
-        parts.append(
-            find_holds(
-                time=recording.read("time"),
-                angle=_angle(recording, recipe),
-                torque=_torque(recording, scale),
-                setpoint=recording.read("position_setpoint")
-                if recording.has("position_setpoint")
-                else None,
-                inertia=recipe.rig.nominal_inertia,
-            )
+        found = find_holds(
+            time=recording.read("time"),
+            angle=_angle(recording, recipe),
+            torque=_torque(recording, scale),
+            setpoint=recording.read("position_setpoint")
+            if recording.has("position_setpoint")
+            else None,
+            inertia=recipe.rig.nominal_inertia,
         )
+        step = scale.value * resolution(recording, recipe.stribeck.record_every)
+        parts.append(replace(found, u=np.hypot(found.u, step / math.sqrt(12))))
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
@@ -157,6 +163,30 @@ def _fit_holds(
             friction_current=float(np.mean([fit.friction for fit in fits.values()])) / scale.value,
         )
     return fits, steady, notes
+
+
+def _note_lacking(lacking: Lacking, holds: Holds, found: Found) -> None:
+    """Make friction as uncertain as what the rig's loop leaves out of its samples.
+
+    Raises `InsufficientDataError` where that is too much.
+    """
+    left_out = np.array([found.scale.value * lacking.at(speed) for speed in np.abs(holds.speed)])
+    worst = int(np.argmax(np.abs(left_out)))
+    if not left_out[worst]:
+        return
+    found.left_out = lacking.line(found.scale.value)
+    limit = LIMIT * float(np.mean(np.abs(holds.torque)))
+    text = (
+        f"torque between set points differs from that of the samples, most at "
+        f"{abs(holds.speed[worst]):.3g} rad/s by {left_out[worst] * 1e3:.3g} mN m"
+    )
+    if abs(left_out[worst]) > limit:
+        raise InsufficientDataError(
+            f"{text}: more than {limit * 1e3:.3g} mN m, {LIMIT:.0%} of what was read as friction; "
+            f"{REMEDY}"
+        )
+    if abs(left_out[worst]) > TOLD * limit:
+        found.notes.append(f"{text}, which is in the uncertainty of friction: {REMEDY}")
 
 
 def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:

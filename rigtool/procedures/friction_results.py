@@ -59,9 +59,13 @@ class Scale:
 
 @dataclass
 class Found:
-    """What has been found so far."""
+    """What has been found so far.
+
+    `left_out` is what samples lack of Coulomb [N m] and viscous friction [N m s/rad].
+    """
 
     scale: Scale
+    left_out: tuple[float, float] = (0.0, 0.0)
     results: dict[str, Quantity] = field(default_factory=dict)
     tables: dict[str, Table] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
@@ -74,12 +78,10 @@ class Found:
 def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Found) -> None:
     """Add Coulomb, viscous and Stribeck parameters; `offset` is taken out of each direction."""
     dof = float(sum(fit.dof for fit in fits.values()))
-    _add_directions(
-        found, "coulomb_friction", {s: f.coulomb for s, f in fits.items()}, "N m", dof, offset
-    )
-    _add_directions(
-        found, "viscous_friction", {s: f.viscous for s, f in fits.items()}, "N m s/rad", dof
-    )
+    coulomb, viscous = ({s: getattr(f, n) for s, f in fits.items()} for n in ("coulomb", "viscous"))
+    coulomb_u, viscous_u = found.left_out
+    _add_directions(found, "coulomb_friction", coulomb, "N m", dof, offset, common_u=coulomb_u)
+    _add_directions(found, "viscous_friction", viscous, "N m s/rad", dof, common_u=viscous_u)
     if offset is not None:
         found.add("friction_offset", offset.offset, "N m")
         asymmetry, asymmetry_u = offset.asymmetry
@@ -114,22 +116,26 @@ def _add_directions(
     dof: float | None,
     offset: Offset | None = None,
     scaled: bool = True,
+    common_u: float = 0.0,
 ) -> None:
-    """Add the mean over directions, and each direction without the offset."""
+    """Add the mean over directions, and each direction without the offset.
+
+    `common_u` is the standard uncertainty of all of them alike.
+    """
     if not values:
         return
     scale = found.scale if scaled else Scale(1.0, 0.0)
     mean = float(np.mean([value for value, _ in values.values()]))
-    u = math.hypot(*(u for _, u in values.values())) / len(values)
+    u = math.hypot(math.hypot(*(u for _, u in values.values())) / len(values), common_u)
     if offset is not None and len(values) == 1:
         sign = next(iter(values))
         mean -= sign * offset.offset[0]
         u = math.hypot(u, offset.offset[1])
     found.results[name] = scale.quantity((mean, u), unit, dof)
     for sign, (value, own) in values.items():
-        here = (value, own)
+        here = (value, math.hypot(own, common_u))
         if offset is not None:
-            here = (value - sign * offset.offset[0], math.hypot(own, offset.offset[1]))
+            here = (value - sign * offset.offset[0], math.hypot(here[1], offset.offset[1]))
         found.results[f"{name}_{DIRECTIONS[sign]}"] = scale.quantity(here, unit, dof)
 
 

@@ -18,6 +18,12 @@ from rigtool.analysis.force import find_cycles, kept_factor, lowpass_at, reading
 from rigtool.analysis.signals import require_rising, rising_steps
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.procedures.calibration import torque_per_ampere
+from rigtool.procedures.force_method import (
+    lacking_torque,
+    require_slow_strokes,
+    resolution_u,
+    unsteady_torque,
+)
 from rigtool.procedures.force_results import ZERO_AGAIN, Reading, loads_outcome
 from rigtool.procedures.health import require_health
 from rigtool.procedures.imported_force import analyse_imported
@@ -98,19 +104,26 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: Run) -> None:
     """Lift and lower each load with the learned table switched on."""
     _require_inputs(recipe, kt, tables)
-    settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
+    settings = recipe.measure_force
+    require_slow_strokes(recipe, strokes(recipe, 1))
     feedforward = feedforward_from(tables, recipe.rig.nominal_inertia)
     for spec in recordings(recipe):
-        motion = Triangle(
-            low=0.0,
-            high=math.radians(settings.angle) * ratio,
-            speed=2 * math.pi * settings.speed_rev_per_s * ratio,
-            turn_angle=math.radians(settings.turn_angle) * ratio,
-            cycles=int(spec.conditions["cycles"][0]),
-        )
+        motion = strokes(recipe, int(spec.conditions["cycles"][0]))
         load = Load(force=spec.conditions["force"][0])
         task = Task(motion, feedforward, load, record_every=settings.record_every)
         record(rig, task, recorder, spec.name)
+
+
+def strokes(recipe: Recipe, cycles: int) -> Triangle:
+    """Return the motion that lifts and lowers a load."""
+    settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
+    return Triangle(
+        low=0.0,
+        high=math.radians(settings.angle) * ratio,
+        speed=2 * math.pi * settings.speed_rev_per_s * ratio,
+        turn_angle=math.radians(settings.turn_angle) * ratio,
+        cycles=cycles,
+    )
 
 
 # -- analysing
@@ -126,6 +139,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
         raise UsageError(f"{len(runs)} run files: measure-force takes one, with all its loads")
     run = runs[0]
     _require_inputs(recipe, kt, tables)
+    require_slow_strokes(recipe, strokes(recipe, 1))
     constant = _constant_at_one_angle(kt)
     recorded = run.recordings_named("load_")
     if not recorded or recorded[0].condition("force") != 0:
@@ -133,20 +147,22 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
             f"{run.path}: has no recording load_000 without load: give the run file in which "
             "measure-force recorded its signals"
         )
-    loads = [_read(recording, recipe, constant.value) for recording in recorded]
+    forces = [recording.condition("force") for recording in recorded]
+    lacking, remarks = lacking_torque(run, recipe, constant.value, forces)
+    loads = [_read(recording, recipe, constant.value, lacking) for recording in recorded]
     outcome = _corrected(run, loads, recipe, constant, kt=kt, tables=tables)
     extra, failed = {}, []
     for name in (HYSTERESIS, SHIFT):
         if name in run.recordings and run.recordings[name].size:
             try:
-                extra[name] = _read(run.recordings[name], recipe, constant.value)
+                extra[name] = _read(run.recordings[name], recipe, constant.value, lacking)
             except InsufficientDataError as error:  # costs its own results only
                 failed.append(f"no result: {error}")
     more = instrument_outcome(extra, recipe, constant)
     return Outcome(
         {**outcome.results, **more.results},
         {**outcome.tables, **more.tables},
-        (*_input_notes(kt, tables), *outcome.notes, *failed, *more.notes),
+        (*_input_notes(kt, tables), *remarks, *outcome.notes, *failed, *more.notes),
     )
 
 
@@ -167,14 +183,19 @@ def _corrected(
     return corrected_force.load_outcome(outcome, friction_u, thesis)
 
 
-def _read(recording: Recording, recipe: Recipe, torque_constant: float) -> Reading:
+def _read(recording: Recording, recipe: Recipe, torque_constant: float, lacking: float) -> Reading:
     """Filter a recording, cut it into cycles and read the torque of each."""
     settings, rig = recipe.measure_force, recipe.rig
     try:
-        position, controller, table = _filtered(recording, recipe)
+        (position, controller, table), rate = _filtered(recording, recipe)
         cycles = find_cycles(position)
         angle = position * (2 * math.pi / rig.encoder_counts) / rig.angle_ratio
         torque = rig.torque_factor * (torque_constant * controller)
+        beside = (
+            lacking,
+            unsteady_torque(angle, torque, rate, cycles, recipe),
+            resolution_u(recording, recipe, torque_constant),
+        )
         return Reading(
             name=recording.name,
             force=recording.condition("force"),
@@ -184,13 +205,14 @@ def _read(recording: Recording, recipe: Recipe, torque_constant: float) -> Readi
             feedforward=torque_constant * table,
             cycles=cycles,
             values=readings(angle, torque, cycles, math.radians(settings.measure_angle)),
+            method_u=math.hypot(*beside),
         )
     except InsufficientDataError as error:
         raise InsufficientDataError(f"recording {recording.name}: {error}") from None
 
 
-def _filtered(recording: Recording, recipe: Recipe) -> Array:
-    """Return encoder, controller's current and table's current, low-passed and thinned, (3, m).
+def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
+    """Return encoder, controller's and table's current, low-passed and thinned, (3, m), and Hz.
 
     Goes through the recording once, block by block.
     """
@@ -211,7 +233,7 @@ def _filtered(recording: Recording, recipe: Recipe) -> Array:
     require_health(
         recipe, largest_current=largest, largest_controller=controlled, distance=farthest
     )
-    return lowpass_at(rate / factor, collected.finish(), cutoff)
+    return lowpass_at(rate / factor, collected.finish(), cutoff), rate / factor
 
 
 def _rate(recording: Recording) -> float:
