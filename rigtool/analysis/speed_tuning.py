@@ -35,6 +35,10 @@ Half way between two rows, interpolation then loses 1 - cos(0.15) = 1 % of the a
 """
 
 
+NEWTON_STEPS = 5
+"""From within a sixteenth of the highest order's period of a summit, to rounding."""
+
+
 @dataclass(frozen=True, eq=False)
 class Tuning:
     """Amplitude and shift by speed, rad/s (k,), rising; `u` where they are estimated, else zero.
@@ -126,15 +130,19 @@ def best_shift(wave: Orders, other: Orders, near: float, reach: float) -> float:
     if not counts.size:
         return near
     cross, order = cross[counts], order[counts]
-    # Sixteen points a period of the highest order, then a parabola through the best three.
+    # Sixteen points a period of the highest order; Newton's method from the best one on.
     points = max(33, math.ceil(16 * order[-1] * reach / math.pi) | 1)
     shifts = near + np.linspace(-reach, reach, points)
-    alike = np.real(np.exp(-1j * np.outer(shifts, order)) @ cross)
-    top = int(np.clip(np.argmax(alike), 1, points - 2))
-    left, middle, right = alike[top - 1 : top + 2]
-    bend = left - 2 * middle + right
-    part = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    return float(shifts[top] + np.clip(part, -1, 1) * (shifts[1] - shifts[0]))
+    turned = np.exp(-1j * np.outer(shifts, order))
+    best = float(shifts[np.argmax(np.real(turned @ cross))])
+    low, high = best - (shifts[1] - shifts[0]), best + (shifts[1] - shifts[0])
+    for _ in range(NEWTON_STEPS):
+        parts = cross * np.exp(-1j * best * order)
+        slope, bend = float(np.imag(parts) @ order), -float(np.real(parts) @ order**2)
+        if bend >= 0:
+            break
+        best = min(max(best - slope / bend, low), high)
+    return best
 
 
 def written_out(position: Array, learned: Row, tuning: Tuning) -> tuple[LookupTable, Array]:
