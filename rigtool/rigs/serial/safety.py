@@ -182,7 +182,7 @@ class Watch:
     limit by `CURRENT_TOLERANCE` all that time always trips, within it never.
 
     **Position, temperature.** Each sample. NaN is a sample that is missing, it is left out; where
-    the position is missing for longer than `BLIND`, that is a problem of its own. A position that
+    samples come without a position for longer than `BLIND`, that is a problem of its own. One that
     jumps, since the encoder wrapped around or lost its place, shows as speed, or as a position.
     """
 
@@ -215,12 +215,12 @@ class Watch:
         return None if current is None else self._strong(time, current)
 
     def _blind(self, time: Array, position: Array) -> str | None:
-        """Judge how long the position was missing, up to the last sample."""
-        known = time[np.isfinite(position)]
+        """Judge how long samples have come whose position is missing."""
         begin = time[0] if math.isnan(self._seen) else self._seen
-        ends = np.concatenate([[begin], known, time[-1:]])
-        self._seen = float(ends[-2])
-        longest = float(np.diff(ends).max())
+        known = np.isfinite(position)
+        seen = np.maximum.accumulate(np.where(known, time, begin))
+        self._seen = float(seen[-1])
+        longest = float(np.max(time - seen, initial=0.0, where=~known))
         if longest <= BLIND:
             return None
         return (

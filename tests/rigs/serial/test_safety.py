@@ -264,6 +264,10 @@ def test_a_position_that_is_missing_for_long_is_a_problem(pieces):
     )
 
 
+def test_samples_that_come_rarely_are_not_missing():
+    assert watched(signals(20, 1.0, encoder=np.zeros(20), current=np.zeros(20))) is None
+
+
 @pytest.mark.parametrize("period", [DT, 4e-3, 0.02])
 @pytest.mark.parametrize("jump", [-4000, 4000, 65536])
 def test_an_encoder_that_jumps_is_a_problem_that_names_it(period, jump):
