@@ -232,4 +232,6 @@ def test_steps_triangles_and_what_hardly_changes_are_no_spikes():
     still[40] = 3.1
     assert not spikes(still).any()
     assert np.flatnonzero(spikes(still, resolution=0.004)).tolist() == [40]
+    assert np.flatnonzero(spikes(still, finest=0.004)).tolist() == [40]
+    assert not spikes(still[20:50], finest=0.004).any()  # too few to say that it hardly changes
     assert not spikes(np.array([1.0, 2.0])).any()

@@ -24,8 +24,8 @@ class Pulled(Exception):
 class Fault:
     """One thing that goes wrong.
 
-    flip, lose, double: bits or bytes, each byte with this `probability`, or the byte in the middle
-        of write number `at`.
+    flip, lose, double: bits or bytes, each byte with this `probability`, or one of write number
+        `at`: number `byte` of it (of a short write counted on from its start), or the middle one.
     cut: of write `at` only the first half arrives.
     silence: from write `at`, for `duration` s, nothing arrives.
     late: write `at` arrives together with, and before, the next one.
@@ -38,6 +38,7 @@ class Fault:
     probability: float = 0.0
     duration: float = float("inf")
     count: int = 1
+    byte: int | None = None
     towards: Literal["host", "device"] = "host"
     seed: int = 1
 
@@ -92,8 +93,10 @@ class Faults:
     ) -> bytes:
         if fault.probability > 0:
             hit = np.flatnonzero(random.random(len(data)) < fault.probability)
+        elif number == fault.at and data:
+            hit = np.array([len(data) // 2 if fault.byte is None else fault.byte % len(data)])
         else:
-            hit = np.array([len(data) // 2] if number == fault.at else [], dtype=np.int64)
+            return data
         if hit.size == 0:
             return data
         values = np.frombuffer(data, np.uint8).copy()

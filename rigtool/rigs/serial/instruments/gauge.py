@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 NEAR = {"force": 0.5, "deflection": 0.5, "temperature": 10.0}
 """Longest time for which a reading holds, s."""
 
+SLOW = ("temperature",)
+"""Channels whose readings count only once another has followed: late is better than damaged."""
+
 WAIT = 0.5
 """Longest wait for the readings that follow a moment and show whether one is a spike, s.
 
@@ -34,8 +37,11 @@ it was.
 SILENCE = 5.0
 """Time without a valid reading after which an instrument that sends by itself is lost, s."""
 
-FIRST = 10.0
-"""Time in which the first reading must have come, s."""
+FIRST = 20.0
+"""Time in which the first readings must have come, s: multimeters take up to 3 s for one."""
+
+BEFORE = 3
+"""Readings that must have come at first: then the last but one can be judged as a spike."""
 
 SPIKE = 20.0
 """Times the usual difference of two readings by which one may lie beyond both its neighbours."""
@@ -45,6 +51,9 @@ USUAL = 200
 
 ENOUGH = 10
 """Differences that are needed for that."""
+
+STILL = 30
+"""Readings of which fewer than `ENOUGH` differ, so that they hardly change."""
 
 
 class LineGauge:
@@ -75,7 +84,6 @@ class LineGauge:
         self._heard = -math.inf  # as late as the thread knows of, s
         self._error, self._lost = "", math.inf  # why and when reading ended before its time
         self._finished = False
-        self._since = -math.inf  # what was read before is forgotten, s
         self._judged = -math.inf  # readings until then were looked at as spikes, s
         self._told = ""
         self._flags: dict[str, int] = {}
@@ -123,9 +131,14 @@ class LineGauge:
 
     def _await_first(self) -> None:
         with self._arrived:
-            self._arrived.wait_for(lambda: bool(self._times or self._finished), FIRST)
-        if not self._times:
-            raise HardwareError(self._error or f"{self._name}: no reading within {FIRST:g} s")
+            self._arrived.wait_for(lambda: len(self._times) >= BEFORE or self._finished, FIRST)
+            come = len(self._times)
+        if come < BEFORE:
+            raise HardwareError(
+                self._error
+                or f"{self._name}: {come} readings within {FIRST:g} s, {BEFORE} are needed to tell "
+                "a damaged one: look at its rate"
+            )
 
     @property
     def name(self) -> str:
@@ -139,7 +152,7 @@ class LineGauge:
     # -- what a rig asks for
 
     def begin(self, moment: float) -> None:
-        """Forget what was read before a recording begins at `moment`, s.
+        """Forget what was read long before a recording begins at `moment`, s.
 
         Raises `HardwareError` where the instrument is lost by then.
         """
@@ -147,8 +160,7 @@ class LineGauge:
             self._wait_for(lambda: self._heard >= moment, 0.0)
             if self._error and self._lost <= moment:
                 raise HardwareError(self._error)
-            self._since = moment - NEAR[self._channel]
-            old = bisect_left(self._times, self._since)
+            old = max(0, bisect_left(self._times, moment - NEAR[self._channel]) - USUAL)
             del self._times[:old], self._values[:old], self._flagged[:old]
             self._told = ""
 
@@ -162,15 +174,18 @@ class LineGauge:
         near, last = NEAR[self._channel], float(moments[-1])
         with self._arrived:
             self._wait_for(lambda: self._knows(last), last + WAIT)
-            first = bisect_left(self._times, max(self._since, float(moments[0]) - near))
+            first = bisect_left(self._times, float(moments[0]) - near)
             some = slice(max(0, first - USUAL), self._end(last))
             times, values = np.array(self._times[some]), np.array(self._values[some])
             flag = self._flagged[some.stop - 1] if some.stop else ""
-            lost = not self._covers(last) and self._lost <= last + WAIT
-        alone = spikes(values, self._reader.resolution)
+            covered = self._covers(last)
+            lost = not covered and self._lost <= last + WAIT
+        alone = spikes(values, self._reader.resolution, self._reader.finest)
         self._spikes += int(np.count_nonzero(alone & (times > self._judged)))
         if len(times) > 1:
             self._judged = max(self._judged, times[-2])
+        if len(times) and not covered and (lost or self._channel in SLOW):
+            alone[-1] = True  # nothing tells yet whether it is one
         found = latest(times[~alone], values[~alone], moments, near)
         lacking = int(np.count_nonzero(np.isnan(found)))
         self._missing += lacking
@@ -293,18 +308,20 @@ def latest(times: Array, values: Array, moments: Array, near: float) -> Array:
     return found
 
 
-def spikes(values: Array, resolution: float = 0.0) -> NDArray[np.bool_]:
+def spikes(values: Array, resolution: float = 0.0, finest: float = 0.0) -> NDArray[np.bool_]:
     """Tell readings (n,) that lie alone, far beyond both neighbours: a damaged digit, not a force.
 
-    Far is `SPIKE` times the usual difference of neighbours, at least the `resolution`. A step is no
-    spike, nor the turning point of a triangle. Readings that hardly ever change, of unknown
-    resolution, have none.
+    Far is `SPIKE` times the usual difference of neighbours, at least the `resolution`; where they
+    hardly ever change it is `SPIKE` times the `finest` step that they can show. A step is no spike,
+    nor the turning point of a triangle.
     """
     alone = np.zeros(len(values), dtype=bool)
     if len(values) < 3:
         return alone
     steps = np.diff(values)
     usual = max(_usual(steps), resolution)
+    if usual == 0 and len(steps) >= STILL:
+        usual = finest
     if usual > 0:
         before, after = steps[:-1], -steps[1:]
         beyond = np.minimum(np.abs(before), np.abs(after))

@@ -26,6 +26,9 @@ BAUD_RATE = 9600
 
 UNITS = ("mN", "N", "kN", "gf", "kgf", "ozf", "lbf")
 MODES = ("Normal", "MaxC", "MaxT")
+SET = 3
+"""Times that an AFG is told its unit: it does not say whether it has understood."""
+
 _REPLY = re.compile(r"([+-]? ?\d+\.?\d*) ?([A-Za-z]*)", re.ASCII)
 
 
@@ -53,13 +56,14 @@ class Mecmesin(Polled):
 
     def connect(self) -> str:
         """Return the kind of gauge; raises `HardwareError` where it shows peaks, not the force."""
-        unit = self.ask_if_known(b"U")
+        unit = self.agreed(b"U")
         if unit in UNITS:
             self._unit = unit
         else:
-            self._line.write(b"b")
-            self._line.settle()
-        mode = self.ask_if_known(b"M")
+            for _ in range(SET):
+                self._line.write(b"b")
+                self._line.settle()
+        mode = self.agreed(b"M")
         if mode in MODES[1:]:
             raise HardwareError(
                 f"the gauge is in mode {mode}, and would send peaks: press MAX until it shows the "

@@ -45,7 +45,7 @@ def parse(line: bytes, channel: str, form: Form) -> Reading:
     if found is None:
         raise DamagedReply(f"{text!r} is not a number")
     value, unit = number(found.group(1)), found.group(2) or ""
-    form.require("", unit)  # loggers leave zeros out: only the unit stays the same
+    form.require_unit(found.group(1), unit)  # loggers leave zeros out
     return Reading(to_si(value, unit or _SI[channel], channel))
 
 
@@ -59,6 +59,11 @@ class NumberLines:
     def __init__(self, line: Line, channel: str) -> None:
         self._line, self._channel = line, channel
         self._form = Form()
+
+    @property
+    def finest(self) -> float:
+        """A step of the last decimal in the unit of the channel, by the first readings."""
+        return self._form.finest(self._channel, _SI[self._channel])
 
     def connect(self) -> str:
         """Wait for the first whole number; raises `HardwareError` where none comes."""

@@ -5,6 +5,7 @@ A line that is not exactly as it must be is `DamagedReply`, never a number that 
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import time
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
+from rigtool.rigs.serial.line import QUIET, DamagedReply, Line, LineTimeout
 
 T = TypeVar("T")
 
@@ -103,7 +104,12 @@ class Reader(Protocol):
 
     @property
     def resolution(self) -> float:
-        """A step of the last decimal in the unit of the channel, 0 where it is unknown."""
+        """A step of the last decimal in the unit of the channel, 0 where decimals vary."""
+        ...
+
+    @property
+    def finest(self) -> float:
+        """The same where decimals vary, by the first readings; else 0."""
         ...
 
     def connect(self) -> str:
@@ -171,6 +177,10 @@ def next_line(line: Line, timeout: float) -> bytes:
             raise DamagedReply(f"{line.port}: {len(got)} bytes without an end of line")
 
 
+AGREEING = 4
+"""Pairs of answers to one question of which two must be the same."""
+
+
 class Polled:
     """An instrument that is asked for each reading and answers with a line."""
 
@@ -183,13 +193,44 @@ class Polled:
 
     @property
     def resolution(self) -> float:
-        """A step of the last decimal in the unit of the channel, 0 where it is unknown."""
+        """A step of the last decimal in the unit of the channel."""
         return self._form.resolution(self._channel)
+
+    @property
+    def finest(self) -> float:
+        """None: decimals do not vary."""
+        return 0.0
 
     def ask(self, request: bytes, take: Callable[[bytes], T]) -> T:
         """Return what `take` makes of the line that answers; see `Line.exchange` for errors."""
+        attempts = 0
+
+        def receive() -> T:
+            nonlocal attempts
+            attempts += 1
+            answer = next_line(self._line, self.timeout)
+            with contextlib.suppress(LineTimeout):
+                while attempts > 1:  # a late answer to the question before may have come first
+                    answer = next_line(self._line, QUIET)
+            return take(answer)
+
         self._line.settle(0.0)  # what is left of an older answer
-        return self._line.exchange(request, lambda: take(next_line(self._line, self.timeout)))
+        return self._line.exchange(request, receive)
+
+    def agreed(self, request: bytes) -> str | None:
+        """Return what is answered twice in a row, None where there is silence.
+
+        For what decides about all readings, e.g. their unit: a damaged answer may look like
+        another one. Raises `HardwareError` where no two agree.
+        """
+        answers = [self.ask_if_known(request)]
+        for _ in range(AGREEING):
+            answers.append(self.ask_if_known(request))
+            if answers[-1] == answers[-2]:
+                return answers[-1]
+        raise HardwareError(
+            f"{request!r} is answered differently each time, last {answers[-1]!r}: check the cable"
+        )
 
     def ask_if_known(self, request: bytes, retries: int = 1) -> str | None:
         """Return the answer to a question that not every model knows, None where it is silent."""
@@ -216,26 +257,48 @@ class Form:
 
     def __init__(self) -> None:
         self._form: tuple[int, str] | None = None
+        self._finest = math.inf
+        self._learning = False
 
     def learn(self, read: Callable[[], Reading]) -> None:
         """Read until two readings in a row have one form; `HardwareError` where none have."""
         reading = None
+        self._learning = True
         for _ in range(LEARNING):
             self._form = None
             reading = read()
             first, self._form = self._form, None
             reading = read()
             if first is not None and first == self._form and not math.isnan(reading.value):
+                self._learning = False
                 return
         said = f"says {reading.flag!r}" if reading and reading.flag else "changes its decimals"
         raise HardwareError(f"the instrument {said}: it must read before a run can begin")
 
     def resolution(self, channel: str) -> float:
-        """Return a step of the last decimal in the unit of the channel, 0 where it is unknown."""
+        """Return a step of the last decimal in the unit of the channel, 0 where decimals vary."""
         if self._form is None or self._form[0] < 0:
             return 0.0
         decimals, unit = self._form
         return abs(to_si(10.0**-decimals, unit, channel) - to_si(0.0, unit, channel))
+
+    def finest(self, channel: str, unit: str) -> float:
+        """Return the step of the last decimal, where decimals vary, by the first readings.
+
+        `unit` is that of readings that say none.
+        """
+        if self._form is None or not math.isfinite(self._finest):
+            return 0.0
+        unit = self._form[1] or unit
+        return abs(to_si(self._finest, unit, channel) - to_si(0.0, unit, channel))
+
+    def require_unit(self, digits: str, unit: str) -> None:
+        """Raise `DamagedReply` where the unit differs from that before; decimals may vary."""
+        self.require("", unit)
+        if self._learning:
+            mantissa, _, exponent = digits.lower().partition("e")
+            step = 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
+            self._finest = min(self._finest, step)
 
     def require(self, digits: str, unit: str) -> None:
         """Raise `DamagedReply` where decimals or unit differ from those before."""

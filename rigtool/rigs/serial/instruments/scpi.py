@@ -52,7 +52,7 @@ def parse(line: bytes, channel: str, unit: str, form: Form) -> Reading:
     if found is None:
         raise DamagedReply(f"{text!r} is not a reading")
     value, said = number(found.group(1)), found.group(2)
-    form.require("", said or "")
+    form.require_unit(found.group(1), said or "")
     if abs(value) >= OVERRANGE:
         missing = NO_VALUE if abs(value) == NOT_A_NUMBER else OVERLOAD
         return Reading(math.nan, UNDERRANGE if value < 0 and missing == OVERLOAD else missing)
@@ -68,13 +68,19 @@ class Scpi(Polled):
     _request = b"READ?\n"
     _unit = "C"
 
+    @property
+    def finest(self) -> float:
+        """A step of the last decimal in the unit of the channel, by the first readings."""
+        units = {"temperature": self._unit, "force": "N", "deflection": "m"}
+        return self._form.finest(self._channel, units[self._channel])
+
     def connect(self) -> str:
         """Return what the instrument says it is, or that it answers.
 
         Raises `HardwareError` where nothing does, or it measures no temperature.
         """
         self.timeout = QUICK
-        identity = self.ask_if_known(b"*IDN?\n")
+        identity = self.agreed(b"*IDN?\n")
         if self._channel == "temperature" and identity:
             self._require_temperature()
         self.timeout = SLOW
@@ -85,12 +91,12 @@ class Scpi(Polled):
         return identity or f"answers {self._request.decode().strip()}"
 
     def _require_temperature(self) -> None:
-        function = (self.ask_if_known(b"FUNC?\n") or "").strip('"').upper()
+        function = (self.agreed(b"FUNC?\n") or "").strip('"').upper()
         if re.fullmatch("(VOLT|CURR|RES|FRES|FREQ|PER|CONT|DIOD|CAP)[A-Z:]*", function):
             raise HardwareError(
                 f"the instrument measures {function}, not temperature: set it to temperature"
             )
-        unit = (self.ask_if_known(b"UNIT:TEMP?\n") or "").strip('"')
+        unit = (self.agreed(b"UNIT:TEMP?\n") or "").strip('"')
         if unit.lower() in TEMPERATURES:
             self._unit = unit
 
