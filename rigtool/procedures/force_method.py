@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.analysis.force import Cycle, curves, readings
+from rigtool.analysis.force import Cycle, readings
 from rigtool.errors import InsufficientDataError
 from rigtool.procedures.between_set_points import LIMIT, REMEDY, Lacking, resolution
 from rigtool.procedures.force_results import applied_torque
@@ -73,21 +73,23 @@ def lacking_torque(
 
 
 def unsteady_torque(
-    angle: Array, torque: Array, rate: float, cycles: list[Cycle], recipe: Recipe
+    angle: Array, torque: Array, fed: Array, *, rate: float, cycles: list[Cycle], recipe: Recipe
 ) -> float:
     """Return what the low-pass brings to a reading from the ends of its stroke, N m at the output.
 
-    `angle` and `torque` (n,) are those of the output, low-passed, at `rate` Hz. Where the shaft
-    turns around within the low-pass's memory, part of that is in the reading. The speed goes
-    through the same low-pass: the part p of it that is missing, or too much by overshoot, is
-    missing of friction, too, which reverses with it. What accelerates the inertia comes on top:
+    `angle`, `torque` and the torque that was `fed` forward for the inertia (n,) are those of the
+    output, low-passed, at `rate` Hz. Where the shaft turns around within the low-pass's memory,
+    part of that is in the reading. Speed v and acceleration a go through the same low-pass; over
+    the whole recording torque follows them by friction F, which reverses with the speed, and an
+    apparent inertia J:
 
-        p F + factor J a,   F = (T_rising - T_falling) / 2
+        T + fed = c + F v / v_wanted + J a,   in the reading:  F |1 - v / v_wanted| + |J a - fed|
 
-    On emulated drives the error came out up to 1.7 times as large. Raises `InsufficientDataError`
-    for p above `UNSTEADY`.
+    J is what the samples make of it: where set points of speed come in steps, a current that is
+    sampled right after each is larger than its mean while the shaft accelerates. Raises
+    `InsufficientDataError` where v at the reading is off by more than `UNSTEADY`.
     """
-    settings, rig = recipe.measure_force, recipe.rig
+    settings = recipe.measure_force
     place = math.radians(settings.measure_angle)
     speed = np.gradient(angle) * rate
     wanted = 2 * math.pi * settings.speed_rev_per_s
@@ -101,11 +103,11 @@ def unsteady_torque(
             "reading; set speed_rev_per_s lower, lowpass_hz higher, or measure_angle to the middle "
             "of the stroke, which a load that a soft loop lets lag behind moves"
         )
-    acceleration = readings(angle, np.gradient(speed) * rate, cycles, place).mean()
-    up, down = curves(angle, torque, cycles, np.array([place]))
-    friction = abs(float(up.mean() - down.mean())) / 2
-    inertia = rig.torque_factor * rig.nominal_inertia * rig.angle_ratio
-    return part * friction + inertia * abs(float(acceleration))
+    acceleration = np.gradient(speed) * rate
+    design = np.column_stack([np.ones(angle.size), speed / wanted, acceleration])
+    _, friction, inertia = np.linalg.lstsq(design, torque + fed, rcond=None)[0]
+    lagging = readings(angle, inertia * acceleration - fed, cycles, place).mean()
+    return part * abs(float(friction)) + abs(float(lagging))
 
 
 def resolution_u(recording: Recording, recipe: Recipe, torque_constant: float) -> float:

@@ -187,13 +187,20 @@ def _read(recording: Recording, recipe: Recipe, torque_constant: float, lacking:
     """Filter a recording, cut it into cycles and read the torque of each."""
     settings, rig = recipe.measure_force, recipe.rig
     try:
-        (position, controller, table), rate = _filtered(recording, recipe)
+        (position, controller, table, fed), rate = _filtered(recording, recipe)
         cycles = find_cycles(position)
         angle = position * (2 * math.pi / rig.encoder_counts) / rig.angle_ratio
         torque = rig.torque_factor * (torque_constant * controller)
         beside = (
             lacking,
-            unsteady_torque(angle, torque, rate, cycles, recipe),
+            unsteady_torque(
+                angle,
+                torque,
+                rig.torque_factor * (torque_constant * fed),
+                rate=rate,
+                cycles=cycles,
+                recipe=recipe,
+            ),
             resolution_u(recording, recipe, torque_constant),
         )
         return Reading(
@@ -212,13 +219,13 @@ def _read(recording: Recording, recipe: Recipe, torque_constant: float, lacking:
 
 
 def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
-    """Return encoder, controller's and table's current, low-passed and thinned, (3, m), and Hz.
+    """Return encoder, current of controller, table, model, low-passed and thinned, (4, m), and Hz.
 
     Goes through the recording once, block by block.
     """
     cutoff, per_count = recipe.measure_force.lowpass_hz, 2 * math.pi / recipe.rig.encoder_counts
     rate, last, samples = _rate(recording), np.zeros(0), 0
-    collected = Decimator(factor := kept_factor(rate, cutoff), 3)
+    collected = Decimator(factor := kept_factor(rate, cutoff), 4)
     largest = farthest = controlled = 0.0
     for time, asked, encoder, setpoint, feedforward, table in recording.blocks(*SIGNALS):
         rising_steps(np.concatenate([last, time]), samples - last.size)
@@ -229,7 +236,7 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
         asked -= feedforward
         asked -= table
         controlled = max(controlled, _largest(asked))
-        collected.add(encoder, asked, table)
+        collected.add(encoder, asked, table, feedforward)
     require_health(
         recipe, largest_current=largest, largest_controller=controlled, distance=farthest
     )

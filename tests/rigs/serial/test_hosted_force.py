@@ -90,23 +90,25 @@ def force_rig(monkeypatch, name, period, rev_per_s, *more, **options):
 
 
 @pytest.mark.parametrize(
-    ("name", "period", "rev_per_s"),
+    ("name", "period", "rev_per_s", "stiffness"),
     [
-        ("toy", 0.01, 1.0),
-        ("toy", 0.01, 0.4),
-        ("toy", 0.004, 1.0),
-        ("odrive", 0.004, 2.0),
-        ("odrive", 0.004, 1.0),
-        ("moteus", 0.004, 2.0),
-        ("moteus", 0.01, 0.5),
-        ("maxon", 0.02, 0.5),
-        ("maxon", 0.01, 1.0),
+        ("toy", 0.01, 1.0, 0.06),
+        ("toy", 0.01, 1.0, 0.2),  # steps of speed make 4 mN m while it turns around
+        ("toy", 0.01, 0.4, 0.06),
+        ("toy", 0.004, 1.0, 0.06),
+        ("odrive", 0.004, 2.0, 0.06),
+        ("odrive", 0.004, 1.0, 0.2),
+        ("moteus", 0.004, 2.0, 0.06),
+        ("moteus", 0.01, 0.5, 0.06),
+        ("maxon", 0.02, 0.5, 0.06),
+        ("maxon", 0.01, 1.0, 0.06),
     ],
 )
 def test_loads_and_friction_are_within_their_uncertainty(
-    monkeypatch, chain, name, period, rev_per_s
+    monkeypatch, chain, name, period, rev_per_s, stiffness
 ):
     device, rig = force_rig(monkeypatch, name, period, rev_per_s)
+    device.motor.gain_speed = stiffness
     outcome = chain(measure_force, device, rig)
     loads = outcome.tables["loads"]
     assert (np.abs(loads["error_torque"][1:]) <= 2 * loads["mean_torque_u"][1:] + 1e-9).all()
