@@ -78,6 +78,7 @@ def main() -> None:
             capture_output=True,
         )
         show("make -j2 tables, after set-up", time.perf_counter() - start, "s", 40)
+    line()
     growth()
 
 
@@ -87,6 +88,14 @@ def learning(folder: Path) -> None:
 
     show("learning one table: 20 turns at 8 kHz", best_of(one_table()), "s", 0.3)
     show("rigtool ilc-learn, implementation B from its run", whole_b(folder), "s", 3)
+
+
+def line() -> None:
+    """Show what the serial line costs; ten minutes of it are `python benchmarks/line.py`."""
+    from line import SHORT, measure
+
+    for what, value, unit, limit in measure(SHORT):
+        show(what, value, unit, limit)
 
 
 def growth() -> None:

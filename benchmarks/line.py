@@ -1,18 +1,24 @@
-"""Speed of the serial line: 8 kHz streamed for ten minutes, and blocks from a target's memory.
+"""Speed of the serial line: 8 kHz streamed for a while, and blocks from a target's memory.
 
-Run with `python benchmarks/line.py [SECONDS]`. The emulated target is a process of its own; the
-share of a core is that of the host's process alone.
+`make bench` streams for `SHORT` s; `python benchmarks/line.py` for ten minutes, or the seconds that
+it is given. The emulated target is a process of its own; the share of a core is that of the host's
+process alone. Ratios are against pyserial alone, which reads as many bytes in a plain loop.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import pty
 import subprocess
 import sys
 import time
+import tty
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+import serial
 
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.rigs import Task, open_rig
@@ -23,13 +29,32 @@ ROOT = Path(__file__).parents[1]
 RECIPE = ROOT / "recipes" / "briaire-2006.toml"
 RIGTOOL = str(Path(sys.executable).with_name("rigtool"))
 FOUR = "position_setpoint,encoder,current_setpoint,current"
+SHORT, WHOLE = 15.0, 600.0
+"""Times of streaming, s: by `make bench`, and where nothing else is said."""
+
+FRAME = 64
+"""Samples of a frame, as the emulator sends them, for the plain stream."""
+
+SENDER = """
+import sys, time
+size, rate, total = int(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3])
+sys.stdin.readline()
+start, sent = time.perf_counter(), 0
+while sent < total:
+    sys.stdout.buffer.write(b"x" * size)
+    sys.stdout.buffer.flush()
+    sent += size
+    time.sleep(max(0.0, start + sent / rate - time.perf_counter()))
+"""
 
 
 @contextmanager
 def emulator(*options: str) -> Iterator[str]:
     """Yield the port of an emulated target in another process."""
     line = [RIGTOOL, "target-emulator", str(RECIPE), *options]
-    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        line, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
         assert process.stdout is not None
         try:
             yield process.stdout.readline().strip()
@@ -98,13 +123,50 @@ def download(seconds: float = 60.0) -> float:
             return (rig.line.counts.bytes_received - before) / (time.perf_counter() - start) / 1e6
 
 
-def main() -> None:
-    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 600.0
-    print(f"blocks from memory: {download():.1f} MB/s (aim 1)")
+def plain(total: int, bytes_per_s: float, size: int) -> tuple[float, float]:
+    """Read bytes from a pty with pyserial alone; return its share of a core, and its rate, MB/s.
+
+    They come in pieces of `size` at `bytes_per_s`, infinite for as fast as they are taken.
+    """
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    line = [sys.executable, "-c", SENDER, str(size), str(bytes_per_s), str(total)]
+    with (
+        subprocess.Popen(line, stdin=subprocess.PIPE, stdout=ours) as sender,
+        serial.Serial(os.ttyname(theirs), timeout=0.01) as port,
+    ):
+        assert sender.stdin is not None
+        sender.stdin.write(b"\n")
+        sender.stdin.close()
+        wall, processor, got = time.perf_counter(), time.process_time(), 0
+        while got < total:
+            got += len(port.read(max(1, port.in_waiting)))
+        wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    os.close(ours)
+    os.close(theirs)
+    return processor / wall, total / wall / 1e6
+
+
+def measure(seconds: float) -> Iterator[tuple[str, float, str, float | None]]:
+    """Yield what is measured: words, value, unit and aim."""
+    rate = download()
+    yield "blocks from a target's memory", rate, "MB/s", 1
+    yield "the same / pyserial alone", rate / plain(40_000_000, float("inf"), 4096)[1], "", None
     for what, options in (("4 channels", ("--channels", FOUR)), ("9 channels", ())):
         found = streaming(seconds, *options)
-        facts = ", ".join(f"{name} {value:.4g}" for name, value in found.items())
-        print(f"8 kHz x {what} for {seconds:g} s: {facts} (aim: missing 0, share 0.15)")
+        name = f"8 kHz x {what}, {seconds:g} s"
+        yield f"{name}: missing samples", found["missing"], "", 0
+        yield f"{name}: share of a core", found["share of a core"], "", 0.15
+        bytes_per_s = 1e3 * found["kB/s"]
+        size = round(bytes_per_s * FRAME / 8000)
+        alone, _ = plain(int(bytes_per_s * min(seconds, SHORT)), bytes_per_s, size)
+        yield "the same / pyserial alone", found["share of a core"] / alone, "", None
+
+
+def main() -> None:
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else WHOLE
+    for what, value, unit, aim in measure(seconds):
+        print(f"{what}: {value:.4g} {unit}", "" if aim is None else f"(aim {aim:g})", flush=True)
 
 
 if __name__ == "__main__":
