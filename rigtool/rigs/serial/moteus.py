@@ -334,6 +334,11 @@ class Moteus:
             state, asked, answered = self._ask(b"")
         if running:
             self._require_running(state)
+            if not (math.isfinite(state[POSITION]) and math.isfinite(state[CURRENT])):
+                raise HardwareError(
+                    f"moteus {self.link.node} lost its position or its current (they read "
+                    f"{state[POSITION]:g} turns, {state[CURRENT]:g} A): look at its encoder"
+                )
         ratio = self.motor.ratio
         return Sample(
             time=(asked + answered) / 2,

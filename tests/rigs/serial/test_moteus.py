@@ -298,6 +298,19 @@ def test_a_sample_that_came_late_is_measured_anew():
     assert np.abs(wrong[moving] - np.median(wrong[moving])).max() < 0.3
 
 
+def test_a_position_that_is_lost_ends_the_run_and_is_not_recorded():
+    device = MoteusEmulator()
+    got = []
+    with serve(device) as server, moteus_rig(server.port) as rig:
+        running = rig.perform(Task(SpeedProfile((0.0, 0.1, 2.0), (0.0, 4.0, 4.0))))
+        got.append(next(running))
+        device._position = lambda: math.nan
+        with pytest.raises(HardwareError, match="lost its position"):
+            got.extend(running)
+    assert all(np.isfinite(block["encoder"]).all() for block in got)
+    assert device.mode == 0
+
+
 def test_a_fault_of_the_drive_is_told_by_name():
     device = MoteusEmulator()
     with serve(device) as server, moteus_rig(server.port) as rig:
