@@ -142,8 +142,10 @@ def _fit_holds(
             else None,
             inertia=recipe.rig.nominal_inertia,
         )
+        # Twice the variance: both directions are told in the same steps, and are off alike, so that
+        # the mean of the two is no better than each.
         step = scale.value * resolution(recording, recipe.stribeck.record_every)
-        parts.append(replace(found, u=np.hypot(found.u, step / math.sqrt(12))))
+        parts.append(replace(found, u=np.hypot(found.u, step / math.sqrt(6))))
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
