@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 TIMEOUT = 1.0
 """Longest wait for an answer, s: a drive that writes its flash is busy."""
 
+TRIED = "residual_waveforms"
+"""Table of a run with waveforms before, and with what was learned switched on."""
+
 TABLE_ON = "cogging table is on"
 """Part of a drive's identity where its own table was in use."""
 
@@ -143,7 +146,9 @@ def _told_ripple(tables: Run, speed: float) -> str:
 
     Raises `InsufficientDataError` where it left no less than there was.
     """
-    tried = tables.table("residual_waveforms").columns
+    if TRIED not in tables.tables:
+        return "the table was not tried while it was learned: what it leaves of ripple is not known"
+    tried = tables.table(TRIED).columns
     distance = np.abs(np.abs(tried["speed"].values) - abs(speed))
     next_to = distance == distance.min()
     before, after = (_ripple(tried[name].values[next_to]) for name in ("before", "residual"))

@@ -272,6 +272,13 @@ def test_a_table_that_made_it_worse_is_refused(tables, kt):
     assert device.log == []
 
 
+def test_a_table_that_was_never_tried_is_said_to_be(tables, kt):
+    del tables.tables["residual_waveforms"]
+    with serve(MoteusEmulator()) as server:
+        done = run_deploy(server.port, tables, kt, dry_run=True)
+    assert any("was not tried while it was learned" in remark for remark in done.remarks)
+
+
 # -- learned on a drive, stored in it, and measured again
 
 TURNS_PER_S = 2.0
