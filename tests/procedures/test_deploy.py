@@ -273,7 +273,7 @@ def test_a_table_that_made_it_worse_is_refused(tables, kt):
 
 
 def test_a_table_that_was_never_tried_is_said_to_be(tables, kt):
-    del tables.tables["residual_waveforms"]
+    tables.tables = {k: v for k, v in tables.tables.items() if k != "residual_waveforms"}
     with serve(MoteusEmulator()) as server:
         done = run_deploy(server.port, tables, kt, dry_run=True)
     assert any("was not tried while it was learned" in remark for remark in done.remarks)
