@@ -1,14 +1,17 @@
 """Whole commands with instruments and an operator beside a drive, over pseudo-terminals."""
 
 import json
-from dataclasses import dataclass
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rigtool.analysis.learning import Amplitudes
+from rigtool.analysis.lookup_table import LookupTable
 from rigtool.errors import HardwareError
 from rigtool.procedures import calibrate_kt, measure_force, session
+from rigtool.procedures.learned_tables import tables_of
 from rigtool.procedures.options import CommonOptions
 from rigtool.procedures.session import run_command
 from rigtool.recipe import load_recipe
@@ -20,27 +23,25 @@ from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.instruments import Mark10Emulator, NumberLinesEmulator
 from rigtool.rigs.serial.emulators.motor import Motor
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.runfile import open_run
+from rigtool.runfile import RunWriter, open_run
 from tests.rigs.serial import toy
-from tests.rigs.serial.recipes import RECIPE, overrides
+from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
 from tests.rigs.serial.test_hosted import toy_rig
 
 SILENT = Bench(yes=True, operator=Operator(ask=lambda q: "", say=lambda t: None, present=True))
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 ARM = load_recipe(RECIPE)[0].rig.arm.length
+RADIUS = 0.014
+"""Of the pulley on which loads hang, m."""
 
 
-@dataclass
 class Loaded(Motor):
-    """A motor against a torque, N m; or clamped, where it takes currents."""
-
-    load: float = 0.0
+    """A motor that is clamped where it takes currents."""
 
     def _step(self, dt, mode, position, speed, current):
         if mode == "current":
             self.current = self.current_setpoint = current
         else:
-            self.speed -= dt * self.load / self.inertia
             super()._step(dt, mode, position, speed, current)
 
     @property
@@ -109,9 +110,22 @@ def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
     assert line["instruments"]["temperature"]["driver"] == "operator"
 
 
+def nothing_learned(path, recipe, kt):
+    """Write tables of a motor that has no ripple."""
+    speed, position = np.array([-10.0, 10.0]), np.linspace(0, np.pi, 50)
+    low, amplitude = np.array([0.0, 10.0]), np.array([0.0, 1.0])
+    nothing = np.zeros((2, 50))
+    table = LookupTable(position, speed, nothing, low, amplitude)
+    lookup = tables_of(table, nothing, Amplitudes(low, amplitude, np.zeros(2)))
+    options = {"command": "ilc-learn", "recipe": recipe, "recipe_text": "", "inputs": [kt]}
+    with RunWriter(path, **options) as writer:
+        writer.finish({}, lookup)
+    return path
+
+
 def test_force_with_loads_that_the_operator_hangs_on(device, tmp_path, monkeypatch):
     asked = []
-    torque = {"Hang 2.5 N": 0.01, "Take all": 0.0}
+    torque = {"Hang 2.5 N": 2.5 * RADIUS, "Take all": 0.0}
 
     def ask(question):
         asked.append(question)
@@ -122,14 +136,13 @@ def test_force_with_loads_that_the_operator_hangs_on(device, tmp_path, monkeypat
 
     more = (
         "measure_force.forces=[2.5]",
-        "measure_force.speed_rev_per_s=4",
-        "measure_force.cycles=3",
-        "measure_force.extra_cycles=2",
+        "rig.attachment=pulley",
+        "measure_force.speed_rev_per_s=1",
+        "measure_force.cycles=4",
         "measure_force.record_every=1",
-        "rig.controller.crossover_hz=5",
-        "rig.controller.integrator_hz=0.5",
-        "rig.controller.lowpass_hz=30",
-        "measure_force.lowpass_hz=10",
+        "rig.controller.crossover_hz=2",
+        "rig.controller.integrator_hz=0.2",
+        "rig.controller.lowpass_hz=10",
         "measure_force.correction=none",
         "serial.temperature.driver=number-lines",
         "serial.force.driver=mark10",
@@ -137,20 +150,19 @@ def test_force_with_loads_that_the_operator_hangs_on(device, tmp_path, monkeypat
     )
     said = []
     logger = NumberLinesEmulator(lambda: 24.5, unit="C", decimals=1)
-    inputs = {name: open_run(FIXTURES / f"{name}.h5") for name in ("kt", "tables")}
-    with serve(device) as server, serve(logger) as beside:
+    with serve(device) as server, serve(logger) as beside, ExitStack() as stack:
         more = (*more, f'serial.temperature.port="{beside.port}"')
+        kt = stack.enter_context(open_run(FIXTURES / "kt.h5"))
+        recipe = serial_recipe(server.port, *more, driver="odrive", sample_time=0.01)
+        tables = stack.enter_context(open_run(nothing_learned(tmp_path / "tables.h5", recipe, kt)))
+        inputs = {"kt": kt, "tables": tables}
         output = tmp_path / "f.h5"
         found = run(measure_force, server.port, more, output, monkeypatch, ask, inputs, said.append)
     assert f"temperature is read: sends numbers on {beside.port}" in said[0]
     assert "serial.force is left alone: nothing of it is recorded" in said[0]
-    for stored in inputs.values():
-        stored.close()
     loads = found.tables["loads"].columns
-    added = loads["mean_torque"].values[1] - loads["mean_torque"].values[0]
-    assert asked[0].startswith("Hang 2.5 N (254.8 g) on the grasper, see that the arm is away")
-    factor = load_recipe(RECIPE)[0].rig.torque_factor
-    assert added == pytest.approx(0.01 * factor, rel=0.2)
+    assert asked[0].startswith("Hang 2.5 N (254.8 g) on the cord on the pulley, see that")
+    assert loads["mean_torque"].values[1] == pytest.approx(2.5 * RADIUS, rel=0.025)
     with open_run(tmp_path / "f.h5") as stored:
         degc = stored.recording("load_001").read("temperature")
     np.testing.assert_allclose(degc, 24.5)
