@@ -225,9 +225,11 @@ def test_moves_between_recordings_ask_for_no_reading(device):
         return "25" if question == "temperature [degC]:" else ""
 
     bench = Bench(yes=True, operator=Operator(ask=ask, say=lambda text: None, present=True))
+    # Followed by speeds, it lags by what friction asks of the loop over this gain.
+    more = ("serial.temperature.driver=operator", "serial.position_gain=40")
     with (
         serve(device) as server,
-        toy_rig(server.port, "serial.temperature.driver=operator", bench=bench) as rig,
+        toy_rig(server.port, *more, bench=bench) as rig,
     ):
         rig.move_by(0.2)
         assert asked == []
