@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 
-from rigtool.rigs.serial.drive import Drive, Sample
+from rigtool.rigs.serial.drive import Sample
 from rigtool.rigs.serial.line import Line
 
 EVERY = 4
@@ -38,18 +38,13 @@ class Between:
         self._sums: dict[float, tuple[int, float, float]] = {}
         self._taken = 0
 
-    def due(self, tick: int) -> bool:
-        """Say whether to read after this tick."""
-        return tick % EVERY == EVERY - 1
-
-    def read(self, drive: Drive, line: Line, next_tick: float) -> Sample | None:
-        """Wait for a phase of what is left of the period, and measure; None without the time."""
-        left = next_tick - line.now()
-        if left < ROOM * self.reading:
+    def moment(self, tick: int, now: float, next_tick: float) -> float | None:
+        """Return when to read after a tick, s; None where it is not due, or there is no time."""
+        left = next_tick - now
+        if tick % EVERY != EVERY - 1 or left < ROOM * self.reading:
             return None
         self._taken += 1
-        line.sleep_until(next_tick - left + (left - self.reading) * (self._taken * GOLDEN % 1.0))
-        return drive.read()
+        return now + (left - self.reading) * (self._taken * GOLDEN % 1.0)
 
     def compare(self, speed: float, before: Sample, between: Sample, after: Sample) -> None:
         """Take in a reading, at a constant speed of the set point, rad/s, that is not zero."""

@@ -238,7 +238,7 @@ class _Loop:
             self._hand_on()
 
     def _ticking(self, stop: threading.Event) -> None:
-        task, line, between = self._task, self._line, self._rig._between
+        task = self._task
         dt = self._recipe.rig.sample_time
         last = self._drive.read()
         begin = self._origin = last.position
@@ -247,7 +247,7 @@ class _Loop:
             self._origin = motion.start
         self._drive.enable("current" if self._open_loop else self._rig.mode)
         block = max(1, round(BLOCK_TIME / dt / task.record_every)) * task.record_every
-        self._start = start = line.now()
+        self._start = start = self._line.now()
         probe: Sample | None = None
         for tick in range(round(motion.duration / dt)):
             if stop.is_set():
@@ -266,8 +266,20 @@ class _Loop:
             travelled = abs(last.position - begin)
             if task.stop_angle is not None and self._open_loop and travelled > task.stop_angle:
                 return
-            if not self._open_loop and between.due(tick):
-                probe = between.read(self._drive, line, start + (tick + 1) * dt)
+            if not self._open_loop:
+                probe = self._probe(tick)
+
+    def _probe(self, tick: int) -> Sample | None:
+        """Read between two set points, now and then, where there is time."""
+        next_tick = self._start + (tick + 1) * self._recipe.rig.sample_time
+        moment = self._rig._between.moment(tick, self._line.now(), next_tick)
+        if moment is None:
+            return None
+        self._line.sleep_until(moment)
+        begun = self._line.now()
+        probe = self._drive.read()
+        self._clock.exchanged(begun)
+        return probe
 
     def _compare(self, before: Sample, probe: Sample, after: Sample) -> None:
         """Take in a reading between two samples where the motion goes on at a constant speed."""

@@ -11,7 +11,7 @@ class Clock:
 
     def __init__(self, line: Line, period: float, patience: float) -> None:
         self._line, self._period, self._patience = line, period, patience
-        self._free = 0.0
+        self._free = self._busy = 0.0
         self._asleep = self._exchanging = 0.0
         self._retries = line.counts.retries
 
@@ -28,15 +28,17 @@ class Clock:
             self._asleep = self._exchanging = 0.0
             self._retries = self._line.counts.retries
         else:
+            self._exchanging += max(0.0, self._busy - self._period)
             self._asleep += now - max(moment, self._free)
+        self._busy = 0.0
         if lateness > self._patience:
             raise HardwareError(self._problem(lateness, tick))
         return now, lateness
 
     def exchanged(self, begun: float) -> None:
-        """Note that what the drive was asked since a time is answered."""
+        """Note that what the drive was asked at a time is answered."""
         self._free = self._line.now()
-        self._exchanging += max(0.0, self._free - begun - self._period)
+        self._busy += self._free - begun
 
     def _problem(self, lateness: float, tick: int) -> str:
         text = (
