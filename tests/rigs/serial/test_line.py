@@ -234,3 +234,33 @@ def test_late_answers_and_lost_lines_come_again_where_they_came(tmp_path):
         then = talk(line)
     with Line(f"replay://{path}", timeout=0.05) as line:
         assert talk(line) == then
+
+
+class Hesitating(Echo):
+    """Answers after a while."""
+
+    def receive(self, data):
+        self.answer, self.due = super().receive(data), time.monotonic() + 0.1
+        return b""
+
+    def idle(self):
+        if getattr(self, "answer", b"") and time.monotonic() > self.due:
+            answer, self.answer = self.answer, b""
+            return answer
+        return b""
+
+
+def test_what_was_dropped_unread_then_is_not_read_now(tmp_path):
+    def talk(line):
+        line.write(b"first\n")
+        with pytest.raises(LineTimeout):
+            line.read_until(b"\n")
+        line.pause(0.15)
+        return line.settle(), line.ask(b"second\n", same(b"SECOND"), timeout=1.0)
+
+    path = tmp_path / "line.spy"
+    with serve(Hesitating()) as server, Line(server.port, spy=path, timeout=0.03) as line:
+        then = talk(line)
+    assert then == (len(b"FIRST\r\n"), b"SECOND")
+    with Line(f"replay://{path}", timeout=0.03) as line:
+        assert talk(line) == then
