@@ -25,6 +25,7 @@ Rules:
 - Say `HardwareError` where the drive refuses or reports an error: value, limit, remedy.
 - Times that enter a sample or a command come from `Line.now()`, never from `time`: so a spy file
   plays back as it was. Nothing else may call `Line.now()`, nor anything random decide what is sent.
+  An instrument has a line of its own beside the drive's, with the same clock and spy file.
 - `step` should be a single exchange where the protocol allows it: that sets the rate.
 - SI at the interface: rad and rad/s of the motor shaft, A, degC. Feed-forward comes as current: a
   drive that takes torque multiplies it by the torque constant it is set to itself (read it from the

@@ -215,14 +215,14 @@ def test_a_run_is_complete_and_right_or_stops_and_says_why(driver, kind, monkeyp
     drive.motor = Loaded()
     shown = Shown(1)
     got, error = [], None
-    with serve(drive) as server, serve(make(shown, **settings), Fault(kind, at=60)) as beside:
+    with serve(drive) as server, serve(make(shown, **settings), Fault(kind, at=25)) as beside:
         more = (f"serial.{channel}.driver={driver}", f'serial.{channel}.port="{beside.port}"')
         bench = Bench(yes=True, operator=SILENT)
         rig = toy_rig(server.port, "serial.watchdog=2", *more, bench=bench)
         try:
             with rig:
                 got.extend(
-                    rig.perform(Task(CurrentSteps((0.0, 0.3), 0.6), load=Load(clamped=True)))
+                    rig.perform(Task(CurrentSteps((0.0, 0.3), 0.3), load=Load(clamped=True)))
                 )
         except HardwareError as failure:
             error = str(failure)
@@ -236,5 +236,5 @@ def test_a_run_is_complete_and_right_or_stops_and_says_why(driver, kind, monkeyp
         assert f"serial.{channel} ({driver} on " in error
     else:
         assert error is None
-        assert len(values) == 300
+        assert len(values) == 150
         assert np.isfinite(values).all()

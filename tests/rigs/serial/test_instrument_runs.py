@@ -58,11 +58,12 @@ def device(monkeypatch):
     return device
 
 
-def run(module, port, more, output, monkeypatch, ask, inputs=None, say=lambda text: None):
-    person = Operator(ask=ask, say=say, present=True)
+def run(module, port, more, output, monkeypatch, ask, inputs=None, **bench):
+    said, driver = bench.get("say", lambda text: None), bench.get("driver", "odrive")
+    person = Operator(ask=ask, say=said, present=True)
     monkeypatch.setattr(session, "Bench", lambda yes, spy: Bench(yes, spy, person))
-    settings = overrides(port, "serial.watchdog=2", *more, driver="odrive", sample_time=0.01)
-    options = CommonOptions(overrides=settings, yes=True)
+    settings = overrides(port, "serial.watchdog=2", *more, driver=driver, sample_time=0.01)
+    options = CommonOptions(overrides=settings, yes=True, spy=bench.get("spy"))
     return run_command(module, [str(RECIPE)], str(output), options=options, inputs=inputs or {})
 
 
@@ -70,15 +71,20 @@ def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
     device, tmp_path, monkeypatch
 ):
     asked = []
-    answers = {"temperature [degC]:": iter(["2l", "26", "21", "36"])}
-    takes = iter(["r", "", ""])
 
-    def ask(question):
-        asked.append(question)
-        if question in answers:
-            return next(answers[question])
-        return next(takes) if "Enter to take it" in question else ""
+    def person():
+        answers = {"temperature [degC]:": iter(["2l", "26", "21", "36"])}
+        takes = iter(["r", "", ""])
 
+        def ask(question):
+            asked.append(question)
+            if question in answers:
+                return next(answers[question])
+            return next(takes) if "Enter to take it" in question else ""
+
+        return ask
+
+    spy = str(tmp_path / "bench.spy")
     gauge = Mark10Emulator(lambda: device.motor.push / 4.4482216, unit="lbF", decimals=4)
     with serve(device) as server, serve(gauge, Fault("flip", at=60)) as beside:
         more = (
@@ -93,7 +99,8 @@ def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
             f'serial.force.port="{beside.port}"',
             "serial.temperature.driver=operator",
         )
-        found = run(calibrate_kt, server.port, more, tmp_path / "kt.h5", monkeypatch, ask)
+        output = tmp_path / "kt.h5"
+        found = run(calibrate_kt, server.port, more, output, monkeypatch, person(), spy=spy)
     assert found.results["torque_constant_mean"].value == pytest.approx(0.045, rel=5e-3)
     assert asked[0] == "Bring the motor to 21 degC and wait until it has it throughout, " + (
         "then press Enter:"
@@ -108,6 +115,12 @@ def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
     assert force["identity"] == "Mark-10 force gauge"
     assert force["missing_samples"] == 0
     assert line["instruments"]["temperature"]["driver"] == "operator"
+    output = tmp_path / "again.h5"  # the same, without the bench
+    run(calibrate_kt, spy, more, output, monkeypatch, person(), driver="replay")
+    with open_run(tmp_path / "kt.h5") as first, open_run(output) as again:
+        assert again.content_sha256 == first.content_sha256
+        there, here = (json.loads(stored.provenance["line"]) for stored in (first, again))
+    assert here["instruments"] == there["instruments"]
 
 
 def nothing_learned(path, recipe, kt):
@@ -157,7 +170,9 @@ def test_force_with_loads_that_the_operator_hangs_on(device, tmp_path, monkeypat
         tables = stack.enter_context(open_run(nothing_learned(tmp_path / "tables.h5", recipe, kt)))
         inputs = {"kt": kt, "tables": tables}
         output = tmp_path / "f.h5"
-        found = run(measure_force, server.port, more, output, monkeypatch, ask, inputs, said.append)
+        found = run(
+            measure_force, server.port, more, output, monkeypatch, ask, inputs, say=said.append
+        )
     assert f"temperature is read: sends numbers on {beside.port}" in said[0]
     assert "serial.force is left alone: nothing of it is recorded" in said[0]
     loads = found.tables["loads"].columns
