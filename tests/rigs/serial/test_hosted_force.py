@@ -131,6 +131,19 @@ def test_loads_that_are_moved_too_fast_are_refused(monkeypatch, chain, period, r
         chain(measure_force, *force_rig(monkeypatch, "toy", period, rev_per_s))
 
 
+@pytest.mark.parametrize(
+    ("period", "rev_per_s", "lowpass_hz", "gain"), [(0.01, 2.0, 15, 30), (0.004, 4.0, 30, 60)]
+)
+def test_fast_loads_are_read_with_a_low_pass_and_a_gain_that_fit(
+    monkeypatch, chain, period, rev_per_s, lowpass_hz, gain
+):
+    more = (f"measure_force.lowpass_hz={lowpass_hz}", f"serial.position_gain={gain}")
+    device, rig = force_rig(monkeypatch, "toy", period, rev_per_s, *more)
+    loads = chain(measure_force, device, rig).tables["loads"]
+    assert (np.abs(loads["error_torque"][1:]) <= 2 * loads["mean_torque_u"][1:]).all()
+    assert (np.abs(loads["error_percent"][1:]) < 1.5).all()
+
+
 def test_steps_of_position_are_in_the_uncertainty_or_refused(monkeypatch, chain):
     options = {"make_drive": make_positions_only}
     device, rig = force_rig(monkeypatch, "toy", 0.01, 0.4, **options)
