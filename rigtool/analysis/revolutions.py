@@ -32,6 +32,7 @@ class Revolutions:
         self._time, self._advance, self._torque = (np.zeros(0) for _ in range(3))
         self._integral = 0.0
         self._next_edge = 0
+        self._start = 0.0
         self._passed: list[Array] = []
         self._integrals: list[Array] = []
 
@@ -45,6 +46,7 @@ class Revolutions:
         advance = turns if self._sign > 0 else -turns
         if not self._samples:
             self._next_edge = math.ceil(advance[0]) * self._positions
+            self._start = float(advance[0])
         time = np.concatenate([self._time, time])
         torque = np.concatenate([self._torque, torque])
         advance = np.concatenate([self._advance, advance])
@@ -56,12 +58,12 @@ class Revolutions:
         self._samples += time.size - self._time.size
         self._time, self._advance, self._torque = time[-1:], advance[-1:], torque[-1:]
         if areas.size:
-            self._pass_edges(time, advance, areas)
+            self._pass_edges(time, advance, torque, areas)
 
-    def _pass_edges(self, time: Array, advance: Array, areas: Array) -> None:
+    def _pass_edges(self, time: Array, advance: Array, torque: Array, areas: Array) -> None:
         """Note when the rotor first reaches each edge between cells, and the integral then.
 
-        `areas` are twice the integrals from sample to sample.
+        Torque goes straight from sample to sample; `areas` are twice the integrals between them.
         """
         stop = math.floor(advance[-1] * self._positions) + 1
         edges = np.arange(self._next_edge, stop) / self._positions
@@ -73,10 +75,19 @@ class Revolutions:
         sums = np.add.reduceat(areas, bounds)
         sums[:-1][np.diff(bounds) == 0] = 0.0  # where reduceat gives one element, not none
         integral = self._integral + np.cumsum(sums) / 2
-        self._passed.append(time[before] + part * (time[before + 1] - time[before]))
-        self._integrals.append(integral[:-1] + part * areas[before] / 2)
+        since = part * (time[before + 1] - time[before])
+        mean = torque[before] + part / 2 * (torque[before + 1] - torque[before])
+        self._passed.append(time[before] + since)
+        self._integrals.append(integral[:-1] + since * mean)
         self._integral = float(integral[-1])
         self._next_edge += edges.size
+
+    @property
+    def step(self) -> float:
+        """Mean part of a turn from one sample to the next; 0 with fewer than two samples."""
+        if self._samples < 2:
+            return 0.0
+        return (float(self._advance[-1]) - self._start) / (self._samples - 1)
 
     def waveforms(self, revolutions: int) -> Array:
         """Return the mean torque by revolution and cell, of the last `revolutions` whole turns.

@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 CLEAR = 2.0
 """An order is told from noise when its amplitude is this many times the noise floor."""
 
+SAMPLES_A_PERIOD = 2.5
+"""Samples in a period of the highest order that is told: two tell no amplitude."""
+
 EQUALLY_GOOD = 0.01
 """Shifts whose correlation is this close to the largest one, relative, fit equally well."""
 
@@ -60,14 +63,48 @@ class Rms:
     dof: int
 
 
+@dataclass(frozen=True)
+class Sampling:
+    """Samples `step` of a turn apart, each the mean of `averaged` equally spaced ones.
+
+    Straight lines between samples and means of several make high orders smaller. Order k, the
+    cycles x = k step from one sample to the next, is left with
+
+        sinc(x)^2  sin(pi x) / (n sin(pi x / n)),   sinc(x) = sin(pi x) / (pi x)
+
+    of its amplitude, for means of n (R. N. Bracewell, The Fourier Transform and Its Applications,
+    3rd ed., 2000, ch. 10).
+    """
+
+    step: float
+    averaged: int = 1
+
+    @property
+    def highest_order(self) -> float:
+        """The highest order that the samples tell; above, it takes the place of a lower one."""
+        return math.inf if self.step == 0 else 1 / (SAMPLES_A_PERIOD * self.step)
+
+    def gain(self, order: Array) -> Array:
+        """Return what is left of the amplitude of orders (m,) up to the highest."""
+        cycles = order * self.step
+        left: Array = np.sinc(cycles) ** 2 * np.sinc(cycles) / np.sinc(cycles / self.averaged)
+        return left
+
+
+EVERYWHERE = Sampling(0.0)
+"""Of waveforms that were not made of samples: nothing is lost."""
+
+
 @dataclass(frozen=True, eq=False)
 class Ripple:
     """Ripple of one running condition: `waveforms` (revolutions, positions), offset removed.
 
-    Raises `InsufficientDataError` for fewer than 2 revolutions.
+    `sampling` tells what samples the waveforms were made of. Raises `InsufficientDataError` for
+    fewer than 2 revolutions.
     """
 
     waveforms: Array
+    sampling: Sampling = EVERYWHERE
 
     def __post_init__(self) -> None:
         if self.waveforms.ndim != 2 or len(self.waveforms) < 2:
@@ -114,9 +151,9 @@ class Ripple:
         return Rms(repeatable, repeatable_u, scatter, scatter_u, others)
 
 
-def remove_offset(waveforms: Array) -> Ripple:
+def remove_offset(waveforms: Array, sampling: Sampling = EVERYWHERE) -> Ripple:
     """Take the mean off waveforms (revolutions, positions): friction and load, not ripple."""
-    return Ripple(waveforms - waveforms.mean())
+    return Ripple(waveforms - waveforms.mean(), sampling)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +161,8 @@ class Spectrum:
     """Orders 1..m of a ripple: amplitude and phase (m,), rad, of amplitude*cos(k angle + phase).
 
     `noise_floor` (m,) is the rms amplitude that scatter alone gives the mean of the revolutions;
-    an amplitude's standard uncertainty is that over the square root of two.
+    an amplitude's standard uncertainty is that over the square root of two. All are NaN at orders
+    that the samples do not tell.
     """
 
     order: Array
@@ -140,7 +178,7 @@ class Spectrum:
 
     def strongest(self) -> int:
         """Return the strongest order; `InsufficientDataError` where it does not clear the noise."""
-        index = int(np.argmax(self.amplitude))
+        index = int(np.nanargmax(self.amplitude))
         amplitude, floor = self.amplitude[index], self.noise_floor[index]
         if amplitude < CLEAR * floor:
             raise InsufficientDataError(
@@ -152,21 +190,33 @@ class Spectrum:
 
 
 def spectrum(ripple: Ripple, orders: int) -> Spectrum:
-    """Return the orders 1..`orders` of a ripple; at most half the number of positions."""
-    found = coefficients(ripple.waveforms, orders)
+    """Return the orders 1..`orders` of a ripple; at most half the number of positions.
+
+    Raises `InsufficientDataError` where the samples do not even tell the first order.
+    """
+    order = np.arange(1.0, orders + 1)
+    if ripple.sampling.highest_order < 1:
+        raise InsufficientDataError(
+            f"{1 / ripple.sampling.step:.3g} samples a turn are too few, {SAMPLES_A_PERIOD:g} are "
+            "needed for the first order: turn more slowly, or sample faster"
+        )
+    found = coefficients(ripple.waveforms, orders, ripple.sampling)
     revolutions = len(found)
     mean = found.mean(axis=0)
     scatter = np.sum(np.abs(found - mean) ** 2, axis=0) / (revolutions - 1)
     floor = np.sqrt(scatter / revolutions)
-    return Spectrum(np.arange(1.0, orders + 1), np.abs(mean), np.angle(mean), floor)
+    told = np.where(order <= ripple.sampling.highest_order, 1.0, np.nan)
+    return Spectrum(order, told * np.abs(mean), told * np.angle(mean), told * floor)
 
 
-def coefficients(waveforms: Array, orders: int) -> NDArray[np.complex128]:
+def coefficients(
+    waveforms: Array, orders: int, sampling: Sampling = EVERYWHERE
+) -> NDArray[np.complex128]:
     """Return amplitude*exp(i phase) of each order 1..`orders` and revolution.
 
     `waveforms` (revolutions, positions) are means over equal cells of the turn; what comes back is
-    (revolutions, orders), of amplitude*cos(k angle + phase). Raises `ValueError` for orders that
-    the positions do not tell.
+    (revolutions, orders), of amplitude*cos(k angle + phase), zero at orders that the samples do
+    not tell. Raises `ValueError` for orders that the positions do not tell.
     """
     positions = waveforms.shape[1]
     if not 1 <= orders < positions / 2:
@@ -176,6 +226,9 @@ def coefficients(waveforms: Array, orders: int) -> NDArray[np.complex128]:
     correction = (
         2 / positions / np.sinc(order / positions) * np.exp(-1j * order * np.pi / positions)
     )
+    told = order <= sampling.highest_order
+    correction[told] /= sampling.gain(order[told])
+    correction[~told] = 0.0
     found: NDArray[np.complex128] = np.fft.rfft(waveforms, axis=1)[:, 1 : orders + 1] * correction
     return found
 
@@ -217,7 +270,10 @@ def compare(reference: Ripple, other: Ripple, orders: int) -> Comparison:
         clear |= above
     count = min(len(reference.waveforms), len(other.waveforms))
     # Orders that do not stand out are left at zero.
-    a, b = (coefficients(ripple.waveforms, orders)[:count] * clear for ripple in (reference, other))
+    a, b = (
+        coefficients(ripple.waveforms, orders, ripple.sampling)[:count] * clear
+        for ripple in (reference, other)
+    )
 
     sums = a.sum(axis=0), b.sum(axis=0)
     correlation, shift, best, scale = match_orders(sums[0] / count, sums[1] / count)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.analysis.revolutions import Revolutions
-from rigtool.analysis.ripple import Comparison, Ripple, compare, remove_offset, spectrum
+from rigtool.analysis.ripple import Comparison, Ripple, Sampling, compare, remove_offset, spectrum
 from rigtool.analysis.welch import Welch
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.procedures.calibration import torque_per_ampere
@@ -55,8 +55,8 @@ SETTLE_TIME = 0.5
 POSITIONS = 500
 """Cells of a turn in the waveforms."""
 
-ORDERS = 50
-"""Highest order of rotation in the spectra."""
+ORDERS = 100
+"""Highest order of rotation in the spectra: cogging of 12 slots and 14 poles has order 84."""
 
 MAX_SEGMENT = 4096
 """Longest segment of Welch's method, samples."""
@@ -163,8 +163,22 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     if comparisons:
         tables["power_comparison"] = _comparison_table(comparisons)
     results = {**_ripple_results(by_speed), **_comparison_results(comparisons)}
-    notes = () if comparisons else ("fewer than two power cycles: nothing to compare",)
-    return Outcome(results, tables, notes)
+    notes = _told(speeds, by_speed, "speed", "rad/s") + _told(torques, by_torque, "torque", "N m")
+    if not comparisons:
+        notes.append("fewer than two power cycles: nothing to compare")
+    return Outcome(results, tables, tuple(notes))
+
+
+def _told(
+    recordings: Sequence[Recording], ripples: Sequence[Ripple], what: str, unit: str
+) -> list[str]:
+    """Say where the samples lie too far apart for all orders of the table."""
+    return [
+        f"at {recording.condition(what):.3g} {unit} there are {1 / ripple.sampling.step:.0f} "
+        f"samples a turn: orders above {ripple.sampling.highest_order:.0f} are not told"
+        for recording, ripple in zip(recordings, ripples, strict=True)
+        if ripple.sampling.highest_order < ORDERS
+    ]
 
 
 def _ripple(
@@ -183,7 +197,9 @@ def _ripple(
             collected.add(time, encoder, current)
             if welch is not None:
                 welch.add(current)
-        return remove_offset(collected.waveforms(recipe.fft_ripple.revolutions))
+        settings = recipe.fft_ripple
+        sampling = Sampling(collected.step, settings.record_every)
+        return remove_offset(collected.waveforms(settings.revolutions), sampling)
     except InsufficientDataError as error:
         raise InsufficientDataError(f"recording {recording.name}: {error}") from None
 
@@ -217,7 +233,8 @@ def _ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
     for name, ripple in (("lowest", by_speed[0]), ("highest", by_speed[-1])):
         orders = spectrum(ripple, ORDERS)
         strongest = orders.strongest()
-        first, second = np.sort(orders.amplitude)[:-3:-1]
+        told = orders.amplitude[np.isfinite(orders.amplitude)]
+        *_, second, first = np.sort([0.0, *told])
         results[f"strongest_order_{name}_speed"] = Quantity(
             float(strongest),
             "1",
@@ -282,7 +299,7 @@ def _tables(
             ),
         },
         "amplitude",
-        "repeatable ripple by order of rotation",
+        "repeatable ripple by order of rotation; no value where samples lie too far apart",
     )
     return {f"{kind}_waveforms": waveforms, f"{kind}_spectrum": orders}
 

@@ -10,6 +10,7 @@ from rigtool.analysis.jackknife import jackknife
 from rigtool.analysis.revolutions import Revolutions
 from rigtool.analysis.ripple import (
     Ripple,
+    Sampling,
     compare,
     lay_over,
     power_spectrum,
@@ -35,6 +36,38 @@ def turning(rev_per_s, revolutions=21.2, rate=2000.0, wobble=0.0, noise=0.0, sta
     rng = np.random.default_rng(4)
     torque = 3e-3 + ripple_at(turns) + noise * rng.normal(size=len(time))
     return time, np.floor(turns * COUNTS) / COUNTS, torque
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    samples=st.floats(20.0, 300.0).filter(lambda n: abs(n - round(n)) > 0.02),
+    part=st.floats(0.05, 0.99),
+    averaged=st.integers(1, 8),
+    phase=st.floats(-3.0, 3.0),
+)
+def test_amplitudes_are_those_of_what_was_sampled(samples, part, averaged, phase):
+    """Few samples a period, each a mean of several: what that takes away is given back."""
+    order = max(1, int(part * samples / 2.5))
+    fine = np.arange(int(41.3 * samples) * averaged) / (samples * averaged)
+    wave = {order: (0.6e-3, phase)}
+    turns, torque = (
+        values.reshape(-1, averaged).mean(axis=1) for values in (fine, ripple_at(fine, wave))
+    )
+    waveforms = lay_over(turns, turns, torque, 40, 500)
+    found = spectrum(remove_offset(waveforms, Sampling(1 / samples, averaged)), 120)
+    # Straight lines also make images beside the sampling frequency; over many turns, whose samples
+    # lie elsewhere each time, they average out.
+    assert found.amplitude[order - 1] == pytest.approx(0.6e-3, rel=0.03, abs=0)
+    error = np.angle(np.exp(1j * (found.phase[order - 1] - phase)))
+    assert error == pytest.approx(0, abs=0.03)
+    assert np.isnan(found.amplitude[int(samples / 2.5) + 1 :]).all()
+    assert np.isfinite(found.amplitude[: int(samples / 2.5)]).all()
+
+
+def test_fewer_samples_a_turn_than_the_first_order_needs():
+    ripple = Ripple(np.stack([ripple_at(np.arange(50) / 50)] * 3), Sampling(1 / 2.4))
+    with pytest.raises(InsufficientDataError, match=r"2\.4 samples a turn are too few, 2\.5 are"):
+        spectrum(ripple, 4)
 
 
 @pytest.mark.parametrize("rev_per_s", [0.2, 1.7, 4.8, -0.6, -4.8])
