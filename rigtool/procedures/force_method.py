@@ -104,10 +104,23 @@ def unsteady_torque(
             "of the stroke, which a load that a soft loop lets lag behind moves"
         )
     acceleration = np.gradient(speed) * rate
-    design = np.column_stack([np.ones(angle.size), speed / wanted, acceleration])
-    _, friction, inertia = np.linalg.lstsq(design, torque + fed, rcond=None)[0]
-    lagging = readings(angle, inertia * acceleration - fed, cycles, place).mean()
-    return part * abs(float(friction)) + abs(float(lagging))
+    speed /= wanted
+    friction, inertia = _slopes(speed, acceleration, torque + fed)
+    acceleration *= inertia
+    acceleration -= fed
+    lagging = readings(angle, acceleration, cycles, place).mean()
+    return part * abs(friction) + abs(float(lagging))
+
+
+def _slopes(first: Array, second: Array, values: Array) -> tuple[float, float]:
+    """Return the least-squares slopes of values (n,) over two others, beside a constant.
+
+    By the normal equations: two columns need no copies of a long recording.
+    """
+    a, b = first - first.mean(), second - second.mean()
+    gram = np.array([[a @ a, a @ b], [a @ b, b @ b]])
+    slopes = np.linalg.lstsq(gram, np.array([a @ values, b @ values]), rcond=None)[0]
+    return float(slopes[0]), float(slopes[1])
 
 
 def resolution_u(recording: Recording, recipe: Recipe, torque_constant: float) -> float:

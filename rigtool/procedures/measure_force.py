@@ -240,7 +240,10 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
     require_health(
         recipe, largest_current=largest, largest_controller=controlled, distance=farthest
     )
-    return lowpass_at(rate / factor, collected.finish(), cutoff), rate / factor
+    signals = collected.finish()
+    for signal in signals:  # one by one: the filter holds several copies of what it works on
+        signal[:] = lowpass_at(rate / factor, signal, cutoff)
+    return signals, rate / factor
 
 
 def _rate(recording: Recording) -> float:
