@@ -119,7 +119,7 @@ def _of_cycles(
         return Quantity(mean, unit, reason="one cycle shows no scatter")
     found = ureal(mean, float(values.std(ddof=1)) / math.sqrt(values.size), values.size - 1)
     if constant is not None:
-        common = torque * (constant.u or 0.0) / constant.value
+        common = abs(torque / constant.value) * (constant.u or 0.0)
         found = found + ureal(0.0, common, constant.dof or math.inf)
     degrees = float(dof(found))
     return Quantity(

@@ -45,6 +45,7 @@ class KnownRig:
         self.scatter = scatter
         self.deviations = np.random.default_rng(4).standard_normal
         self.setpoint_error = 0.0
+        self.offset = 0.0
 
     def perform(self, task: Task) -> Iterator[Block]:
         rig, motion = self.recipe.rig, task.motion
@@ -55,7 +56,7 @@ class KnownRig:
         load = self._load(task.load.force, position / rig.angle_ratio, speed)
         stroke = np.floor(time / (2 * motion.stroke_time)).astype(int)
         deviation = self.scatter * self.deviations(stroke.max() + 1)
-        controller = (load + deviation[stroke]) / rig.torque_factor
+        controller = (load + deviation[stroke] + self.offset) / rig.torque_factor
         # The controller also brings what was fed forward; a perfect table leaves nothing of it.
         yield {
             "time": time,
@@ -149,6 +150,17 @@ def test_a_stiff_pulley_without_friction_reads_what_hangs_on_it(tmp_path, inputs
     assert (loads["std_torque"] > 0.03e-3).all()
     assert (loads["std_torque"] < 0.25e-3).all()
     assert "lifting_torque" not in outcome.results
+
+
+def test_torque_below_zero_has_an_uncertainty_above_it(tmp_path, inputs):
+    """As where a spring pulls harder than the load, or somebody wired the motor the other way."""
+    recipe = recipe_with()
+    rig = KnownRig(recipe, friction=0.09, stiffness=0.2, scatter=0.1e-3)
+    rig.offset = -0.2
+    results = measured(tmp_path, rig, inputs(recipe))[0].results
+    assert results["lifting_torque"].value == pytest.approx(1.09 * 60e-3 - 0.2, rel=0.01)
+    # The torque constant is known to 0.1 %.
+    assert results["lifting_torque"].u == pytest.approx(0.1346e-3, rel=0.2)
 
 
 def test_the_instrument_gives_friction_and_stiffness_back(tmp_path, inputs):
