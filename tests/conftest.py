@@ -1,8 +1,18 @@
-"""Tests in real time are repeated: where the machine stalls, rigtool rightly ends the motion."""
+"""Tests in real time run one after the other, and again where the machine stalls.
+
+They wait more than they compute: beside them another process passes all the others. Where the
+machine stalls, rigtool rightly ends the motion.
+"""
 
 import pytest
 
-REAL_TIME = ("rigs/serial/", "cli/test_serial_commands", "procedures/test_deploy", "test_extending")
+REAL_TIME = (
+    "rigs/serial/",
+    "cli/test_serial_commands",
+    "procedures/test_deploy",
+    "procedures/test_live",
+    "test_extending",
+)
 
 
 def pytest_collection_modifyitems(items):
@@ -10,3 +20,4 @@ def pytest_collection_modifyitems(items):
         where = item.path.as_posix()
         if any(name in where for name in REAL_TIME) or "deploy" in item.name:
             item.add_marker(pytest.mark.flaky(reruns=2))
+            item.add_marker(pytest.mark.xdist_group("real time"))
