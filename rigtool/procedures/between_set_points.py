@@ -89,6 +89,20 @@ class Lacking:
         return float(start), float(slope)
 
 
+def remark(runs: Sequence[Run], torque_constant: float) -> tuple[str, ...]:
+    """Say of what is found in samples that it lacks, at most so much, what flows between them."""
+    lacking = Lacking.of(runs)
+    if not lacking.current.any():
+        return ()
+    most = int(np.argmax(np.abs(lacking.current)))
+    current, speed = float(lacking.current[most]), float(lacking.speed[most])
+    return (
+        f"current between set points differs by up to {current * 1e3:.3g} mA from that of the "
+        f"samples, {abs(torque_constant * current) * 1e3:.3g} mN m, at {speed:.3g} rad/s: what is "
+        f"found in the samples is off by that; {REMEDY}",
+    )
+
+
 def resolution(recording: Recording, averaged: int) -> float:
     """Return the steps in which a drive tells its set point of current, A.
 

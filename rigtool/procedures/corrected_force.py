@@ -115,12 +115,15 @@ class _Row:
     reason: str = ""
 
 
-def full_outcome(run: Run, base: Outcome, recipe: Recipe, kt: Run, tables: Run) -> Outcome:
+def full_outcome(
+    run: Run, base: Outcome, recipe: Recipe, kt: Run, tables: Run, sampled_u: float
+) -> Outcome:
     """Return the outcome with its table of loads read from whole strokes.
 
-    `base` is that of the thesis's way. Where the motion is slower than any that was learned, loads
-    have a dead band and no value. Raises `InsufficientDataError` where no load can be read though
-    the motion was learned.
+    `base` is that of the thesis's way; `sampled_u` N m, at the output, is the standard uncertainty
+    by how the rig takes its samples of current. Where the motion is slower than any that was
+    learned, loads have a dead band and no value. Raises `InsufficientDataError` where no load can
+    be read though the motion was learned.
     """
     disturbance = corrects(tables, recipe)
     slow = slower_than_learned(disturbance, recipe)
@@ -146,7 +149,7 @@ def full_outcome(run: Run, base: Outcome, recipe: Recipe, kt: Run, tables: Run) 
         *remarks,
         *base.notes,
     )
-    loads = _loads_table(base.tables["loads"], rows, zero, recipe, warmth)
+    loads = _loads_table(base.tables["loads"], rows, recipe, warmth, sampled_u)
     return Outcome(results, {**base.tables, "loads": loads, **_uncorrected(base)}, notes)
 
 
@@ -240,7 +243,7 @@ def slower_than_learned(disturbance: Disturbance, recipe: Recipe) -> str:
 
 
 def _loads_table(
-    base: Table, rows: Sequence[_Row], zero: Sequence[LoadedCycles], recipe: Recipe, warmth: float
+    base: Table, rows: Sequence[_Row], recipe: Recipe, warmth: float, sampled_u: float
 ) -> Table:
     """Return the table of loads with what was read; the first row, without load, stays."""
     angle = math.sin(math.radians(recipe.measure_force.measure_angle))
@@ -257,13 +260,14 @@ def _loads_table(
     }
     for number, row in enumerate(rows, start=1):
         applied = columns["applied_torque"][number]
-        values = _row_values(row.reading, angle, applied, warmth)
+        values = _row_values(row.reading, angle, applied, warmth, sampled_u)
         values |= {"dead_band_middle": row.band.middle, "dead_band": row.band.half}
         for name, value in values.items():
             (columns if name in columns else more)[name][number] = value
     described = {name: column.description for name, column in base.columns.items()} | {
         "mean_torque": "load at the angle of the reading, from whole strokes up and down",
-        "mean_torque_u": "standard uncertainty: scatter, zero, disturbance, misfit, temperature",
+        "mean_torque_u": "standard uncertainty: scatter, zero, disturbance, misfit, temperature, "
+        "samples of current",
         "std_torque": "S of single cycles",
         "cycles": "cycles read",
     }
@@ -292,7 +296,7 @@ def _loads_table(
 
 
 def _row_values(
-    reading: LoadReading | None, sine: float, applied: float, warmth: float
+    reading: LoadReading | None, sine: float, applied: float, warmth: float, sampled_u: float
 ) -> dict[str, float]:
     """Return the columns of a load; NaN where it could not be read."""
     names = (
@@ -312,7 +316,7 @@ def _row_values(
     scatter = sine * float(reading.cycles.std(ddof=1))
     at_angle = sine * reading.at_angle
     own = sine * reading.components["scatter"]
-    u = math.hypot(sine * reading.u, warmth * mean)
+    u = math.hypot(sine * reading.u, warmth * mean, sampled_u)
     values = (
         mean,
         u,

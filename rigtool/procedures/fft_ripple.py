@@ -17,6 +17,7 @@ from rigtool.analysis.revolutions import Revolutions
 from rigtool.analysis.ripple import Comparison, Ripple, Sampling, compare, remove_offset, spectrum
 from rigtool.analysis.welch import Welch
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.procedures.between_set_points import remark
 from rigtool.procedures.calibration import torque_per_ampere
 from rigtool.procedures.imported_ripple import analyse_imported
 from rigtool.procedures.outcome import Outcome
@@ -163,7 +164,11 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     if comparisons:
         tables["power_comparison"] = _comparison_table(comparisons)
     results = {**_ripple_results(by_speed), **_comparison_results(comparisons)}
-    notes = _told(speeds, by_speed, "speed", "rad/s") + _told(torques, by_torque, "torque", "N m")
+    notes = [
+        *_told(speeds, by_speed, "speed", "rad/s"),
+        *_told(torques, by_torque, "torque", "N m"),
+        *remark(runs, constant),
+    ]
     if not comparisons:
         notes.append("fewer than two power cycles: nothing to compare")
     return Outcome(results, tables, tuple(notes))

@@ -6,9 +6,12 @@ How to learn is the recipe's `ilc_learn.implementation`; each is a module of its
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import ModuleType
 
 from rigtool.errors import UsageError
+from rigtool.procedures.between_set_points import remark
+from rigtool.procedures.calibration import torque_per_ampere
 from rigtool.procedures.ilc import all_speeds, known_loads, limited_angle, one_speed, trajectory
 from rigtool.procedures.imported_learning import analyse_imported as analyse_imported
 from rigtool.procedures.options import CommonOptions
@@ -99,4 +102,4 @@ def analyse(
 ) -> Outcome:
     """Learn from the stored signals, and say what remained."""
     outcome: Outcome = _module(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
-    return outcome
+    return replace(outcome, notes=(*outcome.notes, *remark(runs, torque_per_ampere(kt).value)))

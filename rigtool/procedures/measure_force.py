@@ -150,7 +150,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
     forces = [recording.condition("force") for recording in recorded]
     lacking, remarks = lacking_torque(run, recipe, constant.value, forces)
     loads = [_read(recording, recipe, constant.value, lacking) for recording in recorded]
-    outcome = _corrected(run, loads, recipe, constant, kt=kt, tables=tables)
+    sampled_u = math.hypot(lacking, resolution_u(recorded[0], recipe, constant.value))
+    outcome = _corrected(run, loads, recipe, constant, sampled_u, kt=kt, tables=tables)
     extra, failed = {}, []
     for name in (HYSTERESIS, SHIFT):
         if name in run.recordings and run.recordings[name].size:
@@ -167,7 +168,14 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
 
 
 def _corrected(
-    run: Run, loads: list[Reading], recipe: Recipe, constant: Quantity, *, kt: Run, tables: Run
+    run: Run,
+    loads: list[Reading],
+    recipe: Recipe,
+    constant: Quantity,
+    sampled_u: float,
+    *,
+    kt: Run,
+    tables: Run,
 ) -> Outcome:
     """Return Table 8 or 9, with the disturbance of the load taken off as the recipe says."""
     correction, table_u = recipe.measure_force.correction, _table_u(tables, recipe)
@@ -177,7 +185,7 @@ def _corrected(
     from rigtool.procedures import corrected_force
 
     if correction == "full":
-        return corrected_force.full_outcome(run, thesis, recipe, kt, tables)
+        return corrected_force.full_outcome(run, thesis, recipe, kt, tables, sampled_u)
     corrected, friction_u = corrected_force.without_load_friction(loads, recipe, tables)
     outcome = loads_outcome(corrected, recipe, constant, table_u)
     return corrected_force.load_outcome(outcome, friction_u, thesis)

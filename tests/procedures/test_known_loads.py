@@ -116,6 +116,22 @@ def test_a_stored_run_is_corrected_afterwards(rig):
     assert (load["loads"]["mean_torque_u"] >= load["loads_uncorrected"]["mean_torque_u"] / 2).all()
 
 
+@pytest.mark.parametrize("correction", ["none", "load", "full"])
+def test_what_samples_lack_is_in_every_uncertainty(rig, monkeypatch, correction):
+    """As a drive that is sent steps of position makes it: known from its line, taken on trust."""
+    rig(at(1), output="lacking.h5")
+    settings = {"source": rig.folder / "lacking.h5", "output": "again.h5"}
+    way = f"measure_force.correction={correction}"
+    before = rig(way, **settings).tables["loads"]["mean_torque_u"][1:]
+    lacking = 1.3e-3
+    monkeypatch.setattr(measure_force, "lacking_torque", lambda *given: (lacking, ()))
+    loads = rig(way, **settings).tables["loads"]
+    # The thesis's way takes a zero off, which lacks as much.
+    least = lacking if correction == "full" else math.sqrt(2) * lacking
+    expected = np.hypot(before, least)
+    np.testing.assert_allclose(loads["mean_torque_u"][1:], expected, rtol=1e-6)
+
+
 def test_a_load_beyond_the_learned_ones_has_no_value(rig):
     outcome = rig(FULL, at(1), "measure_force.forces=[0.25, 4]")
     assert np.isnan(outcome.tables["loads"]["mean_torque"][2])
