@@ -135,7 +135,8 @@ def best_shift(wave: Orders, other: Orders, near: float, reach: float) -> float:
     shifts = near + np.linspace(-reach, reach, points)
     turned = np.exp(-1j * np.outer(shifts, order))
     best = float(shifts[np.argmax(np.real(turned @ cross))])
-    low, high = best - (shifts[1] - shifts[0]), best + (shifts[1] - shifts[0])
+    step = shifts[1] - shifts[0]
+    low, high = max(best - step, shifts[0]), min(best + step, shifts[-1])
     for _ in range(NEWTON_STEPS):
         parts = cross * np.exp(-1j * best * order)
         slope, bend = float(np.imag(parts) @ order), -float(np.real(parts) @ order**2)
