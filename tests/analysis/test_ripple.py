@@ -70,6 +70,19 @@ def test_fewer_samples_a_turn_than_the_first_order_needs():
         spectrum(ripple, 4)
 
 
+def test_a_ripple_in_few_samples_is_the_same_ripple():
+    """Order 30 in 100.3 samples a turn would be 0.74 of itself."""
+
+    def sampled(samples):
+        turns = np.arange(int(41.3 * samples)) / samples
+        waveforms = lay_over(turns, turns, ripple_at(turns, {30: (0.6e-3, 0.4)}), 40, 500)
+        return remove_offset(waveforms, Sampling(1 / samples))
+
+    found = compare(sampled(3000.7), sampled(100.3), 40)
+    assert found.scale == pytest.approx(1, rel=0.01, abs=0)
+    assert found.correlation == pytest.approx(1, rel=0, abs=1e-3)
+
+
 @pytest.mark.parametrize("rev_per_s", [0.2, 1.7, 4.8, -0.6, -4.8])
 def test_orders_are_found_at_any_speed_and_in_both_directions(rev_per_s):
     waveforms = lay_over(*turning(rev_per_s, wobble=0.02), 20, 500)
@@ -250,6 +263,8 @@ def test_blocks_of_any_size_give_the_waveforms_of_the_whole(sizes, rev_per_s):
     np.testing.assert_allclose(
         collected.waveforms(6), lay_over(*signals, 6, 50), rtol=1e-9, atol=1e-12
     )
+    whole = abs(signals[1][-1] - signals[1][0]) / (len(signals[1]) - 1)
+    assert collected.step == pytest.approx(whole, rel=1e-3, abs=0)
 
 
 def test_a_clock_that_stands_between_two_blocks_is_refused():

@@ -3,11 +3,13 @@
 import json
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from virtual_runs import RECIPE, run
 
+from rigtool.errors import InsufficientDataError
 from rigtool.procedures import fft_ripple
-from rigtool.procedures.between_set_points import remark
+from rigtool.procedures.between_set_points import Lacking, remark, resolution
 
 KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
 
@@ -29,6 +31,36 @@ def test_the_largest_difference_is_told_with_its_torque():
 @pytest.mark.parametrize("found", [(), [(3.0, 2e-4, 1e-4)]])
 def test_nothing_is_said_of_what_is_not_seen(found):
     assert remark([line(*found), SimpleNamespace(provenance={"line": None})], 0.05) == ()
+
+
+@pytest.mark.parametrize("averaged", [1, 8])
+def test_the_step_of_the_current_is_found_in_means_of_several(averaged):
+    """Of 1 mA, in whatever current; a number with many digits has next to none."""
+    rng = np.random.default_rng(4)
+    current = 0.05 + 0.02 * rng.standard_normal(4000 * averaged)
+
+    def means(values):
+        found = values.reshape(-1, averaged).mean(axis=1)
+        return SimpleNamespace(size=found.size, read=lambda name, start, stop: found[start:stop])
+
+    assert resolution(means(np.round(current, 3)), averaged) == pytest.approx(1e-3, rel=1e-6)
+    assert resolution(means(current), averaged) < 1e-6
+    assert resolution(means(np.full(8 * averaged, 0.1)), averaged) == 0
+
+
+def test_of_several_runs_at_a_speed_the_largest_difference_counts():
+    lacking = Lacking.of([line((12.0, 1e-3, 1e-5)), line((12.1, -3e-3, 1e-5), (30.0, 1.0, 1e-3))])
+    assert lacking.at(12.0) == -3e-3
+    assert lacking.at(20.0) == 0.0
+
+
+def test_steps_of_position_that_were_not_looked_at_are_refused():
+    run = line((12.0, 1e-3, 1e-5))
+    told = json.loads(run.provenance["line"]) | {"steps_in_position": True}
+    run.provenance["line"] = json.dumps(told)
+    assert Lacking.of([run]).at(12.0) == 1e-3
+    with pytest.raises(InsufficientDataError, match=r"at 20 rad/s was not looked at often enough"):
+        Lacking.of([run]).at(20.0)
 
 
 def test_ripple_says_it(tmp_path, monkeypatch):

@@ -1,5 +1,7 @@
 """stribeck on the virtual rig, from recipe to friction and back from the file."""
 
+import json
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -233,3 +235,27 @@ def test_sweep_begins_at_standstill_and_runs_from_end_to_end():
     profile = stribeck.sweep_profile(Stribeck(speed_max=20.0, sweep_time=40.0))
     _, speed, _ = profile.setpoint(np.array([0.0, 1.0, 21.0, 41.0, 42.0]))
     assert_allclose(speed, [0.0, -20.0, 0.0, 20.0, 0.0], atol=1e-12)
+
+
+def between_set_points(path, kt, lacking):
+    """Return friction from a stored run whose rig read these currents between its set points, A."""
+    with open_run(path) as stored, open_run(kt) as constant:
+        names = ("speed", "lacking_current", "u")
+        found = [dict(zip(names, (*item, 1e-6), strict=True)) for item in lacking]
+        stored.provenance["line"] = json.dumps({"between_set_points": found})
+        return stribeck.analyse([stored], stored.recipe, kt=constant)
+
+
+def test_what_samples_lack_is_in_the_uncertainty_of_friction_or_refuses_it(measured, kt):
+    path, plain = measured
+    speeds, (start, slope) = np.array([0.6, 1, 2, 5, 10, 20, 30]), (1e-3, 5e-5)
+    outcome = between_set_points(path, kt, zip(speeds, start + slope * speeds, strict=True))
+    for name, lacking in (("coulomb_friction", start), ("viscous_friction", slope)):
+        before, after = plain.results[name], outcome.results[name]
+        assert after.value == before.value
+        expected = np.hypot(before.u, 0.0454 * lacking)
+        assert after.u == pytest.approx(expected, rel=1e-6, abs=0)
+        assert after.u > 1.2 * before.u
+    assert any("which is in the uncertainty of friction" in note for note in outcome.notes)
+    with pytest.raises(InsufficientDataError, match=r"most at 30(\.\d)? rad/s .* 10% of what was"):
+        between_set_points(path, kt, [(30.0, 0.02)])

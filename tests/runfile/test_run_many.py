@@ -74,7 +74,7 @@ def test_closing_leaves_nothing_open(run_path, tmp_path):
     assert open_files() == before
 
 
-@pytest.mark.parametrize("how", ["replaced", "changed", "gone"])
+@pytest.mark.parametrize("how", ["replaced", "changed", "overwritten", "gone"])
 def test_a_file_that_is_not_the_same_any_more_is_refused(run_path, tmp_path, how):
     paths = copies(run_path, tmp_path)
     with ExitStack() as stack:
@@ -85,6 +85,8 @@ def test_a_file_that_is_not_the_same_any_more_is_refused(run_path, tmp_path, how
         elif how == "changed":
             with h5py.File(first, "r+", locking=False) as file:
                 file.attrs["more"] = 1.0
+        elif how == "overwritten":  # the same file with the same size
+            first.write_bytes(first.read_bytes())
         else:
             first.unlink()
         with pytest.raises(RunFileError, match="no such file" if how == "gone" else "replaced"):
