@@ -4,8 +4,10 @@ A drive that is driven by set points one by one measures where it gets one, alwa
 of the period. Where its loop answers each set point with a step of current, as it does to steps of
 position, that sample is off the mean of the period by an amount that grows with speed and repeats:
 it looks like friction, and no average takes it away. So every few periods the current is read once
-more, at a phase that goes through the whole period, and compared with what the samples before and
-after it say of that moment. The mean difference is what the samples lack.
+more, at a phase that goes through what the line leaves of the period, and compared with what the
+samples before and after it say of that moment. The mean difference is what the samples lack; where
+readings leave little of the period, less of it is seen, and the difference comes out larger or, of
+currents that are over sooner than a reading, smaller.
 """
 
 from __future__ import annotations

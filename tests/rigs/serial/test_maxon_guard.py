@@ -127,3 +127,19 @@ def test_a_guard_that_cannot_be_started_keeps_the_motor_off(monkeypatch):
     ):
         list(rig.perform(SLOW))
     assert device.log == []
+
+
+def test_signals_do_not_end_a_guard():
+    """They are for the program that it watches, and end it with that."""
+    device = Epos4Emulator()
+    with serve(device) as server:
+        guard = Guard(server.port, 115200, 1, silence=30.0)
+        guard.watch()
+        device.switch("velocity")
+        for sent in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            guard.process.send_signal(sent)
+        guard.beat()
+        guard.close()
+        wait_until(lambda: guard.process.poll() is not None)
+    assert guard.process.returncode == 0
+    assert device.mode is None
