@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from rigtool.analysis.position_map import position_map
 from rigtool.errors import HardwareError, InsufficientDataError, UsageError
 from rigtool.procedures import fft_ripple
-from rigtool.procedures.deploy import deploy
+from rigtool.procedures.deploy import _told_ripple, deploy
 from rigtool.procedures.ilc import turning
 from rigtool.procedures.table_export import in_unit
 from rigtool.procedures.table_origin import learned_table_from
@@ -362,3 +363,18 @@ def test_a_table_learned_on_the_drive_makes_it_run_evenly(tmp_path, capsys, monk
     (torque, unevenness), (torque_left, unevenness_left) = ripple_of(before), ripple_of(after)
     assert torque_left < torque / 3
     assert unevenness_left < unevenness / 3
+
+
+@pytest.mark.parametrize(("speed", "told"), [(11.0, "2 to 1"), (-13.0, "2 to 1"), (4.0, "5 to 4")])
+def test_ripple_is_told_of_the_learned_speed_next_to_this(speed, told):
+    """Rms of the mean of both directions, and without what friction adds."""
+    wave = 1e-3 * math.sqrt(2) * np.sin(2 * np.pi * np.arange(100) / 100)
+    columns = {
+        "speed": np.array([-12.0, -3.0, 3.0, 12.0]),
+        "before": np.array([[1.0], [5.0], [5.0], [3.0]]) * wave + 0.1,
+        "residual": np.array([[2.0], [4.0], [4.0], [0.0]]) * wave - 0.2,
+    }
+    columns = {name: SimpleNamespace(values=values) for name, values in columns.items()}
+    table = SimpleNamespace(columns=columns)
+    run = SimpleNamespace(tables={"residual_waveforms": table}, table=lambda name: table)
+    assert f"ripple went from {told} mN m" in _told_ripple(run, speed)

@@ -264,3 +264,13 @@ def test_what_was_dropped_unread_then_is_not_read_now(tmp_path):
     assert then == (len(b"FIRST\r\n"), b"SECOND")
     with Line(f"replay://{path}", timeout=0.03) as line:
         assert talk(line) == then
+
+
+def test_a_line_that_was_lost_while_rigtool_wrote_is_lost_again(tmp_path):
+    path = tmp_path / "line.spy"
+    path.write_text("# rigtool spy 2 driver=odrive\n0.1 > a\n0.2 < late\n0.3 ! cable pulled\n")
+    with Line(f"replay://{path}", 115200) as line:
+        line.write(b"a")
+        for _ in range(2):
+            with pytest.raises(LineLost, match="cable pulled"):
+                line.write(b"b")

@@ -101,6 +101,31 @@ def test_a_guard_that_is_not_needed_does_nothing():
     assert device.mode == "velocity"
 
 
+class Notes:
+    """A guard that only notes what it is told."""
+
+    def __init__(self):
+        self.told = []
+
+    def __getattr__(self, word):
+        return lambda: self.told.append(word)
+
+
+def test_a_guard_is_told_when_the_drive_is_on_alive_and_off():
+    """Between motions, however long they are apart, it is not to switch anything off."""
+    short = Task(SpeedProfile((0.0, 0.1, 0.2, 0.3), (0.0, 4.0, 4.0, 0.0)))
+    with serve(Epos4Emulator()) as server, maxon_rig(server.port) as rig:
+        notes = rig.drive.guard = Notes()
+        for _ in range(2):
+            notes.told.clear()
+            list(rig.perform(short))
+            on, off = notes.told.index("watch"), notes.told.index("rest")
+            assert notes.told.count("watch") == 1
+            assert notes.told[on + 1 : off].count("beat") > 5
+            assert set(notes.told[off:]) <= {"rest", "beat"}
+    assert notes.told[-1] == "close"
+
+
 def turned_while_its_guard_is_killed(rig):
     for _ in rig.perform(SLOW):
         rig.drive.guard.process.kill()
