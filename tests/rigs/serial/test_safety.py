@@ -288,8 +288,12 @@ def test_second_interrupt_waits_until_the_motor_is_off():
             done.append("off")
         done.append("never")
 
-    with pytest.raises(KeyboardInterrupt):
-        switch_off()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            switch_off()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert done == ["off"]
 
 
@@ -312,6 +316,13 @@ def test_reading_is_repeated_until_it_is_taken():
     assert person.reading("force", "N") == 2.5
     assert said == ["'much' is not a number of N"]
     assert asked[1] == "force 1.5 N: Enter to take it, r to repeat:"
+
+
+def test_only_enter_alone_takes_a_reading():
+    person, asked, said = operator("150", "15", "15", "")  # the right value at the wrong question
+    assert person.reading("temperature", "degC") == 15
+    assert said == ["150 degC is not taken: type the reading, then Enter alone"]
+    assert len(asked) == 4
 
 
 def test_nobody_there_is_an_error_that_says_what_was_to_do():
