@@ -189,6 +189,7 @@ def _analyse_stored(
                 f"{sources[0]}: holds no recipe, so the rig's geometry is unknown: "
                 "analyse a run that rigtool recorded"
             )
+        _require_as_recorded(options.overrides)
         recipe = override_recipe(recipe, options.overrides)
         with RunWriter(
             output,
@@ -202,6 +203,16 @@ def _analyse_stored(
             outcome = procedure.analyse(runs, recipe, **inputs)
             writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
+
+
+def _require_as_recorded(overrides: Sequence[str]) -> None:
+    """Raise `UsageError` for settings that would misjudge what is stored."""
+    for override in overrides:
+        if override.partition("=")[0].strip().endswith(".record_every"):
+            raise UsageError(
+                f"--set {override}: a stored run stays as it was recorded: leave this out, or "
+                "measure anew from the recipe"
+            )
 
 
 def _analyse_imported(

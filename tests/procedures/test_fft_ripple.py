@@ -148,3 +148,10 @@ def test_inputs_that_do_not_fit_are_refused(measured, kt):
             fft_ripple.analyse([constant], stored.recipe, kt=constant)
         with pytest.raises(RunFileError, match="calibrate-kt"):
             fft_ripple.analyse([stored], stored.recipe, kt=stored)
+
+
+def test_how_a_run_was_recorded_cannot_be_changed_afterwards(measured, folder, kt):
+    """Samples are means of as many as were averaged: another number would misjudge them."""
+    with pytest.raises(UsageError, match="record_every=1: a stored run stays as it was recorded"):
+        run(fft_ripple, measured[0], folder / "no.h5", "fft_ripple.record_every=1", kt=kt)
+    assert not (folder / "no.h5").exists()
