@@ -18,6 +18,7 @@ from rigtool.recipe.serial import WITHOUT_WATCHDOG
 from rigtool.rigs import NEEDS, Block, Rig, Task
 from rigtool.rigs.motion import OpenLoop
 from rigtool.rigs.serial import safety
+from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
 
 SHOWN = 12
@@ -70,6 +71,7 @@ class _Rehearsal:
     def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
         self.plan = Plan()
         self._dt = recipe.rig.sample_time
+        self._attachment = recipe.rig.attachment
         on_line = recipe.rig.source == "serial" and recipe.serial is not None
         self._limits = recipe.serial.limits if on_line and recipe.serial is not None else None
         self._torque_constant = torque_constant
@@ -93,7 +95,9 @@ class _Rehearsal:
         self._position = found.end
         self.plan.motions.append((type(task.motion).__name__, found))
         for need in _needs(task):
-            self.plan.needs[need] = None
+            self._need(need, None)
+        if "load" in _needs(task):
+            self.plan.bench_work.append(describe_load(task.load, self._attachment))
         return iter(())
 
     def move_by(self, angle: float) -> None:

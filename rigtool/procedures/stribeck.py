@@ -34,6 +34,7 @@ __all__ = [
     "analyse_imported",
     "measure",
     "recordings",
+    "rig_needs",
 ]
 
 COMMAND = "stribeck"
@@ -51,6 +52,12 @@ RUN_ON = 4.5
 
 APPROACH = 0.2
 """Each position is approached from at least this far in the ramp's direction, rad."""
+
+
+def rig_needs(recipe: Recipe) -> tuple[str, ...]:
+    """Return what a rig has to offer for compensation and breakaway, once friction is known."""
+    loaded = recipe.stribeck.radial_force > 0
+    return ("feedforward", "open_loop", *(("load",) if loaded else ()))
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:

@@ -42,7 +42,7 @@ class Operator:
     def reading(self, what: str, unit: str) -> float:
         """Ask for a reading, e.g. `reading("force gauge", "N")`; typed wrongly, it is repeated.
 
-        The value is shown once more: `r` reads again, Enter takes it.
+        The value is shown once more: only Enter takes it; `r`, or anything else, reads again.
         """
         self._require(f"read {what}")
         while True:
@@ -54,8 +54,11 @@ class Operator:
             if not math.isfinite(value):
                 self.say(f"{text!r} is not a number of {unit}")
                 continue
-            if self.ask(f"{what} {value:g} {unit}: Enter to take it, r to repeat:") != "r":
+            answer = self.ask(f"{what} {value:g} {unit}: Enter to take it, r to repeat:")
+            if not answer:
                 return value
+            if answer != "r":  # perhaps the right value, typed at the wrong question
+                self.say(f"{value:g} {unit} is not taken: type the reading, then Enter alone")
 
     def agrees(self, question: str) -> bool:
         """Ask a question; only `y` or `yes` agrees."""

@@ -89,6 +89,16 @@ def test_dry_run_opens_no_port_and_writes_nothing(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_dry_run_says_which_loads_will_hang(tmp_path, capsys):
+    more = ["serial.limits.speed=1000", "serial.limits.duration=6000", "fft_ripple.torques=[14e-3]"]
+    on_line = settings(*overrides("/dev/no-such-port", *more))
+    arguments = [RECIPE, "--kt", KT, "-o", tmp_path / "r.h5", "--dry-run", *on_line]
+    code, out, err = call(capsys, "fft-ripple", *arguments)
+    assert code == 0, err
+    assert "At the bench: " in out
+    assert "Load the shaft with 14 mN m (weight on a cord)" in out
+
+
 def test_dry_run_refuses_what_is_beyond_the_limits(tmp_path, capsys):
     more = ["serial.limits.current=3"]
     code, _out, err = calibrate(capsys, tmp_path, "/dev/none", "--dry-run", more=more)
@@ -182,7 +192,7 @@ def test_devices(tmp_path, capsys):
             capsys, "devices", "/dev/no-such", server.port, "--json", "--driver", "target"
         )
     found = json.loads(out)
-    assert "no such port" in found[0]["problem"]
+    assert found[0]["problem"].startswith("cannot be opened: there is no such port")
     assert found[1]["driver"] == "target"
     assert call(capsys, "devices", "--driver", "toaster")[0] == 2
 

@@ -157,8 +157,8 @@ class HostedRig(SerialRig):
             more = ": add [serial.temperature]" if need == "temperature" else ""
             return f"this {name} does not tell its {need}{more}"
         if need in ("force", "deflection"):
-            return f"a {name} does not measure it: add [serial.{need}]"
-        return None if need in (*NEEDS, *COLUMNS) else f"a {name} does not record it"
+            return f"{name} does not measure it: add [serial.{need}]"
+        return None if need in (*NEEDS, *COLUMNS) else f"{name} does not record it"
 
     def _facts(self) -> Mapping[str, Any]:
         rate = self._ticks / self._driven if self._driven > 0 else 0.0

@@ -67,7 +67,7 @@ def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
                     identity = module.probe(line)
             except HardwareError as error:
                 if "cannot be opened" in str(error):
-                    return Device(port, description, problem=str(error))
+                    return Device(port, description, problem=str(error).removeprefix(f"{port}: "))
                 time.sleep(PROBE_TIME / 5)  # what the last question may still bring about
                 continue
             if identity:

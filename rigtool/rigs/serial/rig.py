@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 SETTLE_TIME = 0.5
 """Added to each move between recordings, s."""
 
+NOBODY = "nobody is at the terminal: run the command in a terminal"
+
 COMING_BACK = 10.0
 """Time in which a port must be back after its device was switched off and on, s."""
 
@@ -165,13 +167,16 @@ class SerialRig(ABC):
                 "an operator reads once a motion, and the force changes with every step of "
                 "current: a gauge on a line is needed"
             )
+        alone = not self._bench.operator.present
+        if alone and isinstance(self._gauges.get(need), OperatorGauge):
+            return f"an operator reads it, and {NOBODY}"
         if need in self._gauges or need == "rotor_angle":
             return None
         reason = self._reason(need)
         if reason is not None and need in ("load", "clamp", "soak", "power_cycle"):
-            if self._settings.operator:
-                return None
-            return f"{reason}, and serial.operator is false: nobody is there to {NEEDS[need]}"
+            if not self._settings.operator:
+                return f"{reason}, and serial.operator is false: nobody is there to {NEEDS[need]}"
+            return f"{reason}, and {NOBODY}" if alone else None
         return reason
 
     def use_only(self, channels: Collection[str]) -> None:

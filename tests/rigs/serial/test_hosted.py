@@ -2,12 +2,15 @@
 
 import json
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rigtool.errors import HardwareError, RecipeError
-from rigtool.rigs import Feedforward, Load, Task
+from rigtool.procedures import stribeck
+from rigtool.procedures.rehearsal import rehearse, require_offered
+from rigtool.rigs import NEEDS, Feedforward, Load, Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.serial.drive import Abilities
@@ -80,7 +83,6 @@ def test_drive_that_takes_speeds_only_is_held_in_position_by_the_host():
         assert rig.lacks("current_setpoint") == "this odrive does not tell its current_setpoint"
         assert "add [serial.temperature]" in rig.lacks("temperature")
         assert "add [serial.force]" in rig.lacks("force")
-        assert rig.lacks("load") is None  # the operator does it
         assert rig.lacks("closed_loop") is None
     angle = got["encoder"] * 2 * np.pi / 4000
     assert np.abs(angle - got["position_setpoint"]).max() < 0.15
@@ -209,6 +211,49 @@ def test_operator_is_asked_for_what_the_rig_cannot_do():
     assert asked[1].startswith("Load the shaft with 14 mN m (weight on a cord)")
     assert asked[2].startswith("Take all loads off")
     assert asked[3].startswith("Bring the motor to 35 degC")
+
+
+def test_what_somebody_has_to_do_is_refused_at_the_start_where_nobody_is():
+    with serve(toy.ToyEmulator()) as server:
+        with toy_rig(server.port, "serial.temperature.driver=operator") as rig:
+            for need in ("load", "clamp", "soak", "power_cycle", "temperature"):
+                assert "nobody is at the terminal: run the command in a terminal" in rig.lacks(need)
+        somebody = Bench(operator=operator()[0])
+        with toy_rig(server.port, "serial.temperature.driver=operator", bench=somebody) as rig:
+            for need in ("load", "clamp", "soak", "power_cycle", "temperature"):
+                assert rig.lacks(need) is None
+        with toy_rig(server.port, "serial.operator=false", bench=somebody) as rig:
+            assert "serial.operator is false: nobody is there to hang a load" in rig.lacks("load")
+
+
+@pytest.mark.parametrize(
+    ("feedforward", "person", "radial_force", "reason"),
+    [
+        (False, True, 22, "it needs to add a torque that is computed from the set point"),
+        (True, False, 22, "it needs to hang a load, or pull at the shaft"),
+        (True, False, 0, None),
+        (True, True, 22, None),
+    ],
+)
+def test_stribeck_is_refused_before_it_measures(feedforward, person, radial_force, reason):
+    class Drive(toy.ToyDrive):
+        abilities = replace(toy.ToyDrive.abilities, feedforward=feedforward)
+
+    someone = Operator(ask=lambda question: "", say=lambda text: None, present=person)
+    recipe = serial_recipe("/dev/none", f"stribeck.radial_force={radial_force}", driver="odrive")
+    plan = rehearse(stribeck, recipe, 0.045, {"kt": None})
+    bench = Bench(yes=True, operator=someone)
+    make = lambda line, recipe: Drive(line)  # noqa: E731
+    with (
+        serve(toy.ToyEmulator()) as server,
+        toy_rig(server.port, bench=bench, make_drive=make) as rig,
+    ):
+        found = [need for need in plan.needs if need in NEEDS and rig.lacks(need)]
+        if reason is None:
+            assert found == []
+        else:
+            with pytest.raises(HardwareError, match=f"stribeck cannot run on this rig: .*{reason}"):
+                require_offered(rig, plan, "stribeck")
 
 
 def test_power_cycle_brings_the_drive_back_and_its_settings_in_the_end():
