@@ -267,8 +267,9 @@ class Line:
                 problem = error
         raise LineLost(
             f"{self.port}: no valid reply to {request[:40]!r} in {attempts} "
-            f"attempt{'s' if attempts > 1 else ''}: {problem}; check power, cable, baud rate, and "
-            "that no other program reads from this port"
+            f"attempt{'s' if attempts > 1 else ''}: {problem}; check power, cable, driver "
+            "(`rigtool devices` asks what is there), baud rate, and that no other program reads "
+            "from this port"
         )
 
     def ask(
@@ -379,6 +380,8 @@ def _why(error: OSError | ValueError) -> str:
         return "another program has it open: close that one"
     if number == errno.ENOENT or "FileNotFoundError" in text:
         return "there is no such port; `rigtool devices` lists those there are"
+    if number == errno.EISDIR or "Inappropriate ioctl" in text:
+        return "this is no serial port; `rigtool devices` lists those there are"
     if number == errno.EACCES or "PermissionError" in text:
         return (
             "permission denied: on Linux your user must be in the group of the port (often "

@@ -124,10 +124,7 @@ class MaxonDrive(ABC, Generic[Place]):
                 problem = HardwareError("it says that it is still on")
             except HardwareError as error:
                 problem = error
-        raise HardwareError(
-            f"{self.line.port}: the drive was not switched off ({problem}). It has no watchdog: it "
-            "may still turn"
-        )
+        raise HardwareError(f"{self.line.port}: the drive was not switched off ({problem})")
 
     def restore(self) -> None:
         """Bring back what was changed, the last first; what is refused is tried again.

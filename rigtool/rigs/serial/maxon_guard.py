@@ -143,7 +143,7 @@ def switch_off(port: str, baud_rate: int, node: int) -> None:
     from rigtool.rigs.serial.maxon import drive_on
 
     deadline = time.monotonic() + PATIENCE
-    told = f"{port}: rigtool was killed or hangs while the drive was on: "
+    told = f"{port}: rigtool was killed, hangs or lost the line while the drive was on: "
     while True:
         try:
             with Line(port, baud_rate, timeout=0.1, exclusive=False) as line:

@@ -258,7 +258,8 @@ class Talk:
             if text.startswith(REFUSALS):  # perhaps a command before, which has no reply otherwise
                 kind = Missing if text.startswith("invalid property") else Refused
                 asked = questions[min(number, len(questions) - 1)]
-                raise kind(f"the ODrive refuses {asked!r}, or what went with it: {text}")
+                where = "; a board with one axis has node 0" if "axis1." in asked else ""
+                raise kind(f"the ODrive refuses {asked!r}, or what went with it: {text}{where}")
         if rest or len(lines) > len(questions):
             raise DamagedReply("more came than was asked for")
         for question, text in zip(questions, texts, strict=True):

@@ -18,6 +18,8 @@ class Socket:
     def __init__(self, address: str, timeout: float) -> None:
         host, _, port = address.split("?")[0].rstrip("/").rpartition(":")
         self._timeout = timeout
+        if not host or not port.isdecimal() or int(port) > 65535:
+            raise ValueError(f"{address!r} is no address: give socket://HOST:PORT")
         self._socket = socket.create_connection((host, int(port)), timeout=5.0)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.settimeout(1.0)

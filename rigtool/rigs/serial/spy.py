@@ -159,7 +159,8 @@ class Replay:
                 self._said.clear()
                 raise HardwareError(
                     f"{self.path}: at {event.time:.6f} s the host sent {event.data[:40]!r}, now "
-                    f"it sends {said[:40]!r}: play a record back with the recipe it was made with"
+                    f"it sends {said[:40]!r}: play a record back with the recipe it was made with; "
+                    "one of a run that was interrupted ends where that was"
                 )
             if len(said) < len(event.data):
                 break

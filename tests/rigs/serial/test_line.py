@@ -114,7 +114,10 @@ def test_pulled_cable_is_a_lost_line(tcp):
     [
         ("/dev/no-such-port", "there is no such port"),
         ("socket://127.0.0.1:1", "nothing listens"),
-        ("socket://127.0.0.1:none", "cannot be opened"),
+        ("socket://127.0.0.1:none", "cannot be opened: .* give socket://HOST:PORT"),
+        ("socket://", "cannot be opened: .* give socket://HOST:PORT"),
+        ("/dev/null", "this is no serial port"),
+        ("/tmp", "this is no serial port"),
         ("nonsense://x", "cannot be opened"),
     ],
 )

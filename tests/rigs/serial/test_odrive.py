@@ -185,7 +185,8 @@ def test_what_cannot_be_driven_is_refused(change, message):
 
 
 def test_axis_that_it_does_not_have_is_refused():
-    with serve(ODriveEmulator()) as server, pytest.raises(Refused, match="invalid property"):
+    remedy = "invalid property; a board with one axis has node 0"
+    with serve(ODriveEmulator()) as server, pytest.raises(Refused, match=remedy):
         odrive_rig(server.port, "serial.node=1").__enter__()
 
 
