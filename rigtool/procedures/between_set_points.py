@@ -21,7 +21,7 @@ from rigtool.runfile import Recording, Run
 Array = NDArray[np.float64]
 
 SEEN = 3.0
-"""A difference counts from this multiple of its standard uncertainty on."""
+"""A difference is worth a remark from this multiple of its standard uncertainty on."""
 
 SAME_SPEED = 0.02
 """Part by which a speed may differ from that of readings which tell about it."""
@@ -40,13 +40,14 @@ REMEDY = "set rig.sample_time shorter, or turn more slowly"
 
 @dataclass(frozen=True)
 class Lacking:
-    """By speed, all (n,): rad/s; A that samples lack along the motion, 0 where none is seen.
+    """By speed, all (n,): rad/s; A that samples lack along the motion, and its uncertainty.
 
     `known` says whether the rig looked; `stepping`, whether it had to follow steps of position.
     """
 
     speed: Array
     current: Array
+    u: Array
     known: bool
     stepping: bool
 
@@ -55,22 +56,27 @@ class Lacking:
         """Take it from the records of the lines; rigs without such a loop lack nothing."""
         lines = [json.loads(run.provenance.get("line") or "{}") for run in runs]
         found = [item for line in lines for item in line.get("between_set_points", ())]
-        seen = [abs(item["lacking_current"]) > SEEN * item["u"] for item in found]
         return cls(
             speed=np.array([item["speed"] for item in found]),
-            current=np.where(seen, [item["lacking_current"] for item in found], 0.0),
+            current=np.array([item["lacking_current"] for item in found]),
+            u=np.array([item["u"] for item in found]),
             known=bool(found),
             stepping=any(line.get("steps_in_position") for line in lines),
         )
 
+    @property
+    def whole(self) -> Array:
+        """What samples lack and what is not known of it, together, with its sign (n,), A."""
+        return np.copysign(np.hypot(self.current, self.u), self.current)
+
     def at(self, speed: float) -> float:
-        """Return what samples at a speed lack, A.
+        """Return what samples at a speed lack with what is not known of it, A.
 
         Raises `InsufficientDataError` where it would matter and was not looked at.
         """
         near = np.abs(self.speed - speed) <= SAME_SPEED * speed
         if near.any():
-            return float(self.current[near][np.argmax(np.abs(self.current[near]))])
+            return float(self.whole[near][np.argmax(np.abs(self.whole[near]))])
         if self.stepping:
             raise InsufficientDataError(
                 "the drive followed steps of position, each of which makes a step of current, and "
@@ -81,20 +87,21 @@ class Lacking:
 
     def line(self, torque_constant: float) -> tuple[float, float]:
         """Return what is missing in Coulomb [N m] and viscous friction [N m s/rad]."""
-        if not self.current.any():
+        if not self.whole.any():
             return 0.0, 0.0
         if self.speed.size < 2 or math.isclose(self.speed.min(), self.speed.max()):
-            return torque_constant * float(self.current.mean()), 0.0
-        slope, start = np.polyfit(self.speed, torque_constant * self.current, 1)
+            return torque_constant * float(self.whole.mean()), 0.0
+        slope, start = np.polyfit(self.speed, torque_constant * self.whole, 1)
         return float(start), float(slope)
 
 
 def remark(runs: Sequence[Run], torque_constant: float) -> tuple[str, ...]:
     """Say of what is found in samples that it lacks, at most so much, what flows between them."""
     lacking = Lacking.of(runs)
-    if not lacking.current.any():
+    seen = np.abs(lacking.current) > SEEN * lacking.u
+    if not seen.any():
         return ()
-    most = int(np.argmax(np.abs(lacking.current)))
+    most = int(np.argmax(np.where(seen, np.abs(lacking.current), 0.0)))
     current, speed = float(lacking.current[most]), float(lacking.speed[most])
     return (
         f"current between set points differs by up to {current * 1e3:.3g} mA from that of the "

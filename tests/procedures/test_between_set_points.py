@@ -50,15 +50,22 @@ def test_the_step_of_the_current_is_found_in_means_of_several(averaged):
 
 def test_of_several_runs_at_a_speed_the_largest_difference_counts():
     lacking = Lacking.of([line((12.0, 1e-3, 1e-5)), line((12.1, -3e-3, 1e-5), (30.0, 1.0, 1e-3))])
-    assert lacking.at(12.0) == -3e-3
+    assert lacking.at(12.0) == pytest.approx(-3e-3, rel=1e-4)
     assert lacking.at(20.0) == 0.0
+
+
+def test_what_is_not_known_of_a_difference_counts_too():
+    """Of 20 readings whose mean says nothing, their uncertainty is what samples may lack."""
+    lacking = Lacking.of([line((12.0, 1e-4, 4e-4))])
+    assert lacking.at(12.0) == pytest.approx(4.123e-4, rel=1e-3)
+    assert lacking.line(0.05) == pytest.approx((0.05 * 4.123e-4, 0.0), rel=1e-3)
 
 
 def test_steps_of_position_that_were_not_looked_at_are_refused():
     run = line((12.0, 1e-3, 1e-5))
     told = json.loads(run.provenance["line"]) | {"steps_in_position": True}
     run.provenance["line"] = json.dumps(told)
-    assert Lacking.of([run]).at(12.0) == 1e-3
+    assert Lacking.of([run]).at(12.0) == pytest.approx(1e-3, rel=1e-4)
     with pytest.raises(InsufficientDataError, match=r"at 20 rad/s was not looked at often enough"):
         Lacking.of([run]).at(20.0)
 
