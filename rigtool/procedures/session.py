@@ -9,6 +9,7 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -23,7 +24,7 @@ from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import CHANNELS, Rig, Task, open_rig
 from rigtool.rigs.bench import Bench
 from rigtool.rigs.serial.rig import SerialRig
-from rigtool.runfile import Channel, RecordingSpec, Run, RunWriter, open_run
+from rigtool.runfile import Channel, RecordingSpec, Run, RunWriter, chunk_of, open_run
 
 IMPORTED = "import"
 """The command of runs that hold other people's measurements."""
@@ -126,6 +127,7 @@ def _measure(
     plan = procedure.recordings(recipe)
     if isinstance(rig, SerialRig):
         rig.use_only({channel.name for spec in plan for channel in spec.channels})
+        plan = _in_seconds(plan, recipe, procedure.COMMAND)
     writer = _WatchedWriter(
         output,
         command=procedure.COMMAND,
@@ -152,6 +154,20 @@ def _measure(
         outcome = procedure.analyse([run], recipe, **inputs)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
+
+
+def _in_seconds(
+    plan: Sequence[RecordingSpec], recipe: Recipe, command: str
+) -> tuple[RecordingSpec, ...]:
+    """Have about a second in a chunk, so that a program that is killed loses no more than that.
+
+    A virtual rig is a thousand times faster than its clock: it may lose a large chunk.
+    """
+    section = getattr(recipe, command.replace("-", "_"), None)
+    parts = [section, *vars(section).values()] if section is not None else []
+    every = max([1, *(getattr(part, "record_every", 1) for part in parts)])
+    chunk = chunk_of(1 / (every * recipe.rig.sample_time))
+    return tuple(replace(spec, chunk=chunk) for spec in plan)
 
 
 def _permit(

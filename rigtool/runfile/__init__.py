@@ -2,6 +2,7 @@
 
 from rigtool.runfile.model import Channel, Column, RecordingSpec, Table
 from rigtool.runfile.reader import Recording, Run, open_run
+from rigtool.runfile.schema import chunk_of
 from rigtool.runfile.writer import RunWriter
 
 __all__ = [
@@ -12,5 +13,6 @@ __all__ = [
     "Run",
     "RunWriter",
     "Table",
+    "chunk_of",
     "open_run",
 ]

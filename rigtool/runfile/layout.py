@@ -100,7 +100,7 @@ def _write_recording(parent: h5py.Group, spec: RecordingSpec) -> None:
             (0,),
             dtype,
             maxshape=(None,),
-            chunks=(schema.CHUNK,),
+            chunks=(spec.chunk,),
             # A chunk that a damaged file has lost reads as NaN, which no analysis accepts.
             fillvalue=np.nan if dtype.kind == "f" else None,
             **schema.FILTERS,

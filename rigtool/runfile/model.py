@@ -38,12 +38,14 @@ class RecordingSpec:
     """A recording before it is made: its channels on one `time`, and under which conditions.
 
     `conditions` maps a name to (value, unit), e.g. `{"speed": (3.0, "rad/s")}`. A viewer plots the
-    first channel other than `time`. Raises `ValueError` for names or channels that do not fit.
+    first channel other than `time`. What a killed run may lose are `chunk` samples. Raises
+    `ValueError` for names or channels that do not fit.
     """
 
     name: str
     channels: tuple[Channel, ...]
     conditions: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    chunk: int = schema.CHUNK
 
     def __post_init__(self) -> None:
         names = [channel.name for channel in self.channels]

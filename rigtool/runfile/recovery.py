@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import schema, tree
@@ -107,18 +108,27 @@ def _spec(recording: Recording) -> RecordingSpec:
 
 
 def _copy(recording: Recording, writer: RunWriter) -> int:
-    """Copy a recording chunk by chunk until one is damaged; return how many samples came."""
-    for start in range(0, recording.size, schema.CHUNK):
-        stop = min(start + schema.CHUNK, recording.size)
-        try:
-            block = {
-                item.name: recording.read_stored(item.name, start, stop)
-                for item in recording.channels
-            }
-        except RunFileError:
+    """Copy a recording until a chunk is damaged, however large they are; return what came."""
+    start, step = 0, schema.CHUNK
+    while start < recording.size:
+        block = _whole(recording, start, min(start + step, recording.size))
+        if block is not None:
+            writer.append(recording.name, block)
+            start += step
+        elif step > schema.SMALLEST_CHUNK:
+            step //= 2
+        else:
             return start
-        # A chunk that never reached the disk reads as NaN.
-        if not np.isfinite(block[schema.TIME]).all():
-            return start
-        writer.append(recording.name, block)
     return recording.size
+
+
+def _whole(recording: Recording, start: int, stop: int) -> dict[str, NDArray[np.generic]] | None:
+    """Return these samples of all channels; None where one of them is damaged."""
+    try:
+        block = {
+            item.name: recording.read_stored(item.name, start, stop) for item in recording.channels
+        }
+    except RunFileError:
+        return None
+    # A chunk that never reached the disk reads as NaN.
+    return block if np.isfinite(block[schema.TIME]).all() else None

@@ -6,6 +6,7 @@ new minor version adds what older readers may ignore, a new major version is ref
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Any
 
@@ -24,7 +25,10 @@ INPUTS = "inputs"
 TIME = "time"
 
 CHUNK = 8192
-"""Samples in a chunk of a signal: one second at 8 kHz."""
+"""Samples in a chunk of a signal at most: one second at 8 kHz."""
+
+SMALLEST_CHUNK = 32
+"""Samples in a chunk at least; both are powers of two, so that blocks end where chunks do."""
 
 DTYPES: dict[str, np.dtype[Any]] = {name: np.dtype(f"<{name}") for name in ("u1", "i4", "f4", "f8")}
 """The only numeric types in a file; others crash or confuse one reader or another."""
@@ -38,6 +42,13 @@ FILTERS: dict[str, Any] = {
 
 LIBVER = ("v110", "v110")
 """`latest` would mean HDF5 2.0, which h5dump 1.10 and MATLAB cannot read."""
+
+
+def chunk_of(rate_hz: float) -> int:
+    """Return the samples of a chunk for about a second: what a killed run loses is one chunk."""
+    samples = 2 ** math.ceil(math.log2(max(rate_hz, 1.0)))
+    return min(max(samples, SMALLEST_CHUNK), CHUNK)
+
 
 # Limits of what a file may claim, checked from its headers before anything is read.
 MAX_SAMPLES = 2**31

@@ -27,6 +27,7 @@ class Stream:
         self.path = f"/{schema.ENTRY}/{schema.RECORDINGS}/{spec.name}"
         self._file = file
         self._name = spec.name
+        self.chunk = spec.chunk
         self._dtypes = {channel.name: schema.DTYPES[channel.dtype] for channel in spec.channels}
         self._pending: dict[str, list[NDArray[Any]]] = {name: [] for name in self._dtypes}
         self.waiting = 0
@@ -56,8 +57,8 @@ class Stream:
 
     def size(self, count: int) -> int:
         """Return the bytes that so many samples of all channels need at most."""
-        chunks = -(-count // schema.CHUNK)
-        return sum(chunks * schema.CHUNK * dtype.itemsize for dtype in self._dtypes.values())
+        samples = -(-count // self.chunk) * self.chunk
+        return sum(samples * dtype.itemsize for dtype in self._dtypes.values())
 
     def seal(self, file: h5py.File) -> None:
         """Store the hash of each channel's samples with it."""

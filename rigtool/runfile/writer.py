@@ -135,9 +135,9 @@ class RunWriter:
             raise RuntimeError("nothing can be appended once the recordings were read back")
         stream = self._streams[recording]
         stream.append(block)
-        if stream.waiting >= schema.CHUNK:
+        if stream.waiting >= stream.chunk:
             with storage_errors(self.path):
-                self._write(stream, stream.waiting - stream.waiting % schema.CHUNK)
+                self._write(stream, stream.waiting - stream.waiting % stream.chunk)
                 self._sync()
 
     def note_line(self, report: str) -> None:

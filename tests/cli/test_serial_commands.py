@@ -9,6 +9,7 @@ import sys
 import time
 from pathlib import Path
 
+import h5py
 import pytest
 
 from rigtool.recipe import load_recipe
@@ -142,6 +143,10 @@ def test_a_spy_file_plays_back_as_the_rig(tmp_path, capsys):
         code, _out, err = calibrate(capsys, tmp_path, server.port, "--yes", "--spy", spy)
     assert code == 0, err
     (tmp_path / "kt.h5").rename(tmp_path / "first.h5")
+    with h5py.File(tmp_path / "first.h5") as file:
+        recording = file["entry/recordings/staircase"]
+        # 160 samples of the loop make one: 50 a second. About a second is in a chunk.
+        assert {channel.chunks for channel in recording.values()} == {(64,)}
     more = ["serial.driver=replay"]
     code, _out, err = calibrate(capsys, tmp_path, spy, "--yes", more=more)
     assert code == 0, err

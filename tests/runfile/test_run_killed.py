@@ -4,18 +4,22 @@ import bisect
 import json
 import os
 import random
+import shutil
 import signal
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
 
+import h5py
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import rigtool.cli as cli
 from rigtool.errors import RunFileError, UsageError
-from rigtool.runfile import RunWriter, open_run, writer
+from rigtool.runfile import RunWriter, chunk_of, open_run, writer
 from rigtool.runfile.recovery import recover
 from tests.runfile.whole_run import SPECS, samples, write
 
@@ -193,10 +197,10 @@ def test_a_command_killed_at_any_moment(tmp_path, capsys, command):
     assert outcomes["recovered"] >= KILLS // 2, outcomes
 
 
-def interrupted(path: Path, size: int = 10_000) -> Path:
+def interrupted(path: Path, size: int = 10_000, recordings=SPECS) -> Path:
     def stop() -> None:
         arguments = {"command": "stribeck", "recipe": None, "recipe_text": "[rig]\n", "seed": 5}
-        with RunWriter(path, recordings=SPECS, **arguments, argv=["rigtool", "a b"]) as out:
+        with RunWriter(path, recordings=recordings, **arguments, argv=["rigtool", "a b"]) as out:
             out.append("sweep", samples(size)["sweep"])
             raise KeyboardInterrupt
 
@@ -225,8 +229,6 @@ def test_recovering_keeps_where_the_run_came_from(tmp_path):
 
 def test_recovering_stops_at_damage(tmp_path):
     part = interrupted(tmp_path / "run.h5", 20_000)
-    import h5py
-
     with h5py.File(part, "r") as file:
         chunk = file["entry/recordings/sweep/encoder"].id.get_chunk_info(1)
     data = bytearray(part.read_bytes())
@@ -235,6 +237,51 @@ def test_recovering_stops_at_damage(tmp_path):
     found = recover(part)
     assert found.samples == {"sweep": 8192, "holds": 0}
     assert found.lost == 20_000 - 8192
+
+
+@pytest.mark.parametrize(("chunk", "whole"), [(64, 960), (256, 768), (8192, 0)])
+def test_a_killed_run_loses_less_than_a_chunk(tmp_path, chunk, whole):
+    """Killed at sample 1000, as by SIGKILL: nothing is closed, nothing written any more."""
+    slow = [replace(spec, chunk=chunk) for spec in SPECS]
+    writer = RunWriter(
+        tmp_path / "run.h5", command="stribeck", recipe=None, recipe_text=None, recordings=slow
+    )
+    with writer as out:
+        block = samples(1000)["sweep"]
+        for start in range(0, 1000, 50):
+            out.append("sweep", {name: part[start : start + 50] for name, part in block.items()})
+        out._sync(force=True)
+        left = Path(shutil.copy(out.part, tmp_path / "left.h5.part"))
+        out.finish({}, {})
+    if not whole:
+        with pytest.raises(RunFileError, match="holds no sample that is whole"):
+            recover(left)
+        return
+    assert recover(left).samples == {"sweep": whole, "holds": 0}
+    with open_run(tmp_path / "left.h5") as run:
+        for name, values in block.items():
+            found = run.recording("sweep").read_stored(name)
+            np.testing.assert_array_equal(found, values[:whole])
+
+
+def test_recovering_stops_at_damage_in_a_small_chunk(tmp_path):
+    slow = [replace(spec, chunk=256) for spec in SPECS]
+    part = interrupted(tmp_path / "run.h5", 20_000, recordings=slow)
+    with h5py.File(part, "r") as file:
+        chunk = file["entry/recordings/sweep/encoder"].id.get_chunk_info(50)
+    data = bytearray(part.read_bytes())
+    data[chunk.byte_offset + 5] ^= 0xFF
+    part.write_bytes(data)
+    assert recover(part).samples == {"sweep": 50 * 256, "holds": 0}
+
+
+@given(st.floats(0.01, 1e5))
+def test_a_chunk_is_about_a_second(rate):
+    chunk = chunk_of(rate)
+    assert chunk & (chunk - 1) == 0
+    assert 32 <= chunk <= 8192
+    assert chunk < 2 * max(rate, 16.01)
+    assert chunk >= min(rate, 8192)
 
 
 def test_recovering_does_not_overwrite(tmp_path):
