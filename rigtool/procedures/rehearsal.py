@@ -14,7 +14,7 @@ from typing import Any, Self
 from rigtool.errors import HardwareError
 from rigtool.procedures.outcome import Outcome
 from rigtool.recipe import Recipe
-from rigtool.recipe.serial import WITHOUT_WATCHDOG
+from rigtool.recipe.serial import WITHOUT_GAUGES, WITHOUT_WATCHDOG, Serial
 from rigtool.rigs import NEEDS, Block, Rig, Task
 from rigtool.rigs.motion import OpenLoop
 from rigtool.rigs.serial import safety
@@ -186,18 +186,31 @@ def dry_run(
     notes = [str(plan)]
     if recipe.rig.source == "serial" and recipe.serial is not None:
         plan.check(recipe.serial.limits)
+        _require_gauges(plan, recipe.serial, procedure.COMMAND)
         low, high = recipe.serial.limits.position
         limits = recipe.serial.limits
         notes.append(
             f"Within the limits {limits.current:g} A, {limits.speed:g} rad/s, {low:g} to {high:g} "
             f"rad (counted from where the shaft is), {limits.duration:g} s a motion"
         )
+        notes.append("Whether the drive offers all that is asked when it is connected")
         if recipe.serial.driver in WITHOUT_WATCHDOG:
             notes.append(
                 "This drive has no watchdog: where computer or cable fail it goes on as it was "
                 "told last. It runs only with serial.emergency_stop = true; try that stop first"
             )
     return Outcome(results={}, tables={}, notes=tuple(notes))
+
+
+def _require_gauges(plan: Plan, settings: Serial, command: str) -> None:
+    """Raise `HardwareError` for a gauge that no drive has and the recipe does not name."""
+    for need in ("force", "deflection"):
+        named = getattr(settings, need) is not None
+        if need in plan.needs and not named and settings.driver in WITHOUT_GAUGES:
+            raise HardwareError(
+                f"{command} cannot run on this rig: it records {need}: a {settings.driver} does "
+                f"not measure it: add [serial.{need}]"
+            )
 
 
 def _needs(task: Task) -> Iterator[str]:

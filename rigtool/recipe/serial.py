@@ -11,6 +11,9 @@ from pydantic import Field, model_validator
 
 from rigtool.recipe.base import Section
 
+WITHOUT_GAUGES = ("odrive", "moteus", "maxon")
+"""Drivers of drives that measure neither force nor deflection; a target may."""
+
 WITHOUT_WATCHDOG = ("maxon",)
 """Drivers of drives that do not stop by themselves where computer or cable fail."""
 

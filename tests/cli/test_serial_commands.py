@@ -100,6 +100,17 @@ def test_dry_run_says_which_loads_will_hang(tmp_path, capsys):
     assert "Load the shaft with 14 mN m (weight on a cord)" in out
 
 
+@pytest.mark.parametrize(("driver", "expected"), [("odrive", 5), ("target", 0)])
+def test_dry_run_refuses_what_no_drive_measures(tmp_path, capsys, driver, expected):
+    more = [f"serial.driver={driver}"]
+    code, out, err = calibrate(capsys, tmp_path, "/dev/none", "--dry-run", more=more)
+    assert code == expected
+    if expected:
+        assert "it records force: a odrive does not measure it: add [serial.force]" in err
+    else:
+        assert "Whether the drive offers all that is asked when it is connected" in out
+
+
 def test_dry_run_refuses_what_is_beyond_the_limits(tmp_path, capsys):
     more = ["serial.limits.current=3"]
     code, _out, err = calibrate(capsys, tmp_path, "/dev/none", "--dry-run", more=more)

@@ -84,6 +84,8 @@ class Guard:
 
     def _start(self) -> None:
         theirs, self._pipe = os.pipe()
+        if hasattr(os, "set_blocking"):  # one that was stopped and reads no more is gone, too
+            os.set_blocking(self._pipe, False)
         answer, their_answer = os.pipe()
         # a Ctrl-C or Ctrl-Z at the terminal is not for it
         self.process = process = subprocess.Popen(
