@@ -403,7 +403,8 @@ def test_rate_of_the_line_is_well_above_the_loop():
 
 @pytest.mark.parametrize("command", ["calibrate-kt", "stribeck", "fft-ripple", "ilc-learn"])
 def test_recipe_says_what_it_would_do(tmp_path, capsys, command):
-    kt = [] if command == "calibrate-kt" else ["--kt", FIXTURES / "kt.h5"]
+    gauge = ["--set", "serial.force.driver=mark10", "--set", "serial.force.port=/dev/ttyUSB0"]
+    kt = gauge if command == "calibrate-kt" else ["--kt", FIXTURES / "kt.h5"]
     code, out, err = call(capsys, command, MOTEUS_R4, *kt, "-o", tmp_path / "x.h5", "--dry-run")
     assert code == 0, err
     assert "Within the limits 3 A, 20 rad/s, -500 to 500 rad" in out

@@ -551,7 +551,8 @@ def test_a_property_that_never_takes_a_value_is_an_error():
 
 @pytest.mark.parametrize("command", ["calibrate-kt", "identify-plant"])
 def test_recipe_of_a_hobby_motor_says_what_it_would_do(tmp_path, capsys, command):
-    kt = [] if command == "calibrate-kt" else ["--kt", FIXTURES / "kt.h5"]
+    gauge = ["--set", "serial.force.driver=mark10", "--set", "serial.force.port=/dev/ttyUSB0"]
+    kt = gauge if command == "calibrate-kt" else ["--kt", FIXTURES / "kt.h5"]
     arguments = [HOBBY_MOTOR, *kt, "-o", tmp_path / "x.h5", "--dry-run"]
     code, out, err = call(capsys, command, *arguments)
     assert code == 0, err
