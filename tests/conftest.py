@@ -4,7 +4,12 @@ They wait more than they compute: beside them another process passes all the oth
 machine stalls, rigtool rightly ends the motion.
 """
 
+import signal
+
 import pytest
+
+# A job in the background of a script ignores Ctrl-C, and so would every program that it starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 REAL_TIME = (
     "rigs/serial/",

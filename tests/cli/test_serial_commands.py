@@ -181,10 +181,14 @@ def test_however_it_ends_the_motor_is_off_and_signals_are_kept(tmp_path, capsys,
         with subprocess.Popen(
             [str(part) for part in line], stderr=subprocess.PIPE, text=True, cwd=tmp_path
         ) as process:
-            wait_until(lambda: emulated.state is State.RUNNING, 15)
-            time.sleep(2.2 if number == signal.SIGKILL else 0.8)  # a kill leaves whole chunks only
-            os.kill(process.pid, number)
-            err = process.communicate(timeout=15)[1]
+            try:
+                wait_until(lambda: emulated.state is State.RUNNING, 15)
+                # a kill leaves whole chunks only
+                time.sleep(2.2 if number == signal.SIGKILL else 0.8)
+                os.kill(process.pid, number)
+                err = process.communicate(timeout=15)[1]
+            finally:
+                process.kill()
         wait_until(lambda: emulated.state in (State.OFF, State.TRIPPED))
         if number == signal.SIGKILL:
             assert "watchdog" in emulated.text
