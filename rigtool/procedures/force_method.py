@@ -60,8 +60,8 @@ def lacking_torque(
     applied = [abs(float(applied_torque(recipe, force, angle))) for force in forces if force]
     limit = LIMIT * max(applied, default=0.0)
     text = (
-        f"current between set points differs by {current * 1e3:.3g} mA from that of the samples, "
-        f"{lacking * 1e3:.3g} mN m at the output"
+        f"current between set points differs from that of the samples by {current * 1e3:.3g} mA "
+        f"with its uncertainty, {lacking * 1e3:.3g} mN m at the output"
     )
     if lacking > limit:
         raise InsufficientDataError(

@@ -180,7 +180,8 @@ def _note_lacking(lacking: Lacking, holds: Holds, found: Found) -> None:
     limit = LIMIT * float(np.mean(np.abs(holds.torque)))
     text = (
         f"torque between set points differs from that of the samples, most at "
-        f"{abs(holds.speed[worst]):.3g} rad/s by {left_out[worst] * 1e3:.3g} mN m"
+        f"{abs(holds.speed[worst]):.3g} rad/s by {left_out[worst] * 1e3:.3g} mN m "
+        "with its uncertainty"
     )
     if abs(left_out[worst]) > limit:
         raise InsufficientDataError(

@@ -102,7 +102,7 @@ def test_hart_thermometer_is_asked_its_own_way(monkeypatch):
     monkeypatch.setattr("rigtool.rigs.serial.instruments.scpi.QUICK", 0.1)
     device = with_options(ScpiEmulator(lambda: 25.587, unit="C"), hart=True)
     with serve(device) as server, opened("scpi", server.port, "temperature") as thermometer:
-        assert watch(thermometer)[-1] == pytest.approx(25.587)
+        assert watch(thermometer)[-1] == pytest.approx(25.587, rel=1e-9)
         assert thermometer.report()["identity"] == "answers FETC?"
 
 
@@ -242,7 +242,7 @@ def test_no_wrong_number_from_a_bad_line(driver, name, monkeypatch):
     with serve(device, *SURVIVED[name]) as server, opened(driver, server.port) as instrument:
         got = watch(instrument, 0.45)
         assert instrument.problem() is None
-    np.testing.assert_allclose(got, 4.285)
+    np.testing.assert_allclose(got, 4.285, rtol=1e-9)
     assert server.error is None
 
 
@@ -264,7 +264,7 @@ def test_overload_is_told_and_leaves_a_hole():
 def test_unstable_readings_are_used_and_counted():
     device = with_options(KernEmulator(lambda: 250.0, unit="g"), moving=True)
     with serve(device) as server, opened("kern", server.port) as instrument:
-        np.testing.assert_allclose(watch(instrument), 2.4516625)
+        np.testing.assert_allclose(watch(instrument), 2.4516625, rtol=1e-9)
         assert instrument.report()["flags"]["unstable"] > 1
         assert instrument.problem() is None
 

@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -168,3 +169,27 @@ def test_signals_do_not_end_a_guard():
         wait_until(lambda: guard.process.poll() is not None)
     assert guard.process.returncode == 0
     assert device.mode is None
+
+
+def test_a_guard_that_was_stopped_does_not_stop_the_loop_with_it():
+    """It reads no more: when no word fits into the pipe, the motion ends as without a guard."""
+    guard = Guard("/dev/no-such-port", 115200, 1, silence=1000.0)
+    guard.watch()
+    said = []
+
+    def beat():
+        try:
+            while True:
+                guard.beat()
+        except HardwareError as error:
+            said.append(str(error))
+
+    guard.process.send_signal(signal.SIGSTOP)
+    loop = threading.Thread(target=beat, daemon=True)
+    try:
+        loop.start()
+        loop.join(10)
+        assert not loop.is_alive()
+    finally:
+        guard.process.kill()
+    assert "is gone" in said[0]

@@ -182,7 +182,9 @@ def test_motion_is_followed_and_logged(uart, ratio):
         got = perform(rig, task)
         facts = json.loads(rig.report())
         assert device.config["servo.max_current_A"] == 10.0
-        assert device.config["servo.max_velocity"] == pytest.approx(60 / (2 * np.pi) * ratio)
+        assert device.config["servo.max_velocity"] == pytest.approx(
+            60 / (2 * np.pi) * ratio, rel=1e-6
+        )
         assert device.config["servo.default_timeout_s"] == 0.25
         assert device.config["servo.timeout_mode"] == 0
         assert device.config["servo.motor_fault_temperature"] == 90.0

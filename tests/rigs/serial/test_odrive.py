@@ -307,7 +307,7 @@ def test_limits_and_watchdog_are_set_while_it_is_used():
     with serve(device) as server, odrive_rig(server.port, *more) as rig:
         assert device["motor.config.current_lim"] == 2.5
         assert device["controller.config.vel_limit"] == pytest.approx(5.0, rel=1e-6)
-        assert device["config.watchdog_timeout"] == pytest.approx(0.2)
+        assert device["config.watchdog_timeout"] == pytest.approx(0.2, rel=1e-6)
         assert device["controller.config.input_mode"] == odrive.PASSTHROUGH
         assert not device["config.enable_watchdog"]  # it would run out at rest
         running = rig.perform(ENDLESS)
@@ -337,7 +337,7 @@ def test_owners_watchdog_comes_back_and_its_error_is_no_obstacle():
         with odrive_rig(server.port) as rig:
             perform(rig, BRIEF)
         assert device.properties["config.enable_watchdog"] is True
-        assert device["config.watchdog_timeout"] == pytest.approx(0.05)
+        assert device["config.watchdog_timeout"] == pytest.approx(0.05, rel=1e-6)
 
 
 def perform_after_reset(rig, device):

@@ -29,9 +29,9 @@ def extremes(motion, feedforward=Feedforward(), origin=0.0, constant=0.05):  # n
 def test_extremes_of_a_triangle_are_those_of_its_formulas():
     found = extremes(Triangle(0.5, 2.5, 4.0, 0.3, cycles=2))
     turn = 2 * 0.3 / 4.0
-    assert found.duration == pytest.approx(2 * 2 * (1.4 / 4 + 2 * turn))
+    assert found.duration == pytest.approx(2 * 2 * (1.4 / 4 + 2 * turn), rel=1e-9)
     assert found.position == pytest.approx((0.5, 2.5), abs=1e-6)
-    assert found.speed == pytest.approx(4.0)
+    assert found.speed == pytest.approx(4.0, rel=1e-9)
     assert found.acceleration == pytest.approx(4 * math.pi / (2 * turn), rel=1e-4)
     assert found.current == 0.0
 
@@ -41,7 +41,7 @@ def test_extremes_of_a_move_are_those_of_a_minimum_jerk():
     assert found.position == pytest.approx((-2.0, 1.0), abs=1e-6)
     assert found.speed == pytest.approx(15 / 8 * 3 / 2, rel=1e-6)
     assert found.acceleration == pytest.approx(10 / math.sqrt(3) * 3 / 4, rel=1e-6)
-    assert found.end == pytest.approx(-2.0)
+    assert found.end == pytest.approx(-2.0, rel=1e-9)
 
 
 def test_extremes_in_open_loop():
@@ -60,7 +60,7 @@ def test_feed_forward_current_adds_up():
     added = Feedforward(inertia=0, coulomb=1e-3, viscous=5e-4, table=table, signal=signal)
     found = extremes(SpeedProfile((0.0, 1.0), (2.0, 2.0)), added)
     torque = 1e-3 * math.tanh(2) + 1e-3 + 3e-3 + 2e-3
-    assert found.current == pytest.approx(torque / 0.05)
+    assert found.current == pytest.approx(torque / 0.05, rel=1e-9)
 
 
 @given(
