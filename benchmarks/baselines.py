@@ -25,12 +25,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.analysis.learning import Row
-from rigtool.analysis.lookup_table import LookupTable
-from rigtool.analysis.turns import TURN, repeatable_row, turn_angles
-from rigtool.procedures.calibration import torque_per_ampere
-from rigtool.procedures.ilc import common, turning
-from rigtool.procedures.ilc_design import design
+from rigtool.control.lookup_table import LookupTable
+from rigtool.experiments.learning.implementations import signals as common
+from rigtool.experiments.learning.implementations import turning
+from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.learning.rows import Row
+from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.runfile import Run, open_run
 
 Array = NDArray[np.float64]

@@ -20,9 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rigtool.procedures import calibrate_kt, ilc_learn, measure_force
-from rigtool.procedures.options import CommonOptions
-from rigtool.procedures.session import run_command
+from rigtool.experiments.force import procedure as measure_force
+from rigtool.experiments.learning import procedure as ilc_learn
+from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.session import run_command
+from rigtool.experiments.torque_constant import procedure as calibrate_kt
 from rigtool.runfile import open_run
 
 RECIPE = Path(__file__).parents[1] / "recipes" / "briaire-2006.toml"

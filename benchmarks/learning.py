@@ -21,8 +21,8 @@ TURNS, RATE_HZ = 20, 8000
 
 def one_table() -> Callable[[], object]:
     """Return what learns a row from 20 turns at 1 rev/s and 8 kHz."""
-    from rigtool.analysis.turns import cut_turns, learned_row, repeatable_row
-    from rigtool.procedures.ilc_design import design
+    from rigtool.experiments.learning.procedure_design import design
+    from rigtool.experiments.learning.turns import cut_turns, learned_row, repeatable_row
     from rigtool.recipe import load_recipe
 
     learning = design(load_recipe(RECIPE, ["rig.attachment=pulley"])[0]).learning

@@ -14,8 +14,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 REAL_TIME = (
     "rigs/serial/",
     "cli/test_serial_commands",
-    "procedures/test_deploy",
-    "procedures/test_live",
+    "experiments/deploy/test_procedure",
+    "experiments/live/test_",
     "test_extending",
 )
 

@@ -138,10 +138,11 @@ def _default(field: FieldInfo) -> str:
 # -- modules
 
 ROOMS = {
-    "analysis": "Pure numerics: arrays in, frozen dataclasses out.",
+    "numerics": "Methods that know no experiment: arrays in, frozen dataclasses out.",
+    "control": "The position loop as a model, and the table that is fed forward in it.",
     "runfile": "HDF5: writer, reader, provenance, recovery, importers, exports.",
     "rigs": "Where signals come from.",
-    "procedures": "What the bench does, and which analysis reads it.",
+    "experiments": "A room an experiment: procedure, numerics, results.",
     "report": "Tables, figures, one page.",
 }
 """Folders of the package that others program against, from the bottom up."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from rigtool.cli.options import common_options, example, source_arguments
-from rigtool.procedures.options import CommonOptions
+from rigtool.experiments.options import CommonOptions
 
 
 @click.command(
@@ -22,8 +22,8 @@ def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> No
     value costs over the reference range.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.procedures import calibrate_kt
-    from rigtool.procedures.session import run_command
+    from rigtool.experiments.session import run_command
+    from rigtool.experiments.torque_constant import procedure as calibrate_kt
 
     outcome = run_command(calibrate_kt, sources, output, options=options, inputs={})
     print_outcome(outcome, output, options)

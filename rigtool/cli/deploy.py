@@ -43,7 +43,7 @@ def command(
     The drive adds it in position mode only. Its settings are written to its flash all together: a
     setting that was tried out and not kept is kept then.
     """
-    from rigtool.procedures.deploy import deploy
+    from rigtool.experiments.deploy.procedure import deploy
     from rigtool.recipe import load_recipe
     from rigtool.rigs.bench import Bench
     from rigtool.runfile import open_run

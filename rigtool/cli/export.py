@@ -53,7 +53,7 @@ def command(
     cogging table (.cfg); odrive, 3600 values of the turn; fourier, the orders that stand out of
     the noise; table, a .mat of the table alone. What is lost by fewer digits is told.
     """
-    from rigtool.procedures.table_export import chosen_format, export_table
+    from rigtool.experiments.deploy.stored_export import chosen_format, export_table
     from rigtool.runfile import open_run
     from rigtool.runfile.export import export
 

@@ -15,7 +15,7 @@ from rigtool.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rigtool.procedures.options import CommonOptions
+    from rigtool.experiments.options import CommonOptions
 
 
 @click.command(
@@ -35,8 +35,8 @@ def command(sources: tuple[str, ...], output: str, kt: str | None, options: Comm
     are grouped by their conditions, and compared by order; imported maps with each other.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.procedures import fft_ripple
-    from rigtool.procedures.session import run_command
+    from rigtool.experiments.ripple import procedure as fft_ripple
+    from rigtool.experiments.session import run_command
 
     with open_inputs(kt=kt) as inputs:
         outcome = run_command(fft_ripple, sources, output, options=options, inputs=inputs)

@@ -15,7 +15,7 @@ from rigtool.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rigtool.procedures.options import CommonOptions
+    from rigtool.experiments.options import CommonOptions
 
 
 @click.command(
@@ -37,8 +37,8 @@ def command(sources: tuple[str, ...], output: str, kt: str | None, options: Comm
     current limit, end with exit code 4. Thesis sections 7.2.3 and 7.2.4.2.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.procedures import identify_plant
-    from rigtool.procedures.session import run_command
+    from rigtool.experiments.plant import procedure as identify_plant
+    from rigtool.experiments.session import run_command
 
     with open_inputs(kt=kt) as inputs:
         outcome = run_command(identify_plant, sources, output, options=options, inputs=inputs)

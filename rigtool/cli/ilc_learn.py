@@ -15,7 +15,7 @@ from rigtool.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rigtool.procedures.options import CommonOptions
+    from rigtool.experiments.options import CommonOptions
 
 
 @click.command(
@@ -82,8 +82,9 @@ def command(
     and load, that measure-force reads torque with.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.procedures import ilc_learn, imported_load
-    from rigtool.procedures.session import run_command
+    from rigtool.experiments.imported_load import procedure as imported_load
+    from rigtool.experiments.learning import procedure as ilc_learn
+    from rigtool.experiments.session import run_command
 
     if check is not None:
         for name, given in (
@@ -116,8 +117,8 @@ def _check(
 
     from rigtool.cli.printing import print_outcome
     from rigtool.errors import InsufficientDataError
-    from rigtool.procedures import ilc_check
-    from rigtool.procedures.session import run_command
+    from rigtool.experiments.learning.check import procedure as ilc_check
+    from rigtool.experiments.session import run_command
 
     with open_inputs(**paths) as inputs:
         options = ilc_check.as_learned(options, sources, inputs["tables"])

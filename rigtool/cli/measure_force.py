@@ -11,7 +11,7 @@ from rigtool.cli.options import (
     run_option,
     source_arguments,
 )
-from rigtool.procedures.options import CommonOptions
+from rigtool.experiments.options import CommonOptions
 
 
 @click.command(
@@ -48,8 +48,8 @@ def command(
     hold a sensor's reference_torque it judges the result.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.procedures import measure_force
-    from rigtool.procedures.session import run_command
+    from rigtool.experiments.force import procedure as measure_force
+    from rigtool.experiments.session import run_command
 
     if correction is not None:
         options = options.with_override(f"measure_force.correction={correction}")

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from rigtool.procedures.options import CommonOptions
+from rigtool.experiments.options import CommonOptions
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run

@@ -15,8 +15,8 @@ from rigtool.runfile import Table, open_run
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rigtool.procedures.options import CommonOptions
-    from rigtool.procedures.outcome import Outcome
+    from rigtool.experiments.options import CommonOptions
+    from rigtool.experiments.outcome import Outcome
 
 
 def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) -> None:

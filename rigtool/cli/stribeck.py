@@ -11,7 +11,7 @@ from rigtool.cli.options import (
     run_option,
     source_arguments,
 )
-from rigtool.procedures.options import CommonOptions
+from rigtool.experiments.options import CommonOptions
 
 
 @click.command(
@@ -33,8 +33,8 @@ def command(sources: tuple[str, ...], output: str, kt: str | None, options: Comm
     in its equation of motion. A curve that no friction model explains ends with exit code 4.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.procedures import stribeck
-    from rigtool.procedures.session import run_command
+    from rigtool.experiments.friction import procedure as stribeck
+    from rigtool.experiments.session import run_command
 
     with open_inputs(kt=kt) as inputs:
         outcome = run_command(stribeck, sources, output, options=options, inputs=inputs)

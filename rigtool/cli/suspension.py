@@ -9,7 +9,7 @@ import click
 from rigtool.cli.options import common_options, example, source_arguments
 
 if TYPE_CHECKING:
-    from rigtool.procedures.options import CommonOptions
+    from rigtool.experiments.options import CommonOptions
 
 
 @click.command(epilog=example("rigtool suspension recipes/briaire-2006.toml -o suspension.h5"))
@@ -23,8 +23,8 @@ def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> No
     out of centre make. Thesis appendices E and J.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.procedures import suspension
-    from rigtool.procedures.session import run_command
+    from rigtool.experiments.session import run_command
+    from rigtool.experiments.suspension import procedure as suspension
 
     outcome = run_command(suspension, sources, output, options=options, inputs={})
     print_outcome(outcome, output, options)

@@ -159,7 +159,7 @@ def _of_table(table: Table, column: str, where: str, reduce: str | None) -> Quan
 
 def low_current_refusal(runs: Runs, run: str) -> str:
     """Return why `stribeck` refuses the holds of a run, "" where it does not [App. C]."""
-    from rigtool.procedures.friction_analysis import HOLDS, estimate
+    from rigtool.experiments.friction.procedure_analysis import HOLDS, estimate
 
     try:
         estimate(runs[run].recording(HOLDS), _recipe(runs[run]), runs["kt"])
@@ -174,8 +174,8 @@ def _low_current_exit(runs: Runs, run: str) -> Quantity:
 
 
 def _phase_advance_of_published_transfer(runs: Runs, run: str) -> Quantity:
-    from rigtool.analysis.learning_filter import zpetc
-    from rigtool.analysis.plant import TransferFunction
+    from rigtool.control.position_loop import TransferFunction
+    from rigtool.experiments.learning.filters import zpetc
 
     published = published_entry("transfer")
     system = TransferFunction.from_z(

@@ -15,7 +15,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.analysis.lookup_table import LookupTable
+from rigtool.control.lookup_table import LookupTable
 from rigtool.rigs.motion import Motion, OpenLoop
 
 Block = dict[str, NDArray[np.float64]]

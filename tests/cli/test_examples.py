@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import rigtool.cli as cli
-from rigtool.rigs.serial.emulators.moteus import MoteusEmulator
 from rigtool.rigs.serial.emulators.server import serve
 from tests.cli.test_run_commands import interrupted
+from tests.experiments.imported_runs import SLOW, slow_turn, take
 from tests.fixtures.make import SHORT
-from tests.procedures.imported_runs import SLOW, slow_turn, take
+from tests.rigs.serial.emulators.moteus import MoteusEmulator
 from tests.runfile.test_import_epos import write as write_epos
 
 ROOT = Path(__file__).parents[2]

@@ -16,11 +16,11 @@ from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
-from rigtool.rigs.serial.target_link import State
+from rigtool.rigs.serial.target.link import State
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
 from tests.rigs.serial.recipes import RECIPE, overrides
-from tests.rigs.serial.test_target_faults import wait_until
+from tests.rigs.serial.target.test_driver_faults import wait_until
 
 KT = Path(__file__).parents[1] / "fixtures" / "kt.h5"
 SHORT = [

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rigtool.analysis.plant import controller_sections
+from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.recipe import load_recipe, parse_recipe
 from rigtool.rigs import Feedforward, Load, Task, open_rig

@@ -58,7 +58,7 @@ def faulty_amplifier(run: Run, kt: Run) -> Figure:
 
     Only constant speeds: no sweep is made once the amplifier is found out.
     """
-    from rigtool.procedures.calibration import torque_per_ampere
+    from rigtool.experiments.torque_per_ampere import torque_per_ampere
 
     holds = run.recording("holds")
     speed = np.gradient(holds.read("position_setpoint"), holds.read("time"))
@@ -90,10 +90,10 @@ def _turns(run: Run, kt: Run, name: str) -> tuple[Array, Array]:
     It is filtered with Q, as it is learned, and without its mean, which is friction.
     """
     from rigtool.errors import RunFileError
-    from rigtool.procedures.calibration import torque_per_ampere
-    from rigtool.procedures.ilc.one_speed import narrowed
-    from rigtool.procedures.ilc.turning import torque_by, turned
-    from rigtool.procedures.ilc_design import design
+    from rigtool.experiments.learning.implementations.a_one_speed import narrowed
+    from rigtool.experiments.learning.implementations.turning import torque_by, turned
+    from rigtool.experiments.learning.procedure_design import design
+    from rigtool.experiments.torque_per_ampere import torque_per_ampere
 
     if run.recipe is None:
         raise RunFileError(f"{run.path}: holds no recipe, so its turns cannot be cut: learn again")

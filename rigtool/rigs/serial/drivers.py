@@ -20,10 +20,10 @@ from types import ModuleType
 from rigtool.errors import HardwareError
 
 MODULES = {
-    "odrive": "rigtool.rigs.serial.odrive",
-    "moteus": "rigtool.rigs.serial.moteus",
-    "target": "rigtool.rigs.serial.target",
-    "maxon": "rigtool.rigs.serial.maxon",
+    "odrive": "rigtool.rigs.serial.odrive.driver",
+    "moteus": "rigtool.rigs.serial.moteus.drive",
+    "target": "rigtool.rigs.serial.target.driver",
+    "maxon": "rigtool.rigs.serial.maxon.driver",
 }
 """Modules by name, in the order in which they are asked who is there: those that ask in lines of
 text first, because others leave them half a line; the one that takes longest last."""

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.analysis.plant import controller_sections
+from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.recipe import Recipe
 from rigtool.recipe.virtual import Virtual

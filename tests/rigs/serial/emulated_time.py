@@ -7,9 +7,10 @@ clocks and the port are others than over a pseudo-terminal.
 import types
 
 from rigtool.rigs.serial import line
-from rigtool.rigs.serial.emulators import maxon, moteus, motor, odrive
+from rigtool.rigs.serial.emulators import motor
 from rigtool.rigs.serial.emulators.server import TICK
 from tests.rigs.serial import toy
+from tests.rigs.serial.emulators import maxon, moteus, odrive
 
 CLOCKS = (line, motor, odrive, moteus, maxon, toy)
 """Modules that look at the time."""

@@ -15,17 +15,21 @@ from rigtool.errors import HardwareError
 from rigtool.rigs import Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import SpeedProfile
-from rigtool.rigs.serial import hosted, maxon, maxon_guard, moteus, odrive
+from rigtool.rigs.serial import hosted
 from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4Emulator
-from rigtool.rigs.serial.emulators.moteus import MoteusEmulator
-from rigtool.rigs.serial.emulators.odrive import IDLE, ODriveEmulator
 from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.maxon import driver as maxon
+from rigtool.rigs.serial.maxon import guard as maxon_guard
+from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.rigs.serial.odrive import driver as odrive
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
+from tests.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4Emulator
+from tests.rigs.serial.emulators.moteus import MoteusEmulator
+from tests.rigs.serial.emulators.odrive import IDLE, ODriveEmulator
+from tests.rigs.serial.maxon.test_driver import PatientRig, inject
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
-from tests.rigs.serial.test_maxon import PatientRig, inject
-from tests.rigs.serial.test_target_faults import steal, wait_until
+from tests.rigs.serial.target.test_driver_faults import steal, wait_until
 
 KT_FILE = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
 DRIVES = {
@@ -76,7 +80,7 @@ def is_off(device):
 
 def rig_of(name, port, *more):
     _, module, period = DRIVES[name]
-    driver = module.__name__.rpartition(".")[2]
+    driver = module.__name__.split(".")[3]
     recipe = serial_recipe(port, "serial.watchdog=1.5", *more, driver=driver, sample_time=period)
     bench = Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
     return PatientRig(
@@ -182,7 +186,7 @@ LEARNING = (
 def test_command_ends_with_5_and_what_was_recorded_comes_back(tmp_path, capsys, name, kind):
     make_device, module, _ = DRIVES[name]
     device = make_device()
-    driver = module.__name__.rpartition(".")[2]
+    driver = module.__name__.split(".")[3]
     with serve(device) as server:
         on_line = overrides(server.port, *LEARNING, driver=driver, sample_time=0.01)
         changes = [part for value in on_line for part in ("--set", value)]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rigtool.errors import HardwareError, RecipeError
-from rigtool.procedures import stribeck
-from rigtool.procedures.rehearsal import rehearse, require_offered
+from rigtool.experiments.dry_run import rehearse, require_offered
+from rigtool.experiments.friction import procedure as stribeck
 from rigtool.rigs import NEEDS, Feedforward, Load, Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
@@ -20,8 +20,8 @@ from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.line import LineLost
 from tests.rigs.serial import toy
 from tests.rigs.serial.recipes import serial_recipe
+from tests.rigs.serial.target.test_driver_faults import wait_until
 from tests.rigs.serial.test_safety import operator
-from tests.rigs.serial.test_target_faults import wait_until
 
 PERIOD = 0.004
 SHORT = Task(SpeedProfile((0.0, 0.1, 0.3, 0.4), (0.0, 4.0, 4.0, 0.0)))

@@ -9,22 +9,24 @@ import math
 import numpy as np
 import pytest
 
-from rigtool.analysis.friction import fit_direction
-from rigtool.analysis.holds import find_holds, pool
 from rigtool.errors import HardwareError, RecipeError
-from rigtool.procedures.stribeck import hold_profile
+from rigtool.experiments.friction.holds import find_holds, pool
+from rigtool.experiments.friction.procedure import hold_profile
+from rigtool.experiments.friction.stribeck_fit import fit_direction
 from rigtool.recipe.commands import Stribeck
 from rigtool.rigs import Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import SpeedProfile
-from rigtool.rigs.serial import maxon, moteus, odrive
 from rigtool.rigs.serial.drive import Abilities
-from rigtool.rigs.serial.emulators.maxon import Epos4Emulator
-from rigtool.rigs.serial.emulators.moteus import MoteusEmulator
-from rigtool.rigs.serial.emulators.odrive import ODriveEmulator
 from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.maxon import driver as maxon
+from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.rigs.serial.odrive import driver as odrive
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulated_time import pass_time
+from tests.rigs.serial.emulators.maxon import Epos4Emulator
+from tests.rigs.serial.emulators.moteus import MoteusEmulator
+from tests.rigs.serial.emulators.odrive import ODriveEmulator
 from tests.rigs.serial.recipes import serial_recipe
 
 CONSTANT = 0.045

@@ -6,11 +6,12 @@ from contextlib import ExitStack
 import numpy as np
 import pytest
 
-from rigtool.analysis.learning import Amplitudes
-from rigtool.analysis.lookup_table import LookupTable
+from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
-from rigtool.procedures import measure_force, stribeck
-from rigtool.procedures.learned_tables import tables_of
+from rigtool.experiments.force import procedure as measure_force
+from rigtool.experiments.friction import procedure as stribeck
+from rigtool.experiments.learning.rows import Amplitudes
+from rigtool.experiments.learning.stored_table import tables_of
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter, open_run
 from tests.rigs.serial.test_hosted_bias import CONSTANT, emulated, make_positions_only

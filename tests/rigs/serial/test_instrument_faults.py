@@ -16,12 +16,12 @@ from rigtool.recipe.serial import Instrument
 from rigtool.rigs import Load, Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps
-from rigtool.rigs.serial.emulators import instruments as emulators
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.instruments import gauge, open_gauge
 from rigtool.rigs.serial.instruments.gauge import SPIKE
 from tests.rigs.serial import toy
+from tests.rigs.serial.emulators import instruments as emulators
 from tests.rigs.serial.test_hosted import toy_rig
 from tests.rigs.serial.test_instrument_runs import Loaded
 

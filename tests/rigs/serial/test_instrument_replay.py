@@ -11,14 +11,14 @@ from rigtool.rigs import Load, Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.instruments import (
+from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.spy import read_spy
+from tests.rigs.serial import toy
+from tests.rigs.serial.emulators.instruments import (
     Mark10Emulator,
     NumberLinesEmulator,
     SauterEmulator,
 )
-from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.spy import read_spy
-from tests.rigs.serial import toy
 from tests.rigs.serial.test_hosted import toy_rig
 from tests.rigs.serial.test_instrument_runs import Loaded
 

@@ -7,24 +7,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rigtool.analysis.learning import Amplitudes
-from rigtool.analysis.lookup_table import LookupTable
+from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import HardwareError
-from rigtool.procedures import calibrate_kt, measure_force, session
-from rigtool.procedures.learned_tables import tables_of
-from rigtool.procedures.options import CommonOptions
-from rigtool.procedures.session import run_command
+from rigtool.experiments import session
+from rigtool.experiments.force import procedure as measure_force
+from rigtool.experiments.learning.rows import Amplitudes
+from rigtool.experiments.learning.stored_table import tables_of
+from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.session import run_command
+from rigtool.experiments.torque_constant import procedure as calibrate_kt
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Load, Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.rigs.serial import drivers
 from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.instruments import Mark10Emulator, NumberLinesEmulator
 from rigtool.rigs.serial.emulators.motor import Motor
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.runfile import RunWriter, open_run
 from tests.rigs.serial import toy
+from tests.rigs.serial.emulators.instruments import Mark10Emulator, NumberLinesEmulator
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
 from tests.rigs.serial.test_hosted import toy_rig
 

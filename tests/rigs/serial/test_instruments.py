@@ -9,7 +9,11 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe.serial import Instrument
 from rigtool.rigs.bench import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.instruments import (
+from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.instruments import MODULES, gauge, instrument_module, open_gauge
+from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.serial.emulators.instruments import (
     KernEmulator,
     Mark10Emulator,
     MecmesinEmulator,
@@ -17,10 +21,6 @@ from rigtool.rigs.serial.emulators.instruments import (
     SauterEmulator,
     ScpiEmulator,
 )
-from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.instruments import MODULES, gauge, instrument_module, open_gauge
-from rigtool.rigs.serial.line import Line
-from rigtool.rigs.serial.ports import find_devices
 
 NOBODY = Operator(say=lambda text: None, present=False)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from rigtool.analysis.lookup_table import LookupTable
+from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import HardwareError, RecipeError, UsageError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs import Feedforward, Load, Task

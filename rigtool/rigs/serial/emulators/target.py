@@ -12,12 +12,12 @@ from rigtool.errors import RigtoolError, UsageError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import Block, Feedforward, Load, Task
 from rigtool.rigs.motion import Move, OpenLoop
-from rigtool.rigs.serial import target_link as link
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.emulators.target_log import TargetLog
 from rigtool.rigs.serial.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.safety import Watch
-from rigtool.rigs.serial.target_link import Ability, Kind, Refusal, Slot, State
+from rigtool.rigs.serial.target import link
+from rigtool.rigs.serial.target.link import Ability, Kind, Refusal, Slot, State
 from rigtool.rigs.virtual import VirtualRig
 
 NAME = "rigtool target emulator"

@@ -1,0 +1,1 @@
+"""The position loop as a model, and the table that is fed forward in it."""

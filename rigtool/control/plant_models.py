@@ -1,0 +1,131 @@
+"""Models of the plant, torque to angle, exact for a torque that is held over a sample.
+
+    rigid:     P(s) = 1/(J s2 + fv s)
+    two_mass:  J1 th1'' = u - fv th1' - k (th1 - th2) - c (th1' - th2'),  y = th1
+               J2 th2'' = k (th1 - th2) + c (th1' - th2'),  J1 + J2 = J
+
+Below its resonance a two-mass plant moves as the whole inertia J, above it as J1 alone [Fig. 76].
+J in kg m2, fv in N m s/rad, frequencies in Hz.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rigtool.control.position_loop import ComplexArray, TransferFunction, double_integrator
+
+Array = NDArray[np.float64]
+
+IMAGES = 8
+"""Images of the spectrum on either side that are summed; those left out are below 1e-7."""
+
+
+@dataclass(frozen=True)
+class PlantModel:
+    """A plant by its parameters; rigid where `motor_side` is None.
+
+    `motor_side` is J1/J, below one; `antiresonance_hz` and `damping` (a ratio) are those of the
+    second mass with the motor held.
+    """
+
+    inertia: float
+    viscous: float = 0.0
+    motor_side: float | None = None
+    antiresonance_hz: float = 0.0
+    damping: float = 0.0
+
+    @property
+    def rigid(self) -> bool:
+        """Whether there is one mass only."""
+        return self.motor_side is None
+
+    @property
+    def mass_line_crossing(self) -> float:
+        """Frequency, Hz, where the line 1/(J w2) is one rad/(N m): 0 dB [Fig. 35]."""
+        return 1 / (2 * math.pi * math.sqrt(self.inertia))
+
+    @property
+    def resonance_hz(self) -> float:
+        """Frequency, Hz, at which two masses swing against each other; `ValueError` for one."""
+        if self.motor_side is None:
+            raise ValueError("a rigid plant has no resonance")
+        return self.antiresonance_hz / math.sqrt(self.motor_side)
+
+    def held(self, sample_time: float) -> TransferFunction:
+        """Return P(z) for a torque held over each sample; `sample_time` in s."""
+        a, b, c = self._state_space()
+        return held(a, b, c, sample_time)
+
+    def transfer(self, s: ComplexArray) -> ComplexArray:
+        """Return P(s) of the motion itself, at any complex frequencies (n,), rad/s."""
+        if self.motor_side is None:
+            rigid: ComplexArray = 1 / (s * (self.inertia * s + self.viscous))
+            return rigid
+        first = self.inertia * self.motor_side
+        second = self.inertia - first
+        omega = 2 * math.pi * self.antiresonance_hz
+        link = second * (2 * self.damping * omega * s + omega**2)
+        # Motor and second mass, with the torque of the link between them eliminated
+        carried = second * s**2 * link / (second * s**2 + link)
+        return np.asarray(1 / (first * s**2 + self.viscous * s + carried), dtype=np.complex128)
+
+    def response(self, frequency: Array, sample_time: float) -> ComplexArray:
+        """Return the response (n,) of `held` at frequencies above zero, Hz, without its algebra.
+
+        Sampling sums the images P(s + 2 pi i k/Ts) of the held plant. Far up P is the double
+        integrator of J1, whose sum is known; only the difference, which soon vanishes, is summed.
+        """
+        motor = self.inertia * (1.0 if self.motor_side is None else self.motor_side)
+        s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)
+        images = s + 2j * np.pi / sample_time * np.arange(-IMAGES, IMAGES + 1)[:, None]
+        rest = (self.transfer(images) - 1 / (motor * images**2)) / (images * sample_time)
+        whole = double_integrator(motor, sample_time).response(frequency)
+        return np.asarray(whole - np.expm1(-s * sample_time) * rest.sum(axis=0))
+
+    def _state_space(self) -> tuple[Array, Array, Array]:
+        if self.motor_side is None:
+            a = np.array([[0.0, 1.0], [0.0, -self.viscous / self.inertia]])
+            return a, np.array([0.0, 1 / self.inertia]), np.array([1.0, 0.0])
+        first = self.inertia * self.motor_side
+        ratio = (1 - self.motor_side) / self.motor_side  # J2/J1
+        omega = 2 * math.pi * self.antiresonance_hz
+        k, c = omega**2, 2 * self.damping * omega  # each over J2
+        a = np.array(
+            [
+                [0.0, 1.0, 0.0, 0.0],
+                [-ratio * k, -ratio * c - self.viscous / first, ratio * k, ratio * c],
+                [0.0, 0.0, 0.0, 1.0],
+                [k, c, -k, -c],
+            ]
+        )
+        return a, np.array([0.0, 1 / first, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def held(a: Array, b: Array, c: Array, sample_time: float) -> TransferFunction:
+    """Return P(z) of x' = a x + b u, y = c x for an input that is held over each sample.
+
+    a is (n, n), b and c are (n,).
+
+    In delta = z - 1: x+ - x = (a F) x + (F b) u with F the integral of exp(a t) over a sample, so
+    that nothing is lost where all poles lie close to z = 1.
+    """
+    order = len(b)
+    block = np.zeros((2 * order, 2 * order))
+    block[:order, :order], block[:order, order:] = a, np.eye(order)
+    integral = linalg.expm(block * sample_time)[:order, order:]
+    step, gain = a @ integral, integral @ b
+    den = np.atleast_1d(np.poly(step)).real
+    # Zeros: where [step - delta, gain; c, 0] loses rank; one fewer than poles.
+    pencil = np.block([[step, gain[:, None] / np.abs(gain).max()], [c[None, :], np.zeros((1, 1))]])
+    identity = np.zeros_like(pencil)
+    identity[:order, :order] = np.eye(order)
+    found = linalg.eigvals(pencil, identity)
+    zeros = found[np.isfinite(found)]
+    zeros = zeros[np.argsort(np.abs(zeros))][: order - 1]
+    num = float(c @ gain) * np.atleast_1d(np.poly(zeros)).real
+    return TransferFunction(num, den, sample_time)

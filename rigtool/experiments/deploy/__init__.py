@@ -1,0 +1,1 @@
+"""A learned table on its way into a drive: made coarse, stored."""

@@ -1,0 +1,245 @@
+"""`deploy`: a learned table into the drive that it was learned with.
+
+The drive adds the table by itself, at its own rate; what it holds is one map of the turn in A.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import HardwareError, InsufficientDataError, UsageError
+from rigtool.experiments.deploy.position_map import PositionMap, position_map
+from rigtool.experiments.deploy.quantised_table import Sampled, interpolated_codes
+from rigtool.experiments.deploy.stored_export import in_unit
+from rigtool.experiments.learning.stored_origin import learned_table_from, told_loss
+from rigtool.recipe import Recipe
+from rigtool.rigs.bench import Bench
+from rigtool.rigs.serial.drivers import driver_module
+from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.table_store import DriveTable, EncoderZero, TableStore
+from rigtool.runfile import Run
+
+Array = NDArray[np.float64]
+
+TIMEOUT = 1.0
+"""Longest wait for an answer, s: a drive that writes its flash is busy."""
+
+TRIED = "residual_waveforms"
+"""Table of a run with waveforms before, and with what was learned switched on."""
+
+TABLE_ON = "cogging table is on"
+"""Part of a drive's identity where its own table was in use."""
+
+
+@dataclass(frozen=True)
+class Deployed:
+    """What was stored, or would be: lines about it, and remarks."""
+
+    lines: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+
+def deploy(
+    tables: Run,
+    recipe: Recipe,
+    *,
+    speed: float | None,
+    kt: Run | None,
+    dry_run: bool,
+    bench: Bench,
+) -> Deployed:
+    """Store the table of a run in the drive of a recipe; with `dry_run` only look.
+
+    Raises `UsageError` for a table that no drive can hold or that is not this rig's,
+    `InsufficientDataError` for one that made the motor run worse when it was tried,
+    `HardwareError` for a drive that keeps no table, or where storing fails: then the table that
+    was there is back.
+    """
+    module = _module(recipe)
+    assert recipe.serial is not None
+    turn, remarks = _map(tables, recipe, speed, kt)
+    remarks.append(_told_ripple(tables, turn.speed))
+    remarks = [*remarks, *_origin_remarks(tables, recipe)]
+    settings = recipe.serial
+    baud_rate = settings.baud_rate or module.BAUD_RATE
+    with Line(
+        settings.port, baud_rate, timeout=TIMEOUT, spy=bench.spy, driver=settings.driver
+    ) as line:
+        store: TableStore = module.make_table_store(line, recipe)
+        identity = store.connect()
+        _require_same_drive(tables, identity)
+        zero = store.zero()
+        sampled = interpolated_codes(
+            turn.by_encoder(zero.sign, zero.offset),
+            store.size,
+            store.largest_code,
+            store.scale_step,
+        )
+        new = DriveTable(sampled.stored.codes, sampled.stored.scale)
+        before = store.read()
+        plan = [f"{identity} on {settings.port}", *_plan(turn, sampled, zero, before)]
+        if dry_run:
+            return Deployed((*plan, "nothing was changed"), tuple(remarks))
+        _permit(bench, [*plan, *remarks])
+        store.store(new, before)
+        retries = line.counts.retries
+    done = f"stored and read back: {store.size} codes and their scale are in the drive's flash"
+    if retries:
+        remarks.append(f"{retries} requests on the line were repeated")
+    return Deployed((*plan, done), tuple(remarks))
+
+
+def _module(recipe: Recipe) -> Any:
+    """Return the driver of a drive that keeps a table."""
+    if recipe.rig.source != "serial" or recipe.serial is None:
+        raise UsageError(
+            f"the rig {recipe.rig.name} is {recipe.rig.source}: a table is stored in a drive; give "
+            "a recipe with rig.source = serial"
+        )
+    name = recipe.serial.driver
+    if name == "replay":
+        raise UsageError("serial.driver is replay: a record has no memory to store a table in")
+    module = driver_module(name)
+    if not hasattr(module, "make_table_store"):
+        raise HardwareError(
+            f"{name} keeps no table that can be stored over its line: rigtool adds a learned table "
+            "as feed-forward while it runs; to use it elsewhere, export it"
+        )
+    return module
+
+
+def _map(
+    tables: Run, recipe: Recipe, speed: float | None, kt: Run | None
+) -> tuple[PositionMap, list[str]]:
+    """Return what the drive is to add, in A, and what has to be said of it."""
+    assert recipe.serial is not None
+    learned = learned_table_from(tables)
+    for run in (tables, kt):
+        if run is not None and run.rig is not None and run.rig != recipe.rig.name:
+            raise UsageError(
+                f"{run.path}: was measured on the rig {run.rig}, the recipe is of "
+                f"{recipe.rig.name}: a table fits the motor it was learned on only"
+            )
+    turn = in_unit(position_map(learned.table, learned.u, speed), learned, "moteus", kt)
+    peak, limit = float(np.abs(turn.values).max()), recipe.serial.limits.current
+    if peak > limit:
+        raise UsageError(
+            f"{tables.path}: asks for up to {peak:.4g} A, beyond serial.limits.current = "
+            f"{limit:g} A: a table of cogging is far smaller; look at how it was learned"
+        )
+    remarks = []
+    if turn.mean:
+        remarks.append(f"the mean over the turn, {turn.mean:.4g} A, is left out")
+    if not turn.both_directions:
+        remarks.append("one direction alone: friction that varies with position is in the map")
+    return turn, remarks + learned.friction_told()
+
+
+def _told_ripple(tables: Run, speed: float) -> str:
+    """Say what the table left of the ripple when it was tried, at the learned speed next to this.
+
+    Raises `InsufficientDataError` where it left no less than there was.
+    """
+    if TRIED not in tables.tables:
+        return "the table was not tried while it was learned: what it leaves of ripple is not known"
+    tried = tables.table(TRIED).columns
+    distance = np.abs(np.abs(tried["speed"].values) - abs(speed))
+    next_to = distance == distance.min()
+    before, after = (_ripple(tried[name].values[next_to]) for name in ("before", "residual"))
+    told = f"from {before * 1e3:.3g} to {after * 1e3:.3g} mN m (rms, mean of directions)"
+    if after >= before:
+        raise InsufficientDataError(
+            f"{tables.path}: with the table switched on, ripple went {told}: it would make the "
+            "motor run worse. [rig.controller] has to be the loop that the drive closes, and "
+            "ilc_learn.robustness_hz below its bandwidth: correct them, and learn again"
+        )
+    return f"when the table was tried while learning, ripple went {told}"
+
+
+def _ripple(waveforms: Array) -> float:
+    """Return the rms of waveforms (directions, positions), their mean without its offset."""
+    return float(np.std(waveforms.mean(axis=0)))
+
+
+def _line_facts(run: Run) -> dict[str, Any]:
+    facts: dict[str, Any] = json.loads(run.provenance.get("line") or "{}")
+    return facts
+
+
+def _origin_remarks(tables: Run, recipe: Recipe) -> list[str]:
+    """Say, or refuse, where a table was learned through something else than this drive."""
+    assert recipe.serial is not None
+    facts = _line_facts(tables)
+    if not facts:
+        return [
+            "the run does not say which drive it was learned with: position zero and direction "
+            "have to be those of this drive"
+        ]
+    driver = facts.get("driver")
+    if driver != recipe.serial.driver:
+        raise UsageError(
+            f"{tables.path}: was learned through {driver}, whose position zero is not that of a "
+            f"{recipe.serial.driver}: learn it with the drive that is to hold it"
+        )
+    if TABLE_ON in str(facts.get("identity", "")):
+        raise UsageError(
+            f"{tables.path}: was learned while the drive's own table was on, so it is what that "
+            "left over: switch that off (motor.cogging_dq_scale 0), and learn again"
+        )
+    return []
+
+
+def _require_same_drive(tables: Run, identity: str) -> None:
+    """Refuse a table of another specimen; its encoder sits elsewhere on the shaft."""
+    there = _serial_number(str(_line_facts(tables).get("identity", "")))
+    here = _serial_number(identity)
+    if there and here and there != here:
+        raise UsageError(
+            f"{tables.path}: was learned with the drive of serial number {there}, on the line is "
+            f"{here}: learn it with the drive that is to hold it"
+        )
+
+
+def _serial_number(identity: str) -> str:
+    words = identity.replace(",", " ").replace(";", " ").split()
+    return words[words.index("serial") + 1] if "serial" in words[:-1] else ""
+
+
+def _plan(turn: PositionMap, sampled: Sampled, zero: EncoderZero, before: DriveTable) -> list[str]:
+    stored = sampled.stored
+    peak = float(np.abs(turn.values).max())
+    u = float(np.sqrt(np.mean(turn.u**2)))
+    ways = "both directions" if turn.both_directions else "one direction"
+    change = int(np.count_nonzero(before.codes != stored.codes))
+    was = f"scale {before.scale:.4g} A" if before.scale else "off"
+    direction = "as" if zero.sign > 0 else "against"
+    return [
+        f"map of the turn at {turn.speed:.4g} rad/s, mean of {ways}: up to {peak:.4g} A, standard "
+        f"uncertainty {u:.2g} A (rms over the turn)",
+        f"position 0 is at {math.degrees(zero.offset):.3f} deg (u {math.degrees(zero.u):.1g} deg) "
+        f"of the encoder that the drive looks its table up by, which counts {direction} the "
+        "position does",
+        f"{stored.codes.size} codes, scale {stored.scale:.6g} A; lost "
+        + told_loss(sampled.loss, "A", "rounding"),
+        f"the table that is there is {was}; {change} codes change",
+    ]
+
+
+def _permit(bench: Bench, plan: list[str]) -> None:
+    """Show what is about to be stored; raises `UsageError` unless that is agreed to."""
+    bench.operator.say("\n".join(plan))
+    if bench.yes:
+        return
+    if not bench.operator.present:
+        raise UsageError(
+            "the drive's table would be replaced now, and nobody is at the terminal to agree: look "
+            "at --dry-run, then add --yes"
+        )
+    if not bench.operator.agrees("Store this in the drive's flash now?"):
+        raise UsageError("not agreed to: nothing was stored")

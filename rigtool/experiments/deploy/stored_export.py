@@ -1,0 +1,137 @@
+"""`export` of learned tables: which format, and the file of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rigtool.errors import UsageError
+from rigtool.experiments.deploy import drive_formats as texts
+from rigtool.experiments.deploy.c_header import header
+from rigtool.experiments.deploy.position_map import PositionMap, position_map
+from rigtool.experiments.learning.stored_origin import LearnedTable, learned_table_from
+from rigtool.runfile import Run
+from rigtool.runfile.export import write_new
+
+LEARNED = "ilc-learn"
+
+FORMATS: Mapping[str, tuple[str, ...]] = {
+    "c": (".h",),
+    "c-int16": (".h",),
+    "table": (".csv", ".json", ".mat"),
+    "moteus": (".cfg",),
+    "odrive": (".csv", ".json"),
+    "fourier": (".csv", ".json"),
+}
+"""Formats of a learned table, and the endings of their files; the first format of an ending is what
+it means by itself."""
+
+MAPS = ("moteus", "odrive", "fourier")
+"""Formats that hold the turn at one speed."""
+
+
+def chosen_format(run: Run, output: Path, part: str | None, wanted: str | None) -> str | None:
+    """Return the format of a learned table that is asked for; None where it is the run's own.
+
+    Raises `UsageError` where format, file and run do not go together.
+    """
+    ending = output.suffix
+    if wanted is None:
+        alone = run.command == LEARNED and ending == ".csv" and part is None
+        if not alone and ending not in (".h", ".json", ".cfg"):
+            return None
+        wanted = next(name for name, endings in FORMATS.items() if ending in endings)
+    if part is not None:
+        raise UsageError(f"--part {part}: --format {wanted} holds the learned table; leave one out")
+    if ending not in FORMATS[wanted]:
+        raise UsageError(
+            f"{output}: --format {wanted} is written as {' or '.join(FORMATS[wanted])}, not "
+            f"{ending or 'without ending'!r}"
+        )
+    return wanted
+
+
+def export_table(
+    run: Run,
+    output: Path,
+    wanted: str,
+    *,
+    speed: float | None,
+    kt: Run | None,
+    overwrite: bool,
+) -> tuple[str, ...]:
+    """Write a learned table; return remarks: what is lost, and what is left out.
+
+    `speed`, rad/s, and `kt`, current to torque, are for the formats that need them. Raises
+    `UsageError` where they are missing or of no use.
+    """
+    learned = learned_table_from(run)
+    remarks: list[str] = []
+    contents: str | dict[str, Any]
+    if wanted in MAPS:
+        turn = in_unit(position_map(learned.table, learned.u, speed), learned, wanted, kt)
+        contents, lost = _map_text(learned, turn, wanted, output)
+        if turn.mean:
+            unit = "A" if wanted == "moteus" else "N m" if wanted == "odrive" else learned.unit
+            remarks.append(f"the mean over the turn, {turn.mean:.4g} {unit}, is left out")
+        if not turn.both_directions:
+            remarks.append("one direction alone: friction that varies with position is in the map")
+    else:
+        for option, value in (("--speed", speed), ("--kt", kt)):
+            if value is not None:
+                raise UsageError(f"{option} is for {', '.join(MAPS)}: {wanted} holds all speeds")
+        contents, lost = _table_contents(learned, output, wanted)
+    write_new(output, overwrite, lambda path: _write(path, contents))
+    remarks += learned.friction_told()
+    return (f"lost {lost}", *remarks)
+
+
+def in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | None) -> PositionMap:
+    """Return the map in the unit that the drive takes: moteus A, ODrive N m.
+
+    Raises `UsageError` where the calibration for that is missing, or of no use.
+    """
+    needed = {"moteus": "A", "odrive": "N m"}.get(wanted, learned.unit)
+    if needed == learned.unit:
+        if kt is not None:
+            raise UsageError(f"--kt: {wanted} takes the table's own unit, {needed}; leave it out")
+        return turn
+    if {needed, learned.unit} != {"A", "N m"}:
+        raise UsageError(f"the table holds {learned.unit}, {wanted} takes {needed}: learn torque")
+    if kt is None:
+        raise UsageError(
+            f"--kt is missing: {wanted} takes {needed}, the table holds {learned.unit}; give a run "
+            "of calibrate-kt of the motor"
+        )
+    kt.require_command("calibrate-kt")
+    constant = kt.result("torque_constant_mean").value
+    return turn.scaled(1 / constant if needed == "A" else constant)
+
+
+def _map_text(
+    learned: LearnedTable, turn: PositionMap, wanted: str, output: Path
+) -> tuple[str, str]:
+    if wanted == "moteus":
+        return texts.moteus(learned, turn)
+    write = texts.odrive if wanted == "odrive" else texts.fourier
+    return write(learned, turn, as_json=output.suffix == ".json")
+
+
+def _table_contents(
+    learned: LearnedTable, output: Path, wanted: str
+) -> tuple[str | dict[str, Any], str]:
+    if wanted in ("c", "c-int16"):
+        return header(learned, output, short=wanted == "c-int16")
+    if output.suffix == ".mat":
+        return texts.table_matlab(learned)
+    return texts.table_csv(learned) if output.suffix == ".csv" else texts.table_json(learned)
+
+
+def _write(path: Path, contents: str | dict[str, Any]) -> None:
+    if isinstance(contents, str):
+        path.write_text(contents, encoding="utf-8")
+        return
+    from scipy.io import savemat
+
+    savemat(str(path), contents, appendmat=False, do_compression=True, oned_as="column")

@@ -1,0 +1,229 @@
+"""What a command is going to do on a rig, found by doing it without one.
+
+Motions that depend on what earlier ones measure are not known beforehand: the plan ends there and
+says so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
+
+from rigtool.errors import HardwareError
+from rigtool.experiments.outcome import Outcome
+from rigtool.recipe import Recipe
+from rigtool.recipe.serial import WITHOUT_GAUGES, WITHOUT_WATCHDOG, Serial
+from rigtool.rigs import NEEDS, Block, Rig, Task
+from rigtool.rigs.motion import OpenLoop
+from rigtool.rigs.serial import safety
+from rigtool.rigs.serial.rig import describe_load
+from rigtool.runfile import RecordingSpec, Run
+
+SHOWN = 12
+"""Lines of a plan that are shown of motions that differ; the rest is counted."""
+
+
+class _NeedsData(Exception):
+    """From here on the motions depend on what was measured."""
+
+
+@dataclass
+class Plan:
+    """Motions with what they ask at most, in order; `needs` by name; whether that is all."""
+
+    motions: list[tuple[str, safety.Extremes]] = field(default_factory=list)
+    bench_work: list[str] = field(default_factory=list)
+    needs: dict[str, None] = field(default_factory=dict)
+    complete: bool = True
+
+    def __str__(self) -> str:
+        together: dict[str, int] = {}
+        for name, found in self.motions:
+            line = f"{name}: {found}"
+            together[line] = together.get(line, 0) + 1
+        lines = [
+            f"  {line}" if count == 1 else f"  {count} times {line}"
+            for line, count in together.items()
+        ]
+        if len(lines) > SHOWN:
+            lines = [*lines[:SHOWN], f"  and {len(lines) - SHOWN} kinds of motion more"]
+        total = sum(found.duration for _, found in self.motions)
+        count = len(self.motions)
+        head = f"{count} motion{'s' if count != 1 else ''} to record, {total:.0f} s in all"
+        parts = [head, *lines]
+        if self.bench_work:
+            parts.append(f"At the bench: {'; '.join(dict.fromkeys(self.bench_work))}")
+        if not self.complete:
+            parts.append("Further motions depend on what these measure; limits hold for all")
+        return "\n".join(parts)
+
+    def check(self, limits: Any) -> None:
+        """Raise `RecipeError` for the first motion beyond the limits."""
+        for name, found in self.motions:
+            safety.check(found, limits, name)
+
+
+class _Rehearsal:
+    """A rig that only remembers what it was asked to do."""
+
+    def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
+        self.plan = Plan()
+        self._dt = recipe.rig.sample_time
+        self._attachment = recipe.rig.attachment
+        on_line = recipe.rig.source == "serial" and recipe.serial is not None
+        self._limits = recipe.serial.limits if on_line and recipe.serial is not None else None
+        self._torque_constant = torque_constant
+        self._position = position
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        pass
+
+    def lacks(self, need: str) -> str | None:
+        """Nothing is refused in a rehearsal."""
+        return None
+
+    def perform(self, task: Task) -> Iterator[Block]:
+        """Remember a task; there are no signals."""
+        if self._limits is not None:
+            safety.check_duration(task, self._limits)
+        found = safety.extremes(task, self._position, self._dt, self._torque_constant)
+        self._position = found.end
+        self.plan.motions.append((type(task.motion).__name__, found))
+        for need in _needs(task):
+            self._need(need, None)
+        if "load" in _needs(task):
+            self.plan.bench_work.append(describe_load(task.load, self._attachment))
+        return iter(())
+
+    def move_by(self, angle: float) -> None:
+        """Remember a move between recordings."""
+        self._need("closed_loop", None)
+        if math.isfinite(self._position):
+            self._position += angle
+
+    def clamp(self, angle: float) -> None:
+        """Remember that the arm is clamped."""
+        self._need("clamp", "clamp the arm at several angles")
+
+    def soak(self, temperature_degc: float) -> None:
+        """Remember a temperature."""
+        self._need("soak", f"bring the motor to {temperature_degc:g} degC")
+
+    def power_cycle(self) -> None:
+        """Remember that the amplifier is switched off and on."""
+        self._need("power_cycle", "switch the amplifier off and on")
+
+    def _need(self, need: str, work: str | None) -> None:
+        self.plan.needs[need] = None
+        if work:
+            self.plan.bench_work.append(work)
+
+
+class _Recorder:
+    """Takes what a rehearsal records, which is nothing; what was recorded cannot be had."""
+
+    def __init__(self, specs: Sequence[RecordingSpec]) -> None:
+        self._names = {spec.name: tuple(c.name for c in spec.channels) for spec in specs}
+
+    def channel_names(self, recording: str) -> tuple[str, ...]:
+        """Return the channels of a recording."""
+        return self._names[recording]
+
+    def append(self, recording: str, block: Mapping[str, Any]) -> None:
+        """Nothing to take."""
+
+    def recording(self, name: str) -> Any:
+        """Raise: nothing was recorded."""
+        raise _NeedsData
+
+    def recorded(self) -> Any:
+        """Raise: nothing was recorded."""
+        raise _NeedsData
+
+
+def rehearse(
+    procedure: Any,
+    recipe: Recipe,
+    torque_constant: float,
+    inputs: Mapping[str, Run],
+    position: float = 0.0,
+) -> Plan:
+    """Return what a command is going to do, from the shaft's position [rad] on."""
+    specs = procedure.recordings(recipe)
+    rig = _Rehearsal(recipe, torque_constant, position)
+    try:
+        procedure.measure(rig, recipe, _Recorder(specs), **inputs)
+    except _NeedsData:
+        rig.plan.complete = False
+    for spec in specs:
+        rig.plan.needs |= {channel.name: None for channel in spec.channels}
+    if hasattr(procedure, "rig_needs"):
+        rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
+    return rig.plan
+
+
+def require_offered(rig: Rig, plan: Plan, command: str) -> None:
+    """Raise `HardwareError` with every reason why this rig cannot run a command."""
+    reasons = [
+        f"it needs to {NEEDS[need]}: {reason}" if need in NEEDS else f"it records {need}: {reason}"
+        for need in plan.needs
+        if (reason := rig.lacks(need)) is not None
+    ]
+    if reasons:
+        raise HardwareError(f"{command} cannot run on this rig: {'; '.join(reasons)}")
+
+
+def dry_run(
+    procedure: Any, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
+) -> Outcome:
+    """Return a plan as remarks, checked against the limits of a rig that has some."""
+    plan = rehearse(procedure, recipe, torque_constant, inputs)
+    notes = [str(plan)]
+    if recipe.rig.source == "serial" and recipe.serial is not None:
+        plan.check(recipe.serial.limits)
+        _require_gauges(plan, recipe.serial, procedure.COMMAND)
+        low, high = recipe.serial.limits.position
+        limits = recipe.serial.limits
+        notes.append(
+            f"Within the limits {limits.current:g} A, {limits.speed:g} rad/s, {low:g} to {high:g} "
+            f"rad (counted from where the shaft is), {limits.duration:g} s a motion"
+        )
+        notes.append("Whether the drive offers all that is asked when it is connected")
+        if recipe.serial.driver in WITHOUT_WATCHDOG:
+            notes.append(
+                "This drive has no watchdog: where computer or cable fail it goes on as it was "
+                "told last. It runs only with serial.emergency_stop = true; try that stop first"
+            )
+    return Outcome(results={}, tables={}, notes=tuple(notes))
+
+
+def _require_gauges(plan: Plan, settings: Serial, command: str) -> None:
+    """Raise `HardwareError` for a gauge that no drive has and the recipe does not name."""
+    for need in ("force", "deflection"):
+        named = getattr(settings, need) is not None
+        if need in plan.needs and not named and settings.driver in WITHOUT_GAUGES:
+            raise HardwareError(
+                f"{command} cannot run on this rig: it records {need}: a {settings.driver} does "
+                f"not measure it: add [serial.{need}]"
+            )
+
+
+def _needs(task: Task) -> Iterator[str]:
+    open_loop = isinstance(task.motion, OpenLoop)
+    yield "open_loop" if open_loop else "closed_loop"
+    added, load = task.feedforward, task.load
+    if added.inertia or added.coulomb or added.viscous:
+        yield "feedforward"
+    if added.table is not None:
+        yield "table"
+    if added.signal is not None:
+        yield "signal"
+    if load.force or load.torque or load.radial_force:
+        yield "load"
+    if load.clamped:
+        yield "clamp"

@@ -1,0 +1,1 @@
+"""Force from current: cycles, correction, uncertainty."""

@@ -1,0 +1,165 @@
+"""Closing strokes of imported runs: a Table 8 at one position, and how far repeats disagree.
+
+Strokes of one run repeat each other: same positions, same speeds, same load. By how much the torque
+from effort differs between them, less what the sensor says, is a limit that no function of motion
+and effort gets below.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.imported_load.imported_accuracy import FAST, Signals
+from rigtool.experiments.imported_load.model import Estimate
+from rigtool.quantity import Quantity
+from rigtool.runfile import Column, Table
+
+Array = NDArray[np.float64]
+
+CELLS = 25
+"""Positions along the stroke at which repeats are compared."""
+
+FEWEST = 2
+"""Strokes, or runs, that have a scatter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Strokes:
+    """Closing strokes of one run by position of the load: (s, n), NaN where a stroke is not.
+
+    `place` (n,) is common to all runs; torque and sensor are in N m.
+    """
+
+    place: Array
+    torque: Array
+    sensor: Array
+
+
+def read_strokes(items: Sequence[tuple[Signals, Estimate]], direction: int) -> list[Strokes]:
+    """Return the fast strokes against the load of each run, at common positions."""
+    found = []
+    for signals, _ in items:
+        fast = signals.counts & (direction * signals.output_speed > FAST)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], fast.astype(int), [0]])))
+        found.append([slice(a, b) for a, b in edges.reshape(-1, 2) if b - a > 2])
+    places = [
+        signals.place[part]
+        for (signals, _), parts in zip(items, found, strict=True)
+        for part in parts
+    ]
+    if not places:
+        return []
+    low, high = min(p.min() for p in places), max(p.max() for p in places)
+    grid = low + (np.arange(2 * CELLS + 1) / (2 * CELLS)) * (high - low)
+    strokes = []
+    for (signals, estimate), parts in zip(items, found, strict=True):
+        torque = np.full((len(parts), len(grid)), np.nan)
+        sensor = torque.copy()
+        for row, part in enumerate(parts):
+            place = signals.place[part]
+            order = np.argsort(place, kind="stable")
+            for values, of in ((torque, estimate.torque), (sensor, _sensor(signals))):
+                values[row] = np.interp(
+                    grid, place[order], of[part][order], left=np.nan, right=np.nan
+                )
+        strokes.append(Strokes(grid, torque, sensor))
+    return strokes
+
+
+def _sensor(signals: Signals) -> Array:
+    if signals.reference is None:
+        raise ValueError("strokes are compared with a sensor")
+    return signals.reference
+
+
+def levels_table(strokes: Sequence[Strokes], numbers: Sequence[int]) -> Table | None:
+    """Return applied and measured torque at the middle of the closing strokes, by level [Table 8].
+
+    Torque that resists closing counts as positive. `numbers` are the levels of the runs. None where
+    no stroke passes the middle.
+    """
+    if not strokes:
+        return None
+    middle = len(strokes[0].place) // 2
+    rows: list[list[float]] = []
+    pooled = np.concatenate([item.sensor[:, middle] for item in strokes])
+    sign = math.copysign(1.0, float(np.nansum(pooled)))
+    for level in sorted(set(numbers)):
+        torque, sensor, errors = [], [], []
+        for item, number in zip(strokes, numbers, strict=True):
+            known = np.isfinite(item.torque[:, middle] + item.sensor[:, middle])
+            if number == level and known.any():
+                torque.append(sign * item.torque[known, middle])
+                sensor.append(sign * item.sensor[known, middle])
+                errors.append(float(np.mean(torque[-1] - sensor[-1])))
+        if not torque:
+            continue
+        every, applied = np.concatenate(torque), float(np.mean(np.concatenate(sensor)))
+        mean, runs = float(every.mean()), len(torque)
+        std = float(every.std(ddof=1)) if every.size >= FEWEST else math.nan
+        # Runs disagree by more than the strokes of one: they are what repeats the measurement.
+        u = float(np.std(errors, ddof=1)) / math.sqrt(runs) if runs >= FEWEST else math.nan
+        error = mean - applied
+        percent = (100 / applied) if applied else math.nan
+        rows.append(
+            [level, runs, every.size, applied, mean, u, std, error, error * percent, u * percent]
+        )
+    if not rows:
+        return None
+    names = (
+        ("level", "1", "lowest first"),
+        ("runs", "1", "at this level"),
+        ("strokes", "1", "of all runs"),
+        ("applied_torque", "N m", "the sensor's mean"),
+        ("mean_torque", "N m", "measured, mean of all strokes"),
+        ("mean_torque_u", "N m", "of mean_torque - applied_torque, from how runs disagree"),
+        ("std_torque", "N m", "S of a stroke"),
+        ("error_torque", "N m", "mean less applied"),
+        ("error_percent", "%", "of the applied torque"),
+        ("error_percent_u", "%", ""),
+    )
+    values = np.array(rows).T
+    place = strokes[0].place[middle]
+    return Table(
+        ("level",),
+        {name: Column(v, unit, what) for v, (name, unit, what) in zip(values, names, strict=True)},
+        "mean_torque",
+        f"closing strokes where the load is at {place:.4g} rad; torque against closing is positive",
+    )
+
+
+def scatter_results(strokes: Sequence[Strokes]) -> tuple[dict[str, Quantity], list[str]]:
+    """Return how far repeated strokes of a run disagree, and how far the means of runs do."""
+    squares, dof, means = 0.0, 0, []
+    for item in strokes:
+        error = item.torque - item.sensor
+        if np.isfinite(error).any():
+            means.append(float(np.nanmean(error)))
+        for cell in error.T:
+            known = cell[np.isfinite(cell)]
+            if known.size >= FEWEST:
+                squares += float(np.sum((known - known.mean()) ** 2))
+                dof += known.size - 1
+    found, notes = {}, []
+    reason = "itself a scatter"
+    if dof:
+        within = math.sqrt(squares / dof)
+        found["scatter_between_strokes"] = Quantity(within, "N m", reason=reason)
+    if len(means) >= FEWEST:
+        between = float(np.std(means, ddof=1))
+        found["scatter_between_runs"] = Quantity(between, "N m", reason=reason)
+    if len(found) == 2:
+        limit = math.hypot(within, between)
+        found["repeatability"] = Quantity(limit, "N m", reason=reason)
+        notes.append(
+            f"closing strokes of one run differ by {within * 1e3:.3g} mN m at the same position, "
+            f"speed and load, below which no function of motion and effort gets; runs as wholes "
+            f"are off by {between * 1e3:.3g} mN m, which holds friction that changes from run to "
+            f"run: {limit * 1e3:.3g} mN m together"
+        )
+    return found, notes

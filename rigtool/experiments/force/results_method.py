@@ -1,0 +1,129 @@
+"""What a reading of `measure-force` holds beside the load by the way it is made.
+
+The low-pass remembers the ends of the stroke; a drive tells its current in steps; a loop that is
+driven by set points one by one may measure at a moment that is not like the rest of its period.
+Each is found from the signals, and is in the uncertainty, or there is no reading.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.between_set_points import LIMIT, REMEDY, Lacking, resolution
+from rigtool.experiments.force.cycles import Cycle, readings
+from rigtool.experiments.force.results import applied_torque
+from rigtool.recipe import Recipe
+from rigtool.rigs.motion import Triangle
+from rigtool.runfile import Recording, Run
+
+Array = NDArray[np.float64]
+
+UNSTEADY = 0.3
+"""Part by which the speed at the reading, low-passed as the torque is, may differ from its set
+point: beyond, the reading is more of the stroke's ends than of the place."""
+
+SLOW = 0.5
+"""Up-and-downs in a period of the low-pass: with more, it takes the strokes away themselves."""
+
+TOLD = 0.01
+"""Part of the smallest load from which on what samples lack is worth a note."""
+
+
+def require_slow_strokes(recipe: Recipe, motion: Triangle) -> None:
+    """Raise `InsufficientDataError` where the strokes are too fast for the low-pass."""
+    cutoff, rate = recipe.measure_force.lowpass_hz, 0.5 / motion.stroke_time
+    if rate > SLOW * cutoff:
+        raise InsufficientDataError(
+            f"loads go up and down {rate:.3g} times a second, and the low-pass of {cutoff:g} Hz "
+            f"lets {SLOW * cutoff:.3g} pass: set measure_force.speed_rev_per_s lower, or "
+            "lowpass_hz higher"
+        )
+
+
+def lacking_torque(
+    run: Run, recipe: Recipe, torque_constant: float, forces: Sequence[float]
+) -> tuple[float, tuple[str, ...]]:
+    """Return what the rig's loop leaves out of its samples, N m at the output, and what to say.
+
+    Raises `InsufficientDataError` where that is too much against the largest of the `forces`, N.
+    """
+    rig, settings = recipe.rig, recipe.measure_force
+    speed = 2 * math.pi * settings.speed_rev_per_s * rig.angle_ratio
+    current = Lacking.of([run]).at(speed)
+    lacking = abs(rig.torque_factor * torque_constant * current)
+    angle = math.radians(settings.measure_angle)
+    applied = [abs(float(applied_torque(recipe, force, angle))) for force in forces if force]
+    limit = LIMIT * max(applied, default=0.0)
+    text = (
+        f"current between set points differs from that of the samples by {current * 1e3:.3g} mA "
+        f"with its uncertainty, {lacking * 1e3:.3g} mN m at the output"
+    )
+    if lacking > limit:
+        raise InsufficientDataError(
+            f"{text}: more than {limit * 1e3:.3g} mN m, {LIMIT:.0%} of the largest load; {REMEDY}"
+        )
+    if lacking > TOLD * min(applied, default=0.0):
+        return lacking, (f"{text}, which is in the uncertainty of each load: {REMEDY}",)
+    return lacking, ()
+
+
+def unsteady_torque(
+    angle: Array, torque: Array, fed: Array, *, rate: float, cycles: list[Cycle], recipe: Recipe
+) -> float:
+    """Return what the low-pass brings to a reading from the ends of its stroke, N m at the output.
+
+    `angle`, `torque` and the torque that was `fed` forward for the inertia (n,) are those of the
+    output, low-passed, at `rate` Hz. Where the shaft turns around within the low-pass's memory,
+    part of that is in the reading. Speed v and acceleration a go through the same low-pass; over
+    the whole recording torque follows them by friction F, which reverses with the speed, and an
+    apparent inertia J:
+
+        T + fed = c + F v / v_wanted + J a,   in the reading:  F |1 - v / v_wanted| + |J a - fed|
+
+    J is what the samples make of it: where set points of speed come in steps, a current that is
+    sampled right after each is larger than its mean while the shaft accelerates. Raises
+    `InsufficientDataError` where v at the reading is off by more than `UNSTEADY`.
+    """
+    settings = recipe.measure_force
+    place = math.radians(settings.measure_angle)
+    speed = np.gradient(angle) * rate
+    wanted = 2 * math.pi * settings.speed_rev_per_s
+    found = float(readings(angle, speed, cycles, place).mean())
+    part = abs(1 - found / wanted)
+    if part > UNSTEADY:
+        raise InsufficientDataError(
+            f"the output passes {settings.measure_angle:g} deg at {found:.3g} rad/s in the mean "
+            f"over what a low-pass of {settings.lowpass_hz:g} Hz remembers, its set point is "
+            f"{wanted:.3g} rad/s (limit: {UNSTEADY:.0%} off): the ends of the stroke are in the "
+            "reading; set speed_rev_per_s lower, lowpass_hz higher, or measure_angle to the middle "
+            "of the stroke, which a load that a soft loop lets lag behind moves"
+        )
+    acceleration = np.gradient(speed) * rate
+    speed /= wanted
+    friction, inertia = _slopes(speed, acceleration, torque + fed)
+    acceleration *= inertia
+    acceleration -= fed
+    lagging = readings(angle, acceleration, cycles, place).mean()
+    return part * abs(friction) + abs(float(lagging))
+
+
+def _slopes(first: Array, second: Array, values: Array) -> tuple[float, float]:
+    """Return the least-squares slopes of values (n,) over two others, beside a constant.
+
+    By the normal equations: two columns need no copies of a long recording.
+    """
+    a, b = first - first.mean(), second - second.mean()
+    gram = np.array([[a @ a, a @ b], [a @ b, b @ b]])
+    slopes = np.linalg.lstsq(gram, np.array([a @ values, b @ values]), rcond=None)[0]
+    return float(slopes[0]), float(slopes[1])
+
+
+def resolution_u(recording: Recording, recipe: Recipe, torque_constant: float) -> float:
+    """Return the standard uncertainty by the steps in which current is told, N m at the output."""
+    step = resolution(recording, recipe.measure_force.record_every)
+    return recipe.rig.torque_factor * torque_constant * step / math.sqrt(12)

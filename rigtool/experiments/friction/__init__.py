@@ -1,0 +1,1 @@
+"""Friction over speed: sweeps, holds, breakaway, fits."""

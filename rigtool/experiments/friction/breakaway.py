@@ -1,0 +1,171 @@
+"""Breakaway: at which torque the shaft begins to move, around the turn [7.1.2, Fig. 22].
+
+A slow ramp of torque first bends the contacts of the bearings (pre-sliding: the shaft creeps by a
+fraction of a degree), then the shaft breaks away and runs off. It has broken away where it moves on
+from one angle to its double within a small part of the ramp's time; the torque is read where that
+motion, drawn back as a straight line, begins:
+
+    t0 = t1 - (t2 - t1),   t1, t2 = first times beyond the angle and its double
+
+While motion is still slow compared with the ramp, the angle is doubled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.numerics.checks import require_signals
+from rigtool.numerics.turn_mean import TurnMean, group_angles, mean_over_turn
+
+Array = NDArray[np.float64]
+
+FALLEN = 0.02
+"""A ramp ends where the torque falls by this part of its highest value between two samples."""
+
+RUNAWAY = 0.05
+"""Breakaway takes less than this part of the ramp's time; what takes longer is pre-sliding."""
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """One ramp: samples `begin` to `end` (excluded); `torque` (NaN: never broke away), N m."""
+
+    begin: int
+    end: int
+    position: float  # at its beginning, rad within a turn
+    direction: float  # +1 or -1
+    torque: float  # magnitude
+
+
+def find_ramps(
+    *, time: ArrayLike, angle: ArrayLike, torque: ArrayLike, threshold: float
+) -> list[Ramp]:
+    """Find the ramps in a recording and the torque at which each breaks the shaft away.
+
+    `time` (n,) in s, `angle` of the shaft in rad, `torque` in N m; `threshold` is the motion that
+    counts as breakaway, rad. A ramp begins where torque falls back or time has a gap. Raises
+    `InsufficientDataError` where there is none.
+    """
+    t, shaft, effort = require_signals(16, time=time, angle=angle, torque=torque)
+    size = np.abs(effort)
+    step = float(np.median(np.diff(t)))
+    fallen = np.diff(size) < -FALLEN * size.max()
+    new = np.flatnonzero((np.diff(t) > 10 * step) | (np.diff(t) <= 0) | fallen) + 1
+    edges = np.concatenate([[0], new, [len(t)]])
+    ramps = []
+    for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        part = slice(first, last)
+        if last - first < 16 or size[last - 1] <= 0.1 * size.max():
+            continue
+        direction = 1.0 if effort[last - 1] > 0 else -1.0
+        onset = _onset(t[part] - t[first], direction * shaft[part], threshold)
+        broke = np.nan if onset is None else float(np.interp(onset, t[part] - t[first], size[part]))
+        position = float(np.mod(shaft[first], 2 * np.pi))
+        ramps.append(Ramp(first, last, position, direction, broke))
+    if not ramps:
+        raise InsufficientDataError(
+            "no ramp of torque was found: each must rise slowly from zero at standstill"
+        )
+    return ramps
+
+
+def _onset(time: Array, angle: Array, threshold: float) -> float | None:
+    """Return when the shaft breaks away, s; None where it does not."""
+    # Where the current begins, the shaft may first spring back: count from its furthest point.
+    moved = angle - np.minimum.accumulate(angle)
+    while threshold <= moved.max():
+        once = float(time[np.argmax(moved > threshold)]) if moved.max() > threshold else np.inf
+        beyond = moved > 2 * threshold
+        if not beyond.any():
+            # The recording ends with the motion: no time left to draw it back.
+            return once if np.isfinite(once) and once >= (1 - RUNAWAY) * time[-1] else None
+        twice = float(time[np.argmax(beyond)])
+        if twice - once <= RUNAWAY * once:
+            return max(0.0, 2 * once - twice)
+        threshold *= 2
+    return None
+
+
+@dataclass(frozen=True)
+class Breakaway:
+    """Breakaway torques by position (k,) rad, magnitudes in N m, NaN where there is none.
+
+    `scatter` is the standard deviation of a single one beside what repeats around the turn, with
+    `dof` (0: unknown).
+    """
+
+    position: Array
+    positive: Array
+    negative: Array
+    scatter: float
+    dof: float
+
+    @property
+    def level(self) -> TurnMean:
+        """Mean over the turn of half the distance between the directions: static friction, N m."""
+        return self._mean((self.positive + self.negative) / 2)
+
+    @property
+    def middle(self) -> TurnMean:
+        """Mean over the turn of the middle between the directions, N m."""
+        return self._mean((self.positive - self.negative) / 2)
+
+    def _mean(self, values: Array) -> TurnMean:
+        known = np.isfinite(values)
+        return mean_over_turn(self.position[known], values[known])
+
+    @property
+    def lowest(self) -> float:
+        """Smallest torque of both directions, N m."""
+        return float(np.nanmin([self.positive, self.negative]))
+
+    @property
+    def highest(self) -> float:
+        """Largest torque of both directions, N m."""
+        return float(np.nanmax([self.positive, self.negative]))
+
+
+def around_turn(ramps: list[Ramp], positions: Array | None = None) -> Breakaway:
+    """Arrange ramps by position; `positions` (k,) rad are those of another series to pair with.
+
+    Raises `InsufficientDataError` where most ramps do not break away.
+    """
+    stuck = sum(np.isnan(ramp.torque) for ramp in ramps)
+    if 2 * stuck >= len(ramps):
+        raise InsufficientDataError(
+            f"the shaft did not break away in {stuck} of {len(ramps)} ramps: raise "
+            "stribeck.breakaway_limit, or lower stribeck.breakaway_angle"
+        )
+    here = _positions(ramps) if positions is None else positions
+    reach = np.pi / len(here)
+    total = {sign: np.zeros(len(here)) for sign in (1.0, -1.0)}
+    count = {sign: np.zeros(len(here)) for sign in (1.0, -1.0)}
+    for ramp in ramps:
+        gap = np.abs(np.angle(np.exp(1j * (here - ramp.position))))
+        nearest = int(np.argmin(gap))
+        if gap[nearest] <= reach and not np.isnan(ramp.torque):
+            total[ramp.direction][nearest] += ramp.torque
+            count[ramp.direction][nearest] += 1
+    columns = {
+        sign: np.where(count[sign] > 0, total[sign] / np.maximum(count[sign], 1), np.nan)
+        for sign in total
+    }
+    scatters, dof = [], 0.0
+    for values in columns.values():
+        known = np.isfinite(values)
+        if known.sum() >= 4:
+            mean = mean_over_turn(here[known], values[known])
+            scatters.append((mean.scatter**2, mean.dof))
+            dof += mean.dof
+    scatter = float(np.sqrt(sum(s * d for s, d in scatters) / dof)) if dof else np.nan
+    return Breakaway(here, columns[1.0], columns[-1.0], scatter, dof)
+
+
+def _positions(ramps: list[Ramp]) -> Array:
+    """Return the positions of the direction with most ramps, rising, (k,) rad."""
+    by_sign = [np.array([r.position for r in ramps if r.direction == s]) for s in (1.0, -1.0)]
+    return group_angles(max(by_sign, key=len))[0]

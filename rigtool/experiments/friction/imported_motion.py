@@ -1,0 +1,122 @@
+"""Results of `stribeck` from any motion: inertia and friction in its equation of motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify
+from rigtool.experiments.friction.motion_terms import Motion
+from rigtool.experiments.friction.results import DIRECTIONS, NOT_SEPARATED, Found
+from rigtool.experiments.friction.stribeck_fit import separate_offset
+from rigtool.quantity import Quantity
+from rigtool.runfile import Column, Table
+
+Array = NDArray[np.float64]
+
+NEGATIVE = -3.0
+"""An inertia this many times its uncertainty from zero is negative, which none can be."""
+
+WORTH_SAYING = 0.1
+"""Part of the residual's power that is a function of speed or position, to be said in a note."""
+
+RANGES = 60
+"""Ranges of speed in the table of the fit."""
+
+
+def add_dynamics(motions: Sequence[Motion], found: Found) -> None:
+    """Fit the equation of motion to all motions and add what it tells.
+
+    Raises `InsufficientDataError` where they do not carry friction.
+    """
+    dynamics = identify(motions)
+    dof = float(dynamics.dof)
+    _add_inertia(dynamics, found)
+    found.add("viscous_friction", dynamics.estimate("viscous"), "N m s/rad", dof)
+    coulomb, u = dynamics.estimate("coulomb")
+    found.add("coulomb_friction", (coulomb, u), "N m", dof)
+    offset, offset_u = dynamics.estimate("offset")
+    # One motion has one level of friction: asymmetry of it looks like a constant torque.
+    level = max(coulomb, u, 1e-300)
+    told = separate_offset(np.array([level]), np.array([offset]), np.array([offset_u]), np.zeros(1))
+    for direction in DIRECTIONS.values():
+        total = math.hypot(u, told.offset[1])
+        found.add(f"coulomb_friction_{direction}", (coulomb, total), "N m", dof)
+    found.add("friction_offset", told.offset, "N m", dof)
+    found.results["friction_asymmetry"] = Quantity(told.asymmetry[0], "1", told.asymmetry[1])
+    found.notes.append(NOT_SEPARATED)
+    found.results["residual_rms"] = Quantity(
+        dynamics.residual_rms, "N m", reason="a measure of scatter itself"
+    )
+    found.notes.extend(_notes(motions, dynamics))
+    found.tables["dynamics_fit"] = _fit_table(motions, dynamics)
+
+
+def _add_inertia(dynamics: Dynamics, found: Found) -> None:
+    if dynamics.without_inertia is not None:
+        found.notes.append(f"no inertia is stated: {dynamics.without_inertia}")
+        return
+    inertia, u = dynamics.estimate("inertia")
+    if inertia <= NEGATIVE * u:
+        found.notes.append(
+            f"no inertia is stated: it comes out as {inertia:.3g} (SI), below zero, so a spring "
+            "acts as well, which an oscillation of one frequency does not tell from inertia"
+        )
+        return
+    found.add("inertia", (inertia, u), "kg m2", float(dynamics.dof))
+    if dynamics.single_frequency:
+        found.notes.append(
+            "the motion has one frequency: a spring would look like less inertia; move at several "
+            "frequencies to tell them apart"
+        )
+
+
+def _notes(motions: Sequence[Motion], dynamics: Dynamics) -> list[str]:
+    cutoffs = [motion.cutoff for motion in motions]
+    left_out = sum(motion.left_out for motion in motions)
+    total = sum(motion.samples for motion in motions)
+    notes = [
+        "from the dynamics of the motion, J a + fv v + fc sign(v) + offset, that explain "
+        f"{dynamics.explained:.1%} of its variance up to {min(cutoffs):.3g} Hz or more",
+        f"{left_out} of {total} samples left out: near standstill, or at an end",
+    ]
+    for share, what in (
+        (dynamics.by_speed, "speed: friction is no straight line over speed"),
+        (dynamics.by_position, "position: ripple, a spring or a load acts as well"),
+    ):
+        if share > WORTH_SAYING:
+            notes.append(
+                f"{share:.0%} of what is left unexplained is a function of {what}; what that may "
+                "do to the results is part of their uncertainties"
+            )
+    if resampled := sum(motion.resampled for motion in motions):
+        notes.append(f"{resampled} irregular time axes were resampled at their median rate")
+    return notes
+
+
+def _fit_table(motions: Sequence[Motion], dynamics: Dynamics) -> Table:
+    """Return torque and model over speed, a range of speed each, means over all motions."""
+    speed = np.concatenate([motion.design[motion.used, 1] for motion in motions])
+    torque = np.concatenate([motion.torque[motion.used] for motion in motions])
+    model = np.concatenate([dynamics.torque(motion)[motion.used] for motion in motions])
+    edges = np.linspace(speed.min(), speed.max(), RANGES + 1)
+    index = np.clip(np.digitize(speed, edges) - 1, 0, RANGES - 1)
+    count = np.bincount(index, minlength=RANGES)
+    there = count > 0
+
+    def mean(values: Array) -> Array:
+        return np.bincount(index, values, RANGES)[there] / count[there]
+
+    return Table(
+        ("speed",),
+        {
+            "speed": Column(((edges[1:] + edges[:-1]) / 2)[there], "rad/s"),
+            "torque": Column(mean(torque), "N m", "mean in this range of speed"),
+            "model": Column(mean(model), "N m", "the same of the fitted model"),
+        },
+        "torque",
+        "Torque against speed, inertia included",
+    )

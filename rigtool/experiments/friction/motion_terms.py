@@ -1,0 +1,151 @@
+"""The terms of an equation of motion, from a recording: all band-limited alike.
+
+Torque and all regressors pass the same smoothing kernel, so that the equation still holds between
+them and the band limit biases nothing (Gautier, Proc. IEEE ICRA 1997, 3284-3289; Swevers, Verdonck
+& De Schutter, IEEE Control Systems 27(5) 58-71, 2007); speed and acceleration are the position
+convolved with the kernel's derivatives (`smoothing`). Near standstill friction is not that of
+sliding: samples of which the kernel sees too much of it are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.numerics.checks import require_signals
+from rigtool.numerics.smoothing import (
+    CUTOFF,
+    Smoother,
+    noise_of_derivatives,
+    position_noise,
+    resample,
+)
+
+Array = NDArray[np.float64]
+
+NARROWEST = 2.0
+"""Standard deviation of the kernel in samples, at least."""
+
+WIDEST = 1 / 40
+"""Standard deviation of the kernel as part of the recording, at most."""
+
+GROWTH = 1.15
+"""Kernels are tried that widen by this factor."""
+
+NOISE_SHARE = 1e-3
+"""Part of the acceleration's power that may be noise of the position: it biases inertia so much."""
+
+MOTION = 0.99
+"""Part of the speed's power that is below the frequency of the motion."""
+
+HARMONICS = 10
+"""The kernel passes this many times the frequency of the motion: sign(v) has harmonics."""
+
+STANDSTILL = 0.05
+"""Speeds below this part of the highest are near standstill, as are those within their noise."""
+
+SURE = 5.0
+"""A speed beyond this many standard deviations of its noise has a known sign."""
+
+SLIDING = 0.98
+"""Part of the kernel's weight that must be on samples that slide."""
+
+SHORTEST = 50
+"""Samples that a recording needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One recording, smoothed: rows are equally far apart in time, `spacing` s.
+
+    `design` (n, 4) for J, fv, fc, offset; `torque` (n,); `position` (n,); `used` (n,); `noise` are
+    the standard deviations of speed and acceleration that the position's noise makes; `cutoff` in
+    Hz; `samples` were recorded, `left_out` of them serve nothing; `resampled` says that the time
+    axis was irregular.
+    """
+
+    design: Array
+    torque: Array
+    position: Array
+    used: NDArray[np.bool_]
+    spacing: float
+    noise: tuple[float, float]
+    cutoff: float
+    samples: int
+    left_out: int
+    resampled: bool
+
+
+def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> Motion:
+    """Return the regressors of a recording: signals (n,), time in s, position in rad or m.
+
+    An irregular time axis is resampled first. Raises `InsufficientDataError` where nothing moves,
+    or the recording is too short.
+    """
+    t, shaft, effort = require_signals(SHORTEST, time=time, position=position, torque=torque)
+    step, known, (shaft, effort) = resample(t, shaft, effort)
+    density = position_noise(shaft, step)
+    smoother = _smoother(shaft, step, density)
+    noise = noise_of_derivatives(density, smoother.width)
+    speed = smoother(shaft, 1)
+    highest = float(np.percentile(np.abs(speed), 99))
+    if highest <= SURE * noise[0]:
+        raise InsufficientDataError(
+            f"nothing moves: the highest speed is {highest:.3g} (SI), {SURE:g} times its noise of "
+            f"{noise[0]:.3g} is needed; move faster or further"
+        )
+    # The speed between its samples, for the place where it changes its sign.
+    places = smoother.places(len(shaft))
+    everywhere = np.interp(np.arange(len(shaft)), places, speed)
+    sliding = known & (np.abs(everywhere) >= max(STANDSTILL * highest, SURE * noise[0]))
+    used = smoother(sliding.astype(np.float64)) >= SLIDING
+    design = np.column_stack(
+        [smoother(shaft, 2), speed, smoother(np.sign(everywhere)), np.ones(len(speed))]
+    )
+    return Motion(
+        design=design,
+        torque=smoother(effort),
+        position=shaft[places],
+        used=used,
+        spacing=smoother.every * step,
+        noise=noise,
+        cutoff=smoother.cutoff,
+        samples=len(t),
+        left_out=max(0, len(t) - int(used.sum()) * smoother.every),
+        resampled=len(shaft) != len(t) or not known.all(),
+    )
+
+
+def _smoother(position: Array, step: float, density: float) -> Smoother:
+    """Return the narrowest kernel that keeps noise out of the acceleration and passes the motion.
+
+    Not narrower than the motion needs: the rest of the band is other dynamics. Where none keeps the
+    noise out, the one with the least part of it is taken.
+    """
+    widest = max(len(position) * step * WIDEST, NARROWEST * step)
+    best, least = Smoother(step, NARROWEST * step), math.inf
+    width = best.width
+    while width <= widest:
+        smoother = Smoother(step, width)
+        acceleration = smoother(position, 2)
+        power = max(float(np.mean(acceleration**2)), 1e-300)
+        share = noise_of_derivatives(density, width)[1] ** 2 / power
+        if share < least:
+            best, least = smoother, share
+        if share <= NOISE_SHARE:
+            break
+        width *= GROWTH
+    frequency = _highest_frequency(best(position, 1), best.every * step)
+    return Smoother(step, max(best.width, min(CUTOFF / (HARMONICS * frequency), widest)))
+
+
+def _highest_frequency(signal: Array, spacing: float) -> float:
+    """Return the frequency below which `MOTION` of a signal's power is, Hz."""
+    power = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(len(signal)))) ** 2
+    total = np.cumsum(power)
+    first = int(np.searchsorted(total, MOTION * total[-1]))
+    return max(first, 1) / (len(signal) * spacing)

@@ -1,0 +1,185 @@
+"""stribeck: friction against speed, and breakaway around the turn [7.1.2, 7.2.1, 7.2.2].
+
+Holds at constant speed give the friction; with it, the sweep is repeated with Coulomb and then with
+viscous compensation too, and the torque-speed curve must go flat. Breakaway is measured by slow
+ramps of current from many rotor angles, without and with a radial force on the shaft.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rigtool.experiments.friction.imported import analyse_imported
+from rigtool.experiments.friction.procedure_analysis import (
+    BREAKAWAY,
+    BREAKAWAY_LOADED,
+    HOLDS,
+    SWEEPS,
+    analyse,
+    estimate,
+)
+from rigtool.experiments.session import channels, record
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.recipe import Recipe, Stribeck
+from rigtool.rigs import Feedforward, Load, Rig, Task
+from rigtool.rigs.motion import CurrentRamp, SpeedProfile
+from rigtool.runfile import RecordingSpec, Run, RunWriter
+
+__all__ = [
+    "BARE_MOTOR",
+    "COMMAND",
+    "NEEDED",
+    "analyse",
+    "analyse_imported",
+    "measure",
+    "recordings",
+    "rig_needs",
+]
+
+COMMAND = "stribeck"
+NEEDED = ("kt",)
+BARE_MOTOR = True
+
+RUN_UP = 1.0
+"""From standstill to the highest speed, s."""
+
+SETTLE_TIME = 1.0
+"""Added to each hold before the whole turns that are averaged, s."""
+
+RUN_ON = 4.5
+"""A ramp ends when the shaft has moved by this many times the angle that counts as breakaway."""
+
+APPROACH = 0.2
+"""Each position is approached from at least this far in the ramp's direction, rad."""
+
+
+def rig_needs(recipe: Recipe) -> tuple[str, ...]:
+    """Return what a rig has to offer for compensation and breakaway, once friction is known."""
+    loaded = recipe.stribeck.radial_force > 0
+    return ("feedforward", "open_loop", *(("load",) if loaded else ()))
+
+
+def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
+    """Holds, three sweeps, and two series of ramps."""
+    names = channels(
+        "time",
+        "position_setpoint",
+        "encoder",
+        "current_setpoint",
+        "current",
+        "feedforward_current",
+        "temperature",
+    )
+    force = recipe.stribeck.radial_force
+    return (
+        *(RecordingSpec(name, names) for name in (HOLDS, *SWEEPS)),
+        RecordingSpec(BREAKAWAY, names, {"radial_force": (0.0, "N")}),
+        RecordingSpec(BREAKAWAY_LOADED, names, {"radial_force": (force, "N")}),
+    )
+
+
+def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
+    """Hold, sweep, compensate and sweep again, then break the shaft away around the turn."""
+    settings = recipe.stribeck
+    every = settings.record_every
+    for direction in (1.0, -1.0):
+        task = Task(hold_profile(settings, direction), record_every=every)
+        record(rig, task, recorder, HOLDS)
+    coulomb, viscous = estimate(recorder.recording(HOLDS), recipe, kt)
+    compensations = (
+        Feedforward(),
+        Feedforward(coulomb=coulomb),
+        Feedforward(coulomb=coulomb, viscous=viscous),
+    )
+    for name, feedforward in zip(SWEEPS, compensations, strict=True):
+        task = Task(sweep_profile(settings), feedforward=feedforward, record_every=every)
+        record(rig, task, recorder, name)
+    shaft = _Shaft()
+    for name, force in ((BREAKAWAY, 0.0), (BREAKAWAY_LOADED, settings.radial_force)):
+        if name == BREAKAWAY or force > 0:
+            _ramps(rig, recipe, recorder, kt, name, force, shaft)
+
+
+@dataclass
+class _Shaft:
+    """Where the shaft is, rad from where the first ramp began; encoder count of that place."""
+
+    angle: float = 0.0
+    origin: float | None = None
+
+
+def hold_profile(settings: Stribeck, direction: float) -> SpeedProfile:
+    """Return a motion that holds each speed for whole turns, from the lowest to the highest."""
+    times, speeds = [0.0], [0.0]
+
+    def go(speed: float, duration: float) -> None:
+        times.append(times[-1] + abs(speed - speeds[-1]) * RUN_UP / settings.speed_max)
+        speeds.append(speed)
+        if duration > 0:
+            times.append(times[-1] + duration)
+            speeds.append(speed)
+
+    for speed in sorted(settings.hold_speeds):
+        turn = 2 * math.pi / speed
+        turns = max(settings.hold_revolutions, math.ceil(settings.hold_time / turn))
+        go(direction * speed, SETTLE_TIME + turns * turn)
+    go(0.0, 0.0)
+    return SpeedProfile(tuple(times), tuple(speeds))
+
+
+def sweep_profile(settings: Stribeck) -> SpeedProfile:
+    """Return a motion from standstill to full speed backwards, slowly to full speed, and a stop."""
+    top, end = settings.speed_max, RUN_UP + settings.sweep_time
+    return SpeedProfile((0.0, RUN_UP, end, end + RUN_UP), (0.0, -top, top, 0.0))
+
+
+def _ramps(
+    rig: Rig,
+    recipe: Recipe,
+    recorder: RunWriter,
+    kt: Run,
+    name: str,
+    radial_force: float,
+    shaft: _Shaft,
+) -> None:
+    """Ramp the current from each position in both directions."""
+    settings = recipe.stribeck
+    constant = torque_per_ampere(kt).value
+    pitch = 2 * math.pi / settings.breakaway_positions
+    for direction in (1.0, -1.0):
+        task = Task(
+            CurrentRamp(
+                direction * settings.breakaway_rate / constant,
+                direction * settings.breakaway_limit / constant,
+            ),
+            load=Load(radial_force=radial_force),
+            record_every=settings.record_every,
+            stop_angle=RUN_ON * settings.breakaway_angle,
+        )
+        for number in range(settings.breakaway_positions):
+            _go_to(rig, shaft, direction * number * pitch, direction)
+            _record_ramp(rig, task, recorder, name, shaft, recipe.rig.encoder_counts)
+
+
+def _go_to(rig: Rig, shaft: _Shaft, target: float, direction: float) -> None:
+    """Turn the shaft to an angle within the turn, arriving in the ramp's direction."""
+    target += 2 * math.pi * round((shaft.angle - target) / (2 * math.pi))
+    if direction * (target - shaft.angle) < APPROACH:
+        rig.move_by(target - direction * APPROACH - shaft.angle)
+        shaft.angle = target - direction * APPROACH
+    rig.move_by(target - shaft.angle)
+
+
+def _record_ramp(
+    rig: Rig, task: Task, recorder: RunWriter, name: str, shaft: _Shaft, counts: int
+) -> None:
+    """Record a ramp and keep in mind where it has brought the shaft."""
+    channel_names = recorder.channel_names(name)
+    for block in rig.perform(task):
+        recorder.append(name, {channel: block[channel] for channel in channel_names})
+        encoder = block["encoder"]
+        if len(encoder):
+            if shaft.origin is None:
+                shaft.origin = float(encoder[0])
+            shaft.angle = (float(encoder[-1]) - shaft.origin) * 2 * math.pi / counts

@@ -1,0 +1,304 @@
+"""From the signals of `stribeck` to friction, with what is missing said in notes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.between_set_points import LIMIT, REMEDY, Lacking, resolution
+from rigtool.experiments.friction.breakaway import Breakaway, Ramp, around_turn, find_ramps
+from rigtool.experiments.friction.friction_tables import (
+    breakaway_table,
+    holds_table,
+    ramp_table,
+    torque_speed_table,
+)
+from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
+from rigtool.experiments.friction.low_current import require_linear_at_low_current
+from rigtool.experiments.friction.results import (
+    DIRECTIONS,
+    Estimate,
+    Found,
+    Scale,
+    add_breakaway,
+    add_flatness,
+    add_friction,
+    add_radial_load,
+    add_static_friction,
+)
+from rigtool.experiments.friction.stribeck_fit import (
+    DirectionFit,
+    Offset,
+    fit_direction,
+    mean_by_speed,
+    require_explained,
+    separate_offset,
+)
+from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
+from rigtool.experiments.outcome import Outcome
+from rigtool.recipe import Recipe
+from rigtool.runfile import Recording, Run, Table
+
+Array = NDArray[np.float64]
+
+TOLD = 0.1
+"""Part of its limit from which on what samples lack is worth a note."""
+
+HOLDS = "holds"
+SWEEPS = ("sweep", "sweep_coulomb", "sweep_viscous")
+BREAKAWAY, BREAKAWAY_LOADED = "breakaway", "breakaway_loaded"
+
+
+def estimate(holds: Recording, recipe: Recipe, kt: Run) -> Estimate:
+    """Return Coulomb [N m] and viscous friction [N m s/rad] from holds in both directions."""
+    scale = Scale.of(kt)
+    fits, _, _ = _fit_holds([holds], recipe, scale)
+    return (
+        float(np.mean([fit.coulomb[0] for fit in fits.values()])),
+        float(np.mean([fit.viscous[0] for fit in fits.values()])),
+    )
+
+
+def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
+    """Return friction from whatever recordings the runs hold; what is missing goes into notes."""
+    found = Found(Scale.of(kt))
+    recordings = {
+        name: [run.recording(name) for run in runs if _has(run, name)]
+        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
+    }
+    if not any(recordings.values()):
+        runs[0].recording(HOLDS)  # says what is there instead
+    missing = [name for name, parts in recordings.items() if not parts]
+    if missing:
+        found.notes.append(f"not recorded, so nothing is said of it: {', '.join(missing)}")
+    unloaded, telling = _breakaway(recordings[BREAKAWAY], recipe, found.scale)
+    loaded, _ = _breakaway(recordings[BREAKAWAY_LOADED], recipe, found.scale, unloaded)
+    curves = _sweeps(recordings, recipe, found)
+    fits: dict[int, DirectionFit] = {}
+    offset = None
+    if recordings[HOLDS]:
+        fits, holds, notes = _fit_holds(recordings[HOLDS], recipe, found.scale)
+        found.notes.extend(notes)
+        found.tables["holds"] = holds_table(holds)
+        offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
+        _note_lacking(Lacking.of(runs), holds, found)
+    elif "sweep" in curves:
+        fits = _fit_sweep(curves["sweep"])
+        found.notes.append("friction is taken from the sweep, without repeated measurements")
+    if fits:
+        add_friction(fits, offset, found)
+    if (series := unloaded or loaded) is not None:
+        found.tables["breakaway"] = breakaway_table(series.position, unloaded, loaded)
+    if telling is not None:
+        found.tables["breakaway_ramp"] = telling
+    add_static_friction(unloaded, fits, offset, found)
+    if unloaded is not None:
+        add_breakaway(unloaded, found)
+    if unloaded is not None and loaded is not None:
+        force = recordings[BREAKAWAY_LOADED][0].condition("radial_force")
+        add_radial_load(unloaded, loaded, force, found)
+    if "sweep_viscous" in curves:
+        add_flatness(curves["sweep_viscous"], found)
+    return Outcome(found.results, found.tables, tuple(found.notes))
+
+
+def _has(run: Run, name: str) -> bool:
+    return name in run.recordings and run.recordings[name].size > 0
+
+
+# -- holds and sweeps
+
+
+def _torque(recording: Recording, scale: Scale) -> Array:
+    """Return the controller's torque: set point without feed-forward, N m."""
+    current = recording.read("current_setpoint")
+    if recording.has("feedforward_current"):
+        current = current - recording.read("feedforward_current")
+    return scale.value * current
+
+
+def _angle(recording: Recording, recipe: Recipe) -> Array:
+    return recording.read("encoder") * (2 * np.pi / recipe.rig.encoder_counts)
+
+
+def _fit_holds(
+    recordings: Iterable[Recording], recipe: Recipe, scale: Scale
+) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
+    """Return the fit by direction (+1, -1), the holds that it rests on, and notes."""
+    parts, notes = [], []
+    setpoints, currents = [], []
+    for recording in recordings:
+        found = find_holds(
+            time=recording.read("time"),
+            angle=_angle(recording, recipe),
+            torque=_torque(recording, scale),
+            setpoint=recording.read("position_setpoint")
+            if recording.has("position_setpoint")
+            else None,
+            inertia=recipe.rig.nominal_inertia,
+        )
+        # Twice the variance: both directions are told in the same steps, and are off alike, so that
+        # the mean of the two is no better than each.
+        step = scale.value * resolution(recording, recipe.stribeck.record_every)
+        parts.append(replace(found, u=np.hypot(found.u, step / math.sqrt(6))))
+        if recording.has("current"):
+            setpoints.append(recording.read("current_setpoint"))
+            currents.append(recording.read("current"))
+    everything = pool(parts)
+    steady = everything[everything.shaking <= SHAKING_LIMIT]
+    if len(steady.speed) < len(everything.speed):
+        shaken = np.abs(everything.speed[everything.shaking > SHAKING_LIMIT])
+        listed = ", ".join(f"{speed:.3g}" for speed in np.unique(np.round(shaken, 3)))
+        notes.append(
+            f"holds left out, because the shaft starts and stops instead of turning: {listed} rad/s"
+        )
+    fits = fit_directions(steady.speed, steady.torque, steady.u)
+    if setpoints:
+        require_linear_at_low_current(
+            current_setpoint=np.concatenate(setpoints),
+            current=np.concatenate(currents),
+            friction_current=float(np.mean([fit.friction for fit in fits.values()])) / scale.value,
+        )
+    return fits, steady, notes
+
+
+def _note_lacking(lacking: Lacking, holds: Holds, found: Found) -> None:
+    """Make friction as uncertain as what the rig's loop leaves out of its samples.
+
+    Raises `InsufficientDataError` where that is too much.
+    """
+    left_out = np.array([found.scale.value * lacking.at(speed) for speed in np.abs(holds.speed)])
+    worst = int(np.argmax(np.abs(left_out)))
+    if not left_out[worst]:
+        return
+    found.left_out = lacking.line(found.scale.value)
+    limit = LIMIT * float(np.mean(np.abs(holds.torque)))
+    text = (
+        f"torque between set points differs from that of the samples, most at "
+        f"{abs(holds.speed[worst]):.3g} rad/s by {left_out[worst] * 1e3:.3g} mN m "
+        "with its uncertainty"
+    )
+    if abs(left_out[worst]) > limit:
+        raise InsufficientDataError(
+            f"{text}: more than {limit * 1e3:.3g} mN m, {LIMIT:.0%} of what was read as friction; "
+            f"{REMEDY}"
+        )
+    if abs(left_out[worst]) > TOLD * limit:
+        found.notes.append(f"{text}, which is in the uncertainty of friction: {REMEDY}")
+
+
+def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
+    """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,).
+
+    Raises `InsufficientDataError` where no direction can be fitted.
+    """
+    fits, reasons = {}, []
+    for sign in (1, -1):
+        chosen = speed * sign > 0
+        if not chosen.any():
+            continue
+        try:
+            fits[sign] = fit_direction(speed[chosen] * sign, torque[chosen] * sign, u[chosen])
+        except InsufficientDataError as error:
+            reasons.append(f"{DIRECTIONS[sign]} direction: {error}")
+    if reasons or not fits:
+        raise InsufficientDataError("; ".join(reasons) or "no speed but zero was held")
+    require_explained(list(fits.values()))
+    return fits
+
+
+def _fit_sweep(curve: TorqueSpeed) -> dict[int, DirectionFit]:
+    whole = curve.revolutions >= 1
+    speed, torque = curve.speed[whole], curve.torque[whole]
+    if len(speed) < 6:
+        raise InsufficientDataError(
+            f"the sweep turns the shaft through whole revolutions at {len(speed)} speeds, 6 are "
+            "needed: sweep more slowly, or record holds"
+        )
+    # Third differences know neither slope nor curvature: what they show is scatter.
+    scatter = float(np.median(np.abs(np.diff(torque, 3)))) / math.sqrt(20) / 0.6745
+    return fit_directions(speed, torque, np.full(len(speed), max(scatter, 1e-9)))
+
+
+def _sweeps(
+    recordings: dict[str, list[Recording]], recipe: Recipe, found: Found
+) -> dict[str, TorqueSpeed]:
+    curves = {}
+    labels = ("no compensation", "Coulomb compensation", "Coulomb and viscous compensation")
+    names = ("torque_speed", "torque_speed_coulomb", "torque_speed_viscous")
+    for recording_name, table, label in zip(SWEEPS, names, labels, strict=True):
+        for recording in recordings[recording_name][:1]:
+            curves[recording_name] = torque_speed_curve(
+                time=recording.read("time"),
+                setpoint=recording.read("position_setpoint"),
+                torque=_torque(recording, found.scale),
+                inertia=recipe.rig.nominal_inertia,
+            )
+            found.tables[table] = torque_speed_table(curves[recording_name], label)
+        if len(recordings[recording_name]) > 1:
+            found.notes.append(f"of several recordings {recording_name!r} the first was taken")
+    return curves
+
+
+def separate(
+    fits: dict[int, DirectionFit], holds: Holds, breakaways: Sequence[Breakaway]
+) -> Offset | None:
+    """Separate a constant torque from asymmetric friction; None for one direction only."""
+    if len(fits) < 2:
+        return None
+    lowest = max(fit.lowest for fit in fits.values())
+    forward, backward = (
+        mean_by_speed(holds.speed[k] * sign, holds.torque[k], holds.u[k])
+        for sign, k in ((1, holds.speed > 0), (-1, holds.speed < 0))
+    )
+    level, middle, u, speeds = [], [], [], []
+    for speed, up, up_u in zip(*forward, strict=True):
+        j = int(np.argmin(np.abs(backward[0] - speed)))
+        if speed < lowest or abs(backward[0][j] - speed) > 0.01 * speed:
+            continue
+        speeds.append(float(speed))
+        middle.append((up + backward[1][j]) / 2)
+        u.append(math.hypot(up_u, backward[2][j]) / 2)
+        # From the fits: a noisy level would itself look like asymmetry.
+        level.append(float(np.mean([fit.level(np.array(speed)) for fit in fits.values()])))
+    for breakaway in breakaways:
+        mean = breakaway.middle
+        if math.isfinite(mean.u):
+            level.append(breakaway.level.value)
+            middle.append(mean.value)
+            u.append(mean.u)
+            speeds.append(0.0)
+    if not level:
+        return None
+    return separate_offset(
+        np.array(level), np.array(middle), np.maximum(u, 1e-12), np.array(speeds)
+    )
+
+
+# -- breakaway
+
+
+def _breakaway(
+    recordings: Sequence[Recording], recipe: Recipe, scale: Scale, pair: Breakaway | None = None
+) -> tuple[Breakaway | None, Table | None]:
+    """Return breakaway around the turn from all ramps, and the most telling ramp as a table.
+
+    Positions are those of `pair`, where another series is given to compare with.
+    """
+    ramps: list[Ramp] = []
+    telling: Table | None = None
+    for recording in recordings:
+        time, angle = recording.read("time"), _angle(recording, recipe)
+        torque = _torque(recording, scale)
+        threshold = recipe.stribeck.breakaway_angle
+        here = find_ramps(time=time, angle=angle, torque=torque, threshold=threshold)
+        telling = telling or ramp_table(here, time, angle, torque)
+        ramps.extend(here)
+    if not ramps:
+        return None, None
+    return around_turn(ramps, None if pair is None else pair.position), telling

@@ -1,0 +1,203 @@
+"""Results of `stribeck`: values with the uncertainty of the torque constant, and notes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rigtool.experiments.friction.breakaway import Breakaway
+from rigtool.experiments.friction.friction_tables import model_table
+from rigtool.experiments.friction.stribeck_fit import DirectionFit, Offset
+from rigtool.experiments.friction.sweep import TorqueSpeed
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.quantity import Quantity
+from rigtool.runfile import Run, Table
+
+Estimate = tuple[float, float]
+"""A value and its standard uncertainty."""
+
+TANH_DONE = 3.0
+"""Speed from which the compensation's tanh(v / (1 rad/s)) is within 0.5 % of its end, rad/s."""
+
+DIRECTIONS = {1: "positive", -1: "negative"}
+
+NOT_SEPARATED = (
+    "the data do not tell a constant torque from friction that differs between directions: all is "
+    "stated as friction_offset"
+)
+"""A note, where one explanation is as good as the other."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What turns current set point into torque: N m/A, and its relative uncertainty."""
+
+    value: float
+    relative_u: float
+
+    @classmethod
+    def of(cls, kt: Run) -> Scale:
+        """Take the one constant value that the controller assumes, and what that costs [7.1.1]."""
+        mean = torque_per_ampere(kt)
+        relative = (mean.u or 0.0) / mean.value
+        if "torque_constant_constant_error" in kt.results:
+            # The motor may have any temperature of the range: a rectangular distribution.
+            error = kt.result("torque_constant_constant_error").value
+            relative = math.hypot(relative, error / math.sqrt(3))
+        return cls(mean.value, relative)
+
+    def quantity(self, estimate: Estimate, unit: str, dof: float | None) -> Quantity:
+        """Combine scatter with the uncertainty that is common to all torques."""
+        value, u = estimate
+        total = math.hypot(u, value * self.relative_u)
+        # Welch-Satterthwaite (GUM G.4.1), the scale having infinite degrees of freedom
+        effective = None if dof is None or u == 0 else dof * (total / u) ** 4
+        return Quantity(value, unit, total, effective)
+
+
+@dataclass
+class Found:
+    """What has been found so far.
+
+    `left_out` is what samples lack of Coulomb [N m] and viscous friction [N m s/rad].
+    """
+
+    scale: Scale
+    left_out: tuple[float, float] = (0.0, 0.0)
+    results: dict[str, Quantity] = field(default_factory=dict)
+    tables: dict[str, Table] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def add(self, name: str, estimate: Estimate, unit: str, dof: float | None = None) -> None:
+        """Add a result that scales with the torque constant."""
+        self.results[name] = self.scale.quantity(estimate, unit, dof)
+
+
+def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Found) -> None:
+    """Add Coulomb, viscous and Stribeck parameters; `offset` is taken out of each direction."""
+    dof = float(sum(fit.dof for fit in fits.values()))
+    coulomb, viscous = ({s: getattr(f, n) for s, f in fits.items()} for n in ("coulomb", "viscous"))
+    coulomb_u, viscous_u = found.left_out
+    _add_directions(found, "coulomb_friction", coulomb, "N m", dof, offset, common_u=coulomb_u)
+    _add_directions(found, "viscous_friction", viscous, "N m s/rad", dof, common_u=viscous_u)
+    if offset is not None:
+        found.add("friction_offset", offset.offset, "N m")
+        asymmetry, asymmetry_u = offset.asymmetry
+        found.results["friction_asymmetry"] = Quantity(asymmetry, "1", asymmetry_u)
+        if not offset.separated:
+            found.notes.append(f"{NOT_SEPARATED}; breakaway with a radial load helps")
+    elif len(fits) == 1:
+        only = DIRECTIONS[next(iter(fits))]
+        found.notes.append(
+            f"only the {only} direction was held: a constant torque cannot be told from Coulomb "
+            "friction and is part of it"
+        )
+    velocity = {s: v for s, f in fits.items() if (v := f.stribeck_velocity) is not None}
+    static = {s: v for s, f in fits.items() if (v := f.static) is not None}
+    if len(velocity) < len(fits):
+        lowest = max(fit.lowest for fit in fits.values())
+        without = " and ".join(DIRECTIONS[sign] for sign in fits if sign not in velocity)
+        found.notes.append(
+            f"the data do not carry a Stribeck effect in {without} direction: Coulomb and viscous "
+            f"friction are a line from {lowest:.3g} rad/s on"
+        )
+    _add_directions(found, "stribeck_velocity", velocity, "rad/s", dof, scaled=False)
+    _add_directions(found, "stribeck_static_friction", static, "N m", dof, offset)
+    found.tables["friction_model"] = model_table(fits)
+
+
+def _add_directions(
+    found: Found,
+    name: str,
+    values: dict[int, Estimate],
+    unit: str,
+    dof: float | None,
+    offset: Offset | None = None,
+    scaled: bool = True,
+    common_u: float = 0.0,
+) -> None:
+    """Add the mean over directions, and each direction without the offset.
+
+    `common_u` is the standard uncertainty of all of them alike.
+    """
+    if not values:
+        return
+    scale = found.scale if scaled else Scale(1.0, 0.0)
+    mean = float(np.mean([value for value, _ in values.values()]))
+    u = math.hypot(math.hypot(*(u for _, u in values.values())) / len(values), common_u)
+    if offset is not None and len(values) == 1:
+        sign = next(iter(values))
+        mean -= sign * offset.offset[0]
+        u = math.hypot(u, offset.offset[1])
+    found.results[name] = scale.quantity((mean, u), unit, dof)
+    for sign, (value, own) in values.items():
+        here = (value, math.hypot(own, common_u))
+        if offset is not None:
+            here = (value - sign * offset.offset[0], math.hypot(here[1], offset.offset[1]))
+        found.results[f"{name}_{DIRECTIONS[sign]}"] = scale.quantity(here, unit, dof)
+
+
+def add_breakaway(unloaded: Breakaway, found: Found) -> None:
+    """Add the spread of breakaway torque over positions and directions [7.1.2.1]."""
+    for name, value in (("min", unloaded.lowest), ("max", unloaded.highest)):
+        if unloaded.dof > 0:
+            found.add(f"breakaway_torque_{name}", (value, unloaded.scatter), "N m", unloaded.dof)
+        else:
+            reason = "too few positions to tell scatter from what repeats around the turn"
+            found.results[f"breakaway_torque_{name}"] = Quantity(value, "N m", reason=reason)
+
+
+def add_flatness(curve: TorqueSpeed, found: Found) -> None:
+    """Add how flat the torque-speed curve is with all compensation on [7.2.2, Fig. 34]."""
+    rest = curve.torque[np.abs(curve.speed) >= TANH_DONE]
+    if len(rest):
+        found.results["compensated_torque_rms"] = Quantity(
+            float(np.std(rest)), "N m", reason="a measure of scatter itself"
+        )
+
+
+def add_radial_load(unloaded: Breakaway, loaded: Breakaway, force: float, found: Found) -> None:
+    """Add what a radial force adds to breakaway, paired by position and direction [7.1.2.2]."""
+    added = np.concatenate(
+        [loaded.positive - unloaded.positive, loaded.negative - unloaded.negative]
+    )
+    added = added[np.isfinite(added)]
+    if len(added) < 2:
+        found.notes.append(
+            "no two positions were measured with and without radial force: nothing to compare"
+        )
+        return
+    estimate = (float(added.mean()), float(added.std(ddof=1)) / math.sqrt(len(added)))
+    dof = float(len(added) - 1)
+    found.add("radial_load_friction", estimate, "N m", dof)
+    if force > 0:
+        per_force = (estimate[0] / force, estimate[1] / force)
+        found.add("radial_friction_coefficient", per_force, "N m/N", dof)
+
+
+def add_static_friction(
+    unloaded: Breakaway | None,
+    fits: dict[int, DirectionFit],
+    offset: Offset | None,
+    found: Found,
+) -> None:
+    """Add static friction: the mean breakaway torque around the turn [7.1.2.1], else the fit's."""
+    if unloaded is not None and math.isfinite(unloaded.level.u):
+        mean = unloaded.level
+        found.add("static_friction", (mean.value, mean.u), "N m", mean.dof)
+        if offset is not None:
+            middle, (constant, u) = unloaded.middle, offset.offset
+            for sign, name in DIRECTIONS.items():
+                value = mean.value + sign * (middle.value - constant)
+                total = math.hypot(mean.u, middle.u, u)
+                found.add(f"static_friction_{name}", (value, total), "N m", mean.dof)
+        return
+    static = {s: known for s, fit in fits.items() if (known := fit.static) is not None}
+    if static:
+        _add_directions(found, "static_friction", static, "N m", None, offset)
+        found.notes.append(
+            "static friction is the Stribeck model's, extrapolated to standstill: there is no "
+            "breakaway from which to take it"
+        )

@@ -1,0 +1,332 @@
+"""Friction against speed: Coulomb and viscous, and the Stribeck effect where data carry it.
+
+For one direction, with speed v > 0 and torque f against the motion [7.1.2, 7.2.1, 7.2.2]:
+
+    linear:    f = fc + fv v
+    Stribeck:  f = fc + (fs - fc) exp(-(v/vs)^d) + fv v
+
+(Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7) 1083-1138, 1994). Both directions
+together: torque(v) = offset + f+(v) for v > 0 and offset - f-(-v) for v < 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.numerics.checks import require_signals
+from rigtool.numerics.minimum import minimum
+
+Array = NDArray[np.float64]
+
+SAME_SPEED = 5e-3
+"""Speeds that differ by less than this part are repeats of one speed."""
+
+DETERMINED = 3.0
+"""A Stribeck parameter counts as determined from this multiple of its uncertainty on."""
+
+SEEN = 2.0
+"""Three speeds must show the Stribeck effect by this multiple of their uncertainty."""
+
+OFF_THE_LINE = 3.0
+"""The lowest speed is left out of a line while it misses it by this multiple of its scatter."""
+
+STRUCTURE_LIMIT = 0.08
+"""Structure beside the model, relative to the mean friction, that no friction model explains."""
+
+SHAPES = {2.0: 0.0, 1.0: 6.0}
+"""Exponents d that are tried, with the lead in the Akaike criterion that each needs: Gaussian, and
+Tustin's, which extrapolates further towards standstill and so must be clearly the better one."""
+
+
+TOLD_APART = 0.1
+"""Asymmetry must be known this well to be told from a constant torque; else it is this uncertain.
+"""
+
+
+SPANNED = 0.3
+"""Friction must vary by this part of it, before what it would be at no friction is believed."""
+
+PROPORTIONAL = 0.1
+"""How well asymmetry is proportional to friction, sliding and breaking away alike (assumed)."""
+
+
+@dataclass(frozen=True)
+class DirectionFit:
+    """Friction in one direction; torques in N m against the motion, speeds in rad/s.
+
+    `covariance` belongs to `parameters`, (fc, fv) or (fc, fv, fs, vs). `lowest` and `highest` are
+    the speeds between which the fit rests, `structure` the rms of what it leaves beyond scatter,
+    most of it at `worst_speed`; `friction` is the mean of the points.
+    """
+
+    parameters: Array
+    covariance: Array
+    exponent: float | None
+    dof: int
+    lowest: float
+    highest: float
+    structure: float
+    worst_speed: float
+    friction: float
+
+    @property
+    def coulomb(self) -> tuple[float, float]:
+        """The value of fc and its standard uncertainty."""
+        return self._parameter(0)
+
+    @property
+    def viscous(self) -> tuple[float, float]:
+        """The value of fv, N m s/rad, and its standard uncertainty."""
+        return self._parameter(1)
+
+    def level(self, speed: Array) -> Array:
+        """Return f without its viscous part at speeds >= 0."""
+        level: Array = self.evaluate(speed) - self.parameters[1] * speed
+        return level
+
+    @property
+    def static(self) -> tuple[float, float] | None:
+        """The value of fs and its standard uncertainty, None for the linear model."""
+        return None if self.exponent is None else self._parameter(2)
+
+    @property
+    def stribeck_velocity(self) -> tuple[float, float] | None:
+        """The value of vs and its standard uncertainty, None for the linear model."""
+        return None if self.exponent is None else self._parameter(3)
+
+    def evaluate(self, speed: Array) -> Array:
+        """Return f at speeds >= 0."""
+        return _model(self.parameters, speed, self.exponent)
+
+    def _parameter(self, index: int) -> tuple[float, float]:
+        return float(self.parameters[index]), math.sqrt(float(self.covariance[index, index]))
+
+
+def fit_direction(speed: Array, torque: Array, u: Array) -> DirectionFit:
+    """Fit friction in one direction by weighted least squares.
+
+    `speed` (n,) > 0 in rad/s, `torque` (n,) against the motion with standard uncertainty `u`, N m.
+    The Stribeck model is chosen only where it explains the data better by the corrected Akaike
+    criterion (Hurvich and Tsai 1989) and all its parameters are determined; else the line is
+    fitted, without the lowest speeds where they lie off it. Raises `InsufficientDataError` where
+    there are too few speeds.
+    """
+    v, f, scatter = mean_by_speed(*require_signals(1, speed=speed, torque=torque, u=u))
+    if len(v) < 3 or v.max() < 2 * v.min():
+        raise InsufficientDataError(
+            f"{len(v)} speeds from {v.min():.3g} to {v.max():.3g} rad/s do not tell Coulomb from "
+            "viscous friction: measure 3 speeds or more over a factor of 2 or more"
+        )
+    # Uncertainties from few degrees of freedom are uncertain themselves: the typical one has a say.
+    weight = 1 / np.sqrt((scatter**2 + np.median(scatter) ** 2) / 2 + 1e-30)
+    best = _line(v, f, weight)
+    lowest = _criterion(best, v, f, weight)
+    for exponent, lead in SHAPES.items():
+        candidate = _stribeck(v, f, weight, exponent)
+        if candidate is not None:
+            criterion = _criterion(candidate, v, f, weight)
+            if criterion + lead < lowest:
+                best, lowest = candidate, criterion
+    if best.exponent is None:
+        best = _straight_part(v, f, weight)
+    return best
+
+
+def mean_by_speed(v: Array, f: Array, u: Array) -> tuple[Array, Array, Array]:
+    """Return speed, mean of f and its uncertainty for each distinct speed, rising, (k,)."""
+    order = np.argsort(v, kind="stable")
+    v, f, weight = v[order], f[order], 1 / np.maximum(u[order], 1e-15) ** 2
+    group = np.concatenate([[0], np.cumsum(np.diff(v) > SAME_SPEED * v[1:])])
+    count, total = np.bincount(group), np.bincount(group, weights=weight)
+    mean = np.bincount(group, weights=weight * f) / total
+    square = np.bincount(group, weights=weight * (f - mean[group]) ** 2)
+    # Repeats that scatter more than their uncertainties say are believed (Birge ratio).
+    scale = np.maximum(square / np.maximum(count - 1, 1), 1.0)
+    return np.bincount(group, weights=weight * v) / total, mean, np.sqrt(scale / total)
+
+
+def _model(parameters: Array, speed: Array, exponent: float | None) -> Array:
+    f: Array = parameters[0] + parameters[1] * speed
+    if exponent is not None:
+        bump = np.exp(-((speed / parameters[3]) ** exponent))
+        f = f + (parameters[2] - parameters[0]) * bump
+    return f
+
+
+def _finish(
+    parameters: Array,
+    design: Array,
+    v: Array,
+    f: Array,
+    weight: Array,
+    exponent: float | None,
+) -> DirectionFit:
+    """Return a fit with covariance from its Jacobian `design` (n, p)."""
+    inverse = np.linalg.pinv(design * weight[:, None])
+    residual = f - _model(parameters, v, exponent)
+    dof = len(v) - len(parameters)
+    square = float(np.sum((residual * weight) ** 2))
+    # Birge ratio: where means scatter more than their own uncertainties say, scatter is believed
+    scale = max(1.0, square / dof) if dof > 0 else 1.0
+    excess = np.mean(residual**2) * len(v) / max(dof, 1) - np.mean(1 / weight**2)
+    return DirectionFit(
+        parameters=parameters,
+        covariance=inverse @ inverse.T * scale,
+        exponent=exponent,
+        dof=dof,
+        lowest=float(v.min()),
+        highest=float(v.max()),
+        structure=math.sqrt(max(0.0, float(excess))),
+        worst_speed=float(v[np.argmax(np.abs(residual))]),
+        friction=float(np.mean(f)),
+    )
+
+
+def _line(v: Array, f: Array, weight: Array) -> DirectionFit:
+    design = np.column_stack([np.ones(len(v)), v])
+    parameters = np.linalg.pinv(design * weight[:, None]) @ (f * weight)
+    return _finish(parameters, design, v, f, weight, None)
+
+
+def _straight_part(v: Array, f: Array, weight: Array) -> DirectionFit:
+    """Fit a line, leaving the lowest speeds out one by one while they lie off it.
+
+    Speeds rise.
+    """
+    while len(v) > 4 and v[-1] >= 2 * v[1]:
+        rest = _line(v[1:], f[1:], weight[1:])
+        design = np.array([1.0, v[0]])
+        u = math.sqrt(1 / weight[0] ** 2 + float(design @ rest.covariance @ design))
+        if abs(f[0] - rest.evaluate(v[:1])[0]) <= OFF_THE_LINE * u:
+            break
+        v, f, weight = v[1:], f[1:], weight[1:]
+    return _line(v, f, weight)
+
+
+def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFit | None:
+    """Fit the Stribeck model; None where the data do not determine its parameters."""
+    if len(v) < 6:
+        return None
+
+    def columns(vs: float) -> Array:
+        bump = np.exp(-((v / vs) ** exponent))
+        return np.column_stack([1 - bump, v, bump])
+
+    def solve(vs: float) -> Array:
+        scaled = columns(vs) * weight[:, None]
+        return np.asarray(np.linalg.lstsq(scaled, f * weight, rcond=None)[0], dtype=np.float64)
+
+    def misfit(vs: float) -> float:
+        return float(np.sum(((f - columns(vs) @ solve(vs)) * weight) ** 2))
+
+    # The model is linear but for vs.
+    slowest, fastest = v.min() / 3, v.max() / 3
+    vs = minimum(misfit, slowest, fastest, points=25)
+    coulomb, viscous, static = solve(vs)
+    bump = (static - coulomb) * np.exp(-((v / vs) ** exponent))
+    slope = bump * exponent * (v / vs) ** exponent / vs
+    design = np.column_stack([columns(vs)[:, [0, 1, 2]], slope])
+    fit = _finish(np.array([coulomb, viscous, static, vs]), design, v, f, weight, exponent)
+    covariance = fit.covariance
+    rise_u = math.sqrt(covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2])
+    determined = (
+        static - coulomb > DETERMINED * rise_u
+        and vs > DETERMINED * math.sqrt(covariance[3, 3])
+        and 1.1 * slowest < vs < fastest / 1.1
+        and np.count_nonzero(bump * weight > SEEN) >= 3
+    )
+    return fit if determined else None
+
+
+def _criterion(fit: DirectionFit, v: Array, f: Array, weight: Array) -> float:
+    """Return the corrected Akaike criterion for unknown variance."""
+    n, k = len(v), len(fit.parameters) + 1
+    square = float(np.sum(((f - fit.evaluate(v)) * weight) ** 2))
+    return n * math.log(max(square / n, 1e-300)) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
+
+
+def require_explained(fits: Sequence[DirectionFit]) -> None:
+    """Raise where the curve has structure that no friction model explains (Appendix C).
+
+    `fits` are of both directions, so that a constant torque drops out of their mean, or of one.
+    The error is an `InsufficientDataError`.
+    """
+    coulomb = float(np.mean([fit.coulomb[0] for fit in fits]))
+    coulomb_u = math.hypot(*(fit.coulomb[1] for fit in fits)) / len(fits)
+    if coulomb < -3 * coulomb_u:
+        raise InsufficientDataError(
+            f"torque against the motion extrapolates to {coulomb * 1e3:.3g}({coulomb_u * 1e3:.1g}) "
+            "mN m at standstill: friction cannot be below 0; check the signs of current and encoder"
+        )
+    friction = float(np.mean([fit.friction for fit in fits]))
+    limit = STRUCTURE_LIMIT * friction
+    worst = max(fits, key=lambda fit: fit.structure)
+    if worst.dof > 0 and worst.structure > limit:
+        raise InsufficientDataError(
+            f"torque against speed has structure of {worst.structure * 1e3:.3g} mN m rms beside "
+            f"the best friction model, far beyond the scatter of its points; limit "
+            f"{limit * 1e3:.3g} mN m ({STRUCTURE_LIMIT:.0%} of the friction); worst at "
+            f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect the current "
+            "amplifier at low current (thesis Appendix C), or a resonance of the speed loop"
+        )
+
+
+@dataclass(frozen=True)
+class Offset:
+    """Torque that is the same in both directions, and friction that is not; (value, u).
+
+    `offset` in N m; `asymmetry` is relative: friction is (1 +- asymmetry) times its mean.
+    `separated` says whether the data tell them apart; if not, asymmetry is taken as zero and what
+    it might be is part of the offset's uncertainty.
+    """
+
+    offset: tuple[float, float]
+    asymmetry: tuple[float, float]
+    separated: bool
+
+
+def separate_offset(level: Array, middle: Array, u: Array, speed: Array) -> Offset:
+    """Tell a constant torque from friction that differs between directions.
+
+    Both shift the middle between the torques of the two directions, but asymmetry does so in
+    proportion to the friction: middle = offset + asymmetry * level + slope * speed, the slope being
+    half the difference in viscous friction. `level` (n,) is half the distance between the two
+    directions without its viscous part, `middle` (n,) half their sum, `u` its standard uncertainty,
+    N m; from different `speed`, rad/s, breakaway (speed 0), and radial loads.
+    """
+    weight = 1 / u
+    typical = float(np.average(level, weights=weight**2))
+    ones = np.ones(len(level))
+    slope = [speed] if len(level) >= 3 and np.ptp(speed) > 0 else []
+    if len(level) >= 3 + len(slope) and np.ptp(level) > SPANNED * typical:
+        (offset, asymmetry), (offset_u, asymmetry_u) = _weighted(
+            np.column_stack([ones, level, *slope]), middle, weight
+        )
+        if asymmetry_u < TOLD_APART:
+            doubt = PROPORTIONAL * abs(asymmetry)
+            return Offset(
+                (offset, math.hypot(offset_u, doubt * typical)),
+                (asymmetry, math.hypot(asymmetry_u, doubt)),
+                True,
+            )
+    # All friction is much the same here: the middle may be offset, asymmetry, or both.
+    (mean, *_), (mean_u, *_) = _weighted(np.column_stack([ones, *slope]), middle, weight)
+    doubt = max(abs(mean) / typical, TOLD_APART)
+    return Offset((mean, math.hypot(mean_u, doubt * typical)), (0.0, doubt), False)
+
+
+def _weighted(design: Array, values: Array, weight: Array) -> tuple[list[float], list[float]]:
+    """Return the first two parameters (or the one) of a weighted fit, and their uncertainties."""
+    inverse = np.linalg.pinv(design * weight[:, None])
+    parameters = inverse @ (values * weight)
+    residual = (values - design @ parameters) * weight
+    # Points that scatter more than their uncertainties say are believed (Birge ratio).
+    scale = max(1.0, float(residual @ residual) / max(len(values) - design.shape[1], 1))
+    u = np.sqrt(np.sum(inverse**2, axis=1) * scale)
+    return [float(p) for p in parameters[:2]], [float(x) for x in u[:2]]

@@ -1,0 +1,83 @@
+"""Torque against speed from a slow sweep [7.2.1, 7.2.2, Fig. 30, 32, 34].
+
+torque(v) = mean of (torque - J a) over the samples in a bin of speed; in a bin through which the
+shaft turns more than once, over whole revolutions only, so that ripple averages out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.numerics.checks import require_rising, require_signals
+
+Array = NDArray[np.float64]
+
+BINS = 60
+"""Bins of speed over the whole sweep."""
+
+STEEPEST = 2.0
+"""Samples with more than this many times the usual acceleration are not part of the sweep."""
+
+
+@dataclass(frozen=True)
+class TorqueSpeed:
+    """Means by bin, (n,): `speed` in rad/s, `torque` in N m, whole `revolutions` averaged."""
+
+    speed: Array
+    torque: Array
+    revolutions: Array
+
+
+def torque_speed_curve(
+    *, time: ArrayLike, setpoint: ArrayLike, torque: ArrayLike, inertia: float
+) -> TorqueSpeed:
+    """Return the torque-speed curve of a sweep.
+
+    `time` (n,) in s, `setpoint` of the shaft's angle in rad, `torque` in N m, `inertia` in kg m2.
+    Raises `InsufficientDataError` where the speed does not sweep.
+    """
+    t, angle, effort = require_signals(100, time=time, position_setpoint=setpoint, torque=torque)
+    require_rising(t)
+    speed = np.gradient(angle, t)
+    acceleration = np.gradient(speed, t)
+    if np.ptp(speed) <= 1e-6 * max(np.abs(speed).max(), 1e-300):
+        raise InsufficientDataError(
+            f"the speed set point stays at {speed[0]:.3g} rad/s: a sweep runs through speeds"
+        )
+    usual = float(np.median(np.abs(acceleration)))
+    swept = np.abs(acceleration) <= STEEPEST * usual
+    edges = np.linspace(speed[swept].min(), speed[swept].max(), BINS + 1)
+    number = np.clip(np.digitize(speed, edges) - 1, 0, BINS - 1)
+    # One pass through one bin is one stretch of samples.
+    label = np.where(swept, number, -1)
+    starts = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])
+    rows = []
+    for first, last in pairwise(starts.tolist()):
+        if label[first] >= 0 and last - first >= 2:
+            kept, whole = _whole_turns(angle[first:last])
+            part = slice(first + kept.start, first + kept.stop)
+            corrected = effort[part] - inertia * acceleration[part]
+            rows.append((label[first], np.mean(speed[part]), np.mean(corrected), whole))
+    passes = np.array(rows)
+    # A sweep up and down passes each bin twice: average the passes.
+    _, index = np.unique(passes[:, 0], return_inverse=True)
+    count = np.bincount(index)
+    speed, torque, turns = (np.bincount(index, weights=passes[:, k]) for k in (1, 2, 3))
+    return TorqueSpeed(speed / count, torque / count, turns.astype(np.float64))
+
+
+def _whole_turns(angle: Array) -> tuple[slice, int]:
+    """Return the middle part that holds whole revolutions, all where there is less than one."""
+    travel = np.abs(angle - angle[0])
+    turns = int(travel[-1] / (2 * np.pi))
+    if turns == 0 or np.any(np.diff(travel) < 0):
+        return slice(0, len(angle)), 0
+    spare = (travel[-1] - turns * 2 * np.pi) / 2
+    first = int(np.searchsorted(travel, spare))
+    last = int(np.searchsorted(travel, travel[first] + turns * 2 * np.pi * (1 - 1e-9)))
+    return slice(first, last), turns

@@ -1,0 +1,133 @@
+"""Imported runs as analyses see them: what is known of the rig are conditions, or absent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import RunFileError, UsageError
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.runfile import Recording, Run
+
+Array = NDArray[np.float64]
+
+RECORDING = "imported"
+"""Their one recording."""
+
+RIG = {
+    "encoder_counts",
+    "torque_constant",
+    "torque_constant_u",
+    "rated_torque",
+    "inertia",
+    "linear_axis",
+}
+"""Conditions that are of the rig, not of one recording."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What the motor does, (n,) values in `unit`; `name` is how tables call it.
+
+    `relative_u` is the relative standard uncertainty of its scale, None where it is not known;
+    `origin` says where it is from.
+    """
+
+    values: Array
+    unit: str
+    name: str
+    relative_u: float | None
+    origin: str
+
+
+def signals_of(runs: Sequence[Run]) -> list[Recording]:
+    """Return the recording of each run; `RunFileError` for one that holds a map only."""
+    return [run.recording(RECORDING) for run in runs]
+
+
+def known(recording: Recording, name: str) -> float | None:
+    """Return what is known of the rig, None where it is not."""
+    return recording.condition(name) if name in recording.conditions else None
+
+
+def is_linear(recording: Recording) -> bool:
+    """Say whether the axis is linear: m and N."""
+    return known(recording, "linear_axis") == 1.0
+
+
+def position_of(recording: Recording) -> Array:
+    """Return the position (n,), rad or m, from whatever tells it.
+
+    Measured position before counts, counts before the integral of speed, whose start is zero.
+    Raises `RunFileError` where nothing does.
+    """
+    if recording.has("position"):
+        return recording.read("position")
+    counts = known(recording, "encoder_counts")
+    if recording.has("encoder") and counts is not None:
+        turn = 1.0 if is_linear(recording) else 2 * math.pi
+        return recording.read("encoder") * (turn / counts)
+    if recording.has("speed"):
+        time, speed = recording.read("time"), recording.read("speed")
+        steps = np.diff(time) * (speed[1:] + speed[:-1]) / 2
+        return np.concatenate([[0.0], np.cumsum(steps)])
+    raise RunFileError(
+        f"{recording.name}: nothing tells the position: there is no channel position or speed, nor "
+        "encoder with encoder_counts; import it with one of them mapped"
+    )
+
+
+def effort_of(recording: Recording, kt: Run | None) -> Effort:
+    """Return torque (force on a linear axis), or current where nothing makes torque of it.
+
+    With `kt`, current times its torque constant; else the torque that the drive or a sensor tells,
+    else current times the torque constant of the mapping, else torque relative to the rated one,
+    else current alone. Raises `RunFileError` where there is none of them.
+    """
+    has_current = recording.has("current") or recording.has("current_setpoint")
+    if kt is not None and has_current:
+        scale = torque_per_ampere(kt)
+        if recording.has("current"):  # as measured: what the amplifier makes of it does not matter
+            scale = kt.result("torque_constant_mean")
+        current = recording.read(_current_name(recording)) * scale.value
+        relative = None if scale.u is None else scale.u / scale.value
+        return Effort(current, "N m", "torque", relative, "current times the constant of --kt")
+    name, unit = ("force", "N") if is_linear(recording) else ("torque", "N m")
+    if recording.has(name):
+        return Effort(recording.read(name), unit, name, None, f"{name} as the file tells it")
+    if recording.has("relative_torque") and not has_current:
+        origin = "torque relative to the rated one, that the mapping does not tell (rated_torque)"
+        return Effort(recording.read("relative_torque"), "1", "relative_torque", 0.0, origin)
+    current = recording.read(_current_name(recording))
+    constant = known(recording, "torque_constant")
+    if constant is None or is_linear(recording):
+        return Effort(current, "A", "current", 0.0, "current as the file tells it")
+    u = known(recording, "torque_constant_u")
+    return Effort(
+        current * constant,
+        "N m",
+        "torque",
+        None if u is None else u / constant,
+        "current times the torque constant of the mapping",
+    )
+
+
+def _current_name(recording: Recording) -> str:
+    # The mapping may know either; what was measured is nearer to the torque.
+    return "current" if recording.has("current") else "current_setpoint"
+
+
+def require_one_rig(recordings: Sequence[Recording], runs: Sequence[Run]) -> None:
+    """Raise `UsageError` where runs are not of one rig, by all that is known of it."""
+    first = {name: known(recordings[0], name) for name in RIG}
+    for recording, run in zip(recordings, runs, strict=True):
+        for name, value in first.items():
+            if known(recording, name) != value:
+                raise UsageError(
+                    f"{run.path} has {name} {known(recording, name)}, {runs[0].path} has {value}: "
+                    "give runs of one rig, imported with one mapping"
+                )

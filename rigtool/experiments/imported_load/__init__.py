@@ -1,0 +1,1 @@
+"""A model of load learned from runs of other rigs."""

@@ -1,0 +1,304 @@
+"""Functions of motion that make a load model: position, speed, direction, way since reversal.
+
+All are smooth, without unit, and pass the same low-pass as the signals that they explain, so that
+the equation still holds between them:
+
+    splines in position                              ripple, friction that depends on position
+    speed and its logarithm                          viscous and Stribeck friction
+    acceleration                                     inertia
+    exp(-way since reversal / length)                pre-sliding: friction that builds up [Dahl]
+    cos and sin of orders of the encoder's turn      ripple of the motor, half orders included
+
+P. R. Dahl, AIAA Journal 14(12) 1675-1682, 1976: friction approaches its level with the way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force.cycles import lowpass_at
+from rigtool.numerics.checks import require_rising, require_signals
+
+Array = NDArray[np.float64]
+
+WORK_RATE = 10
+"""Samples for each period of the cut-off at which functions are computed, at most."""
+
+ROW_RATE = 50.0
+"""Rows per second that are kept, after the low-pass, at least: neighbours tell next to nothing."""
+
+SPEED_BAND = 2
+"""The position passes this many times the bandwidth before it is differentiated."""
+
+STANDSTILL = 0.05
+"""Speeds below this part of the highest are near standstill: friction is undetermined there."""
+
+OUTLIER = 2.0
+"""A speed beyond this many times the recording's 95th percentile is a transient, such as homing."""
+
+ORDERS = tuple(k / 2 for k in range(1, 9))
+"""Orders of the encoder's turn; halves are of teeth that meet again every second turn."""
+
+TURNS = 2.0
+"""Fewer turns than this tell no orders: position says it all."""
+
+LENGTHS = tuple(2.0**-k for k in range(3, 8))
+"""Lengths of pre-sliding that are tried, in parts of the stroke."""
+
+SPLINE_COUNT = {
+    "offset": 32,
+    "load": 10,
+    "load_squared": 5,
+    "load_cubed": 5,
+    "viscous": 5,
+    "stribeck": 5,
+    "reversal": 5,
+    "load_reversal": 5,
+}
+"""Splines along the stroke, of groups that go with position; how smooth is for the data to say."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """How a shaft moved: rows (n,) at even times, s; position in rad or m, speed, acceleration.
+
+    `direction` is near 1 or -1 while moving; `reversed_at` (n,) is the position of the last
+    reversal; `regular` marks rows that are no part of a transient. `factor` and `rate` turn rows
+    into more finely spaced ones: arrays named `fine_*` (m,) are before the low-pass.
+    """
+
+    time: Array
+    position: Array
+    speed: Array
+    acceleration: Array
+    regular: NDArray[np.bool_]
+    fine_position: Array
+    fine_speed: Array
+    rate: float
+    factor: int
+    bandwidth_hz: float
+
+    def thin(self, fine: Array) -> Array:
+        """Return signals (..., m) low-passed, at the rows (..., n)."""
+        thinned: Array = lowpass_at(self.rate, fine, self.bandwidth_hz)[..., :: self.factor]
+        return thinned
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What makes position, speed and torque numbers near 1; `turn` is 0 where orders tell nothing.
+
+    `low` and `high` bound the position, `standstill` is the speed below which the direction is
+    undetermined, `lengths` are those of pre-sliding, in the unit of position.
+    """
+
+    low: float
+    high: float
+    speed: float
+    standstill: float
+    acceleration: float
+    torque: float
+    turn: float
+
+    @property
+    def lengths(self) -> tuple[float, ...]:
+        """Lengths of pre-sliding in the unit of position."""
+        return tuple(part * (self.high - self.low) for part in LENGTHS)
+
+
+def block_means(values: Array, size: int) -> Array:
+    """Return means of `size` samples each of values (n,): a first, coarse low-pass."""
+    count = len(values) // size
+    means: Array = values[: count * size].reshape(count, size).mean(axis=1)
+    return means
+
+
+def follow(
+    time: ArrayLike, position: ArrayLike, bandwidth_hz: float, *signals: ArrayLike
+) -> tuple[Path, list[Array]]:
+    """Return the path of a recording, and other signals at its rows, low-passed without phase.
+
+    Signals are (n,), at a constant rate. Raises `InsufficientDataError` where rate or length do not
+    carry the bandwidth.
+    """
+    arrays = {f"signal {i}": signal for i, signal in enumerate(signals)}
+    t, p, *rest = require_signals(20, time=time, position=position, **arrays)
+    step = require_rising(t)
+    size = max(1, math.floor(1 / (step * WORK_RATE * bandwidth_hz) * (1 + 1e-6)))
+    t, p, *rest = (block_means(values, size) for values in (t, p, *rest))
+    rate = 1 / (step * size)
+    factor = max(1, round(rate / ROW_RATE))
+    smooth = lowpass_at(rate, p, min(SPEED_BAND * bandwidth_hz, 0.45 * rate))
+    speed = np.gradient(smooth, 1 / rate)
+    rows = slice(None, None, factor)
+    slow = np.gradient(lowpass_at(rate, p, bandwidth_hz), 1 / rate)
+    path = Path(
+        time=t[rows],
+        position=lowpass_at(rate, p, bandwidth_hz)[rows],
+        speed=slow[rows],
+        acceleration=np.gradient(slow, 1 / rate)[rows],
+        regular=~_transient(speed, round(rate / bandwidth_hz))[rows],
+        fine_position=p,
+        fine_speed=speed,
+        rate=rate,
+        factor=factor,
+        bandwidth_hz=bandwidth_hz,
+    )
+    return path, [path.thin(values) for values in rest]
+
+
+def _transient(speed: Array, memory: int) -> NDArray[np.bool_]:
+    """Mark speeds far beyond the usual ones, and what the low-pass spreads them to."""
+    magnitude = np.abs(speed)
+    wild = magnitude > OUTLIER * max(float(np.percentile(magnitude, 95)), 1e-300)
+    if not wild.any():
+        return wild
+    spread: NDArray[np.bool_] = np.convolve(wild, np.ones(2 * memory + 1), "same") > 0.5
+    return spread
+
+
+def find_scales(paths: Sequence[Path], torques: Sequence[Array], turn: float) -> Scales:
+    """Return the scales of recordings; `turn` is one turn of the encoder in the unit of position.
+
+    Raises `InsufficientDataError` where nothing moves or no load acts.
+    """
+    position = np.concatenate([path.position[path.regular] for path in paths])
+    speed = np.abs(np.concatenate([path.speed[path.regular] for path in paths]))
+    torque = np.concatenate([t[path.regular] for path, t in zip(paths, torques, strict=True)])
+    low, high = float(position.min()), float(position.max())
+    highest = float(np.percentile(speed, 99))
+    load = float(np.max(np.abs(torque)))
+    if not (high > low and highest > 0):
+        raise InsufficientDataError("nothing moves in these recordings: record strokes to and fro")
+    if load == 0:
+        raise InsufficientDataError("the reference torque is zero throughout: apply loads")
+    acceleration = np.concatenate([path.acceleration[path.regular] for path in paths])
+    return Scales(
+        low=low,
+        high=high,
+        speed=highest,
+        standstill=STANDSTILL * highest,
+        acceleration=max(float(np.percentile(np.abs(acceleration), 99)), 1e-300),
+        torque=load,
+        turn=turn if turn > 0 and high - low >= TURNS * turn else 0.0,
+    )
+
+
+def splines(place: Array, count: int) -> Array:
+    """Return cubic B-splines (n, count) along 0..1; beyond the ends they stay as they are there."""
+    from scipy.interpolate import BSpline
+
+    knots = np.concatenate([np.zeros(3), np.linspace(0, 1, count - 2), np.ones(3)])
+    matrix: Array = BSpline.design_matrix(np.clip(place, 0, 1), knots, 3).toarray()
+    return matrix
+
+
+def motion_functions(
+    path: Path, scales: Scales, sign: int, *, alone: bool = False
+) -> dict[str, Array]:
+    """Return the functions of one direction by group, each (n, columns), at the rows of a path.
+
+    They vanish in the other direction; the low-pass spreads both over the reversal between them.
+    What it brings of the other direction are the groups `reversal` and `load_reversal`. With
+    `alone` they are those of a motion that goes in this direction only, and has for long: friction
+    at standstill is at most that.
+    """
+    speed = path.fine_speed / scales.speed
+    rest = scales.standstill / scales.speed
+    place = (path.fine_position - scales.low) / (scales.high - scales.low)
+    magnitude = np.abs(speed)
+    slowness = np.log(np.hypot(magnitude, rest))
+    memory = _since_reversal(path, scales) * (not alone)
+    groups = {
+        "offset": splines(place, SPLINE_COUNT["offset"]).T,
+        "load": splines(place, SPLINE_COUNT["load"]).T,
+        "load_squared": splines(place, SPLINE_COUNT["load_squared"]).T,
+        "load_cubed": splines(place, SPLINE_COUNT["load_cubed"]).T,
+        "viscous": splines(place, SPLINE_COUNT["viscous"]).T * magnitude,
+        "stribeck": splines(place, SPLINE_COUNT["stribeck"]).T * slowness,
+        "load_speed": np.stack([magnitude, slowness]),
+        "inertia": np.gradient(path.fine_speed, 1 / path.rate)[None] / scales.acceleration,
+        "memory": memory,
+        "load_memory": memory,
+    }
+    way = sign * speed / np.hypot(magnitude, rest)
+    here, there = (1 + way) / 2, (1 - way) / 2
+    if alone:
+        here, there = np.ones_like(way), np.zeros_like(way)
+    across = splines(place, SPLINE_COUNT["reversal"]).T * (there / here)
+    if scales.turn:
+        angle = path.fine_position * (2 * math.pi / scales.turn)
+        waves = np.stack([f(order * angle) for order in ORDERS for f in (np.cos, np.sin)])
+        groups["ripple"] = groups["load_ripple"] = waves
+    groups["reversal"] = groups["load_reversal"] = across
+    return {name: path.thin(columns * here).T for name, columns in groups.items()}
+
+
+LOAD_POWER = {
+    "load": 1,
+    "load_squared": 2,
+    "load_cubed": 3,
+    "load_speed": 1,
+    "load_memory": 1,
+    "load_ripple": 1,
+    "load_reversal": 1,
+}
+"""Power of the torque that a group is multiplied by; others stand alone."""
+
+GROUPS = (
+    "offset",
+    "load",
+    "load_squared",
+    "load_cubed",
+    "viscous",
+    "stribeck",
+    "load_speed",
+    "inertia",
+    "memory",
+    "load_memory",
+    "ripple",
+    "load_ripple",
+    "reversal",
+    "load_reversal",
+)
+"""All groups of functions, by the number that run files know them by."""
+
+
+def size_of(group: str) -> int:
+    """Return how many columns a group has."""
+    waves = 2 * len(ORDERS)
+    sizes = {"load_speed": 2, "inertia": 1, "ripple": waves, "load_ripple": waves}
+    return SPLINE_COUNT.get(group) or sizes.get(group, len(LENGTHS))
+
+
+def _since_reversal(path: Path, scales: Scales) -> Array:
+    """Return exp(-way since the last reversal / length), one row a length, (k, m)."""
+    speed, place = path.fine_speed, path.fine_position
+    sign = np.where(np.abs(speed) >= scales.standstill, np.sign(speed), 0.0)
+    decided = np.flatnonzero(sign)
+    lengths = np.array(scales.lengths)[:, None]
+    if not len(decided):
+        return np.zeros((len(lengths), len(speed)))
+    turned = decided[1:][np.diff(sign[decided]) != 0]
+    before = decided[:-1][np.diff(sign[decided]) != 0]
+    # Where the direction changes between two decided samples, the extreme is the reversal.
+    start = place.copy()
+    start[:] = np.nan
+    for first, last in zip(before, turned, strict=True):
+        part = place[first : last + 1]
+        extreme = int(np.argmax(part) if sign[first] > 0 else np.argmin(part))
+        start[first + extreme] = part[extreme]
+    known = np.flatnonzero(np.isfinite(start))
+    if not len(known):
+        return np.zeros((len(lengths), len(speed)))
+    latest = np.searchsorted(known, np.arange(len(place)), side="right") - 1
+    way = np.abs(place - start[known[np.maximum(latest, 0)]])
+    way[latest < 0] = math.inf  # what was before the recording is not known: as if long ago
+    decay: Array = np.exp(-way / lengths)
+    return decay

@@ -1,0 +1,191 @@
+"""A load model in run files: how `ilc-learn --implementation D` writes it, others read it.
+
+For runs of other rigs; what is learned on the bench's own rig is in `load_tables`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import RunFileError
+from rigtool.experiments.imported_load.basis import GROUPS, Scales, size_of
+from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
+from rigtool.experiments.imported_load.region import Region
+from rigtool.runfile import Column, Run, Table
+
+Array = NDArray[np.float64]
+
+MODEL = "load_model"
+"""The table that says that a run holds such a model; the names of its others begin likewise."""
+
+WIDE_MODEL = "wide_load_model"
+"""The same for a model of a wider bandwidth."""
+
+RANDOM = "random_split"
+"""The table of errors at samples chosen at random."""
+
+_SCALES = {
+    "low": ("rad", "lowest position"),
+    "high": ("rad", "highest position"),
+    "speed": ("rad/s", "unit of speed: the highest, but for one sample in a hundred"),
+    "standstill": ("rad/s", "below this speed friction is undetermined"),
+    "acceleration": ("rad/s2", "unit of acceleration"),
+    "torque": ("N m", "unit of torque: the highest"),
+    "turn": ("rad", "one turn of the encoder; 0: no orders of rotation in the model"),
+}
+
+_LIMITS = {
+    "lowest": ("1", "torque that is looked for, by its unit"),
+    "highest": ("1", "torque that is looked for, by its unit"),
+    "bandwidth": ("Hz", "of all signals"),
+    "direction": ("1", "of the speed that the load resists"),
+}
+
+
+def tables_of(model: LoadModel, effort_unit: str, name: str = MODEL) -> dict[str, Table]:
+    """Return the tables of a model, whose names begin with `name`.
+
+    `effort_unit` is that of what the motor does.
+    """
+    sizes = [[size_of(group) for group in side.degree] for side in model.sides]
+    group = [GROUPS.index(key) for side in model.sides for key in side.degree]
+    degree = [value for side in model.sides for value in side.degree.values()]
+    every = [size for side in sizes for size in side]
+    sign = np.repeat(SIGNS, [sum(side) for side in sizes])
+    term = np.arange(sum(every))
+    covariance = np.zeros((len(term), len(term)))
+    for number, side in enumerate(model.sides):
+        where = np.flatnonzero(sign == SIGNS[number])
+        covariance[np.ix_(where, where)] = side.covariance
+
+    def of_sides(key: str) -> Array:
+        return np.array([getattr(side, key) for side in model.sides])
+
+    signs = Column(np.array(SIGNS, dtype=float), "1", "sign of the speed")
+    scales = {
+        **{key: getattr(model.scales, key) for key in _SCALES},
+        "lowest": model.torque_range[0],
+        "highest": model.torque_range[1],
+        "bandwidth": model.bandwidth_hz,
+        "direction": float(model.direction),
+    }
+    return {
+        name: Table(
+            ("term",),
+            {
+                "term": Column(term, "1", "of one sign of the speed, then of the other"),
+                "sign": Column(sign, "1", "of the speed"),
+                "group": Column(np.repeat(group, every), "1", "of functions, by its number"),
+                "degree": Column(np.repeat(degree, every), "1", "of smoothing"),
+                "weight": Column(
+                    np.concatenate([item.weights for item in model.sides]),
+                    "1",
+                    "times the unit of effort",
+                ),
+            },
+            "weight",
+            "effort of the motor by motion and torque: weights of smooth functions",
+        ),
+        f"{name}_covariance": Table(
+            ("term", "other"),
+            {
+                "term": Column(term, "1"),
+                "other": Column(term, "1"),
+                "covariance": Column(covariance, "1", "of the weights"),
+            },
+            "covariance",
+            "of the weights, from how whole recordings disagree",
+        ),
+        f"{name}_scales": Table(
+            ("model",),
+            {
+                "model": Column(np.arange(1), "1"),
+                "effort": Column(np.array([model.effort_scale]), effort_unit, "unit of effort"),
+                **{
+                    key: Column(np.array([value]), *(_SCALES | _LIMITS)[key])
+                    for key, value in scales.items()
+                },
+            },
+            "effort",
+            "what makes numbers near 1 of position, speed, torque and effort",
+        ),
+        f"{name}_scatter": Table(
+            ("side", "coefficient"),
+            {
+                "side": signs,
+                "coefficient": Column(np.arange(3), "1", "constant, log of speed, torque"),
+                "scatter": Column(of_sides("scatter"), "1", "logarithm of the variance of effort"),
+                "factor": Column(of_sides("factor"), "1", "on uncertainty, from levels left out"),
+                "common": Column(of_sides("common"), "1", "S of a recording's mean error"),
+                "slope": Column(of_sides("slope"), "1", "usual one of effort by torque"),
+            },
+            "scatter",
+            "scatter beside the model",
+        ),
+        f"{name}_region": Table(
+            ("side", "face"),
+            {
+                "side": signs,
+                "face": Column(np.arange(model.region.reach.shape[1]), "1"),
+                "reach": Column(model.region.reach, "1", "of the half-space, margin included"),
+            },
+            "reach",
+            "half-spaces of position, speed and torque in which the model was learned",
+        ),
+    }
+
+
+def load_model_from(run: Run, name: str = MODEL) -> tuple[LoadModel, str]:
+    """Return a model of a run and the unit of its effort.
+
+    Raises `RunFileError` where the run holds none or its tables do not belong together.
+    """
+    run.require_command("ilc-learn")
+    if name not in run.tables:
+        raise RunFileError(
+            f"{run.path}: holds no load model: learn one with ilc-learn --implementation D from "
+            "imported runs with a reference torque"
+        )
+    try:
+        return _model_from(run.tables, name)
+    except (KeyError, ValueError, IndexError) as error:
+        raise RunFileError(
+            f"{run.path}: its load model cannot be used: {error}; learn it again"
+        ) from None
+
+
+def _model_from(tables: Mapping[str, Table], name: str) -> tuple[LoadModel, str]:
+    terms, scales = tables[name], tables[f"{name}_scales"]
+    scatter, covariance = tables[f"{name}_scatter"], tables[f"{name}_covariance"]
+    sides = []
+    for number, sign in enumerate(SIGNS):
+        where = np.flatnonzero(terms["sign"] == sign)
+        group, degree = terms["group"][where].astype(int), terms["degree"][where]
+        groups = {GROUPS[n]: float(degree[group == n][0]) for n in dict.fromkeys(group)}
+        if (count := sum(size_of(name) for name in groups)) != len(where):
+            raise ValueError(f"{len(where)} weights for {count} functions")
+        sides.append(
+            Side(
+                degree=groups,
+                weights=terms["weight"][where],
+                covariance=covariance["covariance"][np.ix_(where, where)],
+                scatter=scatter["scatter"][number],
+                factor=float(scatter["factor"][number]),
+                common=float(scatter["common"][number]),
+                slope=float(scatter["slope"][number]),
+            )
+        )
+    model = LoadModel(
+        scales=Scales(**{field.name: float(scales[field.name][0]) for field in fields(Scales)}),
+        bandwidth_hz=float(scales["bandwidth"][0]),
+        effort_scale=float(scales["effort"][0]),
+        sides=(sides[0], sides[1]),
+        torque_range=(float(scales["lowest"][0]), float(scales["highest"][0])),
+        direction=int(scales["direction"][0]),
+        region=Region(tables[f"{name}_region"]["reach"]),
+    )
+    return model, scales.columns["effort"].unit

@@ -1,0 +1,1 @@
+"""Iterative learning of a feed-forward table."""

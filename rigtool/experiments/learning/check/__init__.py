@@ -1,0 +1,1 @@
+"""Is a learned table still right?"""

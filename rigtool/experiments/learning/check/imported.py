@@ -1,0 +1,270 @@
+"""`ilc-learn --check` on imported runs: what would a learned map have removed, and is it shifted?
+
+The runs were recorded without the map. Order by order what they ask for is compared with what the
+map says: what is left had it been added, where the map would have to be turned to, and by which
+factor it is larger now.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.experiments.imported import effort_of, is_linear, require_one_rig, signals_of
+from rigtool.experiments.learning.stored_origin import LearnedTable, learned_table_from
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.ripple.imported import (
+    ORDERS,
+    POSITIONS,
+    SAME_SPEED,
+    TOLD,
+    Group,
+    groups_of,
+    turns_of,
+)
+from rigtool.experiments.ripple.imported_maps import ALIKE, CERTAIN
+from rigtool.experiments.ripple.imported_turns import (
+    fill,
+    neighbours_floor,
+    reduction,
+    turn_spectrum,
+)
+from rigtool.experiments.ripple.map_shift import Match, match_maps
+from rigtool.experiments.ripple.orders import Spectrum
+from rigtool.quantity import Quantity
+from rigtool.runfile import Column, Run, Table
+
+Array = NDArray[np.float64]
+Orders = NDArray[np.complex128]
+
+FITS = "table_fits"
+"""Result that says whether a table fits: 1 or 0."""
+
+
+def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None) -> Outcome:
+    """Compare runs of one condition and speed with a learned map.
+
+    Raises `UsageError` for runs of several conditions or speeds, or where the map has another unit;
+    `InsufficientDataError` where it was learned at another speed.
+    """
+    recordings = signals_of(runs)
+    require_one_rig(recordings, runs)
+    if is_linear(recordings[0]):
+        raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to compare")
+    learned, effort = learned_table_from(tables), effort_of(recordings[0], kt)
+    if effort.unit != learned.unit:
+        raise UsageError(
+            f"{tables.path} holds {learned.unit}, the runs tell {effort.unit}: learn and check "
+            "both with --kt, or both without"
+        )
+    turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
+    groups = groups_of(recordings, turns)
+    if len(groups) > 1:
+        raise UsageError(
+            f"the runs are of different conditions or speeds, {groups[0].label()} and "
+            f"{groups[1].label()}: check one after the other"
+        )
+    torque = np.concatenate([here.torque for here in turns])
+    found = _compare(groups[0], torque, learned)
+    return Outcome(
+        found.results(learned.unit, effort.name),
+        {"held_out": found.table(learned.unit), "held_out_waveforms": found.waveforms(learned)},
+        found.notes(groups[0]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Compared:
+    """A run against a map, orders 1..m: what it shows, what the map says, and what is left."""
+
+    shown: Spectrum
+    said: Orders
+    left: Spectrum
+    match: Match
+    waveform: Array
+    mean_change: float
+    mean_u: float | None
+
+    @property
+    def fits(self) -> bool:
+        return self.left_part <= 1 - ALIKE
+
+    @property
+    def shifted(self) -> bool:
+        """Whether it is the same map, turned."""
+        certain = abs(self.match.shift) > CERTAIN * self.match.shift_u
+        return not self.fits and certain and self.match.best_correlation**2 >= ALIKE
+
+    @property
+    def left_part(self) -> float:
+        """Part of the variance that the map would have left."""
+        return float(np.sum(self.left.amplitude**2) / np.sum(self.shown.amplitude**2))
+
+    def results(self, unit: str, name: str) -> dict[str, Quantity]:
+        """Return what the map would have removed, in all and by order, and how it lies."""
+        (before, before_u), (after, after_u) = _rms(self.shown), _rms(self.left)
+        ratio = after / before
+        ratio_u = math.hypot(after_u / before, ratio * before_u / before)
+        results = {
+            FITS: Quantity(float(self.fits), "1", reason="a verdict: 1 it fits, 0 it does not"),
+            "ripple_rms": Quantity(before, unit, before_u),
+            "remaining_rms": Quantity(after, unit, after_u),
+            "removed": Quantity(1 - ratio, "1", ratio_u),
+            "table_shift": Quantity(self.match.shift, "rad", self.match.shift_u),
+            "table_scale": Quantity(
+                self.match.scale, "1", reason="one map and one run: no repeats to tell"
+            ),
+            f"mean_{name}_change": Quantity(
+                self.mean_change,
+                unit,
+                self.mean_u,
+                reason=None if self.mean_u is not None else "one turn: its scatter is not known",
+            ),
+        }
+        removed, u = reduction(self.shown, self.left)
+        for order in self.strongest():
+            results[f"order_{order}_removed"] = Quantity(
+                float(removed[order - 1]), "1", float(u[order - 1])
+            )
+        return results
+
+    def strongest(self) -> list[int]:
+        """Return the strongest orders of the map that the run shows, too."""
+        strength = np.where(self.shown.clear, np.abs(self.said), 0.0)
+        order = np.argsort(-strength, kind="stable")[:TOLD]
+        return [int(i) + 1 for i in order if strength[i] > 0]
+
+    def table(self, unit: str) -> Table:
+        """Return all orders."""
+        removed, u = reduction(self.shown, self.left)
+        floor = "amplitude that scatter alone would show"
+        return Table(
+            ("order",),
+            {
+                "order": Column(self.shown.order, "1", "cycles a turn"),
+                "amplitude": Column(self.shown.amplitude, unit, "of the runs"),
+                "noise_floor": Column(self.shown.noise_floor, unit, floor),
+                "learned": Column(np.abs(self.said), unit, "of the map"),
+                "remaining": Column(self.left.amplitude, unit, "had the map been added"),
+                "remaining_noise_floor": Column(self.left.noise_floor, unit, floor),
+                "removed": Column(removed, "1", "1 - remaining/amplitude"),
+                "removed_u": Column(u, "1", "standard uncertainty"),
+            },
+            "remaining",
+            "what a learned map would have removed, by order of rotation",
+        )
+
+    def waveforms(self, learned: LearnedTable) -> Table:
+        """Return run, map and what is left around the turn."""
+        angle = _centres()
+        order = np.arange(1, len(self.said) + 1)
+        said = np.real(np.exp(1j * np.multiply.outer(angle, order)) @ self.said)
+        return Table(
+            ("position",),
+            {
+                "position": Column(angle, "rad", "of the rotor"),
+                "ripple": Column(self.waveform, learned.unit, "of the runs, without its mean"),
+                "learned": Column(said, learned.unit, "the map, without its mean"),
+                "remaining": Column(self.waveform - said, learned.unit, "had it been added"),
+            },
+            "remaining",
+            "mean of the turns against the map",
+        )
+
+    def notes(self, group: Group) -> tuple[str, ...]:
+        """Say in words what became of the map."""
+        match, removed = self.match, 1 - math.sqrt(self.left_part)
+        turns, runs = (
+            f"{n} {w}{'s' * (n > 1)}" for n, w in ((len(group.torque), "turn"), (group.runs, "run"))
+        )
+        head = f"{turns} of {runs} at {group.label()}: "
+        degrees, u = math.degrees(match.shift), math.degrees(match.shift_u)
+        if self.fits:
+            verdict = f"the table fits: it would have removed {removed:.1%} of the ripple"
+        elif self.shifted:
+            left = math.sqrt(max(0.0, 1 - match.best_correlation**2))
+            verdict = (
+                f"the table does not fit: it is the same map, shifted by {degrees:.2f} +- {u:.2f} "
+                f"deg; shifting it by that would do, and leave {left:.1%}: look for what is not "
+                "tied to the rotor, such as another index or another motor nearby"
+            )
+        else:
+            verdict = (
+                f"the table does not fit, and shifting would not do: correlation "
+                f"{match.correlation:.3f} as it is, {match.best_correlation:.3f} at best, shifted "
+                f"by {degrees:.1f} deg: learn again"
+            )
+        return (head + verdict, "the map was not switched on: what it would leave is computed")
+
+
+def _compare(group: Group, torque: Array, learned: LearnedTable) -> _Compared:
+    """Compare turns (turns, positions), NaN where none passed, with the map of their speed."""
+    said = _orders_of(learned, group.speed)
+    order = np.arange(1, said.size + 1)
+    cells = np.exp(1j * np.multiply.outer(_centres(), order))
+    # A cell has the mean over its width. Where a turn left cells out, what is left is bridged, not
+    # what is there: it is smaller.
+    expected = np.real(cells @ (said * np.sinc(order / POSITIONS)))
+    remaining, _ = fill(torque - expected)
+    means = remaining.mean(axis=1)
+    shown = turn_spectrum(remaining + expected, said.size)
+    there = shown.amplitude * np.exp(1j * shown.phase)
+    left = there - said
+    # What is left is noise of the runs and of the map, or what changed: the orders around tell.
+    floor = neighbours_floor(np.abs(left))
+    if len(remaining) > 1:
+        floor = np.maximum(shown.noise_floor, floor)
+    shown = replace(shown, noise_floor=floor)
+    clear = shown.clear | (np.abs(said) > 0)
+    return _Compared(
+        shown,
+        said,
+        Spectrum(shown.order, np.abs(left), np.angle(left), floor),
+        match_maps(said * clear, there * clear),
+        remaining.mean(axis=0) + expected - means.mean(),
+        float(means.mean()) - learned.table.torque[_row(learned, group.speed)].mean(),
+        float(means.std(ddof=1)) / math.sqrt(means.size) if means.size > 1 else None,
+    )
+
+
+def _row(learned: LearnedTable, speed: float) -> int:
+    """Return the row that was learned at a speed, rad/s."""
+    rows = learned.table.speed
+    nearest = int(np.argmin(np.abs(rows - speed)))
+    if abs(rows[nearest] - speed) > SAME_SPEED * abs(rows[nearest]):
+        raise InsufficientDataError(
+            f"the runs turn at {speed:.4g} rad/s, the nearest speed that was learned is "
+            f"{rows[nearest]:.4g} rad/s: check at a speed that was learned"
+        )
+    return nearest
+
+
+def _orders_of(learned: LearnedTable, speed: float) -> Orders:
+    """Return the orders 1..m of the map at a speed, amplitude*exp(i phase)."""
+    table = learned.table
+    if table.period is None or not math.isclose(table.period, 2 * math.pi, rel_tol=1e-9):
+        raise UsageError("the table is not of a whole turn: imported runs are checked by that only")
+    count = table.position.size
+    orders = min(ORDERS, (count - 1) // 2)
+    order = np.arange(1, orders + 1)
+    found = np.fft.rfft(table.torque[_row(learned, speed)])[1 : orders + 1] * (2 / count)
+    turned: Orders = found * np.exp(-1j * order * table.position[0])
+    return turned
+
+
+def _centres() -> Array:
+    """Return the middles of the cells of a turn, rad."""
+    centres: Array = (np.arange(float(POSITIONS)) + 0.5) * (2 * math.pi / POSITIONS)
+    return centres
+
+
+def _rms(spectrum: Spectrum) -> tuple[float, float]:
+    """Return the rms of all orders and its standard uncertainty."""
+    rms = float(np.linalg.norm(spectrum.amplitude)) / math.sqrt(2)
+    weighted = float(np.linalg.norm(spectrum.amplitude * spectrum.noise_floor))
+    return rms, weighted / (2 * math.sqrt(2) * rms) if rms > 0 else 0.0

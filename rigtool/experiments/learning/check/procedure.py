@@ -1,0 +1,214 @@
+"""`ilc-learn --check`: does a learned table still fit the rig, and if not, what changed?
+
+The moves that the table was learned from are made again, at two of its speeds and fewer of them,
+with the table off: so they show the whole disturbance as it is now, wherever it has gone. A stored
+run of `ilc-learn` or of a check does as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.lookup_table import LookupTable
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.learning.check.imported import analyse_imported as analyse_imported
+from rigtool.experiments.learning.check.results import FITS, outcome_of
+from rigtool.experiments.learning.check.table_health import health, parts
+from rigtool.experiments.learning.filters import Learning
+from rigtool.experiments.learning.implementations import a_one_speed as one_speed
+from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
+from rigtool.experiments.learning.implementations import signals as common
+from rigtool.experiments.learning.implementations import turning
+from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.learning.rows import Row
+from rigtool.experiments.learning.stored_origin import learned_table_from
+from rigtool.experiments.learning.stored_table import COULOMB, VISCOUS, feedforward, require_rig
+from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.session import record
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.recipe import Recipe
+from rigtool.rigs import Rig, Task
+from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
+
+Array = NDArray[np.float64]
+
+COMMAND = "ilc-check"
+
+ACCEPTS = (COMMAND, "ilc-learn")
+"""Commands whose stored runs can be checked."""
+
+NEEDED = ("kt",)
+
+MOVES = 6
+"""Moves, or turns, that are recorded at each speed, unless `--set` says otherwise."""
+
+TURNING = ("A", "B")
+"""Implementations that turn: A at one speed and in one direction. Others are checked by C's moves.
+"""
+
+
+def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> CommonOptions:
+    """Return options under which a recipe moves as the table was learned, in short.
+
+    What the user sets counts above that; stored sources stay what they are.
+    """
+    if any(Path(source).suffix != ".toml" for source in sources):
+        return options
+    table = learned_table_from(tables).table
+    speeds = np.unique(np.abs(table.speed))
+    chosen = sorted({speeds[0], speeds[len(speeds) // 2]})
+    if _one_speed(tables) and tables.recipe is not None:  # the other speeds were tuned, not learned
+        chosen = [2 * math.pi * min(tables.recipe.ilc_learn.turning.speeds_rev_per_s)]
+    if table.period is None:
+        ratio = 1.0 if tables.recipe is None else tables.recipe.rig.angle_ratio
+        settings = {
+            "ilc_learn.implementation": "C",
+            "ilc_learn.speeds_rev_per_s": [float(v) / ratio / (2 * math.pi) for v in chosen],
+            "ilc_learn.low_speeds_rev_per_s": [],
+            "ilc_learn.moves": MOVES,
+        }
+    else:
+        settings = {
+            "rig.attachment": "pulley",  # nothing else turns round and round
+            "ilc_learn.implementation": "A" if _one_speed(tables) else "B",
+            "ilc_learn.turning.speeds_rev_per_s": [float(v) / (2 * math.pi) for v in chosen],
+            "ilc_learn.turning.low_speeds_rev_per_s": [],
+            "ilc_learn.turning.revolutions": MOVES,
+        }
+    overrides = [f"{name}={value}" for name, value in settings.items()]
+    return replace(options, overrides=(*overrides, *options.overrides))
+
+
+def _one_speed(tables: Run) -> bool:
+    """Say whether a table was learned at one speed, by implementation A."""
+    return tables.recipe is not None and tables.recipe.ilc_learn.implementation == "A"
+
+
+def _filters(recipe: Recipe, plant: Run | None, tables: Run) -> Learning:
+    """Return the filters that the table was learned with: those of A let less pass."""
+    filters = design(recipe, plant)
+    if _one_speed(tables) and tables.recipe is not None:
+        return one_speed.narrowed(filters, tables.recipe)
+    return filters.learning
+
+
+def fits(outcome: Outcome) -> bool:
+    """Say whether the table fits; where it does not, the first note says what changed."""
+    return outcome.results[FITS].value == 1
+
+
+# -- measuring
+
+
+def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
+    """List a recording for each speed, or for each speed and direction where the shaft turns."""
+    settings = recipe.ilc_learn
+    if settings.implementation in TURNING:
+        speeds = settings.turning.speeds_rev_per_s
+        ways = [min(speeds)] if settings.implementation == "A" else turning.both(speeds)
+        return tuple(turning.steady_specs(recipe, "check", ways))
+    return tuple(limited_angle.specs(recipe, "check", settings.speeds_rev_per_s, settings.moves))
+
+
+def measure(
+    rig: Rig,
+    recipe: Recipe,
+    recorder: RunWriter,
+    *,
+    tables: Run,
+    kt: Run,
+    plant: Run | None = None,
+) -> None:
+    """Move as the table was learned: with the same feed-forward, without the table."""
+    require_rig(tables, recipe)
+    design(recipe, plant)
+    plain = feedforward(recipe.rig.nominal_inertia, tables.results)
+    for spec in recordings(recipe):
+        if _turns(spec.conditions):
+            task = turning.task(recipe, spec, plain)
+        else:
+            task = Task(limited_angle.motion(recipe, spec), plain)
+        record(rig, task, recorder, spec.name)
+
+
+# -- analysing
+
+
+def analyse(
+    runs: Sequence[Run],
+    recipe: Recipe,
+    *,
+    tables: Run,
+    kt: Run,
+    plant: Run | None = None,
+) -> Outcome:
+    """Compare what the stored moves show with what the table says.
+
+    Raises `InsufficientDataError` where they cannot be compared.
+    """
+    require_rig(tables, recipe)
+    run, learned = common.only_run(runs), learned_table_from(tables)
+    constant, learning = torque_per_ampere(kt).value, _filters(recipe, plant, tables)
+    recorded = common.filled(run, "check") or common.found(run, "learn")
+    fed = {name: tables.results[name] for name in (COULOMB, VISCOUS) if name in tables.results}
+    whole = learned.table.period is not None
+    if whole != _turns(recorded[0].conditions):
+        what, moved = ("whole turns", "to and fro") if whole else ("a range", "round and round")
+        raise InsufficientDataError(
+            f"{tables.path} holds {what}, {run.path} moved {moved}: record moves as the table was "
+            "learned"
+        )
+    position = learned.table.position
+    if whole:
+        rows = _turned_rows(recorded, recipe, constant, learning, position)
+        turning.require_friction_fed(recorded[0], recipe, constant, fed)
+    else:
+        position, rows = _moved_rows(recorded, recipe, constant, learning, learned.table)
+        limited_angle.require_feedforward(recorded[0], recipe, constant, fed)
+    compared = parts(learned.table, learned.u, rows, position)
+    found = health(compared, position, learned.table.period)
+    return outcome_of(found, compared, rows, position, learned, recipe.rig.encoder_counts)
+
+
+def _turns(conditions: Mapping[str, object]) -> bool:
+    """Say whether a recording is of turns, by its conditions."""
+    return "revolutions" in conditions
+
+
+def _turned_rows(
+    recorded: Sequence[Recording],
+    recipe: Recipe,
+    torque_constant: float,
+    learning: Learning,
+    position: Array,
+) -> list[Row]:
+    cut = [turning.turned(recording, recipe, torque_constant) for recording in recorded]
+    return [turning.learned_by(item, learning, position.size, first=True) for item in cut]
+
+
+def _moved_rows(
+    recorded: Sequence[Recording],
+    recipe: Recipe,
+    torque_constant: float,
+    learning: Learning,
+    table: LookupTable,
+) -> tuple[Array, list[Row]]:
+    """Return the positions that moves and table share, and the rows there."""
+    here = limited_angle.positions(recipe, recipe.ilc_learn.turn_angle)
+    position = here[(here >= table.position[0] - 1e-9) & (here <= table.position[-1] + 1e-9)]
+    if position.size < here.size / 2:
+        raise InsufficientDataError(
+            f"the moves cover {here[0]:.4g} to {here[-1]:.4g} rad, the table "
+            f"{table.position[0]:.4g} to {table.position[-1]:.4g} rad: check where it was learned"
+        )
+    rows: list[Row] = []
+    for recording in recorded:
+        rows += limited_angle.rows(recording, recipe, torque_constant, learning, position)
+    return position, rows

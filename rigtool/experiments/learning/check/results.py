@@ -1,0 +1,174 @@
+"""What `ilc-learn --check` reports of a table's health: numbers, waveforms, and words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.learning.check.imported import FITS as FITS
+from rigtool.experiments.learning.check.table_health import Estimate, Health, Part
+from rigtool.experiments.learning.rows import Row
+from rigtool.experiments.learning.stored_origin import LearnedTable
+from rigtool.experiments.outcome import Outcome
+from rigtool.quantity import Quantity
+from rigtool.runfile import Column, Table
+
+Array = NDArray[np.float64]
+
+NO_PATTERN = "the table holds no pattern above its noise"
+BOUND = "what exceeds the scatter of the mean; compare with non_repeatable_rms"
+
+
+def outcome_of(
+    found: Health,
+    parts: Sequence[Part],
+    rows: Sequence[Row],
+    position: Array,
+    learned: LearnedTable,
+    counts: int,
+) -> Outcome:
+    """Return the outcome of a check; the first note is the verdict."""
+    dof = float(min(len(part.moves) for part in parts) - 1)
+    results = _results(found, counts, dof)
+    tables = {"table_health": _by_speed(rows, position, learned)}
+    tables["health_waveforms"] = _waveforms(rows, position, learned)
+    return Outcome(results, tables, (verdict(found, counts), *_remarks(found)))
+
+
+def _results(found: Health, counts: int, dof: float) -> dict[str, Quantity]:
+    def told(estimate: Estimate | None, unit: str, factor: float = 1.0) -> Quantity:
+        if estimate is None:
+            return Quantity(math.nan, unit, reason=NO_PATTERN)
+        return Quantity(estimate.value * factor, unit, estimate.u * factor, dof)
+
+    per_count = counts / (2 * math.pi)
+    results = {
+        FITS: Quantity(float(found.fits), "1", reason="a verdict: 1 it fits, 0 it does not"),
+        "table_shift": told(found.shift, "rad"),
+        "table_shift_counts": told(found.shift, "count", per_count),
+        "table_scale": told(found.scale, "1"),
+        "offset_change": told(found.offset, "N m"),
+        "shape_difference": told(found.unexplained, "1"),
+        "mismatch_rms": Quantity(found.mismatch, "N m", reason=BOUND),
+        "pattern_mismatch_rms": Quantity(found.shape, "N m", reason=BOUND),
+        "shifted_mismatch_rms": Quantity(found.shifted, "N m", reason=BOUND),
+        "non_repeatable_rms": Quantity(found.limit, "N m", found.limit / math.sqrt(2 * dof), dof),
+    }
+    if found.friction is not None:
+        results["friction_change"] = told(found.friction, "N m")
+    return results
+
+
+def verdict(found: Health, counts: int) -> str:
+    """Say in words whether the table fits, what changed, and whether shifting it would do."""
+    limit = f"a single move scatters by {found.limit * 1e3:.2g} mN m rms"
+    off = f"the table is off by {found.mismatch * 1e3:.2g} mN m rms"
+    if found.fits:
+        return f"the table fits: {limit}, {off} beyond what scatter explains"
+    changes = [*_pattern(found, counts), *_means(found)]
+    told = "; ".join(changes) or "a little of everything changed"
+    remedy = ""
+    if not found.shift_would_do:
+        remedy = "; shifting it would not do: learn again"
+    elif found.friction_changed or found.offset_changed:
+        remedy = "; shifting alone would not do: learn again"
+    return f"the table does not fit, {off} while {limit}: {told}{remedy}"
+
+
+def _pattern(found: Health, counts: int) -> list[str]:
+    """Say what became of the pattern; nothing where it still fits."""
+    if found.pattern_fits:
+        return []
+    if found.scale_would_do and found.scale is not None:
+        return [f"the pattern is where it was, {found.scale.value:.3g} times as large"]
+    if found.shift_would_do and found.shift is not None:
+        return [_shifted(found.shift, found.shifted, counts)]
+    if found.even >= found.odd:
+        what = "what does not depend on the direction has another shape, as after a power cycle"
+        what += " of the amplifier"
+    else:
+        what = "friction depends on the position in another way"
+    if not found.whole_turn and found.shift is not None:
+        what += (
+            f" (or it is shifted by {math.degrees(found.shift.value):.3g} deg, or by more than "
+            f"{math.degrees(found.reach):.3g}: a part of the turn cannot tell)"
+        )
+    return [f"{what}; shift and scale leave {found.unexplained.value:.0%} of its variance"]
+
+
+def _shifted(shift: Estimate, left: float, counts: int) -> str:
+    degrees, u = math.degrees(shift.value), math.degrees(shift.u)
+    steps, steps_u = (x * counts / (2 * math.pi) for x in (shift.value, shift.u))
+    rest = f"{left * 1e3:.2g} mN m rms" if left > 0 else "nothing that stands out of the scatter"
+    half = abs(abs(shift.value) - math.pi) <= max(3 * shift.u, 1e-2)
+    return (
+        f"it is the same pattern, shifted by {'half a turn, ' if half else ''}{degrees:.2f} +- "
+        f"{u:.2f} deg ({steps:.0f} +- {steps_u:.0f} counts), as after another index; shifting the "
+        f"table by that would do, and leave {rest}"
+    )
+
+
+def _means(found: Health) -> list[str]:
+    changes = []
+    if found.friction_changed and found.friction is not None:
+        change, u = found.friction.value * 1e3, found.friction.u * 1e3
+        changes.append(f"friction has changed by {change:+.2g} +- {u:.1g} mN m")
+    if found.offset_changed:
+        change, u = found.offset.value * 1e3, found.offset.u * 1e3
+        what = "both directions are" if found.friction is not None else "friction, or an offset, is"
+        changes.append(f"{what} off by {change:+.2g} +- {u:.1g} mN m")
+    return changes
+
+
+def _remarks(found: Health) -> list[str]:
+    remarks = ["the table was off while recording; positive shift: the pattern is at larger angles"]
+    if found.friction is None:
+        remarks.append("one direction alone: friction and offset cannot be told apart")
+    return remarks
+
+
+def _by_speed(rows: Sequence[Row], position: Array, learned: LearnedTable) -> Table:
+    off = [row.mean - _said(row, position, learned) for row in rows]
+    return Table(
+        ("speed",),
+        {
+            "speed": Column(np.array([row.speed for row in rows]), "rad/s", "of the motor shaft"),
+            "mismatch_rms": Column(
+                np.array([np.sqrt(np.mean(o**2)) for o in off]), "N m", "now - table"
+            ),
+            "mean_change": Column(np.array([o.mean() for o in off]), "N m", "now - table"),
+            "non_repeatable_rms": Column(
+                np.array([row.non_repeatable_rms for row in rows]), "N m", "of a single move"
+            ),
+        },
+        "mismatch_rms",
+        "what the table is off by, scatter of the mean included",
+    )
+
+
+def _waveforms(rows: Sequence[Row], position: Array, learned: LearnedTable) -> Table:
+    return Table(
+        ("speed", "position"),
+        {
+            "speed": Column(np.array([row.speed for row in rows]), "rad/s", "of the motor shaft"),
+            "position": Column(position, "rad", "set point of the motor shaft"),
+            "now": Column(
+                np.stack([row.mean for row in rows]), "N m", "as it would be learned now"
+            ),
+            "learned": Column(
+                np.stack([_said(row, position, learned) for row in rows]),
+                "N m",
+                "as the table says",
+            ),
+            "u": Column(np.stack([row.u for row in rows]), "N m", "standard uncertainty of now"),
+        },
+        "now",
+        "disturbance now and as it was learned",
+    )
+
+
+def _said(row: Row, position: Array, learned: LearnedTable) -> Array:
+    return learned.table.evaluate(position, np.full(position.size, row.speed))

@@ -1,0 +1,128 @@
+"""Learning in several runs: their recordings, the table `iterations`, what is left [Fig. 44]."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from rigtool.experiments.learning.convergence import LearningRun, carried_noise
+from rigtool.experiments.learning.implementations.signals import filled, found
+from rigtool.recipe import Recipe
+from rigtool.runfile import Column, Recording, Run, Table
+
+DEFAULT_RUNS = {"A": 10, "standard": 10}
+"""[Fig. 44]; the other implementations make one run at each speed."""
+
+
+class Taught(Protocol):
+    """What learning runs teach, with all of them judged."""
+
+    @property
+    def history(self) -> Sequence[LearningRun]:
+        """The runs so far."""
+
+
+_Recorded = TypeVar("_Recorded")
+_Taught = TypeVar("_Taught", bound=Taught)
+
+
+def run_by_run(
+    recipe: Recipe,
+    first: _Recorded,
+    learn: Callable[[Sequence[_Recorded]], _Taught],
+    again: Callable[[str, _Taught], _Recorded],
+) -> _Taught:
+    """Learn from a first run, then from more, until nothing is left to learn or all are made.
+
+    `learn` takes all runs so far; `again` makes one more of a kind with what was learned. Returns
+    what the last `learn` did.
+    """
+    runs = [first]
+    while True:
+        learned = learn(runs)
+        if len(runs) == runs_at_most(recipe) or learned.history[-1].finished:
+            return learned
+        runs.append(again(kind_of(len(runs)), learned))
+
+
+def runs_at_most(recipe: Recipe) -> int:
+    """Return how many learning runs may be made."""
+    settings = recipe.ilc_learn
+    return settings.iterations or DEFAULT_RUNS.get(settings.implementation, 1)
+
+
+def kind_of(updates: int) -> str:
+    """Return the kind of the recordings of a learning run after so many updates."""
+    return "learn" if updates == 0 else f"iterate_{updates:02d}"
+
+
+def recorded_runs(run: Run, recipe: Recipe) -> list[list[Recording]]:
+    """Return the recordings of each learning run that was made."""
+    later = (filled(run, kind_of(updates)) for updates in range(1, runs_at_most(recipe)))
+    return [found(run, kind_of(0)), *(recordings for recordings in later if recordings)]
+
+
+def last_to_learn_from(history: Sequence[LearningRun]) -> int:
+    """Return the run whose update is the last one: not one that found nothing left to learn."""
+    last = len(history) - 1
+    return last - 1 if last > 0 and history[last].finished else last
+
+
+def spread(updates: int, factor: float) -> float:
+    """Return the variance of a table's torque relative to that of its last update alone."""
+    return carried_noise(updates, factor) / factor**2
+
+
+def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Table:
+    """Return amplitude against iteration; `what` says of which signal."""
+
+    def column(read: Callable[[LearningRun], float], text: str, of: str = unit) -> Column:
+        return Column(np.array([read(run) for run in history]), of, text)
+
+    return Table(
+        ("iteration",),
+        {
+            "iteration": Column(np.arange(float(len(history))), "1", "updates made before"),
+            "rms": column(lambda run: run.rms, "of what repeats"),
+            "rms_u": column(lambda run: run.rms_u, "standard uncertainty"),
+            "peak": column(lambda run: run.peak, "of what repeats"),
+            "peak_u": column(lambda run: run.peak_u, "standard uncertainty"),
+            "non_repeatable_rms": column(
+                lambda run: run.scatter, "scatter of a single cycle: no learning can remove it"
+            ),
+            "ratio": column(
+                lambda run: run.ratio,
+                "power that another update would change over what chance explains",
+                "1",
+            ),
+            "limit": column(
+                lambda run: run.limit, "ratio that chance exceeds once in a hundred times", "1"
+            ),
+        },
+        "rms",
+        f"{what} run by run, within the band of Q",
+    )
+
+
+def iterations_notes(
+    history: Sequence[LearningRun], scale: float, unit: str, most: int
+) -> tuple[str, ...]:
+    """Say why learning ended, and what is left; `scale` turns the signal's unit into `unit`."""
+    learned = len(history) > 1 and history[-1].finished
+    rest = f"{history[-1].scatter * scale:.3g} {unit} rms in a single cycle"
+    if history[0].finished:
+        return (f"nothing repeats above chance: all there is, {rest}, cannot be learned",)
+    if learned:
+        return (
+            f"learning ended after {len(history) - 1} updates: another one would change no more "
+            f"than chance does; what is left, {rest}, does not repeat",
+        )
+    if most == 1:
+        return ()
+    return (
+        f"after {len(history) - 1} of at most {most} learning runs another update would still "
+        f"change {history[-1].ratio:.3g} times what chance explains; what does not repeat is "
+        f"{rest}",
+    )

@@ -1,0 +1,220 @@
+"""`ilc-learn` on imported runs: a position map learned from what another rig's motor asked for.
+
+A motor that turns slowly and steadily asks for the torque that its friction and cogging need. What
+repeats from turn to turn is learned: its mean, and the orders of rotation that stand out of the
+scatter. Everything is a function of the measured position: there is no set point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.lookup_table import LookupTable
+from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.experiments.imported import (
+    Effort,
+    effort_of,
+    is_linear,
+    require_one_rig,
+    signals_of,
+)
+from rigtool.experiments.learning.stored_table import period_results
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.ripple.imported import (
+    ORDERS,
+    TOLD,
+    Group,
+    groups_of,
+    turns_of,
+)
+from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, turn_spectrum
+from rigtool.experiments.ripple.orders import CLEAR, coefficients
+from rigtool.quantity import Quantity
+from rigtool.runfile import Column, Run, Table
+
+Array = NDArray[np.float64]
+
+ENTRIES = 2000
+"""Positions of a learned map: twenty to a cycle of the highest order."""
+
+
+def analyse_imported(
+    runs: Sequence[Run],
+    *,
+    kt: Run | None = None,
+    friction: Run | None = None,
+    plant: Run | None = None,
+) -> Outcome:
+    """Learn a map of the turn from runs under one condition; a row for each speed.
+
+    Raises `UsageError` for runs under several conditions, `InsufficientDataError` where no turn is
+    repeated or nothing stands out of the scatter.
+    """
+    for name, given in (("friction", friction), ("plant", plant)):
+        if given is not None:
+            raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
+    recordings = signals_of(runs)
+    require_one_rig(recordings, runs)
+    if is_linear(recordings[0]):
+        raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to learn")
+    effort = effort_of(recordings[0], kt)
+    turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
+    groups = sorted(groups_of(recordings, turns), key=lambda group: group.speed)
+    _require_one_condition(groups)
+    rows = [_learn(group) for group in groups]
+    position: Array = np.arange(float(ENTRIES)) * (2 * math.pi / ENTRIES)
+    speed = np.array([group.speed for group in groups])
+    lowest = float(np.abs(speed).min())
+    table = LookupTable(
+        position=position,
+        speed=speed,
+        torque=np.stack([row.at(position) for row in rows]),
+        low_speed=np.array([0.0, lowest]),
+        amplitude=np.array([0.0, 1.0]),
+        period=2 * math.pi,
+    )
+    notes = [
+        f"learned from {len(group.torque)} turns of {group.runs} runs at {group.label()}: orders "
+        f"{', '.join(map(str, row.strongest()))}, {row.order.size} of {row.examined} in all"
+        for group, row in zip(groups, rows, strict=True)
+    ]
+    notes.append(
+        f"learned is the {effort.origin}, by measured position; below the lowest speed it "
+        "fades to zero at rest, which nothing was measured of"
+    )
+    return Outcome(_results(rows, table, effort), _tables(rows, table, effort), tuple(notes))
+
+
+def _require_one_condition(groups: Sequence[Group]) -> None:
+    first = groups[0].conditions
+    for group in groups[1:]:
+        if group.conditions != first:
+            raise UsageError(
+                f"the runs are of different conditions, {groups[0].label()} and {group.label()}: "
+                "give those of one condition"
+            )
+
+
+BY_CHANCE = 0.01
+"""Probability at which the strongest order of mere noise would count as learned."""
+
+
+class _Row:
+    """What repeats at one speed: mean and orders (k,), with the scatter that u comes from."""
+
+    def __init__(self, group: Group) -> None:
+        turns = len(group.torque)
+        self.examined = ORDERS if group.gap == 0 else min(ORDERS, int(1 / (2 * group.gap)))
+        spectrum = turn_spectrum(group.torque, self.examined)
+        floor = _steadied(spectrum.noise_floor)
+        told = np.flatnonzero(spectrum.amplitude > CLEAR * floor)
+        self.order = told + 1
+        self.amplitude, self.phase = spectrum.amplitude[told], spectrum.phase[told]
+        self.floor, self.dof = floor[told], 2.0 * (turns - 1)
+        means = group.torque.mean(axis=1)
+        self.mean = float(means.mean())
+        self.mean_u = float(means.std(ddof=1)) / math.sqrt(turns)
+        scatter = coefficients(group.torque, self.examined)
+        deviation = np.abs(scatter - scatter.mean(axis=0)) ** 2
+        self.non_repeatable = math.sqrt(float(deviation.sum()) / (turns - 1) / 2)
+
+    def at(self, position: Array) -> Array:
+        """Return mean and orders at positions (n,), rad."""
+        angles = np.multiply.outer(position, self.order) + self.phase
+        values: Array = self.mean + np.cos(angles) @ self.amplitude
+        return values
+
+    @property
+    def u(self) -> float:
+        """Standard uncertainty at any position: of the mean, and of the orders together."""
+        return math.hypot(self.mean_u, float(np.linalg.norm(self.floor)) / math.sqrt(2))
+
+    @property
+    def ripple(self) -> tuple[float, float]:
+        """Rms of the orders and its standard uncertainty."""
+        rms = float(np.linalg.norm(self.amplitude)) / math.sqrt(2)
+        # d rms = sum of amplitude * d amplitude / (2 rms), u of an amplitude = floor/sqrt(2)
+        u = float(np.linalg.norm(self.amplitude * self.floor)) / (2 * math.sqrt(2) * rms)
+        return rms, u
+
+    def strongest(self) -> list[int]:
+        """Return the strongest orders, the strongest first."""
+        return [int(order) for order in self.order[np.argsort(-self.amplitude)][:TOLD]]
+
+
+def _steadied(floor: Array) -> Array:
+    """Return noise floors (m,) of which none is smaller than the rms of those around it.
+
+    Few turns tell the scatter of an order badly: of two, one in five orders of mere noise has
+    less than half the scatter that its amplitude shows.
+    """
+    window = np.ones(2 * NEIGHBOURS + 1)
+    around = np.convolve(floor**2, window, "same") / np.convolve(floor**0, window, "same")
+    steadied: Array = np.maximum(floor, np.sqrt(around))
+    return steadied
+
+
+def _learn(group: Group) -> _Row:
+    if len(group.torque) < 2:
+        raise InsufficientDataError(
+            f"one turn at {group.label()}: what repeats cannot be told from what does not: give "
+            "two runs or more, or record more turns"
+        )
+    row = _Row(group)
+    # Noise alone passes x floors with probability exp(-x^2) at each order (Rayleigh).
+    by_chance = math.sqrt(math.log(row.examined / BY_CHANCE))
+    if not (row.amplitude > by_chance * row.floor).any():
+        raise InsufficientDataError(
+            f"no order of rotation stands out of the scatter at {group.label()}: there is nothing "
+            "to learn, or too few turns"
+        )
+    return row
+
+
+def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Quantity]:
+    """Return ripple, what does not repeat, and the strongest orders, of the lowest speed."""
+    row = rows[int(np.argmin(np.abs(table.speed)))]
+    rms, u = row.ripple
+    results = {
+        "learned_rms": Quantity(rms, effort.unit, u, row.dof),
+        "non_repeatable_rms": Quantity(
+            row.non_repeatable, effort.unit, row.non_repeatable / math.sqrt(2 * row.dof), row.dof
+        ),
+        "learned_mean": Quantity(row.mean, effort.unit, row.mean_u, row.dof / 2),
+    }
+    for order in row.strongest():
+        i = int(np.flatnonzero(row.order == order)[0])
+        results[f"order_{order}_amplitude"] = Quantity(
+            float(row.amplitude[i]), effort.unit, float(row.floor[i]) / math.sqrt(2), row.dof
+        )
+    return {**results, **period_results(table)}
+
+
+def _tables(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Table]:
+    u = np.repeat([[row.u] for row in rows], ENTRIES, axis=1)
+    lookup = Table(
+        ("speed", "position"),
+        {
+            "speed": Column(table.speed, "rad/s", "mean of the turns"),
+            "position": Column(table.position, "rad", "of the rotor, as measured"),
+            effort.name: Column(table.torque, effort.unit, "that was learned, mean included"),
+            "u": Column(u, effort.unit, "standard uncertainty: scatter of the turns"),
+        },
+        effort.name,
+        "what repeats, by speed and position; bilinear between entries, periodic",
+    )
+    amplitude = Table(
+        ("low_speed",),
+        {
+            "low_speed": Column(table.low_speed, "rad/s", "of the rotor, either direction"),
+            "amplitude": Column(table.amplitude, "1", "factor on the lowest speed's row"),
+            "u": Column(np.zeros(2), "1", "both are by definition"),
+        },
+        "amplitude",
+        "by definition zero at rest: no lower speed was recorded",
+    )
+    return {"lookup": lookup, "amplitude": amplitude}

@@ -1,0 +1,233 @@
+"""The filters of `ilc-learn` for a recipe's loop, and how they are reported [Fig. 40, 41]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.plant_models import PlantModel
+from rigtool.control.position_loop import Loop, TransferFunction, position_loop
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.learning.filters import Convergence, Inverse, Learning, convergence, zpetc
+from rigtool.experiments.learning.measured_loop import InverseResponse, MeasuredLoop
+from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
+from rigtool.runfile import Column, Run, Table
+
+FREQUENCIES = 400
+"""Points of the frequency axis, from DC to half the sampling rate."""
+
+COMPUTED = "follows exactly from the recipe's controller and nominal inertia; nothing was measured"
+BOUNDED = "convergence_bound says what the plant's uncertainty makes of it"
+IS_BOUND = "is itself the bound at 95 % for the plant"
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """L, Q and p for a loop, and the convergence criterion, which holds.
+
+    `controller` is C(z): L times C is the inverse of the process sensitivity, for learning on the
+    error [eq. 3]. `origin` says what the plant rests on.
+    """
+
+    learning: Learning
+    criterion: Convergence
+    controller: TransferFunction
+    origin: tuple[str, ...]
+
+    def results(self) -> dict[str, Quantity]:
+        """Return what describes the filters in numbers."""
+        criterion = self.criterion
+        why = COMPUTED if criterion.bound is None else BOUNDED
+        results = {
+            "convergence_peak": Quantity(criterion.peak, "1", reason=why),
+            "convergence_frequency": Quantity(criterion.peak_frequency, "Hz", reason=why),
+        }
+        if criterion.bound is not None:
+            results |= {
+                "convergence_bound": Quantity(criterion.bound_peak, "1", reason=IS_BOUND),
+                "convergence_bound_frequency": Quantity(
+                    criterion.bound_frequency, "Hz", reason=IS_BOUND
+                ),
+            }
+        if not isinstance(self.learning.inverse, InverseResponse):
+            results["zpetc_phase_advance"] = Quantity(
+                float(self.learning.inverse.advance), "1", reason="a whole number of samples"
+            )
+        return results
+
+    def notes(self) -> tuple[str, ...]:
+        """Say what T rests on, and what L is."""
+        return self.origin
+
+    def tables(self) -> dict[str, Table]:
+        """Return the criterion and the transfer functions over frequency."""
+        frequency = self.criterion.frequency
+        axis = {"frequency": Column(frequency, "Hz")}
+        loop = self.learning.loop_response(frequency)
+        inverse = self.learning.inverse.response(frequency, shifted=False)
+        shifted = self.learning.inverse.response(frequency)
+        bound = self.criterion.bound
+        criterion = {
+            "magnitude": Column(self.criterion.magnitude, "1", "must be below one"),
+            "bound": Column(
+                np.full(len(frequency), np.nan) if bound is None else bound,
+                "1",
+                "largest value over the plant's uncertainty; must be below one, not known (NaN) "
+                "without a measured plant",
+            ),
+        }
+        phases = {
+            "t_phase": (loop, "complementary sensitivity"),
+            "l_phase": (inverse, "learning filter before its phase advance"),
+            "l_shifted_phase": (shifted, "learning filter with its phase advance"),
+        }
+        transfer = {
+            "t_magnitude": Column(np.abs(loop), "1", "complementary sensitivity"),
+            "l_magnitude": Column(np.abs(inverse), "1", "learning filter"),
+            **{name: Column(_phase(h), "rad", what) for name, (h, what) in phases.items()},
+        }
+        return {
+            "convergence": Table(
+                ("frequency",),
+                {**axis, **criterion},
+                "magnitude",
+                "|Q (1 - p L T)|: part of a disturbance that one more update would leave",
+            ),
+            "transfer": Table(
+                ("frequency",),
+                {**axis, **transfer},
+                "t_magnitude",
+                "complementary sensitivity T and the learning filter L, its inverse",
+            ),
+        }
+
+
+def design(recipe: Recipe, plant: Run | None = None) -> Design:
+    """Return the filters for the recipe's loop, from the plant that identify-plant measured.
+
+    Without `plant` it is the nominal inertia. `ilc_learn.learning_filter` says which L. Raises
+    `InsufficientDataError` where the loop is unstable or learning would not converge, `UsageError`
+    where L needs a plant that is not given, `RunFileError` where the plant is that of another rig.
+    """
+    settings, rig = recipe.ilc_learn, recipe.rig
+    nominal = position_loop(
+        **rig.controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
+    )
+    measured = None if plant is None else measured_loop(plant, recipe, nominal.controller)
+    loop = nominal if measured is None else measured.loop
+    if not loop.stable:
+        kind = "nominal" if measured is None else "measured"
+        inertia = rig.nominal_inertia if plant is None else plant.result("inertia").value
+        raise InsufficientDataError(
+            f"the position loop is unstable with the {kind} inertia {inertia:.4g} "
+            "kg m2: change [rig.controller]"
+        )
+    system = loop.complementary_sensitivity
+    learning = Learning(
+        system,
+        _inverse(recipe, system, measured),
+        cutoff_hz=settings.robustness_hz,
+        order=settings.robustness_order,
+        factor=settings.learning_factor,
+        measured=measured,
+    )
+    nyquist = 0.5 / rig.sample_time
+    frequency = np.concatenate([[0.0], np.geomspace(nyquist * 1e-5, nyquist, FREQUENCIES - 1)])
+    if measured is not None:
+        frequency = np.union1d(frequency, measured.frequency)
+    criterion = convergence(learning, frequency)
+    criterion.require()
+    return Design(learning, criterion, nominal.controller, _origin(recipe, plant, learning))
+
+
+def _inverse(recipe: Recipe, system: TransferFunction, measured: MeasuredLoop | None) -> Inverse:
+    """Return L as the recipe asks for it."""
+    settings = recipe.ilc_learn
+    if settings.learning_filter == "zpetc":
+        return zpetc(system, settings.cancel_radius)
+    if measured is None:
+        raise UsageError(
+            "--learning-filter frf inverts a measured response: give --plant, a run of "
+            "identify-plant"
+        )
+    return InverseResponse(measured)
+
+
+def measured_loop(plant: Run, recipe: Recipe, controller: TransferFunction) -> MeasuredLoop:
+    """Return the loop of a controller around the plant of a run of identify-plant.
+
+    Raises `RunFileError` where the run is another command's, or of another rig.
+    """
+    plant.require_command("identify-plant")
+    _require_same_rig(plant, recipe)
+    rigid = "inertia_motor_side" not in plant.results
+    inertia = plant.result("inertia").value
+    model = PlantModel(
+        inertia,
+        plant.result("viscous_friction").value,
+        None if rigid else plant.result("inertia_motor_side").value / inertia,
+        0.0 if rigid else plant.result("antiresonance_frequency").value,
+        0.0 if rigid else plant.result("antiresonance_damping").value,
+    )
+    table = plant.table("frequency_response")
+    used = table["used"] == 1
+    magnitude = table["magnitude"][used]
+    response = magnitude * np.exp(1j * table["phase"][used])
+    return MeasuredLoop(
+        Loop(controller, model.held(recipe.rig.sample_time)),
+        table["frequency"][used],
+        response,
+        table["radius"][used] / magnitude,
+    )
+
+
+def _require_same_rig(plant: Run, recipe: Recipe) -> None:
+    """Raise `RunFileError` unless the plant is that of the recipe's rig."""
+    there = plant.recipe
+    if there is None:
+        raise RunFileError(f"{plant.path}: holds no recipe, so its rig is unknown: measure again")
+    for name in ("name", "attachment", "sample_time"):
+        found, expected = getattr(there.rig, name), getattr(recipe.rig, name)
+        if found != expected:
+            raise RunFileError(
+                f"{plant.path}: was measured with rig.{name} {found}, the recipe has {expected}: "
+                "give the plant of this rig, or measure it with identify-plant"
+            )
+
+
+def _origin(recipe: Recipe, plant: Run | None, learning: Learning) -> tuple[str, ...]:
+    nominal = recipe.rig.nominal_inertia
+    if plant is None:
+        return (
+            "T is computed from the recipe's controller and its nominal inertia, "
+            f"{nominal:.4g} kg m2; the plant was not measured, so its uncertainty, and a bound "
+            "of the convergence criterion, are not known: give --plant",
+        )
+    inertia, measured = plant.result("inertia"), learning.measured
+    assert measured is not None
+    u = "" if inertia.u is None else f" (u {inertia.u:.2g})"
+    notes = [
+        f"T is computed from the recipe's controller and the measured plant ({plant.path.name}): "
+        f"inertia {inertia.value:.5g}{u} kg m2, {100 * (inertia.value / nominal - 1):+.2g} % from "
+        "the nominal one"
+    ]
+    if inertia.u is None:
+        notes.append(
+            "the plant was measured without --kt: the bound of the convergence criterion leaves "
+            "the uncertainty of the torque constant out"
+        )
+    if isinstance(learning.inverse, InverseResponse):
+        last = learning.inverse.last_line
+        notes.append(
+            f"L is the inverse of the measured response up to its last coherent line, {last:.4g} "
+            "Hz, and falls to zero within an octave above"
+        )
+    return tuple(notes)
+
+
+def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
+    phase: NDArray[np.float64] = np.unwrap(np.angle(response))
+    return phase

@@ -1,0 +1,104 @@
+"""What `ilc-learn` reports of the disturbance that remains with the table on [Fig. 56]."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.lookup_table import LookupTable
+from rigtool.experiments.learning.rows import Row, residual
+from rigtool.quantity import Quantity
+from rigtool.runfile import Column, Table
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Remaining:
+    """Controller torque without (`before`) and with the table (`after`), rows of equal speeds.
+
+    `position` (n,) rad is the part of the angle that counts; `applied` (rows, n) N m is the table's
+    torque as it was recorded. Rows are in the order of rising speed.
+    """
+
+    position: Array
+    before: Sequence[Row]
+    after: Sequence[Row]
+    applied: Array
+
+    def results(self) -> dict[str, Quantity]:
+        """Return peak, rms and reduction over all speeds and both directions."""
+        found = residual(self.before, self.after)
+        return {
+            "residual_peak": Quantity(found.peak.value, "N m", found.peak.u, found.peak.dof),
+            "residual_rms": Quantity(found.rms.value, "N m", found.rms.u, found.rms.dof),
+            "reduction": Quantity(
+                found.reduction.value, "1", found.reduction.u, found.reduction.dof
+            ),
+        }
+
+    def tables(self) -> dict[str, Table]:
+        """Return numbers by speed, and the waveforms behind them."""
+        speed = Column(np.array([row.speed for row in self.after]), "rad/s", "of the motor shaft")
+        return {
+            "residual_by_speed": Table(
+                ("speed",),
+                {"speed": speed, **self._numbers()},
+                "residual_peak",
+                "controller torque before and after learning, mean of the moves, within the band "
+                "of Q, ends of the angle left out",
+            ),
+            "residual_waveforms": Table(
+                ("speed", "position"),
+                {
+                    "speed": speed,
+                    "position": Column(self.position, "rad", "set point of the motor shaft"),
+                    "before": Column(
+                        np.stack([row.mean for row in self.before]), "N m", "controller, no table"
+                    ),
+                    "table": Column(self.applied, "N m", "what the table added"),
+                    "residual": Column(
+                        np.stack([row.mean for row in self.after]), "N m", "controller, with table"
+                    ),
+                },
+                "residual",
+                "torque by position, mean of the moves, within the band of Q",
+            ),
+        }
+
+    def _numbers(self) -> dict[str, Column]:
+        peaks = [int(np.argmax(np.abs(row.mean))) for row in self.after]
+        numbers = {
+            "before_peak": [np.abs(row.mean).max() for row in self.before],
+            "residual_peak": [np.abs(row.mean).max() for row in self.after],
+            "residual_peak_u": [row.u[i] for row, i in zip(self.after, peaks, strict=True)],
+            "before_rms": [np.sqrt(np.mean(row.mean**2)) for row in self.before],
+            "residual_rms": [np.sqrt(np.mean(row.mean**2)) for row in self.after],
+            "non_repeatable_rms": [row.non_repeatable_rms for row in self.after],
+        }
+        described = {
+            "residual_peak_u": "standard uncertainty of the mean at the peak",
+            "non_repeatable_rms": "scatter of a single move: no table can remove it",
+        }
+        return {
+            name: Column(np.array(values), "N m", described.get(name, ""))
+            for name, values in numbers.items()
+        }
+
+    def notes(self, table: LookupTable) -> tuple[str, ...]:
+        """Say so where the moves were made with another table than the one reported."""
+        speeds = np.array([row.speed for row in self.after])
+        here = table.evaluate(
+            np.tile(self.position, len(speeds)), np.repeat(speeds, len(self.position))
+        ).reshape(self.applied.shape)
+        difference = float(np.abs(here - self.applied).max())
+        # The recorded current is a 4-byte number, and read between two samples.
+        if difference <= 1e-3 * float(np.abs(self.applied).max()):
+            return ()
+        return (
+            f"the table that was switched on while recording differs from this one by up to "
+            f"{difference * 1e3:.2g} mN m: the residual belongs to the recorded one",
+        )

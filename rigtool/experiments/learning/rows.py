@@ -1,0 +1,253 @@
+"""Learning the disturbance that repeats with position and speed [7.2.4.2].
+
+Moves to and fro at one speed are cut where the set point rises through its middle, and laid over
+each other on one period: what they share is repeatable, their scatter is not. One learning update
+(eq. 9) turns the controller's torque into feed-forward torque; read at the set point's positions it
+is a row of the table [Fig. 49]. Below the lowest learned speed an amplitude table scales that
+speed's row [Fig. 53].
+
+Everything is a function of the set point, not of the encoder: the table is addressed by it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.lookup_table import LookupTable
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.learning.filters import Learning
+from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.jackknife import jackknife
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """Repeated moves to and fro on one period, s.
+
+    `setpoint` (n,) rad starts where it rises through its middle; `torque` (moves, n) N m.
+    """
+
+    period: float
+    setpoint: Array
+    torque: Array
+
+
+def cut_moves(time: Array, setpoint: Array, torque: Array, moves: int) -> Moves:
+    """Cut the last `moves` moves to and fro out of a recording, signals (n,) in s, rad, N m.
+
+    Raises `InsufficientDataError` where there are fewer whole ones, or where they differ in length.
+    """
+    time, setpoint, torque = require_signals(4, time=time, setpoint=setpoint, torque=torque)
+    step = require_rising(time)
+    starts = rising_crossings(time, setpoint, (setpoint.max() + setpoint.min()) / 2)
+    if len(starts) <= moves:
+        raise InsufficientDataError(
+            f"{max(len(starts) - 1, 0)} whole moves to and fro in the recording, {moves} are "
+            "needed: record for longer, or lower the number of moves"
+        )
+    starts = starts[-moves - 1 :]
+    period = (starts[-1] - starts[0]) / moves
+    if np.abs(np.diff(starts) - period).max() > step:
+        raise InsufficientDataError(
+            f"the moves last {np.diff(starts).min():.6g} to {np.diff(starts).max():.6g} s, which "
+            f"differ by more than a sample ({step:.3g} s): repeat one motion, at one speed"
+        )
+    # A power of two above the number of samples: fast, and nothing is lost.
+    count = 2 ** math.ceil(math.log2(period / step))
+    phase = np.arange(count) * (period / count)
+    laid_over = np.interp((starts[:-1, None] + phase).ravel(), time, torque)
+    return Moves(
+        period, np.interp(starts[0] + phase, time, setpoint), laid_over.reshape(moves, count)
+    )
+
+
+def rising_crossings(time: Array, values: Array, level: float) -> Array:
+    """Return the times at which values (n,) rise through a level, between samples linearly."""
+    below = values < level
+    before = np.flatnonzero(below[:-1] & ~below[1:])
+    low, high = values[before], values[before + 1]
+    part = (level - low) / (high - low)
+    crossings: Array = time[before] + part * (time[before + 1] - time[before])
+    return crossings
+
+
+def at_positions(moves: Moves, signals: Array, position: Array, direction: int) -> Array:
+    """Read signals (..., n) on the period of moves where the set point passes positions (p,), rad.
+
+    `direction` is 1 for the rising half of the period, -1 for the falling one. Returns (..., p).
+    Raises ValueError for positions outside the set point's range.
+    """
+    low, high = moves.setpoint.min(), moves.setpoint.max()
+    if position.min() < low or position.max() > high:
+        raise ValueError(f"positions must lie within the moves' range, {low} to {high} rad")
+    count = len(moves.setpoint)
+    bottom, top = int(np.argmin(moves.setpoint)), int(np.argmax(moves.setpoint))
+    first, last = (bottom, top) if direction > 0 else (top, bottom)
+    half = np.arange(first, first + (last - first) % count + 1) % count
+    rising = half if direction > 0 else half[::-1]
+    place = np.interp(position, moves.setpoint[rising], np.arange(float(len(rising))))
+    cell = np.minimum(place.astype(np.intp), len(rising) - 2)
+    part = place - cell
+    found: Array = signals[..., rising[cell]] * (1 - part) + signals[..., rising[cell + 1]] * part
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """What is known at one speed and direction, at the positions of a table (n,).
+
+    `speed` rad/s carries the direction's sign; `moves` (m, n) N m holds each move by itself.
+    """
+
+    speed: float
+    moves: Array
+
+    @property
+    def mean(self) -> Array:
+        """Repeatable part (n,), N m."""
+        mean: Array = self.moves.mean(axis=0)
+        return mean
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainty of the mean (n,), N m: scatter/sqrt(moves)."""
+        u: Array = self.moves.std(axis=0, ddof=1) / math.sqrt(len(self.moves))
+        return u
+
+    @property
+    def non_repeatable_rms(self) -> float:
+        """Rms scatter of a single move around the mean, N m."""
+        return float(np.sqrt(self.moves.var(axis=0, ddof=1).mean()))
+
+
+def learned_rows(
+    moves: Moves,
+    speed: float,
+    learning: Learning,
+    position: Array,
+    before: Array | float = 0.0,
+) -> list[Row]:
+    """Return the feed-forward torque that one update learns at positions (p,), falling part first.
+
+    `before` (n,) is what was fed forward during the moves, N m.
+    """
+    learned = learning.updated(moves.torque, moves.period, before)
+    return _both_directions(moves, speed, learned, position)
+
+
+def torque_rows(moves: Moves, speed: float, learning: Learning, position: Array) -> list[Row]:
+    """Return the controller's torque in the band of Q at positions (n,), falling part first."""
+    smoothed = learning.smoothed(moves.torque, moves.period)
+    return _both_directions(moves, speed, smoothed, position)
+
+
+def _both_directions(moves: Moves, speed: float, signals: Array, position: Array) -> list[Row]:
+    return [
+        Row(sign * abs(speed), at_positions(moves, signals, position, sign)) for sign in (-1, 1)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Amplitudes:
+    """Amplitude table: factor on the lowest learned speed's row, by speed, rad/s (k,).
+
+    Zero at rest and one at the lowest learned speed by definition, with uncertainty zero there.
+    """
+
+    speed: Array
+    amplitude: Array
+    u: Array
+
+
+def fit_amplitudes(low: Sequence[Row], learned: Sequence[Row]) -> Amplitudes:
+    """Fit the amplitude table to rows at low speeds, both directions of a speed together.
+
+    The factor of a move is the least-squares one on the row of the same direction at the lowest
+    speed of the `learned` rows. Standard uncertainty: the factors' scatter/sqrt(their number).
+    Raises `InsufficientDataError` where the rows to be scaled are zero.
+    """
+    lowest = min(abs(row.speed) for row in learned)
+    reference = {np.sign(row.speed): row.mean for row in learned if abs(row.speed) == lowest}
+    speeds = sorted({abs(row.speed) for row in low})
+    factors, us = [], []
+    for speed in speeds:
+        each: list[float] = []
+        for row in (row for row in low if abs(row.speed) == speed):
+            shape = reference[np.sign(row.speed)]
+            energy = float(shape @ shape)
+            if energy == 0:
+                raise InsufficientDataError(
+                    "the torque learned at the lowest speed is zero: there is nothing to scale "
+                    "at lower speeds; leave the low speeds out"
+                )
+            each.extend(row.moves @ shape / energy)
+        factors.append(float(np.mean(each)))
+        us.append(float(np.std(each, ddof=1) / math.sqrt(len(each))))
+    return Amplitudes(
+        np.array([0.0, *speeds, lowest]),
+        np.array([0.0, *factors, 1.0]),
+        np.array([0.0, *us, 0.0]),
+    )
+
+
+def assemble(position: Array, rows: Sequence[Row], amplitudes: Amplitudes) -> LookupTable:
+    """Put rows of all speeds, at positions (n,), and the amplitude table together."""
+    ordered = sorted(rows, key=lambda row: row.speed)
+    return LookupTable(
+        position=position,
+        speed=np.array([row.speed for row in ordered]),
+        torque=np.stack([row.mean for row in ordered]),
+        low_speed=amplitudes.speed,
+        amplitude=amplitudes.amplitude,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Remains:
+    """A number about what remains, with standard uncertainty and degrees of freedom (or none)."""
+
+    value: float
+    u: float
+    dof: float
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """What learning left, over all speeds and directions: torques in N m.
+
+    `peak` is the largest value of any row's mean, `rms` that of all together; `reduction` is the
+    part of the rms that the table took away, 1 - rms/(rms before).
+    """
+
+    peak: Remains
+    rms: Remains
+    reduction: Remains
+
+
+def residual(before: Sequence[Row], after: Sequence[Row]) -> Residual:
+    """Compare the controller's torque without and with the table, rows of equal speeds.
+
+    Uncertainties by the jackknife over moves: move i is left out at all speeds at once.
+    """
+    count = min(len(row.moves) for row in (*before, *after))
+
+    def means(rows: Sequence[Row], keep: NDArray[np.intp]) -> Array:
+        return np.stack([row.moves[keep].mean(axis=0) for row in rows])
+
+    def rms(rows: Sequence[Row], keep: NDArray[np.intp]) -> float:
+        return float(np.sqrt(np.mean(means(rows, keep) ** 2)))
+
+    statistics = (
+        lambda keep: float(np.abs(means(after, keep)).max()),
+        lambda keep: rms(after, keep),
+        lambda keep: 1 - rms(after, keep) / rms(before, keep),
+    )
+    found = [Remains(*jackknife(count, statistic), count - 1) for statistic in statistics]
+    return Residual(*found)

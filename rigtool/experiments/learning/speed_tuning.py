@@ -1,0 +1,183 @@
+"""Amplitude and phase tables of a map that was learned at one speed [Fig. 42].
+
+    torque(p, v) = a(v) map(p + s(v))
+
+At each other speed, a and s are the least-squares ones for what repeats there; the thesis tuned
+them by hand. As the shift of a map is ambiguous where few orders dominate it, shifts are followed
+from the learning speed outwards: the next one is searched within half a period of the order that
+counts most.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.lookup_table import LookupTable
+from rigtool.experiments.learning.rows import Row
+from rigtool.numerics.jackknife import jackknife, standard_uncertainty
+
+Array = NDArray[np.float64]
+Orders = NDArray[np.complex128]
+
+SIGNIFICANT = 3.0
+"""Standard uncertainties that an amplitude needs: below, it is noise, and the table is zero."""
+
+FINEST = 0.3
+"""Angle of the leading order by which neighbouring rows of the written-out table may differ, rad.
+
+Half way between two rows, interpolation then loses 1 - cos(0.15) = 1 % of the amplitude.
+"""
+
+
+NEWTON_STEPS = 5
+"""From within a sixteenth of the highest order's period of a summit, to rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """Amplitude and shift by speed, rad/s (k,), rising; `u` where they are estimated, else zero.
+
+    `correlation` is that of the turned map with what repeats at the speed; 1 where it was learned.
+    """
+
+    speed: Array
+    amplitude: Array
+    amplitude_u: Array
+    shift: Array
+    shift_u: Array
+    correlation: Array
+
+    def at(self, speed: Array) -> tuple[Array, Array]:
+        """Return amplitude and shift at other speeds (n,), linear in between, constant beyond."""
+        return (
+            np.interp(speed, self.speed, self.amplitude),
+            np.interp(speed, self.speed, self.shift),
+        )
+
+
+def tune(learned: Row, others: Sequence[Row]) -> Tuning:
+    """Find amplitude and shift of the map at the speeds of the other rows.
+
+    `learned.mean` is the map. Uncertainties by the jackknife over the turns of each other row. An
+    amplitude that is not above its uncertainty, or negative, is zero, with the shift before it.
+    """
+    wave = _orders(learned.mean)
+    found = {learned.speed: (1.0, 0.0, 0.0, 0.0, 1.0)}
+    for side in _outwards(learned.speed, others):
+        near = 0.0
+        for row in side:
+            found[row.speed] = _fit(wave, row, near)
+            near = found[row.speed][2]
+    ordered = sorted(found.items())
+    columns = np.array([values for _, values in ordered]).T
+    return Tuning(np.array([speed for speed, _ in ordered]), *columns)
+
+
+def _outwards(start: float, rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
+    """Return the rows faster than `start`, and the slower ones, nearest first."""
+    ordered = sorted(rows, key=lambda row: abs(row.speed - start))
+    return [r for r in ordered if r.speed > start], [r for r in ordered if r.speed < start]
+
+
+def _orders(values: Array) -> Orders:
+    """Return the orders 1.. of values (..., n) by angle; the mean is friction, not ripple."""
+    orders: Orders = np.fft.rfft(values, axis=-1)[..., 1:] / values.shape[-1]
+    return orders
+
+
+def leading_order(wave: Orders) -> int:
+    """Return the order that decides about a shift: the one of the steepest wave."""
+    return int(np.argmax(np.abs(wave) * np.arange(1, wave.size + 1))) + 1
+
+
+def _fit(wave: Orders, row: Row, near: float) -> tuple[float, float, float, float, float]:
+    """Return amplitude, its u, shift, its u and correlation at the speed of a row."""
+    power = float(np.sum(np.abs(wave) ** 2))
+    if power == 0:
+        return 0.0, 0.0, near, 0.0, 0.0
+    reach = math.pi / leading_order(wave)
+    measured = _orders(row.moves)
+
+    def best(keep: NDArray[np.intp]) -> float:
+        return best_shift(wave, measured[keep].mean(axis=0), near, reach)
+
+    count = len(measured)
+    shift, shift_u = jackknife(count, best)
+    turned = wave * np.exp(1j * np.arange(1, wave.size + 1) * shift)
+    each = np.real(measured @ np.conj(turned)) / power
+    amplitude = float(each.mean())
+    without = (each.sum() - each) / (count - 1)
+    amplitude_u = standard_uncertainty(without)
+    mean = measured.mean(axis=0)
+    norm = math.sqrt(power * float(np.sum(np.abs(mean) ** 2)))
+    correlation = amplitude * power / norm if norm > 0 else 0.0
+    if amplitude < SIGNIFICANT * amplitude_u or amplitude <= 0:
+        return 0.0, amplitude_u, near, shift_u, correlation
+    return amplitude, amplitude_u, shift, shift_u, correlation
+
+
+def best_shift(wave: Orders, other: Orders, near: float, reach: float) -> float:
+    """Return the shift s within `near` +- `reach` at which wave(p + s) is most like the other."""
+    order = np.arange(1, wave.size + 1)
+    cross = np.conj(wave) * other
+    counts = np.flatnonzero(np.abs(cross) > 1e-6 * np.abs(cross).max(initial=0.0))
+    if not counts.size:
+        return near
+    cross, order = cross[counts], order[counts]
+    # Sixteen points a period of the highest order; Newton's method from the best one on.
+    points = max(33, math.ceil(16 * order[-1] * reach / math.pi) | 1)
+    shifts = near + np.linspace(-reach, reach, points)
+    turned = np.exp(-1j * np.outer(shifts, order))
+    best = float(shifts[np.argmax(np.real(turned @ cross))])
+    step = shifts[1] - shifts[0]
+    low, high = max(best - step, shifts[0]), min(best + step, shifts[-1])
+    for _ in range(NEWTON_STEPS):
+        parts = cross * np.exp(-1j * best * order)
+        slope, bend = float(np.imag(parts) @ order), -float(np.real(parts) @ order**2)
+        if bend >= 0:
+            break
+        best = min(max(best - slope / bend, low), high)
+    return best
+
+
+def written_out(position: Array, learned: Row, tuning: Tuning) -> tuple[LookupTable, Array]:
+    """Return the map as a table by position and speed, and its standard uncertainty, of that shape.
+
+    The uncertainty is that of the map, times the amplitude. `position` (n,) rad is a whole turn.
+    """
+    wave = _orders(learned.mean)
+    speeds = _fine_speeds(tuning, leading_order(wave) if wave.any() else 1)
+    amplitude, shift = tuning.at(speeds)
+    order = np.arange(1, wave.size + 1)
+    turned = amplitude[:, None] * wave * np.exp(1j * np.outer(shift, order))
+    whole = np.concatenate([np.zeros((len(speeds), 1)), turned], axis=1)
+    torque = np.fft.irfft(whole * position.size, position.size, axis=1)
+    lowest = float(np.abs(speeds).min())
+    table = LookupTable(
+        position,
+        speeds,
+        torque,
+        np.array([0.0, lowest]),
+        np.array([0.0, 1.0]),
+        period=2 * math.pi,
+    )
+    return table, amplitude[:, None] * np.broadcast_to(learned.u, torque.shape)
+
+
+def _fine_speeds(tuning: Tuning, order: int) -> Array:
+    """Return the tuning's speeds and as many between as keep neighbours alike, but not zero."""
+    speeds = [tuning.speed[:1]]
+    turns = np.abs(np.diff(tuning.shift)) * order
+    for (slow, fast), turn in zip(pairwise(tuning.speed), turns, strict=True):
+        if slow < 0 < fast:
+            speeds.append(np.array([fast]))  # through standstill the table goes through zero
+            continue
+        pieces = max(1, math.ceil(turn / FINEST))
+        speeds.append(slow + (fast - slow) * np.arange(1, pieces + 1) / pieces)
+    return np.concatenate(speeds)

@@ -1,0 +1,206 @@
+"""Learned tables in run files: how `ilc-learn` writes them and others read them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.lookup_table import LookupTable
+from rigtool.errors import RunFileError
+from rigtool.experiments.learning.rows import Amplitudes
+from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
+from rigtool.rigs import Feedforward
+from rigtool.runfile import Column, Run, Table
+
+COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
+"""Results that say with which friction feed-forward a table was learned, where with any."""
+
+PERIOD = "lookup_period"
+"""Result that says after which angle a table repeats, rad, where it does."""
+
+
+TRAJECTORY = "trajectory"
+"""Table that a run has instead of a learned table, where it was learned by time."""
+
+
+def tables_of(
+    table: LookupTable, u: NDArray[np.float64], amplitudes: Amplitudes
+) -> dict[str, Table]:
+    """Return the tables `lookup` and `amplitude` of a learned table.
+
+    `u` is the standard uncertainty of its torque, of the same shape, N m.
+    """
+    lookup = Table(
+        axes=("speed", "position"),
+        columns={
+            "speed": Column(table.speed, "rad/s", "set point of the motor shaft"),
+            "position": Column(table.position, "rad", "set point of the motor shaft"),
+            "torque": Column(table.torque, "N m", "feed-forward torque that was learned"),
+            "u": Column(u, "N m", "standard uncertainty: scatter of the moves/sqrt(moves)"),
+        },
+        signal="torque",
+        description="learned torque by speed and position, one entry a quad count; bilinear "
+        "between entries, no extrapolation",
+    )
+    amplitude = Table(
+        axes=("low_speed",),
+        columns={
+            "low_speed": Column(amplitudes.speed, "rad/s", "of the motor shaft, either direction"),
+            "amplitude": Column(amplitudes.amplitude, "1", "factor on the lowest speed's row"),
+            "u": Column(amplitudes.u, "1", "standard uncertainty; the ends are by definition"),
+        },
+        signal="amplitude",
+        description="scales the row of the lowest learned speed at speeds below it; linear between",
+    )
+    return {"lookup": lookup, "amplitude": amplitude}
+
+
+def period_results(table: LookupTable) -> dict[str, Quantity]:
+    """Return the period of a learned table under the name of this module; empty without one."""
+    if table.period is None:
+        return {}
+    return {PERIOD: Quantity(table.period, "rad", reason="the table holds one turn by definition")}
+
+
+def friction_results(friction: Run | None) -> dict[str, Quantity]:
+    """Return Coulomb and viscous friction of a run of `stribeck` under the names of this module.
+
+    Empty without a run. They are stored beside a table, which holds only what they left over.
+    """
+    if friction is None:
+        return {}
+    friction.require_command("stribeck")
+    return {
+        COULOMB: friction.result("coulomb_friction"),
+        VISCOUS: friction.result("viscous_friction"),
+    }
+
+
+def lookup_table_from(run: Run) -> LookupTable:
+    """Return the learned table of a run of `ilc-learn`, in N m.
+
+    Raises `RunFileError` where the run is of another command or its table is broken.
+    """
+    table = stored_table_from(run)
+    lookup = run.table("lookup")
+    unit = lookup.columns[lookup.signal].unit
+    if unit != "N m":
+        raise RunFileError(
+            f"{run.path}: its learned table holds {unit}, not torque: learn it with --kt"
+        )
+    return table
+
+
+def stored_table_from(run: Run) -> LookupTable:
+    """Return the learned table of a run of `ilc-learn`, in whatever unit it holds.
+
+    Raises `RunFileError` where the run is of another command or its table is broken.
+    """
+    run.require_command("ilc-learn")
+    if TRAJECTORY in run.tables:
+        raise RunFileError(
+            f"{run.path}: was learned by time, along one move, and holds no table by position: "
+            "learn with another --implementation"
+        )
+    lookup, amplitude = run.table("lookup"), run.table("amplitude")
+    try:
+        return LookupTable(
+            position=lookup["position"],
+            speed=lookup["speed"],
+            torque=lookup[lookup.signal],
+            low_speed=amplitude["low_speed"],
+            amplitude=amplitude["amplitude"],
+            period=run.results[PERIOD].value if PERIOD in run.results else None,
+        )
+    except (KeyError, ValueError) as error:
+        raise RunFileError(
+            f"{run.path}: its learned table cannot be used: {error}; learn it again"
+        ) from None
+
+
+def feedforward(
+    inertia: float, results: Mapping[str, Quantity], table: LookupTable | None = None
+) -> Feedforward:
+    """Return the feed-forward of this inertia, kg m2, and of the friction among `results`."""
+    return Feedforward(
+        inertia=inertia,
+        coulomb=results[COULOMB].value if COULOMB in results else 0.0,
+        viscous=results[VISCOUS].value if VISCOUS in results else 0.0,
+        table=table,
+    )
+
+
+def feedforward_from(run: Run, inertia: float) -> Feedforward:
+    """Return the feed-forward of a run of `ilc-learn`: its table and what it was learned with.
+
+    `inertia` is the nominal one on the motor shaft, kg m2.
+    """
+    return feedforward(inertia, run.results, lookup_table_from(run))
+
+
+def require_same_rig(tables: Run, recipe: Recipe) -> None:
+    """Raise `RunFileError` unless the tables were learned on the recipe's rig, as it is now.
+
+    Compared are the rig's name, attachment, encoder and ratio; the table must hold both directions,
+    and the angles and the speed at which `measure-force` reads.
+    """
+    require_rig(tables, recipe)
+    _require_reach(tables, recipe)
+
+
+def require_rig(tables: Run, recipe: Recipe) -> None:
+    """Raise `RunFileError` unless the tables were learned on the recipe's rig, as it is now.
+
+    Compared are the rig's name, attachment, encoder and ratio.
+    """
+    tables.require_command("ilc-learn")
+    learned = tables.recipe
+    if learned is None:
+        raise RunFileError(f"{tables.path}: does not say on which rig it was learned: learn again")
+    for what, there, here in (
+        ("rig", learned.rig.name, recipe.rig.name),
+        ("attachment", learned.rig.attachment, recipe.rig.attachment),
+        ("encoder", learned.rig.encoder_counts, recipe.rig.encoder_counts),
+        ("motor angle per output angle", learned.rig.angle_ratio, recipe.rig.angle_ratio),
+    ):
+        if there != here:
+            raise RunFileError(
+                f"{tables.path}: was learned with {what} {there}, the recipe has {here}: learn "
+                "tables with this recipe, or give the recipe of that rig"
+            )
+
+
+def _require_reach(tables: Run, recipe: Recipe) -> None:
+    """Raise `RunFileError` unless the table reaches as far as `measure-force` reads it."""
+    table, settings = lookup_table_from(tables), recipe.measure_force
+    for sign, name in ((1, "positive"), (-1, "negative")):
+        if not (sign * table.speed > 0).any():
+            raise RunFileError(
+                f"{tables.path}: holds nothing for the {name} direction: learn both directions"
+            )
+    ratio = recipe.rig.angle_ratio
+    speed = 2 * math.pi * settings.speed_rev_per_s * ratio
+    fastest = min(abs(table.speed[0]), abs(table.speed[-1]))
+    if speed > fastest * (1 + 1e-9):
+        raise RunFileError(
+            f"{tables.path}: was learned up to {fastest:.4g} rad/s, measure_force moves at "
+            f"{speed:.4g} rad/s: learn that speed, or lower measure_force.speed_rev_per_s"
+        )
+    low, high = (
+        math.radians(angle) * ratio
+        for angle in (settings.turn_angle, settings.angle - settings.turn_angle)
+    )
+    count = 2 * math.pi / recipe.rig.encoder_counts
+    if table.period is None and (
+        table.position[0] > low + count or table.position[-1] < high - count
+    ):
+        raise RunFileError(
+            f"{tables.path}: was learned from {math.degrees(table.position[0]):.4g} to "
+            f"{math.degrees(table.position[-1]):.4g} deg of the motor, measure_force uses "
+            f"{math.degrees(low):.4g} to {math.degrees(high):.4g} deg: learn with the angle and "
+            "turn_angle of measure_force"
+        )

@@ -1,0 +1,1 @@
+"""What is measured, shown while it is measured."""

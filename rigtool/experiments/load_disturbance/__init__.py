@@ -1,0 +1,1 @@
+"""What a load changes, learned at known loads."""

@@ -1,0 +1,1 @@
+"""The plant identified: excitation, frequency response, fit, margins."""

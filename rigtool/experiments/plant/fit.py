@@ -1,0 +1,231 @@
+"""Inertia and viscous friction from a measured frequency response, by weighted least squares.
+
+    P(f) = model(J, fv, ...) exp(-j w tau - c w2)
+
+`model` is exact for a torque held over a sample; tau and c stand for everything above the band that
+is not the plant (the amplifier's current loop, the hold's true timing): whatever it is, far below
+its own corner its logarithm begins with these two terms. Residuals are logarithms of measured over
+modelled response, magnitude and phase together, weighted by their scatter (logarithmic least
+squares: Pintelon & Schoukens, System Identification, 2nd edition, Wiley 2012, section 9.8).
+
+A second mass is looked for only where the rigid plant deviates by more than the scatter explains,
+and believed only where it does better by an F test and has its resonance within the band.
+Uncertainty: the larger of two. The experiments' scatter by the jackknife (a linear step instead of
+a new fit) holds what is common to all lines of an experiment, but rests on few; the lines' scatter,
+propagated by least squares and raised by what they deviate from the model beyond it, rests on many.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize, stats
+
+from rigtool.control.plant_models import PlantModel
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.plant.frequency_response import FrequencyResponse
+from rigtool.experiments.plant.multisine import ComplexArray
+from rigtool.numerics.jackknife import standard_uncertainty
+
+Array = NDArray[np.float64]
+
+MIN_COHERENCE = 0.8
+"""Lines below are not used: less than this part of their power in one period is excitation."""
+
+MIN_LINES = 8
+"""Of these a fit needs at least as many; it has up to seven parameters, each line two values."""
+
+POOLED = 5
+"""Neighbouring lines whose relative scatter is pooled for the weights."""
+
+SECOND_MASS = 1e-4
+"""Probability at which the tests that reject the rigid plant may be wrong."""
+
+EVALUATIONS = 500
+"""Of the model in one fit, at most; a second mass that is not there leads nowhere."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlantFit:
+    """A model with `delay` tau, s, and `roll_off` c, s2; what it rests on.
+
+    `used` (k,) marks the lines of the response that the fit rests on, `misfit` is the root of
+    chi2 over its degrees of freedom: one where model and scatter explain all. `without` are the
+    fits without each experiment in turn, `moved` those one standard deviation off along each
+    principal axis of the least-squares covariance.
+    """
+
+    model: PlantModel
+    delay: float
+    roll_off: float
+    sample_time: float
+    used: NDArray[np.bool_]
+    misfit: float
+    rigid_rejected: float
+    without: tuple[PlantFit, ...] = ()
+    moved: tuple[PlantFit, ...] = ()
+
+    def response(self, frequency: Array) -> ComplexArray:
+        """Return P (n,) at these frequencies, Hz, with delay and roll-off."""
+        omega = 2 * np.pi * np.asarray(frequency, dtype=np.float64)
+        lag = np.exp(-1j * omega * self.delay - self.roll_off * omega**2)
+        response: ComplexArray = self.model.response(frequency, self.sample_time) * lag
+        return response
+
+    def uncertainty(self, statistic: Callable[[PlantFit], float]) -> float:
+        """Return the standard uncertainty of a number that is computed from the fit."""
+        scatter = standard_uncertainty(np.array([statistic(fit) for fit in self.without]))
+        here = statistic(self)
+        moved = [statistic(fit) - here for fit in self.moved]
+        return max(scatter, math.sqrt(sum(change**2 for change in moved)))
+
+
+def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: float) -> PlantFit:
+    """Fit the simplest model that the response supports; `nominal_inertia` is where it starts.
+
+    Raises `InsufficientDataError` where too few lines are coherent with the excitation.
+    """
+    used = found.coherence >= MIN_COHERENCE
+    if used.sum() < max(MIN_LINES, len(used) / 2):
+        raise InsufficientDataError(
+            f"only {used.sum()} of {len(used)} lines have a coherence of at least {MIN_COHERENCE} "
+            f"(lowest {found.coherence.min():.2g} at "
+            f"{found.frequency[np.argmin(found.coherence)]:.4g} Hz), half of them and at least "
+            f"{MIN_LINES} are needed: the excitation is lost in disturbances and in the steps of "
+            "the encoder; raise identify_plant.swing or its speeds, or raise periods"
+        )
+    data = _Data(found.lines(used), sample_time)
+    start = PlantFit(PlantModel(nominal_inertia, 0.0), 0.0, 0.0, sample_time, used, 1.0, 1.0)
+    best = data.fitted(start)
+    if (two := _second_mass(data, best)) is not None:
+        best = two
+    return data.with_scatter(best)
+
+
+def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
+    """Return the fit with a second mass where the data ask for it."""
+    if data.explained(rigid) > SECOND_MASS:
+        return None
+    low, high = data.found.frequency[[0, -1]]
+    candidates = []
+    for antiresonance in np.geomspace(2 * low, high / 2, 6):
+        model = PlantModel(rigid.model.inertia, rigid.model.viscous, 0.9, antiresonance, 0.3)
+        start = PlantFit(
+            model, rigid.delay, rigid.roll_off, rigid.sample_time, rigid.used, 1.0, 1.0
+        )
+        candidates.append(data.fitted(start))
+    best = min(candidates, key=lambda fit: fit.misfit)
+    free, more = data.freedom(rigid), data.freedom(best)
+    left, rest = rigid.misfit**2 * free, best.misfit**2 * more
+    ratio = ((left - rest) / (free - more)) / (rest / more)
+    better = float(stats.f.sf(ratio, free - more, more))
+    inside = low < best.model.antiresonance_hz and best.model.resonance_hz < high
+    if better < SECOND_MASS and inside:
+        return replace(best, rigid_rejected=better)
+    return None
+
+
+class _Data:
+    """A measured response with the weights of its lines."""
+
+    def __init__(self, found: FrequencyResponse, sample_time: float) -> None:
+        self.found = found
+        self._sample_time = sample_time
+        relative = np.square(found.u / np.abs(found.response))
+        window = np.ones(min(POOLED, len(relative)))
+        count = np.convolve(np.ones(len(relative)), window, "same")
+        pooled = np.convolve(relative, window, "same") / count
+        self._weight = 1 / np.sqrt(pooled)
+
+    def freedom(self, fit: PlantFit) -> int:
+        """Return the degrees of freedom of the residuals."""
+        return 2 * len(self.found.frequency) - len(_parameters(fit))
+
+    def explained(self, fit: PlantFit) -> float:
+        """Return the probability of deviations as large as these, were the model right."""
+        noise = self.found.dof * len(self.found.frequency)
+        return float(stats.f.sf(fit.misfit**2, self.freedom(fit), noise))
+
+    def residuals(self, fit: PlantFit, response: ComplexArray) -> Array:
+        """Return weighted residuals (2 k,): logarithm of magnitude, then phase."""
+        ratio = np.log(response / fit.response(self.found.frequency))
+        return np.concatenate([ratio.real * self._weight, ratio.imag * self._weight])
+
+    def fitted(self, start: PlantFit) -> PlantFit:
+        """Return the least-squares fit of the kind of model that `start` has."""
+        measured = self.found.response
+        scale = _scale(start)
+        origin = _parameters(start)
+
+        def residuals(steps: Array) -> Array:
+            return self.residuals(_with(start, origin + scale * steps), measured)
+
+        solution = optimize.least_squares(
+            residuals, np.zeros(len(origin)), method="lm", max_nfev=EVALUATIONS
+        )
+        found = _with(start, origin + scale * solution.x)
+        misfit = math.sqrt(2 * solution.cost / self.freedom(found))
+        return _with(found, _parameters(found), misfit=misfit)
+
+    def with_scatter(self, fit: PlantFit) -> PlantFit:
+        """Return the fit with what its uncertainty is computed from."""
+        scale, origin = _scale(fit), _parameters(fit)
+        here = self.residuals(fit, self.found.response)
+        step = 1e-4
+        jacobian = np.stack(
+            [
+                (self.residuals(_with(fit, origin + move), self.found.response) - here) / step
+                for move in np.diag(scale * step)
+            ],
+            axis=1,
+        )
+        inverse = np.linalg.pinv(jacobian)
+        each = self.found.each
+        without = []
+        for number in range(len(each)):
+            rest = np.delete(each, number, axis=0).mean(axis=0)
+            change = self.residuals(fit, rest) - here
+            without.append(_with(fit, origin - scale * (inverse @ change)))
+        # Residuals scatter by one: what they move the parameters by has these principal axes.
+        axes, sizes, _ = np.linalg.svd(inverse, full_matrices=False)
+        steps = axes * sizes * max(1.0, fit.misfit)
+        moved = tuple(_with(fit, origin + scale * step) for step in steps.T)
+        return replace(fit, without=tuple(without), moved=moved)
+
+
+# Parameters as a vector: ln J, fv, tau, c; for two masses also ln(J1/J2), ln of the antiresonance
+# and the damping ratio.
+
+
+def _parameters(fit: PlantFit) -> Array:
+    model = fit.model
+    vector = [math.log(model.inertia), model.viscous, fit.delay, fit.roll_off]
+    if model.motor_side is not None:
+        part = model.motor_side
+        vector += [math.log(part / (1 - part)), math.log(model.antiresonance_hz), model.damping]
+    return np.array(vector)
+
+
+def _scale(fit: PlantFit) -> Array:
+    """Return steps of the parameters that change the response by about as much."""
+    inertia, sample = fit.model.inertia, fit.sample_time
+    scale = [1.0, inertia * 100.0, sample, sample**2, 1.0, 1.0, 1.0]
+    return np.array(scale[: len(_parameters(fit))])
+
+
+def _with(fit: PlantFit, vector: Array, **changes: Any) -> PlantFit:
+    """Return a fit with the parameters of a vector."""
+    inertia, viscous = math.exp(vector[0]), float(vector[1])
+    if len(vector) > 4:
+        # A second mass that the data do not show runs away: not further than it makes sense.
+        part = 1 / (1 + math.exp(-np.clip(vector[4], -5, 5)))
+        antiresonance = math.exp(np.clip(vector[5], -2, math.log(0.2 / fit.sample_time)))
+        model = PlantModel(inertia, viscous, part, antiresonance, float(vector[6]))
+    else:
+        model = PlantModel(inertia, viscous)
+    return replace(fit, model=model, delay=float(vector[2]), roll_off=float(vector[3]), **changes)

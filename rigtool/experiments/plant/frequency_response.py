@@ -1,0 +1,172 @@
+"""Frequency response of a plant inside a closed loop, from periods of a known excitation.
+
+    P(k) = sum Y conj(R) / sum U conj(R)  over all periods of an experiment
+
+with the spectra of excitation R, input U and output Y at line k. Disturbances reach U and Y around
+the loop, but not R: the ratio of the two correlations has no bias, where Y/U and spectra of U and Y
+have (joint input-output method: Pintelon & Schoukens, System Identification, 2nd edition, Wiley
+2012, section 2.6 and chapter 4). Experiments (realisations of the phases, directions, speeds) weigh
+the same; their scatter holds noise and what is not linear, and gives the variance of the mean.
+
+Frequencies in Hz; input and output in any unit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.plant.multisine import ComplexArray, Lines
+
+Array = NDArray[np.float64]
+
+MIN_EXPERIMENTS = 3
+"""Fewer have no scatter worth the name."""
+
+COVERAGE = 0.95
+"""Probability with which a true value lies in its `radius`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Whole periods of one experiment in steady state: excitation, input, output (periods, n)."""
+
+    reference: Array
+    input: Array
+    output: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """Response at lines (k,), Hz, with what is known about its uncertainty.
+
+    `each` (experiments, k) are the experiments by themselves, `coherence` (k,) is the part of the
+    power of input and output (the smaller of both) that belongs to the excitation, in one period.
+    `quantisation` (k,) is the standard uncertainty of the magnitude that an output in steps causes.
+    """
+
+    frequency: Array
+    each: ComplexArray
+    coherence: Array
+    quantisation: Array
+
+    @property
+    def response(self) -> ComplexArray:
+        """Mean over the experiments (k,)."""
+        mean: ComplexArray = self.each.mean(axis=0)
+        return mean
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainty (k,) of real and imaginary part each, or of the magnitude.
+
+        Half of the complex variance of the mean (circular noise), `dof` degrees of freedom.
+        """
+        count = len(self.each)
+        scatter = np.sum(np.abs(self.each - self.response) ** 2, axis=0)
+        u: Array = np.sqrt(scatter / (2 * count * (count - 1)))
+        return u
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of `u`: two for each experiment but one."""
+        return 2 * (len(self.each) - 1)
+
+    @property
+    def radius(self) -> Array:
+        """Radius (k,) of the circle around the response that holds the truth at `COVERAGE`."""
+        return coverage_radius(self.u, self.dof)
+
+    def lines(self, keep: NDArray[np.bool_]) -> FrequencyResponse:
+        """Return the response at some of the lines only."""
+        return FrequencyResponse(
+            self.frequency[keep], self.each[:, keep], self.coherence[keep], self.quantisation[keep]
+        )
+
+
+def coverage_radius(u: Array, dof: float) -> Array:
+    """Return the radius of the 95 % circle of a complex number, u of each part with `dof`.
+
+    |error|^2/(2 u^2) follows F(2, dof) (Hotelling).
+    """
+    radius: Array = u * math.sqrt(2 * float(stats.f.ppf(COVERAGE, 2, dof)))
+    return radius
+
+
+def frequency_response(
+    experiments: Sequence[Experiment], lines: Lines, sample_time: float, step: float = 0.0
+) -> FrequencyResponse:
+    """Return the response from input to output at `lines` of the period, in periods^-1.
+
+    `step` is the resolution of the output. Raises `InsufficientDataError` for too few experiments,
+    or where an experiment is not excited at a line.
+    """
+    if len(experiments) < MIN_EXPERIMENTS:
+        raise InsufficientDataError(
+            f"{len(experiments)} experiments have too little scatter to tell an uncertainty, "
+            f"{MIN_EXPERIMENTS} are needed: raise identify_plant.realisations"
+        )
+    samples = experiments[0].reference.shape[-1]
+    each, powers, quantisation = [], [], []
+    for experiment in experiments:
+        found = _Correlations.of(experiment, lines)
+        each.append(found.output / found.input)
+        powers.append(found)
+        # White noise of step^2/12 in the time domain has n step^2/12 at a line of one period.
+        quantisation.append(
+            step * np.sqrt(samples / 24 * found.reference_power) / np.abs(found.input)
+        )
+    return FrequencyResponse(
+        lines / (samples * sample_time),
+        np.stack(each),
+        _coherence(powers),
+        np.sqrt(np.mean(np.square(quantisation), axis=0) / len(experiments)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Correlations:
+    """Sums over the periods of one experiment, at the lines (k,)."""
+
+    input: ComplexArray
+    output: ComplexArray
+    reference_power: Array
+    input_power: Array
+    output_power: Array
+
+    @classmethod
+    def of(cls, experiment: Experiment, lines: Lines) -> _Correlations:
+        r, u, y = (
+            np.fft.rfft(signal, axis=-1)[:, lines]
+            for signal in (experiment.reference, experiment.input, experiment.output)
+        )
+        powers = [np.sum(np.abs(spectrum) ** 2, axis=0) for spectrum in (r, u, y)]
+        # What single precision leaves of a line that is not excited lies below 1e-6 of the others.
+        quiet = powers[0] < 1e-10 * powers[0].max(initial=0)
+        if quiet.any() or not powers[0].max(initial=0) > 0:
+            raise InsufficientDataError(
+                f"line {lines[int(np.argmax(quiet))]} of the period is not excited: analyse with "
+                "the settings of [identify_plant] that were recorded with"
+            )
+        return cls(np.sum(u * r.conj(), axis=0), np.sum(y * r.conj(), axis=0), *powers)
+
+
+def _coherence(powers: Sequence[_Correlations]) -> Array:
+    """Return |S_xr|^2/(S_xx S_rr), the mean over the experiments, for the smaller of u and y."""
+    found = [
+        np.mean(
+            [np.abs(cross) ** 2 / (power * p.reference_power) for p, cross, power in rows], axis=0
+        )
+        for rows in (
+            [(p, p.input, p.input_power) for p in powers],
+            [(p, p.output, p.output_power) for p in powers],
+        )
+    ]
+    smaller: Array = np.minimum(*found)
+    return smaller

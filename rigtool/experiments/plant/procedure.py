@@ -1,0 +1,164 @@
+"""identify-plant: frequency response of the plant in closed loop, and its inertia [7.2.3, 7.2.4.2].
+
+A multisine is added to the controller's torque while the shaft moves at constant speed. The
+response from the torque asked of the amplifier to the shaft's angle is that of the plant as the
+loop sees it, with the amplifier; the fit takes inertia and viscous friction from it [Fig. 35, 39].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.plant.fit import fit_plant
+from rigtool.experiments.plant.frequency_response import Experiment, frequency_response
+from rigtool.experiments.plant.multisine import Lines, periodic
+from rigtool.experiments.plant.procedure_excitation import (
+    Plan,
+    excited_lines,
+    plans,
+    samples,
+    tasks,
+)
+from rigtool.experiments.plant.results import Found, outcome_of
+from rigtool.experiments.session import channels, record
+from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
+from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
+from rigtool.rigs import Rig
+from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
+
+Array = NDArray[np.float64]
+
+COMMAND = "identify-plant"
+
+
+def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
+    """One recording for each speed and set of phases; both directions are in it."""
+    recorded = channels(
+        "time",
+        "current_setpoint",
+        "signal_current",
+        "position_setpoint",
+        "encoder",
+        "temperature",
+    )
+    period = samples(recipe) * recipe.rig.sample_time
+    return tuple(
+        RecordingSpec(
+            _name(plan), recorded, {"speed": (plan.speed, "rad/s"), "period": (period, "s")}
+        )
+        for plan in plans(recipe)
+    )
+
+
+def _name(plan: Plan) -> str:
+    return f"multisine_{plan.number:03d}"
+
+
+def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run | None = None) -> None:
+    """Excite the shaft at each speed, in both directions, with each set of phases."""
+    for plan in plans(recipe):
+        for task in tasks(recipe, plan):
+            record(rig, task, recorder, _name(plan))
+
+
+def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Outcome:
+    """Return the frequency response, its fit, and what the recipe's controller makes of it.
+
+    Raises `RunFileError` for runs without its recordings.
+    """
+    found = [recording for run in runs for recording in run.recordings_named("multisine_")]
+    if not found:
+        raise RunFileError(
+            f"{runs[0].path}: has no recording multisine_000: give the run file in which "
+            f"{COMMAND} recorded its signals"
+        )
+    lines, sample_time = excited_lines(recipe), recipe.rig.sample_time
+    experiments: list[Experiment] = []
+    constants: list[Quantity | None] = []
+    swings: list[float] = []
+    for recording in found:
+        constant = _torque_constant(recording, kt)
+        scale = recipe.rig.torque_constant if constant is None else constant.value
+        own = _experiments(recording, recipe, scale)
+        speed = recording.condition("speed")
+        swings += [_swing(experiment, lines, sample_time) / speed for experiment in own]
+        experiments += own
+        constants.append(constant)
+    count = 2 * math.pi / recipe.rig.encoder_counts
+    response = frequency_response(experiments, lines, sample_time, count)
+    fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia)
+    return outcome_of(Found(response, fit, constants[0], max(swings)), recipe)
+
+
+def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
+    """Return the torque for each ampere at the recording's temperature; None without --kt."""
+    if kt is None:
+        return None
+    return torque_per_ampere_at(kt, float(recording.read("temperature").mean()))
+
+
+def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -> list[Experiment]:
+    """Cut whole periods in steady state out of a recording: one experiment a direction."""
+    asked, setpoint = recording.read("current_setpoint"), recording.read("position_setpoint")
+    limit = recipe.rig.current_limit
+    if asked.size and np.abs(asked).max() >= 0.999 * limit:
+        raise InsufficientDataError(
+            f"recording {recording.name}: the current set point reaches the limit of {limit} A, "
+            "so the loop is not linear: lower identify_plant.current_share or swing"
+        )
+    signals = (
+        torque_constant * recording.read("signal_current"),
+        torque_constant * asked,
+        recording.read("encoder") * (2 * math.pi / recipe.rig.encoder_counts) - setpoint,
+    )
+    period = round(recording.condition("period") / recipe.rig.sample_time)
+    settle = round(recipe.identify_plant.settle_time / recipe.rig.sample_time)
+    step = recording.condition("speed") * recipe.rig.sample_time
+    experiments = []
+    for sign in (1, -1):
+        starts = _period_starts(np.diff(setpoint), sign * step, settle, period)
+        if not starts:
+            raise InsufficientDataError(
+                f"recording {recording.name}: no whole period of {period} samples at "
+                f"{sign * recording.condition('speed'):.4g} rad/s: lower "
+                "identify_plant.settle_time, or record again"
+            )
+        index = np.asarray(starts)[:, None] + np.arange(period)
+        experiments.append(Experiment(*(signal[index] for signal in signals)))
+    return experiments
+
+
+def _period_starts(steps: Array, step: float, settle: int, period: int) -> list[int]:
+    """Return where whole periods begin in each stretch of constant steps, its beginning left out.
+
+    The last sample of a stretch has no step of its own: periods end with the stretch's steps.
+    """
+    constant = np.abs(steps - step) < 1e-4 * abs(step)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], constant, [False]]).astype(np.int8)))
+    starts: list[int] = []
+    for first, stop in edges.reshape(-1, 2):
+        count = (stop - first - settle) // period
+        starts += [int(stop) - k * period for k in range(count, 0, -1)]
+    return starts
+
+
+def _swing(experiment: Experiment, lines: Lines, sample_time: float) -> float:
+    """Return the peak of the excited speed, rad/s."""
+    samples_of_period = experiment.reference.shape[-1]
+    reference, output = (
+        np.fft.rfft(signal, axis=-1)[:, lines]
+        for signal in (experiment.reference, experiment.output)
+    )
+    # Of the first period; what is not the excitation's stays out.
+    answer = reference[0] * np.sum(output * reference.conj(), axis=0)
+    answer /= np.sum(np.abs(reference) ** 2, axis=0)
+    omega = 2 * np.pi * lines / (samples_of_period * sample_time)
+    amplitude = 1j * omega * answer / (samples_of_period / 2)
+    return float(np.abs(periodic(lines, amplitude, samples_of_period)).max())

@@ -1,0 +1,164 @@
+"""How the plant is excited: a multisine on top of motion at constant speed, both directions.
+
+While the shaft moves without stopping, Coulomb friction is a constant and the plant is linear. The
+bare pulley turns freely: the periods of an experiment cover whole turns, and begin at as many
+equally spaced angles, so that ripple of any order that is not a multiple of their number drops out.
+The instrument has a limited angle: it moves to and fro, each cycle of strokes with the excitation
+of the one before turned over, so that whatever follows from the position drops out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.position_loop import position_loop
+from rigtool.errors import RecipeError
+from rigtool.experiments.plant.multisine import (
+    ComplexArray,
+    Lines,
+    periodic,
+    quasi_log_lines,
+    random_phases,
+)
+from rigtool.recipe import Recipe
+from rigtool.rigs import Feedforward, Task
+from rigtool.rigs.motion import SpeedProfile, Triangle
+
+Array = NDArray[np.float64]
+
+RUN_UP = 0.5
+"""From standstill to the speed of an experiment, s."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One speed of the shaft, rad/s, and one set of phases: experiments in both directions."""
+
+    speed: float
+    number: int
+
+
+def samples(recipe: Recipe) -> int:
+    """Return the samples of the loop in a period of the multisine."""
+    return round(recipe.identify_plant.period / recipe.rig.sample_time)
+
+
+def excited_lines(recipe: Recipe) -> Lines:
+    """Return which lines of the period are excited; `RecipeError` where they do not fit."""
+    settings, rig = recipe.identify_plant, recipe.rig
+    period = samples(recipe) * rig.sample_time
+    low, high = round(settings.frequency_min * period), round(settings.frequency_max * period)
+    if high >= samples(recipe) / 2:
+        raise RecipeError(
+            f"identify_plant.frequency_max {settings.frequency_max} Hz must lie below half the "
+            f"sampling rate, {0.5 / rig.sample_time:.4g} Hz"
+        )
+    return quasi_log_lines(max(low, 1), max(high, 2), settings.lines)
+
+
+def plans(recipe: Recipe) -> list[Plan]:
+    """Return the experiments, with speeds that suit the period."""
+    free = recipe.rig.attachment == "pulley"
+    settings = recipe.identify_plant
+    wished = settings.speeds if free else settings.stroke_speeds
+    speeds = [_turning(recipe, speed) if free else _strokes(recipe, speed) for speed in wished]
+    return [
+        Plan(speed, place * settings.realisations + number)
+        for place, speed in enumerate(speeds)
+        for number in range(settings.realisations)
+    ]
+
+
+def tasks(recipe: Recipe, plan: Plan) -> Iterator[Task]:
+    """Return what the rig does for a plan: both directions."""
+    period = multisine(recipe, plan)
+    if recipe.rig.attachment == "pulley":
+        settings = recipe.identify_plant
+        duration = settings.settle_time + settings.periods * len(period) * recipe.rig.sample_time
+        times = (0.0, RUN_UP, RUN_UP + duration, 2 * RUN_UP + duration)
+        for sign in (1.0, -1.0):
+            speeds = (0.0, sign * plan.speed, sign * plan.speed, 0.0)
+            yield Task(SpeedProfile(times, speeds), Feedforward(signal=period))
+        return
+    motion = _triangle(recipe, plan.speed)
+    strokes = round(motion.stroke_time / (len(period) * recipe.rig.sample_time))
+    cycle = np.tile(period, 2 * strokes)
+    yield Task(motion, Feedforward(signal=np.concatenate([cycle, -cycle])))
+
+
+def multisine(recipe: Recipe, plan: Plan) -> Array:
+    """Return a period of the torque, N m, that swings the shaft's speed at all lines alike.
+
+    Its level: as much as neither stops the shaft nor takes more than the share of the current
+    limit, as the loop with the nominal inertia will react.
+    """
+    settings, rig = recipe.identify_plant, recipe.rig
+    lines, count = excited_lines(recipe), samples(recipe)
+    loop = position_loop(
+        **rig.controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
+    )
+    frequency = lines / (count * rig.sample_time)
+    speed = random_phases(lines, count, np.random.default_rng(plan.number))
+    torque = speed / (2j * np.pi * frequency * loop.process_sensitivity.response(frequency))
+    asked = torque * loop.sensitivity.response(frequency)
+
+    def peak(amplitude: ComplexArray) -> float:
+        return float(np.abs(periodic(lines, amplitude, count)).max())
+
+    level = min(
+        settings.swing * plan.speed / peak(speed),
+        settings.current_share * rig.current_limit * rig.torque_constant / peak(asked),
+    )
+    return level * periodic(lines, torque, count)
+
+
+def _turning(recipe: Recipe, wished: float) -> float:
+    """Return the closest speed at which the periods begin at equally spaced angles of the turn."""
+    periods = recipe.identify_plant.periods
+    duration = periods * samples(recipe) * recipe.rig.sample_time
+    turns = wished * duration / (2 * math.pi)
+    fitting = [n for n in range(1, math.ceil(turns) + periods + 1) if math.gcd(n, periods) == 1]
+    return min(fitting, key=lambda n: abs(n - turns)) * 2 * math.pi / duration
+
+
+def _strokes(recipe: Recipe, wished: float) -> float:
+    """Return the closest speed at which a stroke lasts a whole number of periods."""
+    settings = recipe.identify_plant
+    period = samples(recipe) * recipe.rig.sample_time
+    motion = _triangle(recipe, wished)
+    count = max(1, round(motion.stroke_time / period))
+    speed = wished * motion.stroke_time / (count * period)
+    motion = _triangle(recipe, speed)
+    if _periods_of_stroke(recipe, motion) < 1:
+        straight = settings.settle_time + period
+        raise RecipeError(
+            f"identify_plant.stroke_speeds {wished} rad/s: constant speed must last at least "
+            f"{straight:.4g} s (settle_time and a period) in each stroke: lower the speed, or "
+            "the period"
+        )
+    return speed
+
+
+def _periods_of_stroke(recipe: Recipe, motion: Triangle) -> int:
+    """Return the whole periods at constant speed within one stroke."""
+    straight = motion.stroke_time - 2 * motion.turn_time - recipe.identify_plant.settle_time
+    return max(0, math.floor(straight / (samples(recipe) * recipe.rig.sample_time)))
+
+
+def _triangle(recipe: Recipe, speed: float) -> Triangle:
+    settings, ratio = recipe.identify_plant, recipe.rig.angle_ratio
+    motion = Triangle(
+        low=0.0,
+        high=math.radians(settings.angle) * ratio,
+        speed=speed,
+        turn_angle=math.radians(settings.turn_angle) * ratio,
+        cycles=1,
+    )
+    each = max(1, _periods_of_stroke(recipe, motion))
+    # An even number of cycles, for the excitation and its reverse
+    return replace(motion, cycles=2 * math.ceil(settings.periods / each / 2))

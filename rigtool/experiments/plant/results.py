@@ -1,0 +1,301 @@
+"""What identify-plant reports: the response, its fit, the loop's sensitivities and margins."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.position_loop import TransferFunction, position_loop
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.plant.fit import MIN_COHERENCE, PlantFit
+from rigtool.experiments.plant.frequency_response import FrequencyResponse
+from rigtool.experiments.plant.margins import Margins, margins
+from rigtool.experiments.plant.multisine import ComplexArray
+from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
+from rigtool.runfile import Column, Table
+
+Array = NDArray[np.float64]
+
+RESPONSE = "rad/(N m)"
+POINTS = 200
+"""Of the frequency axis on which fit and sensitivities are tabulated."""
+
+NOT_CALIBRATED = (
+    "the torque constant is the data sheet's, whose uncertainty is not known: give --kt"
+)
+
+
+def controller(recipe: Recipe) -> TransferFunction:
+    """Return the recipe's controller: it is made for the nominal inertia, whatever is there."""
+    rig = recipe.rig
+    return position_loop(
+        **rig.controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
+    ).controller
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Response and fit; the torque for each ampere (None without --kt), the largest swing.
+
+    `swing` is the peak of the excited speed relative to the speed of the shaft.
+    """
+
+    response: FrequencyResponse
+    fit: PlantFit
+    torque_constant: Quantity | None
+    swing: float
+
+    @property
+    def scale_u(self) -> float:
+        """Relative standard uncertainty of all torques; zero where it is not known."""
+        constant = self.torque_constant
+        return 0.0 if constant is None else (constant.u or 0.0) / constant.value
+
+    def quantity(self, statistic: Callable[[PlantFit], float], unit: str) -> Quantity:
+        """Return a number that follows from the fit, with its uncertainty."""
+        value = statistic(self.fit)
+        if self.torque_constant is None:
+            return Quantity(value, unit, reason=NOT_CALIBRATED)
+        scatter = self.fit.uncertainty(statistic)
+        scale = statistic(_scaled(self.fit, 1 + self.scale_u)) - value
+        u = math.hypot(scatter, scale)
+        # Welch-Satterthwaite (GUM G.4.1)
+        known = self.torque_constant.dof
+        share = scatter**4 / (len(self.fit.without) - 1) + (scale**4 / known if known else 0.0)
+        return Quantity(value, unit, u, u**4 / share if share > 0 else None)
+
+
+def _scaled(fit: PlantFit, factor: float) -> PlantFit:
+    """Return the fit as it would be with all torques larger by a factor."""
+    model = fit.model
+    return replace(
+        fit,
+        model=replace(model, inertia=factor * model.inertia, viscous=factor * model.viscous),
+    )
+
+
+def outcome_of(found: Found, recipe: Recipe) -> Outcome:
+    """Return results, tables and notes."""
+    loop = _Loop(found, recipe)
+    return Outcome(
+        {**_plant_results(found), **loop.results()},
+        {
+            "frequency_response": _response_table(found),
+            "fit": _fit_table(found, loop.frequency),
+            "sensitivities": loop.table(),
+        },
+        tuple(_notes(found, recipe)),
+    )
+
+
+def _plant_results(found: Found) -> dict[str, Quantity]:
+    fit, response = found.fit, found.response
+    results = {
+        "inertia": found.quantity(lambda f: f.model.inertia, "kg m2"),
+        "viscous_friction": found.quantity(lambda f: f.model.viscous, "N m s/rad"),
+        "mass_line_crossing": found.quantity(lambda f: f.model.mass_line_crossing, "Hz"),
+    }
+    if not fit.model.rigid:
+        results |= {
+            "inertia_motor_side": found.quantity(
+                lambda f: f.model.inertia * (f.model.motor_side or 1.0), "kg m2"
+            ),
+            "antiresonance_frequency": found.quantity(lambda f: f.model.antiresonance_hz, "Hz"),
+            "antiresonance_damping": found.quantity(lambda f: f.model.damping, "1"),
+            "resonance_frequency": found.quantity(lambda f: f.model.resonance_hz, "Hz"),
+        }
+    off = np.abs(response.response / fit.response(response.frequency) - 1)[fit.used]
+    return {
+        **results,
+        "delay": found.quantity(lambda f: f.delay, "s"),
+        "model_distance": Quantity(
+            float(off.max()), "1", reason="the largest deviation holds the scatter as well"
+        ),
+        "coherence_min": Quantity(
+            float(response.coherence[fit.used].min()), "1", reason="a measure of scatter itself"
+        ),
+    }
+
+
+def _response_table(found: Found) -> Table:
+    response, fit = found.response, found.fit
+    value, scale = response.response, found.scale_u * np.abs(response.response)
+    return Table(
+        ("frequency",),
+        {
+            "frequency": Column(response.frequency, "Hz"),
+            "magnitude": Column(np.abs(value), RESPONSE, "angle for each torque"),
+            "phase": Column(unwrapped(value), "rad"),
+            "u": Column(np.hypot(response.u, scale), RESPONSE, "standard, of the magnitude"),
+            "u_phase": Column(response.u / np.abs(value), "rad", "standard, of the phase"),
+            "radius": Column(
+                np.hypot(response.radius, 2 * scale),
+                RESPONSE,
+                "of the circle that holds the true response at 95 %",
+            ),
+            "u_quantisation": Column(
+                response.quantisation, RESPONSE, "part of u that the encoder's steps cause"
+            ),
+            "coherence": Column(response.coherence, "1", "with the excitation, in one period"),
+            "distance": Column(
+                np.abs(value / fit.model.response(response.frequency, fit.sample_time) - 1),
+                "1",
+                "from the model without delay, relative",
+            ),
+            "used": Column(fit.used.astype(np.int32), "1", "1 where the fit rests on the line"),
+        },
+        "magnitude",
+        "frequency response of the plant, torque to angle (Fig. 35)",
+    )
+
+
+def _fit_table(found: Found, frequency: Array) -> Table:
+    fit = found.fit
+    value = fit.response(frequency)
+    omega = 2 * np.pi * frequency
+    without = np.stack([np.abs(other.response(frequency)) for other in fit.without])
+    count = len(without)
+    scatter = np.sqrt((count - 1) * without.var(axis=0))
+    return Table(
+        ("frequency",),
+        {
+            "frequency": Column(frequency, "Hz"),
+            "magnitude": Column(np.abs(value), RESPONSE, "fit, with delay and roll-off"),
+            "phase": Column(unwrapped(value), "rad"),
+            "u": Column(
+                np.hypot(scatter, found.scale_u * np.abs(value)),
+                RESPONSE,
+                "standard, of the magnitude, if the model is right",
+            ),
+            "mass_line": Column(
+                1 / (fit.model.inertia * omega**2), RESPONSE, "1/(J w2): -40 dB a decade"
+            ),
+        },
+        "magnitude",
+        "fitted response of the plant (Fig. 39)",
+    )
+
+
+class _Loop:
+    """The fitted plant in the recipe's loop."""
+
+    def __init__(self, found: Found, recipe: Recipe) -> None:
+        self._found = found
+        self._controller = controller(recipe)
+        self._half_rate = 0.5 / recipe.rig.sample_time
+        low = found.response.frequency[0] / 4
+        self.frequency = np.geomspace(low, 0.999 * self._half_rate, POINTS)
+
+    def _margins(self, fit: PlantFit) -> Margins:
+        return margins(
+            lambda f: self._controller.response(f) * fit.response(f), 0.999 * self._half_rate
+        )
+
+    def results(self) -> dict[str, Quantity]:
+        """Return margins and bandwidth, each computed once for each of the fits."""
+        known: dict[PlantFit, Margins] = {}
+
+        def of(name: str) -> Callable[[PlantFit], float]:
+            def statistic(fit: PlantFit) -> float:
+                if fit not in known:
+                    known[fit] = self._margins(fit)
+                return float(getattr(known[fit], name))
+
+            return statistic
+
+        quantity = self._found.quantity
+        return {
+            "crossover_frequency": quantity(of("crossover_hz"), "Hz"),
+            "bandwidth": quantity(of("bandwidth_hz"), "Hz"),
+            "gain_margin": quantity(of("gain"), "1"),
+            "phase_margin": quantity(of("phase"), "rad"),
+            "modulus_margin": quantity(of("modulus"), "1"),
+        }
+
+    def table(self) -> Table:
+        """Return S, T, Sp and the open loop over frequency."""
+        frequency = self.frequency
+        plant = self._found.fit.response(frequency)
+        open_loop = self._controller.response(frequency) * plant
+        sensitivity = 1 / (1 + open_loop)
+        curves = {
+            "t": (open_loop * sensitivity, "1", "complementary sensitivity T"),
+            "s": (sensitivity, "1", "sensitivity S"),
+            "sp": (plant * sensitivity, RESPONSE, "process sensitivity Sp"),
+            "open_loop": (open_loop, "1", "controller times plant"),
+        }
+        columns = {"frequency": Column(frequency, "Hz")}
+        for name, (value, unit, what) in curves.items():
+            columns[f"{name}_magnitude"] = Column(np.abs(value), unit, what)
+            columns[f"{name}_phase"] = Column(unwrapped(value), "rad", what)
+        return Table(
+            ("frequency",),
+            columns,
+            "t_magnitude",
+            "the loop of the recipe's controller and the fitted plant",
+        )
+
+
+def unwrapped(response: ComplexArray) -> Array:
+    """Return the phase, rad, without jumps."""
+    phase: Array = np.unwrap(np.angle(response))
+    return phase
+
+
+def _notes(found: Found, recipe: Recipe) -> list[str]:
+    fit, response = found.fit, found.response
+    band = response.frequency[fit.used]
+    steps = (response.quantisation / np.abs(response.response))[fit.used]
+    share = np.median(np.square(response.quantisation / response.u)[fit.used])
+    notes = [
+        f"{len(response.each)} experiments; fit on {fit.used.sum()} of {len(fit.used)} lines, "
+        f"{band[0]:.4g} to {band[-1]:.4g} Hz: those with a coherence of at least {MIN_COHERENCE}",
+        f"the encoder's steps, as white noise, make at most {100 * steps.max():.2g} % of a line's "
+        f"response uncertain, {share:.2g} of its variance (median)",
+        _swing_note(found.swing),
+        _model_note(fit),
+        f"delay and roll-off stand for what is not the plant (the amplifier, the hold): "
+        f"{fit.delay * 1e6:+.3g} us beyond half a sample, gain "
+        f"{100 * math.expm1(-fit.roll_off * (2 * math.pi * band[-1]) ** 2):+.2g} % at "
+        f"{band[-1]:.4g} Hz",
+    ]
+    nominal = recipe.rig.nominal_inertia
+    notes.append(
+        f"the nominal inertia is {nominal:.4g} kg m2, the measured one "
+        f"{100 * (fit.model.inertia / nominal - 1):+.2g} % from it"
+    )
+    if found.torque_constant is None:
+        notes.append(
+            f"torques rest on the data sheet's torque constant, {recipe.rig.torque_constant} "
+            "N m/A: inertia and friction are wrong by as much as it is; give --kt"
+        )
+    return notes
+
+
+def _swing_note(swing: float) -> str:
+    if swing < 1:
+        return (
+            f"the shaft never stopped (its speed swung by up to {100 * swing:.3g} %), so Coulomb "
+            "friction is a constant"
+        )
+    return (
+        f"the shaft stopped (its speed swung by up to {100 * swing:.3g} %): viscous_friction holds "
+        "Coulomb friction too; lower identify_plant.swing"
+    )
+
+
+def _model_note(fit: PlantFit) -> str:
+    if fit.model.rigid:
+        model = "one rigid inertia explains the response"
+    else:
+        model = (
+            "a rigid inertia does not explain the response (F test, p = "
+            f"{fit.rigid_rejected:.1g}): two masses were fitted; `inertia` moves below the "
+            f"resonance at {fit.model.resonance_hz:.3g} Hz, `inertia_motor_side` above it"
+        )
+    return f"{model}; deviations are {fit.misfit:.3g} times what their scatter lets expect"

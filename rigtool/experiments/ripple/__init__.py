@@ -1,0 +1,1 @@
+"""Ripple of the torque by orders of the turn."""

@@ -1,0 +1,317 @@
+"""`fft-ripple` on imported runs: orders of rotation, what compensation reduced, maps compared.
+
+A motor that turns slowly asks for the current that overcomes its cogging, whether the controller or
+a table provides it. So both are told: the ripple of the current, and that of the motion, which is
+what compensation is there to reduce.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.experiments.imported import (
+    RIG,
+    Effort,
+    effort_of,
+    is_linear,
+    position_of,
+    require_one_rig,
+    signals_of,
+)
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.ripple.imported_maps import MAP, compare_maps
+from rigtool.experiments.ripple.imported_turns import (
+    Turns,
+    fill,
+    find_turns,
+    reduction,
+    turn_spectrum,
+)
+from rigtool.experiments.ripple.orders import Spectrum
+from rigtool.quantity import Quantity
+from rigtool.runfile import Column, Recording, Run, Table
+from rigtool.runfile.importers.convert import irregular
+
+Array = NDArray[np.float64]
+
+POSITIONS = 500
+"""Cells of a turn."""
+
+ORDERS = 100
+"""Highest order of rotation in the spectra, where the data tell that many."""
+
+SAME_SPEED = 0.1
+"""Speeds that differ by less than this part are one speed."""
+
+TOLD = 10
+"""Orders that become results, the strongest that stand out of the noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Runs under the same conditions and speed, as repeats of each other."""
+
+    conditions: Mapping[str, float]
+    speed: float
+    runs: int
+    torque: Array
+    deviation: Array
+    gap: float
+    spectra: dict[str, Spectrum] = field(default_factory=dict)
+
+    def label(self) -> str:
+        """Return what distinguishes it, for people."""
+        parts = [f"{name} {value:g}" for name, value in self.conditions.items()]
+        return ", ".join([*parts, f"{self.speed:.3g} rad/s"])
+
+
+def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
+    """Find the orders of each condition and compare conditions; or compare maps.
+
+    Raises `UsageError` for maps and recordings together, and for a linear axis.
+    """
+    maps = [MAP in run.tables for run in runs]
+    if all(maps):
+        return compare_maps(runs)
+    if any(maps):
+        raise UsageError("maps and recordings cannot be analysed together: give one kind")
+    recordings = signals_of(runs)
+    require_one_rig(recordings, runs)
+    if is_linear(recordings[0]):
+        raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to lay over")
+    effort = effort_of(recordings[0], kt)
+    turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
+    groups = groups_of(recordings, turns)
+    widest = max(group.gap for group in groups)
+    orders = ORDERS if widest == 0 else min(ORDERS, int(1 / (2 * widest)))
+    for group in groups:
+        group.spectra["torque"] = turn_spectrum(group.torque, orders)
+        group.spectra["deviation"] = turn_spectrum(group.deviation, orders)
+    pairs = _pairs(groups)
+    tables = {"imported_spectrum": _spectrum_table(groups, effort.unit)}
+    tables["imported_waveforms"] = _waveform_table(groups, effort.unit)
+    if pairs:
+        tables["reduction"] = _reduction_table(pairs, orders)
+    notes = [f"torque ripple is that of the {effort.origin}"]
+    if any(irregular(recording.read("time")) for recording in recordings):
+        notes.append("the irregular time axis: each cell of the turn has the mean over time")
+    notes += _notes(groups, pairs, turns, orders, effort.name)
+    return Outcome(_results(groups, pairs, effort), tables, tuple(notes))
+
+
+def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
+    """Lay a recording over the turn, in `POSITIONS` cells; what the motor does is its torque.
+
+    Raises `InsufficientDataError` that names the file.
+    """
+    angle = position_of(recording) / (2 * math.pi)
+    try:
+        return find_turns(recording.read("time"), angle, effort_of(recording, kt).values, POSITIONS)
+    except InsufficientDataError as error:
+        raise InsufficientDataError(f"{run.path}: {error}") from None
+
+
+def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[Group]:
+    """Put together what was recorded under the same conditions and at the same speed."""
+    found: list[tuple[dict[str, float], list[Turns]]] = []
+    for recording, here in zip(recordings, turns, strict=True):
+        conditions = {n: q.value for n, q in recording.conditions.items() if n not in RIG}
+        for others, members in found:
+            same_speed = abs(here.speed - members[0].speed) < SAME_SPEED * abs(members[0].speed)
+            if others == conditions and same_speed:
+                members.append(here)
+                break
+        else:
+            found.append((conditions, [here]))
+    groups = []
+    for conditions, members in found:
+        torque, gap = fill(np.concatenate([member.torque for member in members]))
+        deviation, _ = fill(np.concatenate([member.deviation for member in members]))
+        speed = float(np.mean([member.speed for member in members]))
+        groups.append(Group(conditions, speed, len(members), torque, deviation, gap))
+    return groups
+
+
+def _pairs(groups: Sequence[Group]) -> list[tuple[Group, Group, str]]:
+    """Return groups that differ in one condition: reference (the lower), other, and its name."""
+    pairs = []
+    for low in groups:
+        for high in groups:
+            names = low.conditions.keys() | high.conditions.keys()
+            differing = [n for n in names if low.conditions.get(n) != high.conditions.get(n)]
+            if len(differing) != 1 or abs(low.speed - high.speed) > SAME_SPEED * abs(low.speed):
+                continue
+            (name,) = differing
+            if low.conditions.get(name, math.nan) < high.conditions.get(name, math.nan):
+                pairs.append((low, high, name))
+    return sorted(pairs, key=_rank)
+
+
+def _rank(pair: tuple[Group, Group, str]) -> tuple[float, float, float]:
+    """Order pairs: most turns, then the first condition of the mapping, the others off."""
+    low, high, name = pair
+    turns = min(len(low.torque), len(high.torque))
+    others = sum(abs(value) for key, value in low.conditions.items() if key != name)
+    return -turns, list(high.conditions).index(name), others
+
+
+def _strongest(group: Group) -> list[int]:
+    """Return the orders that stand out, the strongest first."""
+    spectrum = group.spectra["torque"]
+    order = np.argsort(-np.where(spectrum.clear, spectrum.amplitude, 0.0), kind="stable")
+    return [int(spectrum.order[i]) for i in order[:TOLD] if spectrum.clear[i]]
+
+
+def _results(
+    groups: Sequence[Group], pairs: Sequence[tuple[Group, Group, str]], effort: Effort
+) -> dict[str, Quantity]:
+    """Return the strongest orders of the reference, and by how much they were reduced."""
+    reference = pairs[0][0] if pairs else max(groups, key=lambda group: len(group.torque))
+    spectrum = reference.spectra["torque"]
+    strongest = spectrum.strongest()
+    results = {"strongest_order": Quantity(float(strongest), "1", reason="a whole number")}
+    dof = 2.0 * (len(reference.torque) - 1) or None
+    told = _strongest(reference)
+    for order in told:
+        i = order - 1
+        results[f"order_{order}_amplitude"] = Quantity(
+            float(spectrum.amplitude[i]),
+            effort.unit,
+            float(spectrum.noise_floor[i]) / math.sqrt(2),
+            dof,
+        )
+    if not pairs:
+        return results
+    for quantity, name in (("deviation", "motion"), ("torque", effort.name)):
+        values, u = reduction(pairs[0][0].spectra[quantity], pairs[0][1].spectra[quantity])
+        for order in told:
+            if math.isfinite(values[order - 1]):
+                results[f"order_{order}_{name}_reduction"] = Quantity(
+                    float(values[order - 1]), "1", float(u[order - 1])
+                )
+    return results
+
+
+def _notes(
+    groups: Sequence[Group],
+    pairs: Sequence[tuple[Group, Group, str]],
+    turns: Sequence[Turns],
+    orders: int,
+    name: str,
+) -> list[str]:
+    notes = []
+    settled = max(here.settled for here in turns)
+    if settled > 0:
+        notes.append(f"the motion before it is steady was left out, up to {settled:.2g} s of a run")
+    if orders < ORDERS:
+        notes.append(f"parts of the turn that no run passed limit the orders to {orders}")
+    for number, group in enumerate(groups):
+        strongest = ", ".join(map(str, _strongest(group))) or "none"
+        turned = f"{group.runs} run{'s' if group.runs > 1 else ''}, "
+        turned += f"{len(group.torque)} turn{'s' if len(group.torque) > 1 else ''}"
+        notes.append(f"group {number} ({group.label()}; {turned}): strongest orders {strongest}")
+        if len(group.torque) == 1:
+            notes.append(
+                f"group {number} is one turn: what repeats cannot be told, the noise of an order "
+                "is taken from the orders around it"
+            )
+    for number, (low, high, condition) in enumerate(pairs):
+        notes.append(
+            f"pair {number}: {condition} {high.conditions[condition]:g} against "
+            f"{low.conditions[condition]:g}, group {groups.index(high)} against "
+            f"{groups.index(low)}: {_told_reduction(low, high, name)}"
+        )
+    return notes
+
+
+def _told_reduction(low: Group, high: Group, name: str) -> str:
+    """Return the reductions of the strongest orders for people."""
+    texts = []
+    for quantity, what in (("deviation", "motion"), ("torque", name)):
+        values, _ = reduction(low.spectra[quantity], high.spectra[quantity])
+        told = [
+            f"{order}: {values[order - 1]:.0%}"
+            for order in _strongest(low)
+            if math.isfinite(values[order - 1])
+        ]
+        texts.append(f"ripple of the {what} reduced by, order by order, {', '.join(told)}")
+    return "; ".join(texts)
+
+
+def _spectrum_table(groups: Sequence[Group], unit: str) -> Table:
+    first = groups[0].spectra["torque"]
+
+    def column(quantity: str, name: str, of: str, what: str) -> Column:
+        values = [getattr(group.spectra[quantity], name) for group in groups]
+        return Column(np.stack(values), of, what)
+
+    floor = "amplitude that scatter alone would show"
+    return Table(
+        ("group", "order"),
+        {
+            **_group_columns(groups),
+            "order": Column(first.order, "1", "cycles a turn"),
+            "amplitude": column("torque", "amplitude", unit, "of torque or current"),
+            "phase": column("torque", "phase", "rad", "amplitude*cos(order*angle + phase)"),
+            "noise_floor": column("torque", "noise_floor", unit, floor),
+            "deviation": column("deviation", "amplitude", "rad", "of angle from steady motion"),
+            "deviation_phase": column("deviation", "phase", "rad", "as phase"),
+            "deviation_noise_floor": column("deviation", "noise_floor", "rad", floor),
+        },
+        "amplitude",
+        "ripple by order of rotation, for each condition",
+    )
+
+
+def _waveform_table(groups: Sequence[Group], unit: str) -> Table:
+    angle = (np.arange(float(POSITIONS)) + 0.5) * (2 * math.pi / POSITIONS)
+    torque = [group.torque.mean(axis=0) for group in groups]
+    deviation = [group.deviation.mean(axis=0) for group in groups]
+    return Table(
+        ("group", "position"),
+        {
+            **_group_columns(groups),
+            "position": Column(angle, "rad", "of the rotor"),
+            "ripple": Column(np.stack(torque), unit, "torque or current, offset included"),
+            "deviation": Column(np.stack(deviation), "rad", "of angle from steady motion"),
+        },
+        "ripple",
+        "mean over the turns of each condition",
+    )
+
+
+def _group_columns(groups: Sequence[Group]) -> dict[str, Column]:
+    names = dict.fromkeys(name for group in groups for name in group.conditions)
+    taken = ("group", "order", "position", "speed", "turns", "amplitude", "phase", "ripple")
+    varied = {
+        name: Column(np.array([group.conditions.get(name, np.nan) for group in groups]), "1")
+        for name in names
+        if name not in taken
+    }
+    return {
+        "group": Column(np.arange(len(groups)), "1"),
+        "speed": Column(np.array([group.speed for group in groups]), "rad/s", "mean"),
+        "turns": Column(np.array([len(group.torque) for group in groups]), "1", "averaged"),
+        **varied,
+    }
+
+
+def _reduction_table(pairs: Sequence[tuple[Group, Group, str]], orders: int) -> Table:
+    columns = {
+        "pair": Column(np.arange(len(pairs)), "1", "see the notes"),
+        "order": Column(np.arange(1.0, orders + 1), "1", "cycles a turn"),
+    }
+    for quantity, name in (("deviation", "reduction"), ("torque", "torque_reduction")):
+        found = [reduction(low.spectra[quantity], high.spectra[quantity]) for low, high, _ in pairs]
+        of = "motion" if quantity == "deviation" else "torque or current"
+        columns[name] = Column(
+            np.stack([values for values, _ in found]), "1", f"1 - ratio of amplitudes, {of}"
+        )
+        columns[f"{name}_u"] = Column(np.stack([u for _, u in found]), "1")
+    return Table(("pair", "order"), columns, "reduction", "ripple with against without")

@@ -1,0 +1,129 @@
+"""`fft-ripple` on imported maps around the turn: which of them is another, or turned?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.ripple.map_shift import (
+    Match,
+    highest_order,
+    map_orders,
+    match_maps,
+    typical,
+)
+from rigtool.quantity import Quantity
+from rigtool.runfile import Column, Run, Table
+
+MAP = "map"
+
+ORDERS = 100
+"""Highest order that is compared, where all maps tell that many."""
+
+CERTAIN = 3.0
+"""A map counts as turned when its shift is this many times the shift's uncertainty."""
+
+ALIKE = 0.9
+"""Two maps are the same when they share this part of their variance, after turning."""
+
+
+def compare_maps(runs: Sequence[Run]) -> Outcome:
+    """Compare maps with the one that is most like all others.
+
+    Raises `InsufficientDataError` for maps without enough angles, `UsageError` for one map alone or
+    maps of different signals.
+    """
+    if len(runs) < 2:
+        raise UsageError("one map cannot be compared: give two or more")
+    tables = [run.table(MAP) for run in runs]
+    signals = {(table.signal, table.columns[table.signal].unit) for table in tables}
+    if len(signals) > 1:
+        found = ", ".join(f"{name} [{unit}]" for name, unit in sorted(signals))
+        raise UsageError(f"maps of {found} cannot be compared: give maps of one signal")
+    orders = min([ORDERS, *(highest_order(table["position"]) for table in tables)])
+    maps = []
+    for run, table in zip(runs, tables, strict=True):
+        try:
+            maps.append(map_orders(table["position"], table[table.signal], orders))
+        except InsufficientDataError as error:
+            raise InsufficientDataError(f"{run.path}: {error}") from None
+    reference = typical(maps)
+    matches = [match_maps(maps[reference], other) for other in maps]
+    names = [run.path.stem for run in runs]
+    notes = [f"compared with {names[reference]}, the map that is most like all others"]
+    notes += [_verdict(name, match) for name, match in zip(names, matches, strict=True)]
+    notes.pop(1 + reference)
+    return Outcome(
+        _results(names, matches, reference),
+        {"map_comparison": _table(matches), "map_spectrum": _spectra(maps, signals.pop()[1])},
+        tuple(notes),
+    )
+
+
+def _verdict(name: str, match: Match) -> str:
+    """Say of one map what it is, with the numbers."""
+    numbers = f"correlation {match.correlation:.3f} at equal angles"
+    degrees = math.degrees(match.shift)
+    turned = f"{match.best_correlation:.3f} when turned by {degrees:.1f} deg"
+    if match.best_correlation**2 < ALIKE:
+        return f"{name}: another map ({numbers}, at best {turned})"
+    if abs(match.shift) <= CERTAIN * match.shift_u or match.correlation**2 >= ALIKE:
+        return f"{name}: the same map ({numbers}, {turned})"
+    match_u = f"{math.degrees(match.shift_u):.2f}"
+    part = abs(match.shift) / (2 * math.pi)
+    of_turn = "half a turn" if round(part, 2) == 0.5 else f"{part:.2f} of a turn"
+    return (
+        f"{name}: the same map, shifted by {of_turn}, {degrees:.1f} +- {match_u} deg "
+        f"({numbers}, {turned}): look for what is not tied to the rotor, such as another index or "
+        "another motor nearby"
+    )
+
+
+def _results(names: Sequence[str], matches: Sequence[Match], reference: int) -> dict[str, Quantity]:
+    results = {}
+    for number, (name, match) in enumerate(zip(names, matches, strict=True)):
+        if number == reference:
+            continue
+        key = "".join(c if c.isascii() and c.isalnum() else "_" for c in name)[:80]
+        results[f"shift_{key}"] = Quantity(match.shift, "rad", match.shift_u)
+        results[f"correlation_{key}"] = Quantity(
+            match.correlation, "1", reason="one map each: no repeats to tell"
+        )
+    return results
+
+
+def _table(matches: Sequence[Match]) -> Table:
+    def column(name: str, unit: str, what: str) -> Column:
+        return Column(np.array([getattr(match, name) for match in matches]), unit, what)
+
+    return Table(
+        ("map",),
+        {
+            "map": Column(np.arange(len(matches)), "1", "in the order of the inputs"),
+            "correlation": column("correlation", "1", "at equal angles"),
+            "shift": column("shift", "rad", "that makes the correlation largest"),
+            "shift_u": column("shift_u", "rad", "standard uncertainty of it"),
+            "best_correlation": column("best_correlation", "1", "at that shift"),
+            "scale": column("scale", "1", "least-squares factor at that shift"),
+        },
+        "correlation",
+        "each map against the one that is most like all others",
+    )
+
+
+def _spectra(maps: Sequence[np.ndarray], unit: str) -> Table:
+    return Table(
+        ("map", "order"),
+        {
+            "map": Column(np.arange(len(maps)), "1", "in the order of the inputs"),
+            "order": Column(np.arange(1, maps[0].size + 1), "1", "cycles a turn"),
+            "amplitude": Column(np.abs(np.stack(maps)), unit),
+            "phase": Column(np.angle(np.stack(maps)), "rad", "amplitude*cos(order*angle + phase)"),
+        },
+        "amplitude",
+        "maps by order of rotation",
+    )

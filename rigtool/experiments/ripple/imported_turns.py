@@ -1,0 +1,167 @@
+"""Turns of a steadily turning shaft in somebody else's recording, and the ripple in them.
+
+Nothing is known but signals: where the motion has settled, how fast it is and how many turns there
+are is read off. The angle is compared with a steady motion, angle(t) = a + speed t; what remains,
+
+    deviation(t) = angle(t) - a - speed t,
+
+is the ripple of the motion, as torque against angle is that of the torque. A time axis may be
+irregular: a cell of the turn has the mean over the time that the shaft spends in it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.ripple.orders import Spectrum, coefficients, remove_offset, spectrum
+from rigtool.numerics.checks import require_rising, require_signals
+
+Array = NDArray[np.float64]
+
+BAND = 0.25
+"""Settled is a motion that stays within the range of its second half, widened by this much."""
+
+COVERED = 0.9
+"""A turn counts when this part of it was passed."""
+
+NEIGHBOURS = 10
+"""Orders on either side from which the noise of an order is taken where turns do not repeat."""
+
+SHORTEST = 64
+"""Samples that a recording needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """Turns of one recording: (turns, positions), NaN in cells that were not passed.
+
+    `torque` in its own unit, `deviation` from steady motion in rad, `speed` in rad/s with its sign,
+    `settled` the time from the start until the motion was steady, s.
+    """
+
+    torque: Array
+    deviation: Array
+    speed: float
+    settled: float
+
+
+def find_turns(time: Array, turns: Array, torque: Array, positions: int) -> Turns:
+    """Lay a recording over the turn: `time` (n,) in s, angle in `turns` (n,), `torque` (n,).
+
+    What is before the steady motion is left out. Raises `InsufficientDataError` where less than
+    `COVERED` of a turn is left.
+    """
+    time, turns, torque = require_signals(SHORTEST, time=time, turns=turns, torque=torque)
+    require_rising(time)
+    first, speed, deviation = _steady_part(time, turns, 0.5 / positions)
+    progress = (turns[first:] - turns[first]) * math.copysign(1.0, speed)
+    rows = math.floor(progress[-1] + 1 - COVERED)
+    if rows < 1:
+        raise InsufficientDataError(
+            f"the shaft passes {max(progress[-1], 0.0):.2f} of a turn steadily, {COVERED} are "
+            "needed: record for longer"
+        )
+    row = np.clip(np.floor(progress), 0, None).astype(np.int64)
+    cell = np.floor(np.mod(turns[first:], 1.0) * positions).astype(np.int64) % positions
+    used = row < rows
+    place = (row * positions + cell)[used]
+    weight = np.gradient(time[first:])[used]
+    spent = np.bincount(place, weight, rows * positions).reshape(rows, positions)
+
+    def mean(values: Array) -> Array:
+        sums = np.bincount(place, weight * values[first:][used], rows * positions)
+        with np.errstate(invalid="ignore"):
+            cells: Array = sums.reshape(rows, positions) / spent
+        return cells
+
+    whole = np.mean(spent > 0, axis=1) >= COVERED
+    if not whole.any():
+        raise InsufficientDataError(
+            f"samples are too far apart: {np.max(np.mean(spent > 0, axis=1)):.0%} of {positions} "
+            f"cells of a turn hold one, {COVERED:.0%} are needed: sample faster, or turn slower"
+        )
+    return Turns(
+        mean(torque)[whole],
+        mean(2 * np.pi * deviation)[whole],
+        2 * math.pi * speed,
+        float(time[first] - time[0]),
+    )
+
+
+def _steady_part(time: Array, turns: Array, resolution: float) -> tuple[int, float, Array]:
+    """Return the first sample of the steady motion, its speed in turns/s, and the deviation.
+
+    Deviations below `resolution`, in turns, do not count.
+    """
+    half = int(np.searchsorted(time, (time[0] + time[-1]) / 2))
+    first = half
+    # The speed of the second half alone depends on where in the turn it lies: look twice.
+    for _ in range(2):
+        speed, start = np.polyfit(time[first:], turns[first:], 1)
+        deviation = turns - start - speed * time
+        low, high = np.min(deviation[half:]), np.max(deviation[half:])
+        margin = max(BAND * (high - low), resolution)
+        outside = (deviation[:half] < low - margin) | (deviation[:half] > high + margin)
+        first = int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 0
+    return first, float(speed), deviation
+
+
+def fill(waveforms: Array) -> tuple[Array, float]:
+    """Return turns (turns, positions) without NaN, and the widest gap that was bridged, in turns.
+
+    A cell that one turn missed has the mean of the others; one that all missed lies on the line
+    between its neighbours. That leaves orders of up to half a cycle in the gap.
+    """
+    known = np.isfinite(waveforms)
+    counts = known.sum(axis=0)
+    mean = np.where(known, waveforms, 0.0).sum(axis=0) / np.maximum(counts, 1)
+    passed = np.flatnonzero(counts)
+    positions = waveforms.shape[1]
+    mean = np.interp(np.arange(positions), passed, mean[passed], period=positions)
+    gap = int(np.max(np.diff(passed, append=passed[0] + positions))) - 1
+    return np.where(known, waveforms, mean), gap / positions
+
+
+def turn_spectrum(waveforms: Array, orders: int) -> Spectrum:
+    """Return the orders 1..`orders` of what repeats in turns (turns, positions).
+
+    One turn alone does not show what repeats: then the noise floor of an order is that of the
+    orders around it.
+    """
+    if len(waveforms) > 1:
+        return spectrum(remove_offset(waveforms), orders)
+    found = coefficients(waveforms, orders)[0]
+    amplitude = np.abs(found)
+    floor = neighbours_floor(amplitude)
+    return Spectrum(np.arange(1.0, orders + 1), amplitude, np.angle(found), floor)
+
+
+def neighbours_floor(amplitude: Array) -> Array:
+    """Return the noise floor of orders 1, 2, ... (m,) that the amplitudes around each tell.
+
+    Their median is sqrt(ln 2) of the rms where they are noise (Rayleigh distribution). Zero where
+    there is one order alone.
+    """
+    orders = len(amplitude)
+    floor = np.zeros(orders)
+    for index in range(orders if orders > 1 else 0):
+        around = np.r_[max(0, index - NEIGHBOURS) : index, index + 1 : index + 1 + NEIGHBOURS]
+        floor[index] = np.median(amplitude[around[around < orders]]) / math.sqrt(math.log(2))
+    return floor
+
+
+def reduction(reference: Spectrum, other: Spectrum) -> tuple[Array, Array]:
+    """Return by how much each order is smaller in `other`, 1 - ratio, and its uncertainty.
+
+    NaN where the reference does not clear its noise: there is nothing to reduce.
+    """
+    clear = reference.clear
+    low = np.where(clear, reference.amplitude, np.nan)
+    ratio = other.amplitude / low
+    u = np.hypot(other.noise_floor, ratio * reference.noise_floor) / (math.sqrt(2) * low)
+    return 1 - ratio, u

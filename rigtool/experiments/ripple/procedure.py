@@ -1,0 +1,373 @@
+"""`fft-ripple`: torque ripple against rotor position, speed, torque and power cycle [7.1.3].
+
+The motor turns steadily, and the torque that its controller asks for is laid over itself revolution
+by revolution. Friction and load are its mean, and are taken off.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.between_set_points import remark
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.ripple.imported import analyse_imported
+from rigtool.experiments.ripple.orders import (
+    Comparison,
+    Ripple,
+    Sampling,
+    compare,
+    remove_offset,
+    spectrum,
+)
+from rigtool.experiments.ripple.revolutions import Revolutions
+from rigtool.experiments.session import channels, record
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.welch import Welch
+from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
+from rigtool.rigs import Load, Rig, Task
+from rigtool.rigs.motion import SpeedProfile
+from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
+
+Array = NDArray[np.float64]
+
+__all__ = [
+    "BARE_MOTOR",
+    "COMMAND",
+    "NEEDED",
+    "analyse",
+    "analyse_imported",
+    "measure",
+    "recordings",
+]
+
+COMMAND = "fft-ripple"
+
+NEEDED = ("kt",)
+
+BARE_MOTOR = True
+"""Whole turns, over and over: no instrument can follow."""
+
+ACCELERATION = 30.0
+"""Of run-up and stop, rad/s2."""
+
+SETTLE_TIME = 0.5
+"""After the run-up, s."""
+
+POSITIONS = 500
+"""Cells of a turn in the waveforms."""
+
+ORDERS = 100
+"""Highest order of rotation in the spectra: cogging of 12 slots and 14 poles has order 84."""
+
+MAX_SEGMENT = 4096
+"""Longest segment of Welch's method, samples."""
+
+SHORTEST = 4
+"""Samples at constant speed that a recording needs; how many turns they make is another matter."""
+
+# -- measuring
+
+SHOWN_REVOLUTIONS = 100
+"""Single revolutions that are stored, the first ones: the signals hold all of them."""
+
+
+def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
+    """List the runs at constant speed, at constant torque, and after power cycles."""
+    settings = recipe.fft_ripple
+    slow = 2 * math.pi * settings.slow_speed_rev_per_s
+    return (
+        *(_spec(recipe, "speed", n, v, {}) for n, v in enumerate(settings.speeds)),
+        *(
+            _spec(recipe, "torque", n, slow, {"torque": (torque, "N m")})
+            for n, torque in enumerate(settings.torques)
+        ),
+        *(
+            _spec(recipe, "power_cycle", n, slow, {"power_cycle": (float(n), "1")})
+            for n in range(settings.power_cycles)
+        ),
+    )
+
+
+def _spec(
+    recipe: Recipe, kind: str, number: int, speed: float, conditions: dict[str, tuple[float, str]]
+) -> RecordingSpec:
+    start = speed / ACCELERATION + SETTLE_TIME
+    # Cut at the encoder's zero, whole turns need up to one more.
+    turns = recipe.fft_ripple.revolutions + 1.1
+    return RecordingSpec(
+        f"{kind}_{number:03d}",
+        channels("time", "current_setpoint", "encoder", "temperature"),
+        {
+            "speed": (speed, "rad/s"),
+            **conditions,
+            "steady_from": (start, "s"),
+            "steady_until": (start + turns * 2 * math.pi / speed, "s"),
+        },
+    )
+
+
+def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
+    """Turn steadily under each condition; the amplifier is restarted between power cycles."""
+    del kt  # the rig knows it already
+    for spec in recordings(recipe):
+        conditions = {name: value for name, (value, _) in spec.conditions.items()}
+        if conditions.get("power_cycle", 0) > 0:
+            rig.power_cycle()
+        speed, until = conditions["speed"], conditions["steady_until"]
+        run_up = speed / ACCELERATION
+        task = Task(
+            SpeedProfile((0.0, run_up, until, until + run_up), (0.0, speed, speed, 0.0)),
+            load=Load(torque=conditions.get("torque", 0.0)),
+            record_every=recipe.fft_ripple.record_every,
+        )
+        record(rig, task, recorder, spec.name)
+
+
+# -- analysing
+
+
+def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
+    """Separate what repeats from what does not, under each condition.
+
+    Raises `UsageError` for more than one run, `RunFileError` for one without its recordings.
+    """
+    if len(runs) > 1:
+        raise UsageError(f"{len(runs)} run files: fft-ripple takes one, with all its recordings")
+    constant = torque_per_ampere(kt).value
+    run = runs[0]
+    speeds = sorted(run.recordings_named("speed_"), key=lambda r: r.condition("speed"))
+    if not speeds:
+        raise RunFileError(
+            f"{run.path}: has no recording speed_000: give the run file in which fft-ripple "
+            "recorded its signals"
+        )
+    torques = sorted(run.recordings_named("torque_"), key=lambda r: r.condition("torque"))
+    cycles = run.recordings_named("power_cycle_")
+    segment = _segment(speeds)
+    welches = [Welch(segment) for _ in speeds]
+    by_speed = [
+        _ripple(recording, recipe, constant, welch)
+        for recording, welch in zip(speeds, welches, strict=True)
+    ]
+    by_torque = [_ripple(recording, recipe, constant) for recording in torques]
+    by_cycle = [_ripple(recording, recipe, constant) for recording in cycles]
+    comparisons = [compare(by_cycle[0], other, ORDERS) for other in by_cycle[1:]]
+    tables = {
+        **_tables("speed", "speed", "rad/s", speeds, by_speed),
+        "speed_psd": _psd_table(speeds, welches, segment),
+        "revolutions": _revolutions_table((by_cycle or by_speed)[0]),
+    }
+    if torques:
+        tables |= _tables("torque", "torque", "N m", torques, by_torque)
+    if cycles:
+        tables |= _tables("power", "power_cycle", "1", cycles, by_cycle)
+    if comparisons:
+        tables["power_comparison"] = _comparison_table(comparisons)
+    results = {**_ripple_results(by_speed), **_comparison_results(comparisons)}
+    notes = [
+        *_told(speeds, by_speed, "speed", "rad/s"),
+        *_told(torques, by_torque, "torque", "N m"),
+        *remark(runs, constant),
+    ]
+    if not comparisons:
+        notes.append("fewer than two power cycles: nothing to compare")
+    return Outcome(results, tables, tuple(notes))
+
+
+def _told(
+    recordings: Sequence[Recording], ripples: Sequence[Ripple], what: str, unit: str
+) -> list[str]:
+    """Say where the samples lie too far apart for all orders of the table."""
+    return [
+        f"at {recording.condition(what):.3g} {unit} there are {1 / ripple.sampling.step:.0f} "
+        f"samples a turn: orders above {ripple.sampling.highest_order:.0f} are not told"
+        for recording, ripple in zip(recordings, ripples, strict=True)
+        if ripple.sampling.highest_order < ORDERS
+    ]
+
+
+def _ripple(
+    recording: Recording, recipe: Recipe, torque_constant: float, welch: Welch | None = None
+) -> Ripple:
+    """Lay a recording's steady revolutions over each other; `welch` gets their torque as well."""
+    steady = _steady(recording)
+    try:
+        first, last = _ends(recording, "encoder", steady)
+        collected = Revolutions(POSITIONS, forward=last > first)
+        for time, encoder, current in recording.blocks(
+            "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
+        ):
+            encoder /= recipe.rig.encoder_counts
+            current *= torque_constant
+            collected.add(time, encoder, current)
+            if welch is not None:
+                welch.add(current)
+        settings = recipe.fft_ripple
+        sampling = Sampling(collected.step, settings.record_every)
+        return remove_offset(collected.waveforms(settings.revolutions), sampling)
+    except InsufficientDataError as error:
+        raise InsufficientDataError(f"recording {recording.name}: {error}") from None
+
+
+def _steady(recording: Recording) -> range:
+    """Return the samples at constant speed."""
+
+    def since_start(sample: int) -> float:
+        return float(recording.read("time", sample, sample + 1)[0]) - begin
+
+    samples = range(recording.size)
+    begin = float(recording.read("time", 0, 1)[0])
+    first = bisect_left(samples, recording.condition("steady_from"), key=since_start)
+    last = bisect_left(samples, recording.condition("steady_until"), key=since_start)
+    if last - first < SHORTEST:
+        raise InsufficientDataError(
+            f"recording {recording.name}: {last - first} samples at constant speed are too few, "
+            f"{SHORTEST} are needed: record for longer"
+        )
+    return range(first, last)
+
+
+def _ends(recording: Recording, channel: str, samples: range) -> tuple[float, float]:
+    """Return the first and the last of these samples."""
+    first, last = (recording.read(channel, i, i + 1)[0] for i in (samples[0], samples[-1]))
+    return float(first), float(last)
+
+
+def _ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
+    results = {}
+    for name, ripple in (("lowest", by_speed[0]), ("highest", by_speed[-1])):
+        orders = spectrum(ripple, ORDERS)
+        strongest = orders.strongest()
+        told = orders.amplitude[np.isfinite(orders.amplitude)]
+        *_, second, first = np.sort([0.0, *told])
+        results[f"strongest_order_{name}_speed"] = Quantity(
+            float(strongest),
+            "1",
+            reason=f"a whole number; the next order has {second / first:.0%} of its amplitude",
+        )
+    rms = by_speed[0].rms()
+    results["repeatable_rms"] = Quantity(rms.repeatable, "N m", rms.repeatable_u, rms.dof)
+    results["non_repeatable_rms"] = Quantity(
+        rms.non_repeatable,
+        "N m",
+        rms.non_repeatable_u,
+        rms.dof,
+        reason="two revolutions do not show how much their scatter scatters"
+        if rms.non_repeatable_u is None
+        else None,
+    )
+    return results
+
+
+def _comparison_results(comparisons: Sequence[Comparison]) -> dict[str, Quantity]:
+    """Return the comparison with the power cycle that changed the ripple most."""
+    if not comparisons:
+        return {}
+    worst = min(comparisons, key=lambda found: found.correlation)
+    return {
+        "power_cycle_correlation": Quantity(worst.correlation, "1", worst.correlation_u, worst.dof),
+        "power_cycle_shift": Quantity(worst.shift, "rad", worst.shift_u, worst.dof),
+    }
+
+
+def _tables(
+    kind: str, axis: str, unit: str, recordings: Sequence[Recording], ripples: Sequence[Ripple]
+) -> dict[str, Table]:
+    """Return waveforms and spectra over what was varied."""
+    varied = {axis: Column(np.array([r.condition(axis) for r in recordings]), unit)}
+    # The constant torque is an axis itself; its ripple needs another name.
+    signal = "ripple" if axis == "torque" else "torque"
+    spectra = [spectrum(ripple, ORDERS) for ripple in ripples]
+    waveforms = Table(
+        (axis, "position"),
+        {
+            **varied,
+            "position": Column(ripples[0].angle, "rad", "of the rotor"),
+            signal: Column(np.stack([ripple.mean for ripple in ripples]), "N m"),
+        },
+        signal,
+        "repeatable ripple of the motor torque by rotor position, offset removed",
+    )
+    orders = Table(
+        (axis, "order"),
+        {
+            **varied,
+            "order": Column(spectra[0].order, "1", "cycles a turn"),
+            "amplitude": Column(np.stack([s.amplitude for s in spectra]), "N m"),
+            "phase": Column(
+                np.stack([s.phase for s in spectra]), "rad", "amplitude*cos(order*angle + phase)"
+            ),
+            "noise_floor": Column(
+                np.stack([s.noise_floor for s in spectra]),
+                "N m",
+                "amplitude that scatter between revolutions alone would show",
+            ),
+        },
+        "amplitude",
+        "repeatable ripple by order of rotation; no value where samples lie too far apart",
+    )
+    return {f"{kind}_waveforms": waveforms, f"{kind}_spectrum": orders}
+
+
+def _segment(recordings: Sequence[Recording]) -> int:
+    """Return the length of Welch's segments: of all speeds the same, for one frequency axis."""
+    shortest = min(len(_steady(recording)) for recording in recordings)
+    return min(MAX_SEGMENT, 2 ** int(math.log2(shortest / 2)))
+
+
+def _psd_table(recordings: Sequence[Recording], welches: Sequence[Welch], segment: int) -> Table:
+    """Return the PSD of the steady torque by speed, all on one frequency axis."""
+    spectra = []
+    for recording, welch in zip(recordings, welches, strict=True):
+        steady = _steady(recording)
+        first, last = _ends(recording, "time", steady)
+        spectra.append(welch.spectrum((last - first) / (len(steady) - 1)))
+    return Table(
+        ("speed", "frequency"),
+        {
+            "speed": Column(np.array([r.condition("speed") for r in recordings]), "rad/s"),
+            "frequency": Column(spectra[0].frequency, "Hz"),
+            "psd": Column(np.stack([s.psd for s in spectra]), "N2 m2/Hz", "one-sided"),
+        },
+        "psd",
+        f"power spectral density of the motor torque, Welch's method, segments of {segment}",
+    )
+
+
+def _revolutions_table(ripple: Ripple) -> Table:
+    waveforms = ripple.waveforms[:SHOWN_REVOLUTIONS]
+    return Table(
+        ("revolution", "position"),
+        {
+            "revolution": Column(np.arange(len(waveforms)), "1"),
+            "position": Column(ripple.angle, "rad", "of the rotor"),
+            "torque": Column(waveforms, "N m", "offset removed"),
+        },
+        "torque",
+        "ripple of single revolutions at the slowest motion",
+    )
+
+
+def _comparison_table(comparisons: Sequence[Comparison]) -> Table:
+    def column(name: str, unit: str, what: str) -> Column:
+        return Column(np.array([getattr(found, name) for found in comparisons]), unit, what)
+
+    return Table(
+        ("power_cycle",),
+        {
+            "power_cycle": Column(np.arange(1, len(comparisons) + 1), "1"),
+            "correlation": column("correlation", "1", "at equal angles"),
+            "shift": column("shift", "rad", "that makes the correlation largest"),
+            "best_correlation": column("best_correlation", "1", "at that shift"),
+            "scale": column("scale", "1", "least-squares factor at that shift"),
+        },
+        "correlation",
+        "ripple after each start of the amplifier against the one before the first restart",
+    )

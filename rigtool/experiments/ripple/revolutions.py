@@ -1,0 +1,112 @@
+"""Signals of a turning rotor laid over each other revolution by revolution, block by block.
+
+A block is used and forgotten: what is kept are time and integral of the torque where the rotor
+passes from one cell of the turn into the next, so that memory grows with revolutions, not samples.
+Synchronous (time domain) averaging: S. Braun, Acustica 32, 69-77, 1975.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.numerics.checks import rising_steps
+
+Array = NDArray[np.float64]
+
+
+class Revolutions:
+    """Collects blocks of a steadily turning rotor; the turn has `positions` equal cells.
+
+    `forward` says whether the angle grows with time.
+    """
+
+    def __init__(self, positions: int, *, forward: bool) -> None:
+        self._positions = positions
+        self._sign = 1.0 if forward else -1.0
+        self._samples = 0
+        # The last sample so far: blocks are joined there.
+        self._time, self._advance, self._torque = (np.zeros(0) for _ in range(3))
+        self._integral = 0.0
+        self._next_edge = 0
+        self._start = 0.0
+        self._passed: list[Array] = []
+        self._integrals: list[Array] = []
+
+    def add(self, time: Array, turns: Array, torque: Array) -> None:
+        """Take the next samples: time (n,) in s, the rotor's angle in turns, torque.
+
+        Raises `InsufficientDataError` where time does not rise.
+        """
+        if not time.size:
+            return
+        advance = turns if self._sign > 0 else -turns
+        if not self._samples:
+            self._next_edge = math.ceil(advance[0]) * self._positions
+            self._start = float(advance[0])
+        time = np.concatenate([self._time, time])
+        torque = np.concatenate([self._torque, torque])
+        advance = np.concatenate([self._advance, advance])
+        if np.any(advance[1:] < advance[:-1]):
+            # An encoder may step back by a count; its running maximum only advances.
+            advance = np.maximum.accumulate(advance)
+        areas = rising_steps(time, self._samples - self._time.size)
+        areas *= torque[1:] + torque[:-1]
+        self._samples += time.size - self._time.size
+        self._time, self._advance, self._torque = time[-1:], advance[-1:], torque[-1:]
+        if areas.size:
+            self._pass_edges(time, advance, torque, areas)
+
+    def _pass_edges(self, time: Array, advance: Array, torque: Array, areas: Array) -> None:
+        """Note when the rotor first reaches each edge between cells, and the integral then.
+
+        Torque goes straight from sample to sample; `areas` are twice the integrals between them.
+        """
+        stop = math.floor(advance[-1] * self._positions) + 1
+        edges = np.arange(self._next_edge, stop) / self._positions
+        edges = edges[edges <= advance[-1]]
+        before = np.maximum(np.searchsorted(advance, edges, side="left") - 1, 0)
+        low, high = advance[before], advance[before + 1]
+        part = np.clip((edges - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)
+        bounds = np.concatenate([[0], before])
+        sums = np.add.reduceat(areas, bounds)
+        sums[:-1][np.diff(bounds) == 0] = 0.0  # where reduceat gives one element, not none
+        integral = self._integral + np.cumsum(sums) / 2
+        since = part * (time[before + 1] - time[before])
+        mean = torque[before] + part / 2 * (torque[before + 1] - torque[before])
+        self._passed.append(time[before] + since)
+        self._integrals.append(integral[:-1] + since * mean)
+        self._integral = float(integral[-1])
+        self._next_edge += edges.size
+
+    @property
+    def step(self) -> float:
+        """Mean part of a turn from one sample to the next; 0 with fewer than two samples."""
+        if self._samples < 2:
+            return 0.0
+        return (float(self._advance[-1]) - self._start) / (self._samples - 1)
+
+    def waveforms(self, revolutions: int) -> Array:
+        """Return the mean torque by revolution and cell, of the last `revolutions` whole turns.
+
+        A cell's value is the mean over the time that the rotor spends in it. Of (revolutions,
+        positions) the second axis are the cells in the order of their angle. Raises
+        `InsufficientDataError` where there are fewer turns.
+        """
+        passed = np.concatenate([np.zeros(0), *self._passed])
+        whole = max(0, (passed.size - 1) // self._positions)
+        if whole < revolutions:
+            raise InsufficientDataError(
+                f"{whole} whole revolutions in the recording, {revolutions} are needed: record "
+                "for longer, or lower the number of revolutions"
+            )
+        first = (whole - revolutions) * self._positions
+        used = slice(first, first + revolutions * self._positions + 1)
+        integral = np.concatenate(self._integrals)[used]
+        cells = np.diff(integral) / np.diff(passed[used])
+        waveforms: Array = cells.reshape(revolutions, self._positions)
+        # Backwards, the last cell of the turn is passed first.
+        return waveforms if self._sign > 0 else waveforms[:, ::-1]

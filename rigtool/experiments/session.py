@@ -1,0 +1,326 @@
+"""From sources to an outcome: what every measuring command does, whatever it measures.
+
+A source is a recipe (measure on its rig, then analyse) or run files (analyse what they hold).
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+from rigtool.errors import RunFileError, UsageError
+from rigtool.experiments.dry_run import dry_run, rehearse, require_offered
+from rigtool.experiments.live.terminal import Feed, open_live
+from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.recipe import Recipe, load_recipe, override_recipe
+from rigtool.rigs import CHANNELS, Rig, Task, open_rig
+from rigtool.rigs.bench import Bench
+from rigtool.rigs.serial.rig import SerialRig
+from rigtool.runfile import Channel, RecordingSpec, Run, RunWriter, chunk_of, open_run
+
+IMPORTED = "import"
+"""The command of runs that hold other people's measurements."""
+
+
+MEANWHILE = "told while it moves, not recorded"
+"""Name for drawings of what a rig tells before the signals of a motion come."""
+
+
+class Procedure(Protocol):
+    """What a module of a measuring command offers.
+
+    A module that says BARE_MOTOR = True measures without the instrument, whatever the recipe
+    attaches: motor and amplifier are characterised on their own [7.1, 7.2]. One that says ACCEPTS
+    takes stored runs of these commands instead of its own alone. One that has a function
+    `analyse_imported(runs, **inputs)` also takes runs of other rigs, and of `--set` what its
+    `IMPORTED_SETTINGS` name; `NEEDED` are the inputs that only those can do without.
+    `rig_needs(recipe)` names what a rig has to offer for motions
+    that depend on what is measured first, see `rehearsal`.
+    """
+
+    COMMAND: str
+
+    def recordings(self, recipe: Recipe) -> tuple[RecordingSpec, ...]:
+        """List what will be recorded."""
+        ...
+
+    def measure(self, rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Any) -> None:
+        """Perform the tasks and record them."""
+        ...
+
+    def analyse(self, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
+        """Compute results from stored signals only."""
+        ...
+
+
+def channels(*names: str) -> tuple[Channel, ...]:
+    """Return the channels of these names as run files describe them."""
+    return tuple(Channel(name, *CHANNELS[name]) for name in names)
+
+
+def record(rig: Rig, task: Task, recorder: RunWriter, recording: str) -> None:
+    """Perform a task and stream its signals into a recording."""
+    names = recorder.channel_names(recording)
+    for block in rig.perform(task):
+        recorder.append(recording, {name: block[name] for name in names})
+
+
+def run_command(
+    module: Any,
+    sources: Sequence[str],
+    output: str,
+    *,
+    options: CommonOptions,
+    inputs: Mapping[str, Run],
+) -> Outcome:
+    """Measure or re-analyse, write the output and return what it holds.
+
+    `module` is a `Procedure`; `inputs` are open runs by the name of their option. Raises
+    `UsageError` for sources that do not go together.
+    """
+    procedure: Procedure = module
+    recipes = [source for source in sources if Path(source).suffix == ".toml"]
+    if not recipes:
+        if options.dry_run:
+            raise UsageError("--dry-run: of stored runs nothing would move: leave it out")
+        return _analyse_stored(procedure, sources, output, options, inputs)
+    if len(sources) > 1:
+        raise UsageError(
+            f"{len(sources)} sources with a recipe among them: give one recipe, or run files only"
+        )
+    return _measure(procedure, recipes[0], output, options, inputs)
+
+
+def _measure(
+    procedure: Procedure,
+    source: str,
+    output: str,
+    options: CommonOptions,
+    inputs: Mapping[str, Run],
+) -> Outcome:
+    _require_inputs(procedure, inputs)
+    overrides = list(options.overrides)
+    if getattr(procedure, "BARE_MOTOR", False):
+        overrides.append("rig.attachment=pulley")
+    if options.seed is not None:
+        overrides.append(f"virtual.seed={options.seed}")
+    recipe, text = load_recipe(source, overrides)
+    on_line = recipe.rig.source == "serial"
+    if on_line and options.seed is not None:
+        raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
+    if options.spy is not None and not on_line:
+        raise UsageError(f"--spy {options.spy}: this recipe's rig is virtual, there is no line")
+    seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
+    constant = _assumed_torque_constant(recipe, inputs)
+    if options.dry_run:
+        return dry_run(procedure, recipe, constant, inputs)
+    bench = Bench(yes=options.yes, spy=options.spy)
+    rig = open_rig(recipe, constant, procedure.COMMAND, bench)
+    plan = procedure.recordings(recipe)
+    if isinstance(rig, SerialRig):
+        rig.use_only({channel.name for spec in plan for channel in spec.channels})
+        plan = _in_seconds(plan, recipe, procedure.COMMAND)
+    writer = _WatchedWriter(
+        output,
+        command=procedure.COMMAND,
+        recipe=recipe,
+        recipe_text=text,
+        recordings=plan,
+        inputs=list(inputs.values()),
+        seed=seed,
+        overwrite=options.overwrite,
+    )
+    live = nullcontext() if options.live is None else open_live(options.live)
+    with live as feed, writer, _progress(options, plan, writer):
+        writer.live = feed
+        if isinstance(rig, SerialRig) and feed is not None:
+            rig.watcher = partial(feed.show, MEANWHILE)
+        with rig:
+            if isinstance(rig, SerialRig):
+                _permit(rig, procedure, recipe, constant, inputs)
+            procedure.measure(rig, recipe, writer, **inputs)
+        run = writer.recorded()
+        if isinstance(rig, SerialRig):
+            run.provenance["line"] = report = rig.report()
+            writer.note_line(report)
+        outcome = procedure.analyse([run], recipe, **inputs)
+        writer.finish(outcome.results, outcome.tables, outcome.notes)
+    return outcome
+
+
+def _in_seconds(
+    plan: Sequence[RecordingSpec], recipe: Recipe, command: str
+) -> tuple[RecordingSpec, ...]:
+    """Have about a second in a chunk, so that a program that is killed loses no more than that.
+
+    A virtual rig is a thousand times faster than its clock: it may lose a large chunk.
+    """
+    section = getattr(recipe, command.replace("-", "_"), None)
+    parts = [section, *vars(section).values()] if section is not None else []
+    every = max([1, *(getattr(part, "record_every", 1) for part in parts)])
+    chunk = chunk_of(1 / (every * recipe.rig.sample_time))
+    return tuple(replace(spec, chunk=chunk) for spec in plan)
+
+
+def _permit(
+    rig: SerialRig,
+    procedure: Procedure,
+    recipe: Recipe,
+    torque_constant: float,
+    inputs: Mapping[str, Run],
+) -> None:
+    """Refuse what this rig cannot do or must not, show the rest, and let somebody agree."""
+    assert recipe.serial is not None
+    plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
+    require_offered(rig, plan, procedure.COMMAND)
+    plan.check(recipe.serial.limits)
+    rig.permit(str(plan))
+
+
+def _analyse_stored(
+    procedure: Procedure,
+    sources: Sequence[str],
+    output: str,
+    options: CommonOptions,
+    inputs: Mapping[str, Run],
+) -> Outcome:
+    with ExitStack() as stack:
+        runs = [stack.enter_context(open_run(source)) for source in sources]
+        if runs[0].command == IMPORTED and hasattr(procedure, "analyse_imported"):
+            return _analyse_imported(procedure, runs, output, options, inputs)
+        for run in runs:
+            run.require_command(*getattr(procedure, "ACCEPTS", (procedure.COMMAND,)))
+        _require_inputs(procedure, inputs)
+        recipe = runs[0].recipe
+        if recipe is None:
+            raise RunFileError(
+                f"{sources[0]}: holds no recipe, so the rig's geometry is unknown: "
+                "analyse a run that rigtool recorded"
+            )
+        _require_as_recorded(options.overrides)
+        recipe = override_recipe(recipe, options.overrides)
+        with RunWriter(
+            output,
+            command=procedure.COMMAND,
+            recipe=recipe,
+            recipe_text=None,
+            inputs=[*runs, *inputs.values()],
+            seed=options.seed,
+            overwrite=options.overwrite,
+        ) as writer:
+            outcome = procedure.analyse(runs, recipe, **inputs)
+            writer.finish(outcome.results, outcome.tables, outcome.notes)
+    return outcome
+
+
+def _require_as_recorded(overrides: Sequence[str]) -> None:
+    """Raise `UsageError` for settings that would misjudge what is stored."""
+    for override in overrides:
+        if override.partition("=")[0].strip().endswith(".record_every"):
+            raise UsageError(
+                f"--set {override}: a stored run stays as it was recorded: leave this out, or "
+                "measure anew from the recipe"
+            )
+
+
+def _analyse_imported(
+    procedure: Any,
+    runs: Sequence[Run],
+    output: str,
+    options: CommonOptions,
+    inputs: Mapping[str, Run],
+) -> Outcome:
+    """Analyse measurements of other rigs: there is no recipe, the runs say what is known."""
+    for run in runs:
+        run.require_command(IMPORTED)
+    settings = _imported_settings(procedure, options.overrides)
+    with RunWriter(
+        output,
+        command=procedure.COMMAND,
+        recipe=None,
+        recipe_text=None,
+        inputs=[*runs, *inputs.values()],
+        overwrite=options.overwrite,
+        rig=runs[0].rig,
+    ) as writer:
+        outcome: Outcome = procedure.analyse_imported(runs, **inputs, **settings)
+        writer.finish(outcome.results, outcome.tables, outcome.notes)
+    return outcome
+
+
+def _imported_settings(procedure: Any, overrides: Sequence[str]) -> dict[str, float]:
+    """Return the values of `--set` that an analysis of imported runs takes, by its own names."""
+    accepted: Mapping[str, str] = getattr(procedure, "IMPORTED_SETTINGS", {})
+    settings = {}
+    for override in overrides:
+        key, _, value = override.partition("=")
+        if key.strip() not in accepted:
+            raise UsageError(
+                f"--set {override}: imported runs have no recipe; what is known of the rig is in "
+                "the mapping file, import them again"
+            )
+        try:
+            settings[accepted[key.strip()]] = number = float(value)
+        except ValueError:
+            number = math.nan
+        if not 0 < number < math.inf:
+            raise UsageError(f"--set {override}: must be a number above 0")
+    return settings
+
+
+def _require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
+    for name in getattr(procedure, "NEEDED", ()):
+        if name not in inputs:
+            raise UsageError(
+                f"--{name} is missing: {procedure.COMMAND} needs it, unless all "
+                "sources are imported runs"
+            )
+
+
+def _assumed_torque_constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float:
+    """Return what turns torque into current: the calibration's value, else the data sheet's."""
+    if "kt" in inputs:
+        return torque_per_ampere(inputs["kt"]).value
+    return recipe.rig.torque_constant
+
+
+class _WatchedWriter(RunWriter):
+    """A writer that tells somebody which recording grows."""
+
+    live: Feed | None = None
+
+    def watch(self, bar: Any, order: Mapping[str, int]) -> None:
+        """Advance a progress bar by one for each new recording."""
+        self._bar, self._order = bar, order
+
+    def append(self, recording: str, block: Mapping[str, Any]) -> None:
+        """Append as the writer does, then move the bar."""
+        super().append(recording, block)
+        if self.live is not None:
+            self.live.show(recording, block)
+        if (bar := getattr(self, "_bar", None)) is not None:
+            bar.label = recording
+            bar.update(max(0, self._order[recording] - bar.pos))
+
+
+@contextmanager
+def _progress(
+    options: CommonOptions, plan: Sequence[RecordingSpec], writer: _WatchedWriter
+) -> Iterator[None]:
+    if options.live == "terminal" or not options.progress:
+        yield
+        return
+    import click
+
+    with click.progressbar(length=len(plan), file=sys.stderr, show_eta=False) as bar:
+        writer.watch(bar, {spec.name: number for number, spec in enumerate(plan)})
+        yield
+        bar.update(max(0, len(plan) - bar.pos))

@@ -1,0 +1,1 @@
+"""The springs that an instrument hangs in."""

@@ -1,0 +1,1 @@
+"""Torque constant from a staircase of known loads."""

@@ -1,0 +1,164 @@
+"""Staircases of current against a force gauge: plateaus and the amplifier's linearity [7.1.1]."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.numerics.checks import require_rising, require_signals
+
+Array = NDArray[np.float64]
+
+LEVEL_TOLERANCE = 1e-3
+"""Set points within this part of their span are one level."""
+
+MINIMUM_PLATEAUS = 8
+"""Plateaus that a staircase needs to be one."""
+
+
+@dataclass(frozen=True)
+class Plateaus:
+    """Means over the settled part of each constant stretch of set point, all (n,).
+
+    `current_setpoint` and `current` in A, `torque` in N m, `temperature` in degC, `rotor_angle` in
+    rad (NaN where unknown), `begin` and `end` in s; `staircase` numbers the staircases from 0.
+    """
+
+    current_setpoint: Array
+    current: Array
+    torque: Array
+    temperature: Array
+    rotor_angle: Array
+    begin: Array
+    end: Array
+    staircase: NDArray[np.int64]
+
+
+def find_plateaus(
+    *,
+    time: ArrayLike,
+    current_setpoint: ArrayLike,
+    current: ArrayLike,
+    force: ArrayLike,
+    temperature: ArrayLike,
+    rotor_angle: ArrayLike | None,
+    arm_length: float,
+    settle_time: float,
+) -> Plateaus:
+    """Find the plateaus of all staircases in a recording, from the set point itself.
+
+    All signals (n,) in SI units, temperature in degC; `arm_length` in m; the first `settle_time`
+    seconds of each plateau are left out. A gap in time or another rotor angle starts a new
+    staircase. Raises `InsufficientDataError` where the set point is no staircase.
+    """
+    t, setpoint, measured, newton, degc = require_signals(
+        10,
+        time=time,
+        current_setpoint=current_setpoint,
+        current=current,
+        force=force,
+        temperature=temperature,
+    )
+    angle = np.zeros(len(t))
+    if rotor_angle is not None:
+        _, angle = require_signals(1, time=t, rotor_angle=rotor_angle)
+    sample = require_rising(t)
+    span = float(np.ptp(setpoint))
+    if span == 0:
+        raise InsufficientDataError(
+            f"the current set point is {setpoint[0]:g} A throughout: a staircase is needed"
+        )
+    tolerance = LEVEL_TOLERANCE * span
+    new_staircase = (np.diff(t) > 10 * sample + 0.5 * settle_time) | (np.abs(np.diff(angle)) > 0.01)
+    changes = new_staircase | (np.abs(np.diff(setpoint)) > tolerance)
+    starts = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    number = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(t))))
+    settled = t - t[starts][number] >= settle_time - 0.5 * sample
+    counts = np.bincount(number, weights=settled)
+    flat = np.maximum.reduceat(setpoint, starts) - np.minimum.reduceat(setpoint, starts)
+    keep = (counts >= 3) & (flat <= 3 * tolerance)
+    if np.count_nonzero(keep) < MINIMUM_PLATEAUS:
+        raise InsufficientDataError(
+            f"the current set point has {np.count_nonzero(keep)} plateaus longer than the "
+            f"{settle_time:g} s of settling, {MINIMUM_PLATEAUS} are needed: hold each step longer"
+        )
+
+    def mean(values: Array) -> Array:
+        return np.bincount(number, weights=values * settled)[keep] / counts[keep]
+
+    ends = np.append(starts[1:], len(t)) - 1
+    staircase = np.concatenate([[0], np.cumsum(new_staircase)])[starts][keep]
+    return Plateaus(
+        current_setpoint=mean(setpoint),
+        current=mean(measured),
+        torque=mean(newton) * arm_length,
+        temperature=mean(degc),
+        rotor_angle=mean(angle) if rotor_angle is not None else np.full(keep.sum(), np.nan),
+        begin=t[starts][keep],
+        end=t[ends][keep] + sample,
+        staircase=np.unique(staircase, return_inverse=True)[1].astype(np.int64),
+    )
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """Measured current = offset + gain * set point, and how far from it each level lies, A."""
+
+    gain: float
+    gain_u: float
+    offset: float
+    offset_u: float
+    dof: int
+    deviation: float
+    deviation_u: float
+    current_setpoint: Array
+    current: Array
+    deviations: Array
+
+
+def amplifier_linearity(plateaus: Plateaus) -> Linearity:
+    """Fit the amplifier's DC characteristic through the means of each level [7.1.1].
+
+    `deviation` is the largest distance of a level's mean from the line, A. Raises
+    `InsufficientDataError` for fewer than 3 levels.
+    """
+    step = LEVEL_TOLERANCE * float(np.ptp(plateaus.current_setpoint))
+    order = np.argsort(plateaus.current_setpoint, kind="stable")
+    new = np.diff(plateaus.current_setpoint[order], prepend=-np.inf) > step
+    level = np.empty(len(order), dtype=np.int64)
+    level[order] = np.cumsum(new) - 1
+    count = np.bincount(level)
+    if len(count) < 3:
+        raise InsufficientDataError(
+            f"the staircases have {len(count)} levels of current, 3 are needed to judge the "
+            "amplifier: raise `steps`"
+        )
+    setpoint = np.bincount(level, weights=plateaus.current_setpoint) / count
+    current = np.bincount(level, weights=plateaus.current) / count
+    scatter = float(np.sum((plateaus.current - current[level]) ** 2))
+    dof = max(len(level) - len(count), 1)
+    sigma = math.sqrt(scatter / dof / count.mean())
+    design = np.column_stack([setpoint, np.ones(len(setpoint))])
+    inverse = np.linalg.pinv(design)
+    gain, offset = inverse @ current
+    deviations = current - design @ np.array([gain, offset])
+    # What the line does not explain counts as scatter too.
+    lack = float(np.sum(deviations**2)) / (len(count) - 2)
+    u = math.sqrt(max(lack, sigma**2)) * np.sqrt(np.sum(inverse**2, axis=1))
+    worst = int(np.argmax(np.abs(deviations)))
+    return Linearity(
+        gain=float(gain),
+        gain_u=float(u[0]),
+        offset=float(offset),
+        offset_u=float(u[1]),
+        dof=dof,
+        deviation=float(abs(deviations[worst])),
+        deviation_u=math.sqrt(scatter / dof / count[worst]),
+        current_setpoint=setpoint,
+        current=current,
+        deviations=deviations,
+    )

@@ -1,0 +1,1 @@
+"""Maxon drives: EPOS4 and DES."""

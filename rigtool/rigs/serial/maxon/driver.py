@@ -1,0 +1,119 @@
+"""maxon drives on a serial line: EPOS4, EPOS2 and DES 70/10; docs/bench-maxon.md.
+
+Which of them is there is found by asking: the single byte that is an op code to those in lock-step
+is nothing to an EPOS4. All of them are driven by current and by speed; none has a watchdog on
+this line, so a process beside this one watches over it (`maxon_guard`).
+"""
+
+from __future__ import annotations
+
+from rigtool.errors import HardwareError, RecipeError
+from rigtool.recipe import Recipe
+from rigtool.rigs.serial.drive import Drive
+from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
+from rigtool.rigs.serial.maxon.des import DesDrive, read_status
+from rigtool.rigs.serial.maxon.epos import Epos2Drive, Epos4Drive, EposDrive
+from rigtool.rigs.serial.maxon.frames import (
+    FAILED,
+    FRAME_TIMEOUT,
+    OKAY,
+    SPARE,
+    DleFrames,
+    LockStepFrames,
+)
+from rigtool.rigs.serial.maxon.guard import Guard
+from rigtool.rigs.serial.maxon.objects import DEVICE_TYPE, EPOS2_ACCESS, EPOS4_ACCESS, Objects
+
+BAUD_RATE = 115200
+"""The usual one of EPOS; a DES has 38400."""
+
+BAUD_RATES = (115200, 38400)
+
+SILENCE, SHORTEST_SILENCE = 2.0, 1.0
+"""Multiple of `serial.watchdog`, and time [s], after which the guard hears too little: the host
+gives up first, and switching on takes a while."""
+
+FACTORY_NODE = 1
+"""Address that an EPOS is delivered with; `serial.node` = 0 stands for it."""
+
+
+def probe(line: Line) -> str | None:
+    """Return who answers; None where no maxon drive does."""
+    found = _find(line, FACTORY_NODE)
+    if found is None:
+        return None
+    if isinstance(found, Objects):
+        family = "EPOS4" if isinstance(found.frames, DleFrames) else "EPOS2"
+        return EposDrive.identity(found, family)
+    return "maxon DES"
+
+
+def make_drive(line: Line, recipe: Recipe) -> Drive:
+    """Return the driver of what answers on a line; raises `HardwareError` where nothing does.
+
+    Raises `RecipeError` where the recipe does not say that there is an emergency stop.
+    """
+    assert recipe.serial is not None
+    settings, node = recipe.serial, recipe.serial.node or FACTORY_NODE
+    if not settings.emergency_stop:
+        raise RecipeError(
+            f"{line.port}: maxon drives have no watchdog on this line: where computer or cable "
+            "fail, the motor goes on as it was told last. Wire the enable or STO input, or the "
+            "supply, to an emergency stop within reach, try it, and say serial.emergency_stop = "
+            "true"
+        )
+    drive = drive_on(line, node, recipe.rig.encoder_counts)
+    if not line.replays:
+        silence = max(SHORTEST_SILENCE, SILENCE * settings.watchdog)
+        drive.guard = Guard(settings.port, settings.baud_rate or BAUD_RATE, node, silence)
+    return drive
+
+
+def drive_on(line: Line, node: int, encoder_counts: int) -> DesDrive | EposDrive:
+    """Return the driver of what answers on a line; raises `HardwareError` where nothing does."""
+    found, counts = _find(line, node), encoder_counts
+    if found is None:
+        raise HardwareError(
+            f"{line.port}: no maxon drive answers: check power and cable; an EPOS talks at 115200 "
+            "bit/s, a DES at 38400: set serial.baud_rate"
+        )
+    if not isinstance(found, Objects):
+        return DesDrive(found, counts)
+    if isinstance(found.frames, DleFrames):
+        return Epos4Drive(found, counts)
+    return Epos2Drive(found, counts)
+
+
+def _find(line: Line, node: int) -> Objects | LockStepFrames | None:
+    """Ask who is there; asks twice, since another question may have left half a frame behind."""
+    for attempt in range(2):
+        if attempt:
+            line.pause(SPARE * FRAME_TIMEOUT)
+        line.settle()
+        line.write(bytes([EPOS2_ACCESS.read]))
+        try:
+            ready = line.read_exactly(1)
+        except LineTimeout:
+            ready = b""
+        try:
+            found = _introduced(line, ready, node)
+        except (LineLost, LineTimeout, DamagedReply):
+            continue
+        if found is not None:
+            return found
+    return None
+
+
+def _introduced(line: Line, ready: bytes, node: int) -> Objects | LockStepFrames | None:
+    """Return who answered so to the op code of an EPOS2, once it has answered a whole question."""
+    frames = LockStepFrames(line, FRAME_TIMEOUT)
+    if ready == FAILED:  # it knows acknowledges, and no objects
+        read_status(frames)
+        return frames
+    if ready == OKAY:
+        objects = Objects(frames, EPOS2_ACCESS, node)
+        frames.complete(EPOS2_ACCESS.read, EPOS2_ACCESS.address(node, DEVICE_TYPE), 8)
+        return objects
+    objects = Objects(DleFrames(line), EPOS4_ACCESS, node)
+    objects.read(DEVICE_TYPE, retries=0)
+    return objects

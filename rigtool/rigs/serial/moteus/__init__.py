@@ -1,0 +1,1 @@
+"""Moteus drives."""

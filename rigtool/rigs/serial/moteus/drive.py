@@ -1,0 +1,396 @@
+"""moteus drives of mjbots, at an fdcanusb or at their own UART.
+
+Everything that turns the motor is sent in position mode: it alone has a watchdog. A current is
+feed-forward torque with the gains of the position loop scaled to zero, which the drive turns back
+into that current. Position and speed are sent together: between commands the drive moves its set
+point along at that speed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rigtool.errors import HardwareError
+from rigtool.recipe import Recipe
+from rigtool.recipe.serial import Limits
+from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.moteus import frames
+from rigtool.rigs.serial.moteus.link import Link
+from rigtool.rigs.serial.table_store import TableStore
+
+BAUD_RATE = 921600
+USUAL_NODE = 1
+"""Address that a drive leaves the factory with; 0, which the recipe has by default, is none."""
+
+PROBED_NODES = range(1, 5)
+
+TURN = 2 * math.pi
+
+MODE, POSITION, VELOCITY, TORQUE, CURRENT = range(5)
+MOTOR_TEMPERATURE, FAULT = 0x00A, 0x00F
+COMMAND = 0x020
+"""First of position, velocity, feed-forward torque, kp scale, kd scale, largest torque."""
+COMMAND_TIMEOUT, COMMAND_INTEGRAL, CONTROL_TORQUE = 0x027, 0x02B, 0x034
+IDENTITY, SERIAL_NUMBER = 0x100, 0x120
+
+STOPPED, FAULTY, IN_POSITION, TIMED_OUT = 0, 1, 10, 11
+
+STATE = (
+    frames.read(MODE, 5)
+    + frames.read(MOTOR_TEMPERATURE)
+    + frames.read(FAULT, 1, frames.INT8)
+    + frames.read(CONTROL_TORQUE)
+)
+EXPECTED = (MODE, POSITION, VELOCITY, TORQUE, CURRENT, MOTOR_TEMPERATURE, FAULT, CONTROL_TORQUE)
+STOP = frames.write(MODE, [STOPPED], frames.INT8)
+
+TORQUE_FACTOR = 1.5 / math.sqrt(3) * 60 / TURN
+"""Torque constant times Kv in the drive's own firmware, N m/A rpm/V."""
+ASSUMED_CONSTANT = 0.1
+"""Torque constant of the firmware where motor.Kv is 0, N m/A."""
+
+LARGEST_BOUND = 32768.0
+"""Revolutions beyond which the firmware takes no bound of position."""
+
+STARTING = 2.0
+"""Longest time in which a drive has to be ready after it is switched on, s."""
+
+SLACK = 0.005
+"""What an answer may take beyond twice the shortest time that one took, s; host busy, or retries.
+
+Less would ask twice each time on a busy computer, which is no help to it.
+"""
+
+FAULTS = {
+    32: "calibration fault: encoder sees no magnet",
+    33: "motor driver fault: often the supply gave way",
+    34: "over voltage",
+    35: "encoder fault",
+    36: "motor not calibrated: run moteus_tool --calibrate",
+    37: "PWM cycle overrun",
+    38: "over temperature",
+    39: "outside servopos.position_min and position_max",
+    40: "under voltage",
+    41: "settings were changed while it ran",
+    42: "no valid commutation encoder",
+    43: "no valid position encoder",
+    44: "gate driver could not be enabled",
+    47: "servo.bemf_feedforward is set: set it to 0",
+    48: "invalid bounds of position",
+}
+
+
+def probe(line: Line) -> str | None:
+    """Return who answers on a line, None where no moteus does."""
+    for node in PROBED_NODES:
+        link = Link(line, node)
+        with contextlib.suppress(HardwareError):
+            return _identity(link)
+        if line.counts.bytes_received == 0:
+            return None
+    return None
+
+
+def make_drive(line: Line, recipe: Recipe) -> Moteus:
+    """Return the drive that a recipe's [serial] names, not connected yet."""
+    assert recipe.serial is not None
+    return Moteus(line, recipe.serial.node or USUAL_NODE)
+
+
+def make_table_store(line: Line, recipe: Recipe) -> TableStore:
+    """Return the table in the drive that a recipe's [serial] names, not connected yet."""
+    from rigtool.rigs.serial.moteus.table import MoteusTable
+
+    return MoteusTable(make_drive(line, recipe))
+
+
+def _identity(link: Link) -> str:
+    question = frames.read(IDENTITY, 2, frames.INT32) + frames.read(SERIAL_NUMBER, 3, frames.INT32)
+    numbers = (IDENTITY, IDENTITY + 1, *range(SERIAL_NUMBER, SERIAL_NUMBER + 3))
+    found = link.query(question, numbers)
+    model, firmware, *serial = (int(found[number]) & 0xFFFFFFFF for number in numbers)
+    version = ".".join(str(firmware >> shift & 0xFF) for shift in (16, 8, 0))
+    number = "".join(f"{word:08x}" for word in reversed(serial))
+    return f"moteus {link.node}, model 0x{model:x}, firmware {version}, serial {number}"
+
+
+@dataclass(frozen=True)
+class Motor:
+    """What the drive knows of its motor.
+
+    `torque_constant` is that of the motor shaft in N m/A; `ratio` is output turns per turn of the
+    motor: all registers are of the output; `table_scale` [A] is that of its cogging table.
+    """
+
+    torque_constant: float
+    ratio: float
+    has_thermometer: bool
+    straight_up_to: float
+    table_scale: float
+
+
+class Moteus:
+    """A `Drive`."""
+
+    def __init__(self, line: Line, node: int) -> None:
+        self.line = line
+        self.link = Link(line, node)
+        self._motor: Motor | None = None
+        self._limits: Limits | None = None
+        self._watchdog = math.nan
+        self._before: dict[str, str] = {}
+        self._mode: Mode = "position"
+        self._fastest = math.inf
+
+    # -- who it is
+
+    def connect(self) -> str:
+        """Identify the drive; raises `HardwareError` for one that cannot be measured with."""
+        self.link.find_seal(STATE)
+        identity = _identity(self.link)
+        state = self.link.query(STATE, EXPECTED)
+        if state[MODE] == FAULTY:
+            raise HardwareError(
+                f"{identity}: reports a fault: {_fault(state)}; find its cause, then switch the "
+                "drive off and on"
+            )
+        self.link.command("tel stop")
+        self._motor = motor = self._read_motor()
+        wire = "UART with checksums" if self.link.sealed else "fdcanusb"
+        table = f"; its cogging table is on, scale {motor.table_scale:g} A"
+        return f"{identity}, {wire}{table if motor.table_scale else ''}"
+
+    def _read_motor(self) -> Motor:
+        number = self.link.number
+        if number("motor.poles") == 0:
+            raise HardwareError("the drive has no calibrated motor: run moteus_tool --calibrate")
+        for name in ("servo.voltage_mode_control", "servo.fixed_voltage_mode"):
+            if number(name) != 0:
+                raise HardwareError(
+                    f"{name} is on: the drive controls voltage, so its current says nothing of "
+                    "torque; set it to 0"
+                )
+        ratio = number("motor_position.rotor_to_output_ratio")
+        if not ratio > 0:
+            raise HardwareError(
+                f"motor_position.rotor_to_output_ratio is {ratio:g}: must be above 0"
+            )
+        kv = number("motor.Kv")
+        return Motor(
+            torque_constant=TORQUE_FACTOR / kv if kv else ASSUMED_CONSTANT,
+            ratio=ratio,
+            has_thermometer=number("servo.enable_motor_temperature") != 0,
+            straight_up_to=number("motor.rotation_current_cutoff_A"),
+            table_scale=number("motor.cogging_dq_scale"),
+        )
+
+    @property
+    def motor(self) -> Motor:
+        """What the drive knows of its motor; once connected."""
+        assert self._motor is not None, "connect first"
+        return self._motor
+
+    @property
+    def abilities(self) -> Abilities:
+        """What it can do."""
+        channels = {"current", "current_setpoint"}
+        if self.motor.has_thermometer:
+            channels.add("temperature")
+        modes: set[Mode] = {"position", "velocity", "current"}
+        return Abilities(frozenset(modes), True, frozenset(channels), moves_along=True)
+
+    # -- settings
+
+    def configure(self, limits: Limits, watchdog: float) -> list[str]:
+        """Set limits, watchdog, and what happens when it runs out: the power stage goes off.
+
+        Raises `HardwareError` for a limit up to which the drive's torque is not known.
+        """
+        if limits.current > self.motor.straight_up_to:
+            raise HardwareError(
+                f"serial.limits.current is {limits.current:g} A, and above motor."
+                f"rotation_current_cutoff_A = {self.motor.straight_up_to:g} A the drive's torque "
+                "is no multiple of current: lower the limit, or raise the cut-off"
+            )
+        self._limits, self._watchdog = limits, watchdog
+        self._lower("servo.max_current_A", limits.current)
+        self._lower("servo.max_velocity", limits.speed / TURN * self.motor.ratio)
+        self._change("servo.default_timeout_s", f"{watchdog:g}")
+        self._change("servo.timeout_mode", f"{STOPPED}")
+        # Limits of its own trajectories would make it lag behind the motions that it is sent.
+        self._change("servo.default_velocity_limit", "nan")
+        self._change("servo.default_accel_limit", "nan")
+        gaps = self._set_bounds(limits)
+        if self.motor.has_thermometer:
+            self._lower("servo.motor_fault_temperature", limits.temperature_degc)
+        else:
+            gaps.append("has no thermometer on the motor")
+        return gaps
+
+    def _set_bounds(self, limits: Limits) -> list[str]:
+        gaps = []
+        names = ("servopos.position_min", "servopos.position_max")
+        for name, angle, inner in zip(names, limits.position, (max, min), strict=True):
+            bound = angle / TURN * self.motor.ratio
+            if abs(bound) > LARGEST_BOUND:
+                gaps.append(f"takes no bound of position as far as {angle:g} rad")
+                continue
+            before = float(self._remember(name))
+            self._change(name, f"{bound if math.isnan(before) else inner(bound, before):.9g}")
+        return gaps
+
+    def _lower(self, name: str, limit: float) -> None:
+        """Set a limit; one that is lower already stays."""
+        before = float(self._remember(name))
+        self._change(name, f"{limit if math.isnan(before) else min(limit, before):.9g}")
+
+    def _remember(self, name: str) -> str:
+        """Return what a setting was before it was changed."""
+        if name not in self._before:
+            self._before[name] = self.link.get(name)
+        return self._before[name]
+
+    def _change(self, name: str, value: str) -> None:
+        self._remember(name)
+        self.link.set(name, value)
+
+    def restore(self) -> None:
+        """Bring back all settings that were changed, the last one first."""
+        if self._before:
+            self.link.flush()  # answers to what was interrupted
+        for name in reversed(list(self._before)):
+            self.link.set(name, self._before[name])
+            del self._before[name]
+
+    # -- motion
+
+    def enable(self, mode: Mode) -> None:
+        """Switch on at rest where the shaft is; the position loop has no gain in mode current.
+
+        Raises `HardwareError` where the drive does not get ready.
+        """
+        self.halt()
+        self._mode = mode
+        self._set_table(on=mode != "current")
+        hold = self._command(SetPoint(position=math.nan))
+        for _ in range(math.ceil(STARTING / 0.005)):
+            state = self.link.query(hold + STATE, EXPECTED)
+            if state[MODE] == IN_POSITION:
+                return
+            if state[MODE] in (FAULTY, TIMED_OUT):
+                self._require_running(state)
+            self.line.pause(0.005)
+        raise HardwareError(
+            f"moteus {self.link.node} was not ready in {STARTING:g} s: it is in mode "
+            f"{state[MODE]:g}; look at its supply"
+        )
+
+    def _set_table(self, *, on: bool) -> None:
+        """Switch the drive's own cogging table: a set point of current is to be the current."""
+        name = "motor.cogging_dq_scale"
+        if self.motor.table_scale and not on:
+            self._change(name, "0")
+        elif name in self._before:
+            self.link.set(name, self._before[name])
+
+    def step(self, setpoint: SetPoint) -> Sample:
+        """Send a set point and measure, in one exchange."""
+        return self._measure(self._command(setpoint), running=True)
+
+    def read(self) -> Sample:
+        """Measure."""
+        return self._measure(b"", running=False)
+
+    def _command(self, setpoint: SetPoint) -> bytes:
+        """Return the subframes of a set point."""
+        assert self._limits is not None, "configure first"
+        ratio, gain = self.motor.ratio, 0.0 if self._mode == "current" else 1.0
+        torque = self.motor.torque_constant / ratio
+        turns = setpoint.position / TURN * ratio if self._mode == "position" else math.nan
+        speed = setpoint.speed / TURN * ratio if gain else 0.0
+        values = (
+            turns,
+            speed,
+            setpoint.current * torque,
+            gain,
+            gain,
+            self._limits.current * torque,
+        )
+        return (
+            frames.write(MODE, [IN_POSITION], frames.INT8)
+            + frames.write(COMMAND, values)
+            + frames.write(COMMAND_TIMEOUT, [self._watchdog])
+            + frames.write(COMMAND_INTEGRAL, [gain])
+        )
+
+    def _measure(self, command: bytes, *, running: bool) -> Sample:
+        """Measure; again where the answer came so late that nobody knows when it was measured."""
+        state, asked, answered = self._ask(command)
+        if answered - asked > 2 * self._fastest + SLACK:
+            state, asked, answered = self._ask(b"")
+        if running:
+            self._require_running(state)
+            if not (math.isfinite(state[POSITION]) and math.isfinite(state[CURRENT])):
+                raise HardwareError(
+                    f"moteus {self.link.node} lost its position or its current (they read "
+                    f"{state[POSITION]:g} turns, {state[CURRENT]:g} A): look at its encoder"
+                )
+        ratio = self.motor.ratio
+        return Sample(
+            time=(asked + answered) / 2,
+            position=state[POSITION] * TURN / ratio,
+            speed=state[VELOCITY] * TURN / ratio,
+            current=state[CURRENT],
+            current_setpoint=state[CONTROL_TORQUE] * ratio / self.motor.torque_constant,
+            temperature=state[MOTOR_TEMPERATURE] if self.motor.has_thermometer else math.nan,
+        )
+
+    def _ask(self, command: bytes) -> tuple[Mapping[int, float], float, float]:
+        """Send a command; return the state, and the times of question and answer."""
+        asked = self.line.now()
+        state = self.link.query(command + STATE, EXPECTED)
+        answered = self.line.now()
+        self._fastest = min(self._fastest, answered - asked)
+        return state, asked, answered
+
+    def _require_running(self, state: Mapping[int, float]) -> None:
+        if state[MODE] == IN_POSITION:
+            return
+        if state[MODE] == FAULTY:
+            raise HardwareError(f"moteus {self.link.node} stopped by itself: {_fault(state)}")
+        if state[MODE] == TIMED_OUT:
+            raise HardwareError(
+                f"moteus {self.link.node} stopped: its watchdog heard nothing for "
+                f"{self._watchdog:g} s; raise serial.watchdog, or find what holds up the line"
+            )
+        raise HardwareError(
+            f"moteus {self.link.node} is switched off, mode {state[MODE]:g}: it was reset, or "
+            "another program stopped it"
+        )
+
+    def halt(self) -> None:
+        """Switch the power stage off; tried three times, then raises `HardwareError`."""
+        for last in (False, False, True):
+            try:
+                state = self.link.query(STOP + frames.read(MODE), (MODE,))
+                # What is read is the state before the stop came into force.
+                state = self.link.query(STOP + frames.read(MODE), (MODE,))
+            except HardwareError:
+                if last:
+                    raise
+                continue
+            if state[MODE] == STOPPED:
+                return
+        raise HardwareError(
+            f"moteus {self.link.node} was told to stop and is still in mode {state[MODE]:g}: "
+            "switch its supply off"
+        )
+
+
+def _fault(state: Mapping[int, float]) -> str:
+    code = int(state[FAULT])
+    return f"fault {code}, {FAULTS.get(code, 'see the list of faults of moteus')}"

@@ -1,0 +1,1 @@
+"""ODrive drives, old and new dialect."""

@@ -1,0 +1,1 @@
+"""The target, which runs whole motions by itself."""

@@ -1,0 +1,106 @@
+"""Requests and replies of the host-target link, each request done once however often it is sent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+from rigtool.errors import HardwareError
+from rigtool.rigs.serial.frames import END, Frame, Splitter, encode
+from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
+from rigtool.rigs.serial.target import link
+from rigtool.rigs.serial.target.link import Kind, Refusal
+
+TIMEOUT = 0.5
+"""Longest wait for a reply, s."""
+
+RETRIES = 8
+"""Times that a request is sent again."""
+
+
+class Refused(HardwareError):
+    """The target refuses a request; `code` is one of `Refusal`."""
+
+    def __init__(self, text: str, code: int) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class Talk:
+    """Requests and replies on a line; streamed samples that come between go to `samples`."""
+
+    def __init__(self, line: Line, *, timeout: float | None = None, retries: int = RETRIES) -> None:
+        self._line, self._retries = line, retries
+        self.timeout = TIMEOUT if timeout is None else timeout
+        self.streaming = False  # then a damaged frame need not be the reply
+        self._splitter = Splitter()
+        self._waiting: list[Frame] = []
+        self._sequence = 0
+        self.samples: Callable[[int, bytes], None] = lambda first, data: None
+
+    def hello(self) -> link.Hello:
+        """Begin a session."""
+        self._line.write(END)  # whatever half a frame was left there ends here
+        return link.Hello.unpack(self.call(Kind.HELLO, bytes([link.VERSION])))
+
+    def call(self, kind: Kind, payload: bytes = b"") -> bytes:
+        """Send a request and return the payload of its reply.
+
+        A request goes out again with the same sequence number until it is answered: the target does
+        it once. Raises `HardwareError` with the target's reason where it refuses; what a
+        `LineTimeout` or a `DamagedReply` spoils is repeated.
+        """
+        self._sequence = self._sequence % 0xFFFF + 1
+        sequence = self._sequence
+
+        def receive() -> bytes:
+            deadline = time.monotonic() + self.timeout
+            while True:
+                damaged = self.damaged
+                for frame in self._frames(max(0.0, deadline - time.monotonic())):
+                    if frame.kind == link.SAMPLES:
+                        self._take_samples(frame)
+                    elif frame.sequence != sequence:
+                        self._line.counts.stray_bytes += len(frame.payload)
+                    elif frame.kind == link.REFUSED:
+                        raise self._refused(frame.payload)
+                    elif frame.kind == kind | link.REPLY:
+                        return frame.payload
+                if self.damaged > damaged and not self.streaming:
+                    raise DamagedReply(f"a frame came damaged while {kind.name} waited")
+                if time.monotonic() >= deadline:
+                    raise LineTimeout(f"no reply to {kind.name} within {self.timeout:g} s")
+
+        return self._line.exchange(
+            encode(Frame(kind, sequence, payload)), receive, retries=self._retries, settle=False
+        )
+
+    def listen(self, timeout: float) -> None:
+        """Take the samples that come within this time, s."""
+        for frame in self._frames(timeout):
+            if frame.kind == link.SAMPLES:
+                self._take_samples(frame)
+
+    def _frames(self, timeout: float) -> Iterator[Frame]:
+        """Yield what has come; frames that are not taken wait for the next call."""
+        if not self._waiting:
+            self._waiting = self._splitter.feed(self._line.read_some(timeout))
+        while self._waiting:
+            yield self._waiting.pop(0)
+
+    def _refused(self, payload: bytes) -> Refused:
+        text = payload[1:].decode("utf-8", "replace")
+        code = payload[0] if payload else 0
+        if code == Refusal.NO_SESSION:
+            text += "; what it had measured is lost: find out why it restarted"
+        return Refused(f"{self._line.port}: the target refuses: {text}", code)
+
+    @property
+    def damaged(self) -> int:
+        """Frames that came damaged so far."""
+        return self._splitter.damaged
+
+    def _take_samples(self, frame: Frame) -> None:
+        if len(frame.payload) >= link.FIRST.size:
+            (first,) = link.FIRST.unpack_from(frame.payload)
+            self.samples(first, frame.payload[link.FIRST.size :])

@@ -1,0 +1,48 @@
+"""What the way of reading brings to a reading of force, against signals whose parts are known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.force.cycles import find_cycles, lowpass_at, readings
+from rigtool.experiments.force.procedure import strokes
+from rigtool.experiments.force.results_method import unsteady_torque
+from rigtool.recipe import load_recipe
+from tests.experiments.virtual_runs import RECIPE
+
+RATE = 500.0
+FRICTION, INERTIA, LOAD = 3e-3, 4e-4, 14e-3
+
+
+def stroked(rev_per_s, modelled, apparent=INERTIA, friction=FRICTION):
+    """Return the uncertainty of readings at a speed, and by how much they are off, N m.
+
+    `modelled` is the inertia that is fed forward, `apparent` that which the torque shows.
+    """
+    recipe = load_recipe(RECIPE, (f"measure_force.speed_rev_per_s={rev_per_s}",))[0]
+    ratio = recipe.rig.angle_ratio
+    motion = strokes(recipe, 4)
+    time = (np.arange(round(motion.duration * RATE)) + 0.5) / RATE
+    angle, speed, acceleration = (values / ratio for values in motion.setpoint(time))
+    fed = modelled * acceleration
+    wanted = 2 * math.pi * rev_per_s
+    torque = LOAD + friction * speed / wanted + apparent * acceleration - fed
+    cutoff = recipe.measure_force.lowpass_hz
+    angle, torque, fed = (lowpass_at(RATE, values, cutoff) for values in (angle, torque, fed))
+    cycles = find_cycles(angle)
+    u = unsteady_torque(angle, torque, fed, rate=RATE, cycles=cycles, recipe=recipe)
+    place = math.radians(recipe.measure_force.measure_angle)
+    read = readings(angle, torque, cycles, place).mean()
+    return u, abs(read - LOAD - friction)
+
+
+@pytest.mark.parametrize("modelled", [0.0, INERTIA, 0.5 * INERTIA])
+@pytest.mark.parametrize("rev_per_s", [0.2, 1.0, 1.5])
+def test_it_is_what_the_ends_of_the_stroke_bring_and_hardly_more(rev_per_s, modelled):
+    u, off = stroked(rev_per_s, modelled)
+    assert off <= u + 1e-3 * FRICTION
+    # Both of its parts are taken by magnitude, though they may work against each other.
+    alone = stroked(rev_per_s, modelled, modelled)[1]
+    inertia = stroked(rev_per_s, modelled, friction=0.0)[1]
+    assert u == pytest.approx(alone + inertia, rel=0.02, abs=2e-3 * FRICTION)

@@ -1,0 +1,141 @@
+"""Breakaway from slow ramps: a shaft on Dahl contacts, simulated from rest until it runs off."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.friction.breakaway import around_turn, find_ramps
+
+COUNT = 2 * np.pi / 4000
+
+
+@dataclass(frozen=True)
+class Shaft:
+    """Rotor on bristle contacts under a slow ramp of torque; cogging helps or hinders."""
+
+    static: float = 4e-3
+    cogging: float = 1e-3  # second order
+    presliding_angle: float = 1.5e-3
+    inertia: float = 1.5e-5
+    rate: float = 1e-3  # N m/s
+    limit: float = 12e-3
+    stop: float = 0.09
+    sample_time: float = 1e-3
+
+    def ramp(self, position: float, direction: float) -> dict[str, np.ndarray]:
+        """Return the signals of one ramp; 8 steps of the simulation a sample."""
+        dt, angle, speed, z = self.sample_time / 8, position, 0.0, 0.0
+        rows = []
+        for k in range(round(self.limit / self.rate / dt)):
+            drive = direction * self.rate * k * dt
+            z = (z + speed * dt / self.presliding_angle) / (
+                1 + abs(speed) * dt / self.presliding_angle
+            )
+            # damping of the bristles keeps pre-sliding from ringing
+            friction = self.static * (z + 0.02 * speed / self.presliding_angle * (1 - abs(z)))
+            torque = drive + self.cogging * np.cos(2 * position) - friction
+            speed += dt * torque / self.inertia
+            angle += dt * speed
+            if k % 8 == 7:
+                rows.append((k * dt, np.floor(angle / COUNT) * COUNT, drive))
+            if abs(angle - position) > self.stop:
+                break
+        time, place, torque = np.array(rows).T
+        return {"time": time, "angle": place, "torque": torque}
+
+    def series(self, count: int = 8) -> dict[str, np.ndarray]:
+        """Return ramps at equally spaced positions in both directions, behind each other."""
+        parts, clock = [], 0.0
+        for direction in (1.0, -1.0):
+            for k in range(count):
+                part = self.ramp(2 * np.pi * k / count + 0.01, direction)
+                part["time"] = part["time"] + clock
+                clock = part["time"][-1] + 1.5
+                parts.append(part)
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+@pytest.fixture(scope="module")
+def signals():
+    return Shaft().series()
+
+
+def test_breakaway_around_the_turn(signals):
+    found = around_turn(find_ramps(**signals, threshold=0.02))
+    assert_allclose(found.position, 2 * np.pi * np.arange(8) / 8 + 0.01, atol=2e-3)
+    help_ = 1e-3 * np.cos(2 * found.position)
+    # 0.1 mN m: the ramp goes on for 0.1 s while the shaft gathers speed
+    assert_allclose(found.positive, 4e-3 - help_, atol=0.12e-3)
+    assert_allclose(found.negative, 4e-3 + help_, atol=0.12e-3)
+    assert_allclose([found.lowest, found.highest], [3e-3, 5e-3], atol=0.12e-3)
+    assert_allclose(found.level.value, 4e-3, atol=0.1e-3)
+    # positions are not quite those of the cogging's extremes
+    assert_allclose(found.middle.value, 0.0, atol=0.03e-3)
+
+
+def test_threshold_within_presliding_is_doubled_until_the_shaft_runs_off():
+    soft = Shaft(presliding_angle=0.01, cogging=0.0, stop=0.2)
+    ramp = soft.ramp(0.0, 1.0)
+    # the threshold is passed in pre-sliding already, far below the static friction
+    passed = ramp["torque"][np.argmax(ramp["angle"] > 0.01)]
+    assert passed < 0.7 * 4e-3
+    (found,) = find_ramps(**ramp, threshold=0.01)
+    assert_allclose(found.torque, 4e-3, rtol=0.08)
+
+
+def test_a_shaft_that_does_not_move_has_no_breakaway_torque():
+    (found,) = find_ramps(**Shaft(limit=3e-3, cogging=0.0).ramp(0.0, 1.0), threshold=0.02)
+    assert np.isnan(found.torque)
+    with pytest.raises(InsufficientDataError, match="breakaway_limit"):
+        around_turn([found])
+
+
+def test_radial_load_adds_at_each_position(signals):
+    unloaded = around_turn(find_ramps(**signals, threshold=0.02))
+    heavier = Shaft(static=5e-3).series()
+    loaded = around_turn(find_ramps(**heavier, threshold=0.02), unloaded.position)
+    assert_allclose(loaded.positive - unloaded.positive, 1e-3, atol=0.03e-3)
+    assert_allclose(loaded.negative - unloaded.negative, 1e-3, atol=0.03e-3)
+
+
+def test_ramps_of_other_positions_are_not_paired(signals):
+    ramps = find_ramps(**signals, threshold=0.02)
+    apart = around_turn(ramps[:1] + ramps[8:9], np.linspace(0.3, 5.9, 24))
+    # ramps at 0.01 rad are further from all of these than half their spacing
+    assert np.all(np.isnan(apart.positive))
+
+
+def test_repeated_ramps_are_averaged(signals):
+    ramps = find_ramps(**signals, threshold=0.02)
+    once, twice = around_turn(ramps), around_turn(ramps + ramps)
+    assert_allclose(twice.positive, once.positive, rtol=1e-12)
+    assert len(twice.position) == len(once.position)
+
+
+@given(scale=st.floats(0.1, 50.0))
+@settings(max_examples=10, deadline=None)
+def test_torque_scales(scale):
+    ramp = Shaft().ramp(1.0, -1.0)
+    (one,) = find_ramps(**ramp, threshold=0.02)
+    (other,) = find_ramps(**{**ramp, "torque": scale * ramp["torque"]}, threshold=0.02)
+    assert_allclose(other.torque, scale * one.torque, rtol=1e-9)
+    assert other.direction == -1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"torque": lambda x: 0 * x}, "no ramp"),
+        ({"angle": lambda x: np.where(np.arange(len(x)) == 5, np.inf, x)}, "angle is inf"),
+        ({"time": lambda x: x[:-3]}, "samples"),
+    ],
+)
+def test_bad_signals_are_refused(signals, change, message):
+    bad = {**signals, **{name: function(signals[name]) for name, function in change.items()}}
+    with pytest.raises(InsufficientDataError, match=message):
+        find_ramps(**bad, threshold=0.02)

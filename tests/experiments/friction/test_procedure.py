@@ -1,0 +1,261 @@
+"""stribeck on the virtual rig, from recipe to friction and back from the file."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.friction import procedure as stribeck
+from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.session import run_command
+from rigtool.recipe import Stribeck
+from rigtool.runfile import RecordingSpec, RunWriter, open_run
+from tests.experiments.virtual_runs import RECIPE, run, write_kt
+
+SHORT = (
+    "stribeck.hold_speeds=[0.6, 1, 2, 5, 10, 20, 30]",
+    "stribeck.sweep_time=30",
+    "stribeck.record_every=16",
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("friction")
+
+
+@pytest.fixture(scope="module")
+def kt(folder):
+    return write_kt(folder)
+
+
+@pytest.fixture(scope="module")
+def measured(folder, kt):
+    path = folder / "friction.h5"
+    return path, run(stribeck, RECIPE, path, *SHORT, seed=1, kt=kt)
+
+
+def extract(source, target, *names):
+    """Write a run with some of another one's recordings, as other people's files may be."""
+    with open_run(source) as whole:
+        parts = [whole.recording(name) for name in names]
+        specs = [
+            RecordingSpec(
+                part.name,
+                part.channels,
+                {
+                    name: (quantity.value, quantity.unit)
+                    for name, quantity in part.conditions.items()
+                },
+            )
+            for part in parts
+        ]
+        with RunWriter(
+            target, command="stribeck", recipe=whole.recipe, recipe_text=None, recordings=specs
+        ) as writer:
+            for part in parts:
+                block = {channel.name: part.read(channel.name) for channel in part.channels}
+                writer.append(part.name, block)
+            writer.finish({}, {})
+    return target
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_thesis_values_for_several_seeds(folder, kt, measured, seed):
+    """[7.1.2, 7.2.1, 7.2.2]"""
+    path = folder / f"seed{seed}.h5"
+    outcome = measured[1] if seed == 1 else run(stribeck, RECIPE, path, *SHORT, seed=seed, kt=kt)
+    results = outcome.results
+    assert_allclose(results["coulomb_friction"].value, 2.3e-3, rtol=0.05)
+    assert_allclose(results["viscous_friction"].value, 5.33e-5, rtol=0.05)
+    assert_allclose(results["breakaway_torque_min"].value, 2.4e-3, atol=0.5e-3, rtol=0)
+    assert_allclose(results["breakaway_torque_max"].value, 5e-3, atol=0.5e-3, rtol=0)
+    assert_allclose(results["radial_load_friction"].value, 1.05e-3, rtol=0.1)
+    assert_allclose(
+        results["radial_friction_coefficient"].value,
+        results["radial_load_friction"].value / 22,
+        rtol=1e-12,
+    )
+    for name, true in (("coulomb_friction", 2.3e-3), ("viscous_friction", 5.33e-5)):
+        assert abs(results[name].value - true) < 4 * results[name].u
+        both = [results[f"{name}_{direction}"].value for direction in ("positive", "negative")]
+        assert_allclose(np.mean(both), results[name].value, rtol=1e-9)
+
+
+def test_compensation_makes_the_torque_speed_curve_flat(measured):
+    """[Fig. 30, 32, 34]"""
+    tables = measured[1].tables
+    curves = [tables[name] for name in ("torque_speed", "torque_speed_coulomb")]
+    flat = tables["torque_speed_viscous"]
+    fast = np.abs(flat["speed"]) > 5
+    sign = np.sign(flat["speed"])
+    bare = (sign * curves[0]["torque"])[fast]
+    coulomb = (sign * curves[1]["torque"])[fast]
+    # friction is 2.3 + 0.0533 v mN m: each compensation takes its part away
+    assert_allclose(bare.mean() - coulomb.mean(), 2.3e-3, rtol=0.05)
+    slope = np.polyfit(np.abs(flat["speed"][fast]), coulomb, 1)[0]
+    assert_allclose(slope, 5.33e-5, rtol=0.2)
+    assert np.abs(flat["torque"][fast]).mean() < 0.1 * bare.mean()
+    assert measured[1].results["compensated_torque_rms"].value < 0.1 * 2.3e-3
+
+
+def test_friction_model_runs_through_the_holds(measured):
+    tables = measured[1].tables
+    model, holds = tables["friction_model"], tables["holds"]
+    fitted = np.interp(holds["speed"], model["speed"], model["torque"])
+    known = np.abs(holds["speed"]) >= np.abs(model["speed"]).min()
+    assert_allclose(fitted[known], holds["torque"][known], atol=0.1e-3)
+
+
+def test_breakaway_tables_go_around_the_turn(measured):
+    table = measured[1].tables["breakaway"]
+    assert_allclose(np.diff(table["position"]), 2 * np.pi / 24, atol=0.02)
+    for name in ("positive", "negative", "loaded_positive", "loaded_negative"):
+        assert np.isfinite(table[name]).all()
+    ramp = measured[1].tables["breakaway_ramp"]
+    assert len(ramp["time"]) <= 2000
+    highest = measured[1].results["breakaway_torque_max"].value
+    assert_allclose(np.abs(ramp["torque"][-1]), highest, atol=0.15e-3)
+
+
+def test_offset_and_asymmetry_are_told_apart(folder, kt):
+    outcome = run(
+        stribeck,
+        RECIPE,
+        folder / "asymmetric.h5",
+        *SHORT,
+        "virtual.motor.friction_asymmetry=0.1",
+        "virtual.amplifier.offset=-0.02",
+        kt=kt,
+    )
+    results = outcome.results
+    assert_allclose(results["friction_asymmetry"].value, 0.1, atol=0.03)
+    assert_allclose(results["friction_offset"].value, 0.02 * 45.4e-3, rtol=0.1)
+    assert_allclose(results["coulomb_friction_positive"].value, 2.3e-3 * 1.1, rtol=0.05)
+    assert_allclose(results["coulomb_friction_negative"].value, 2.3e-3 * 0.9, rtol=0.05)
+
+
+def test_stribeck_model_where_the_data_carry_it(folder, kt):
+    outcome = run(
+        stribeck, RECIPE, folder / "vs.h5", *SHORT, "virtual.motor.stribeck_velocity=2", kt=kt
+    )
+    results = outcome.results
+    assert_allclose(results["stribeck_velocity"].value, 2.0, rtol=0.1)
+    assert_allclose(results["stribeck_static_friction"].value, 4e-3, rtol=0.05)
+    assert_allclose(results["coulomb_friction"].value, 2.3e-3, rtol=0.05)
+
+
+def test_no_stribeck_effect_is_said_so(measured):
+    assert "stribeck_velocity" not in measured[1].results
+    assert any("do not carry a Stribeck effect" in note for note in measured[1].notes)
+    # static friction is then what breaks the shaft away
+    assert_allclose(measured[1].results["static_friction"].value, 3.7e-3, rtol=0.1)
+
+
+def test_an_amplifier_that_fails_at_low_current_is_refused(folder, kt):
+    """[Appendix C]"""
+    path = folder / "idm640.h5"
+    with pytest.raises(InsufficientDataError, match="Appendix C"):
+        run(
+            stribeck,
+            RECIPE,
+            path,
+            *SHORT,
+            "virtual.amplifier.distortion=0.02",
+            "virtual.amplifier.distortion_period=0.1",
+            kt=kt,
+        )
+    assert not path.exists()
+
+
+def test_analysis_of_the_file_gives_the_same(measured, kt, folder):
+    path, outcome = measured
+    again = run(stribeck, path, folder / "again.h5", kt=kt)
+    assert again.results == outcome.results
+    assert again.notes == outcome.notes
+
+
+def test_parts_of_a_run_give_what_they_carry(measured, kt, folder):
+    path, outcome = measured
+    holds = run(stribeck, extract(path, folder / "h.h5", "holds"), folder / "h_out.h5", kt=kt)
+    assert holds.results["coulomb_friction"].value == outcome.results["coulomb_friction"].value
+    assert "static_friction" not in holds.results
+    assert any("breakaway_loaded" in note for note in holds.notes)
+    sweep = run(stribeck, extract(path, folder / "s.h5", "sweep"), folder / "s_out.h5", kt=kt)
+    assert_allclose(sweep.results["coulomb_friction"].value, 2.3e-3, rtol=0.1)
+    assert_allclose(sweep.results["viscous_friction"].value, 5.33e-5, rtol=0.15)
+    ramps = run(stribeck, extract(path, folder / "b.h5", "breakaway"), folder / "b_out.h5", kt=kt)
+    assert set(ramps.results) == {
+        "static_friction",
+        "breakaway_torque_min",
+        "breakaway_torque_max",
+    }
+
+
+def test_sources_are_pooled(measured, kt, folder):
+    path, outcome = measured
+    first = extract(path, folder / "p1.h5", "holds", "breakaway")
+    second = extract(path, folder / "p2.h5", "sweep", "breakaway_loaded")
+    with open_run(kt) as opened:
+        pooled = run_command(
+            stribeck,
+            [str(first), str(second)],
+            str(folder / "pooled.h5"),
+            options=CommonOptions(),
+            inputs={"kt": opened},
+        )
+    for name in ("coulomb_friction", "friction_offset", "radial_load_friction"):
+        assert pooled.results[name] == outcome.results[name]
+
+
+def test_a_run_without_any_of_it_is_refused(measured, kt, folder):
+    again = folder / "bare.h5"
+    run(stribeck, measured[0], again, kt=kt)
+    with pytest.raises(RunFileError, match="no recording 'holds'"):
+        run(stribeck, again, folder / "none.h5", kt=kt)
+
+
+def test_holds_are_whole_turns_and_long_enough():
+    settings = Stribeck(hold_speeds=(0.5, 2.0, 30.0), hold_revolutions=2, hold_time=5.0)
+    profile = stribeck.hold_profile(settings, -1.0)
+    times, speeds = np.array(profile.times), np.array(profile.speeds)
+    constant = (np.diff(speeds) == 0) & (speeds[1:] != 0)
+    length = np.diff(times)[constant] - stribeck.SETTLE_TIME
+    turns = length * np.abs(speeds[1:][constant]) / (2 * np.pi)
+    assert_allclose(turns, np.round(turns), atol=1e-9)
+    assert np.all(turns >= 2)
+    assert np.all(length >= 5.0)
+    assert np.all(speeds <= 0)
+    assert (speeds[0], speeds[-1]) == (0.0, 0.0)
+
+
+def test_sweep_begins_at_standstill_and_runs_from_end_to_end():
+    profile = stribeck.sweep_profile(Stribeck(speed_max=20.0, sweep_time=40.0))
+    _, speed, _ = profile.setpoint(np.array([0.0, 1.0, 21.0, 41.0, 42.0]))
+    assert_allclose(speed, [0.0, -20.0, 0.0, 20.0, 0.0], atol=1e-12)
+
+
+def between_set_points(path, kt, lacking):
+    """Return friction from a stored run whose rig read these currents between its set points, A."""
+    with open_run(path) as stored, open_run(kt) as constant:
+        names = ("speed", "lacking_current", "u")
+        found = [dict(zip(names, (*item, 1e-6), strict=True)) for item in lacking]
+        stored.provenance["line"] = json.dumps({"between_set_points": found})
+        return stribeck.analyse([stored], stored.recipe, kt=constant)
+
+
+def test_what_samples_lack_is_in_the_uncertainty_of_friction_or_refuses_it(measured, kt):
+    path, plain = measured
+    speeds, (start, slope) = np.array([0.6, 1, 2, 5, 10, 20, 30]), (1e-3, 5e-5)
+    outcome = between_set_points(path, kt, zip(speeds, start + slope * speeds, strict=True))
+    for name, lacking in (("coulomb_friction", start), ("viscous_friction", slope)):
+        before, after = plain.results[name], outcome.results[name]
+        assert after.value == before.value
+        expected = np.hypot(before.u, 0.0454 * lacking)
+        assert after.u == pytest.approx(expected, rel=1e-6, abs=0)
+        assert after.u > 1.2 * before.u
+    assert any("which is in the uncertainty of friction" in note for note in outcome.notes)
+    with pytest.raises(InsufficientDataError, match=r"most at 30(\.\d)? rad/s .* 10% of what was"):
+        between_set_points(path, kt, [(30.0, 0.02)])

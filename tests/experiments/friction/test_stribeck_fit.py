@@ -1,0 +1,304 @@
+"""Holds, friction models, torque-speed curves and the amplifier at low current."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.optimize import curve_fit
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.friction.holds import find_holds, pool
+from rigtool.experiments.friction.low_current import require_linear_at_low_current
+from rigtool.experiments.friction.stribeck_fit import (
+    fit_direction,
+    require_explained,
+    separate_offset,
+)
+from rigtool.experiments.friction.sweep import torque_speed_curve
+from tests.experiments.friction.turning_motor import COUNT, Motor
+
+SPEEDS = [0.5, 1, 2, 3, 5, 8, 12, 16, 20, 25, 30]
+
+
+def holds_of(motor: Motor, speeds=tuple(SPEEDS), seed=0):
+    return find_holds(**motor.hold(list(speeds), seed=seed), inertia=motor.inertia)
+
+
+def curve(speed, coulomb, viscous, static, velocity, exponent=2.0):
+    return (
+        coulomb + viscous * speed + (static - coulomb) * np.exp(-((speed / velocity) ** exponent))
+    )
+
+
+# -- holds
+
+
+def test_means_over_whole_turns_do_not_know_ripple():
+    quiet = Motor(noise=0.0, ripple=5e-3)
+    found = holds_of(quiet)
+    assert_allclose(found.speed, SPEEDS, rtol=1e-3)
+    assert_allclose(found.torque, quiet.friction(np.array(SPEEDS)), rtol=3e-3)
+    assert np.all(found.revolutions >= 3)
+
+
+def test_settling_is_left_out_by_itself():
+    # Run-up and oscillation at the start of each hold; without settling left out, the mean of the
+    # shortest holds would be off by the inertia's torque.
+    motor = Motor(noise=0.0, ripple=0.0, inertia=2e-4)
+    found = holds_of(motor)
+    assert_allclose(found.torque, motor.friction(np.array(SPEEDS)), rtol=3e-3)
+
+
+def test_standard_uncertainty_allows_for_correlated_samples():
+    motor = Motor()
+    errors, stated = [], []
+    for seed in range(12):
+        found = holds_of(motor, [2, 8, 20], seed)
+        errors.extend((found.torque - motor.friction(found.speed)) / found.u)
+        stated.extend(found.u)
+    assert 0.7 < np.sqrt(np.mean(np.square(errors))) < 1.5
+    # Were the samples independent, u would be far smaller: 0.12 mN m over some 2000 samples.
+    assert np.median(stated) > 5 * 0.12e-3 / np.sqrt(2000)
+
+
+def test_a_recording_without_set_point_is_one_hold():
+    motor = Motor(noise=2e-5)
+    parts = []
+    for speed in (3.0, -3.0):
+        signals = motor.hold([speed])
+        signals["setpoint"] = None
+        parts.append(find_holds(**signals, inertia=motor.inertia))
+    both = pool(parts)
+    assert_allclose(both.speed, [3.0, -3.0], rtol=0.02)
+    assert_allclose(both.torque, motor.friction(np.array([3.0, -3.0])), rtol=0.02)
+
+
+def test_a_shaft_that_starts_and_stops_is_noticed():
+    motor = Motor(noise=0.0)
+    signals = motor.hold([0.3, 5.0])
+    calm = find_holds(**signals, inertia=motor.inertia)
+    assert np.all(calm.shaking < 0.05)
+    # a limit cycle at 60 Hz that would move this inertia at up to 0.53 rad/s
+    shaken = signals["torque"] + 3e-3 * np.sin(2 * np.pi * 60 * signals["time"])
+    found = find_holds(**{**signals, "torque": shaken}, inertia=motor.inertia)
+    assert_allclose(found.shaking * found.speed, 0.53 / np.sqrt(2), rtol=0.1)
+
+
+def test_no_hold_is_refused():
+    time = np.arange(2000) * 1e-3
+    with pytest.raises(InsufficientDataError, match="constant speed"):
+        find_holds(time=time, angle=time**2, torque=time, setpoint=time**2, inertia=1e-5)
+
+
+# -- models
+
+
+def test_published_friction_comes_back():
+    # thesis 7.2.1, 7.2.2: 2.3 mN m and 5.33e-5 N m s/rad
+    motor = Motor()
+    for sign in (1, -1):
+        found = holds_of(motor, [sign * v for v in SPEEDS])
+        fit = fit_direction(found.speed * sign, found.torque * sign, found.u)
+        assert_allclose(fit.coulomb[0], 2.3e-3, rtol=0.02)
+        assert_allclose(fit.viscous[0], 5.33e-5, rtol=0.03)
+        # one speed alone shows the Stribeck effect: the line leaves it out
+        assert fit.exponent is None
+        assert fit.lowest >= 1
+
+
+def test_stribeck_effect_is_found_where_data_carry_it():
+    motor = Motor(stribeck_velocity=1.5, noise=0.05e-3)
+    found = holds_of(motor, [0.4, 0.7, *SPEEDS[1:]])
+    fit = fit_direction(found.speed, found.torque, found.u)
+    assert fit.exponent == 2.0
+    for (value, u), true in zip(
+        (fit.coulomb, fit.viscous, fit.static, fit.stribeck_velocity),
+        (2.3e-3, 5.33e-5, 4e-3, 1.5),
+        strict=True,
+    ):
+        assert_allclose(value, true, rtol=0.06)
+        assert abs(value - true) < 4 * u
+
+
+@pytest.mark.parametrize("exponent", [1.0, 2.0])
+def test_stribeck_fit_agrees_with_scipy(exponent):
+    rng = np.random.default_rng(5)
+    speed = np.geomspace(0.1, 30, 40)
+    u = np.full(40, 2e-5)
+    torque = curve(speed, 2.3e-3, 5e-5, 4e-3, 0.8, exponent) + u * rng.standard_normal(40)
+    fit = fit_direction(speed, torque, u)
+    start = [2e-3, 5e-5, 4e-3, 1.0]
+    scipy, covariance = curve_fit(
+        lambda v, *p: curve(v, *p, exponent), speed, torque, start, u, absolute_sigma=True
+    )
+    assert fit.exponent == exponent
+    assert_allclose(fit.parameters, scipy, rtol=2e-3)
+    ratio = np.diag(fit.covariance) / np.diag(covariance)
+    assert_allclose(ratio, ratio[0], rtol=0.02)
+    assert 0.98 < ratio[0] < 2.0  # the scatter decides where it is larger than stated
+
+
+def test_errors_of_the_fit_scatter_as_stated():
+    rng = np.random.default_rng(7)
+    speed = np.array(SPEEDS[1:], dtype=float)
+    errors = []
+    for _ in range(200):
+        # each point's uncertainty is itself an estimate with 12 degrees of freedom
+        stated = 2e-5 * np.sqrt(rng.chisquare(12, len(speed)) / 12)
+        torque = 2.3e-3 + 5.33e-5 * speed + 2e-5 * rng.standard_normal(len(speed))
+        fit = fit_direction(speed, torque, stated)
+        errors.append((fit.coulomb[0] - 2.3e-3) / fit.coulomb[1])
+    assert 0.8 < np.std(errors) < 1.2
+
+
+@given(
+    coulomb=st.floats(1e-4, 1.0),
+    relative=st.floats(1e-3, 0.2),
+    scale=st.floats(0.01, 100),
+)
+@settings(max_examples=25, deadline=None)
+def test_fit_follows_units(coulomb, relative, scale):
+    speed = np.array(SPEEDS, dtype=float)
+    torque = coulomb * (1 + relative * speed)
+    u = np.full(len(speed), 1e-3 * coulomb)
+    fit = fit_direction(speed * scale, torque, u)
+    assert_allclose(fit.coulomb[0], coulomb, rtol=1e-6)
+    assert_allclose(fit.viscous[0], coulomb * relative / scale, rtol=1e-6)
+
+
+def test_a_curve_that_no_friction_model_explains_is_refused():
+    # Appendix C: bumps against speed, repeatable and far beyond scatter
+    speed = np.geomspace(0.5, 30, 14)
+    torque = 2.3e-3 + 5.33e-5 * speed + 0.5e-3 * np.sin(2.5 * speed)
+    fit = fit_direction(speed, torque, np.full(14, 1e-5))
+    with pytest.raises(InsufficientDataError, match="Appendix C"):
+        require_explained([fit])
+
+
+def test_the_same_bumps_within_scatter_are_not_structure():
+    speed = np.geomspace(0.5, 30, 14)
+    torque = 2.3e-3 + 5.33e-5 * speed + 0.5e-3 * np.sin(2.5 * speed)
+    fit = fit_direction(speed, torque, np.full(14, 0.6e-3))
+    require_explained([fit])
+    assert fit.coulomb[1] > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("speed", "torque", "message"),
+    [
+        ([1.0, 2.0], [1e-3, 1e-3], "measure 3 speeds"),
+        ([10.0, 11.0, 12.0], [1e-3, 1e-3, 1e-3], "factor of 2"),
+        ([1.0, np.nan, 3.0], [1e-3, 1e-3, 1e-3], "speed is nan at sample 1"),
+    ],
+)
+def test_bad_curves_are_refused(speed, torque, message):
+    with pytest.raises(InsufficientDataError, match=message):
+        fit_direction(np.array(speed), np.array(torque), np.full(len(speed), 1e-5))
+
+
+def test_torque_along_the_motion_is_a_wrong_sign():
+    speed = np.array(SPEEDS, dtype=float)
+    fit = fit_direction(speed, -2e-3 - 5e-5 * speed, np.full(len(speed), 1e-5))
+    with pytest.raises(InsufficientDataError, match="signs of current and encoder"):
+        require_explained([fit])
+
+
+def test_a_constant_torque_above_friction_is_no_wrong_sign():
+    speed = np.array(SPEEDS, dtype=float)
+    u = np.full(len(speed), 1e-5)
+    fits = [fit_direction(speed, 2e-3 + 5e-5 * speed + shift, u) for shift in (-5e-3, 5e-3)]
+    require_explained(fits)
+
+
+# -- offset against asymmetry
+
+
+def test_offset_and_asymmetry_are_told_apart_by_levels_of_friction():
+    level = np.array([2.3e-3, 2.4e-3, 3.7e-3, 4.75e-3])
+    found = separate_offset(level, -0.4e-3 + 0.12 * level, np.full(4, 1e-5), np.zeros(4))
+    assert found.separated
+    assert_allclose(found.offset[0], -0.4e-3, rtol=1e-9)
+    assert_allclose(found.asymmetry[0], 0.12, rtol=1e-9)
+    assert found.offset[1] > 0.1 * 0.12 * 2.3e-3  # proportionality is an assumption
+
+
+def test_one_level_of_friction_leaves_offset_and_asymmetry_together():
+    found = separate_offset(np.full(5, 2.3e-3), np.full(5, 0.1e-3), np.full(5, 1e-5), np.zeros(5))
+    assert not found.separated
+    assert_allclose(found.offset[0], 0.1e-3, rtol=1e-9)
+    assert found.offset[1] >= 0.1e-3
+    assert found.asymmetry[0] == 0
+
+
+@pytest.mark.parametrize("spanned", [0.1e-3, 1.5e-3])
+def test_offset_and_asymmetry_scatter_by_their_uncertainty(spanned):
+    """Viscous friction that differs between directions is told by the same speeds."""
+    random = np.random.default_rng(11)
+    speed = np.array([0.2, 0.5, 1, 2, 3, 5, 8, 12, 16, 20, 25, 30])
+    level = 2.3e-3 + spanned * np.exp(-((speed / 1.0) ** 2))
+    u = np.full(len(speed), 2e-5)
+    errors = []
+    for _ in range(300):
+        middle = -0.05e-3 + 0.01 * level + 4e-6 * speed + random.normal(0, u)
+        found = separate_offset(level, middle, u, speed)
+        (offset, offset_u), (asymmetry, asymmetry_u) = found.offset, found.asymmetry
+        errors.append([(offset + 0.05e-3) / offset_u, (asymmetry - 0.01) / asymmetry_u])
+        assert found.separated == (spanned > 1e-3)
+    scatter = np.sqrt(np.mean(np.square(errors), axis=0))
+    if spanned > 1e-3:
+        assert np.all((scatter > 0.8) & (scatter < 1.15)), scatter
+    else:
+        assert np.all(scatter < 1), scatter
+
+
+# -- torque against speed
+
+
+def test_torque_speed_curve_is_friction_and_knows_no_ripple():
+    motor = Motor(noise=0.0)
+    signals = motor.sweep()
+    found = torque_speed_curve(
+        time=signals["time"],
+        setpoint=signals["setpoint"],
+        torque=signals["torque"],
+        inertia=motor.inertia,
+    )
+    assert len(found.speed) == 60
+    turning = found.revolutions >= 1
+    assert np.count_nonzero(turning) > 40
+    assert_allclose(found.torque[turning], motor.friction(found.speed[turning]), rtol=0.02)
+
+
+def test_a_constant_speed_is_no_sweep():
+    time = np.arange(1000) * 1e-3
+    with pytest.raises(InsufficientDataError, match="a sweep runs through speeds"):
+        torque_speed_curve(time=time, setpoint=3 * time, torque=time, inertia=1e-5)
+
+
+# -- the amplifier at low current
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(1.0, 0.0), (1.05, 0.01)])
+def test_a_healthy_amplifier_passes(gain, offset):
+    rng = np.random.default_rng(1)
+    setpoint = 0.05 + 0.02 * rng.standard_normal(20000)
+    current = offset + gain * setpoint + 1e-3 * rng.standard_normal(20000)
+    require_linear_at_low_current(current_setpoint=setpoint, current=current, friction_current=0.05)
+
+
+def test_an_amplifier_with_steps_is_refused():
+    rng = np.random.default_rng(1)
+    setpoint = 0.05 + 0.02 * rng.standard_normal(20000)
+    current = setpoint + 5e-3 * np.sin(2 * np.pi * setpoint / 0.02)
+    with pytest.raises(InsufficientDataError, match="not linear at low current"):
+        require_linear_at_low_current(
+            current_setpoint=setpoint, current=current, friction_current=0.05
+        )
+
+
+def test_count_is_the_encoders():
+    # the helper quantises like the encoder that it stands for
+    signals = Motor(noise=0.0).hold([3.0])
+    steps = signals["angle"] / COUNT
+    assert_allclose(steps, np.round(steps), atol=1e-6)

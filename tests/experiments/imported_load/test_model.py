@@ -1,0 +1,216 @@
+"""Effort by motion and load: a drive whose truth is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.imported_load.basis import (
+    GROUPS,
+    find_scales,
+    follow,
+    motion_functions,
+    size_of,
+)
+from rigtool.experiments.imported_load.learning import learn, level_numbers
+from rigtool.experiments.imported_load.model import FLAT, HIGHEST_POWER, SIGNS
+from tests.experiments.imported_load.loaded_drive import (
+    BANDWIDTH_HZ,
+    MU,
+    observations,
+    observe,
+    record,
+)
+
+
+@pytest.fixture(scope="module")
+def learned():
+    return learn(observations())
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return observations(loads=(0.02, 0.04, 0.06), frequencies=(0.2, 0.3))
+
+
+@pytest.fixture(scope="module")
+def choice(plain):
+    return learn(plain).model
+
+
+def errors(model, loads, seed=7, drift=0.001, frequencies=(0.12, 0.25)):
+    """Return error, u and estimate at loads that were not learned, while moving."""
+    random = np.random.default_rng(seed)
+    parts = []
+    for load in loads:
+        for frequency in frequencies:
+            item = observe(
+                load, frequency, 0, seed=random.integers(1 << 31), drift=random.normal(0, drift)
+            )
+            estimate = model.estimate(item.effort, item.path)
+            used = item.used & estimate.inside
+            parts.append(((estimate.torque - item.torque)[used], estimate.u[used]))
+    return (np.concatenate(part) for part in zip(*parts, strict=True))
+
+
+def test_loads_that_were_not_learned_are_measured(learned):
+    error, _ = errors(learned.model, (0.03, 0.05, 0.07))
+    # Friction that differs by 1 mA from run to run is 0.5 to 1 mN m here; no model can do better.
+    assert np.sqrt(np.mean(error**2)) < 1.3e-3
+    assert abs(np.mean(error)) < 0.8e-3
+
+
+def test_intervals_hold_at_loads_that_were_not_learned():
+    held, widths = [], []
+    speeds = (0.1, 0.2, 0.3)
+    for seed in (1, 2):
+        model = learn(observations(frequencies=speeds, seed=seed)).model
+        error, u = errors(model, (0.03, 0.05, 0.07), seed=100 + seed, frequencies=speeds)
+        held.append(np.mean(np.abs(error) <= 1.96 * u))
+        widths.append(np.median(u))
+    # Each is of nine recordings that differ as wholes: one by one they may miss by chance.
+    assert 0.8 <= np.mean(held) <= 0.995
+    assert np.median(widths) < 2e-3  # and they are not merely wide
+
+
+def test_friction_by_load_is_found(learned):
+    assert learned.friction.mu == pytest.approx(MU, abs=0.05)
+    middle = slice(3, -3)
+    u = np.maximum(learned.friction.u[middle], 0.004)
+    assert np.mean(np.abs(learned.friction.mu[middle] - MU) <= 3 * u) > 0.8
+
+
+def test_which_way_the_load_resists_is_found(learned):
+    assert learned.model.direction == 1
+    mirrored = [replace(item, torque=-item.torque) for item in observations()]
+    assert learn(mirrored, like=learned.model).model.direction == 1
+
+
+@settings(max_examples=3, deadline=None)
+@given(
+    st.sampled_from([-1, 1]), st.floats(1e-3, 1e3), st.sampled_from([-1, 1]), st.floats(1e-3, 1e3)
+)
+def test_units_and_signs_change_nothing(
+    plain, choice, effort_sign, effort_unit, torque_sign, torque_unit
+):
+    effort, torque = effort_sign * effort_unit, torque_sign * torque_unit
+    other = [replace(o, effort=effort * o.effort, torque=torque * o.torque) for o in plain]
+    first, second = learn(plain, like=choice).model, learn(other, like=choice).model
+    item = observe(0.05, 0.25, 0, seed=3)
+    one = first.estimate(item.effort, item.path)
+    two = second.estimate(effort * item.effort, item.path)
+    both = one.inside & two.inside
+    assert np.mean(one.inside == two.inside) > 0.99
+    np.testing.assert_allclose(two.torque[both], torque * one.torque[both], rtol=1e-4)
+    np.testing.assert_allclose(two.u[both], abs(torque) * one.u[both], rtol=1e-2)
+
+
+def test_outside_what_was_learned_there_is_no_value(learned):
+    far = observe(0.2, 0.2, 0)
+    estimate = learned.model.estimate(far.effort, far.path)
+    assert not estimate.inside[far.used & ~estimate.still & (far.path.speed > 0)].any()
+    assert np.isnan(estimate.torque[~estimate.inside]).all()
+    assert np.isnan(estimate.u[~estimate.inside]).all()
+
+
+def test_positions_and_speeds_that_were_not_learned_have_no_value(learned):
+    wide = observe(0.05, 0.2, 0, amplitude=40.0)
+    estimate = learned.model.estimate(wide.effort, wide.path)
+    assert not estimate.inside[np.abs(wide.path.position) > 25].any()
+    fast = observe(0.05, 0.7, 0)
+    estimate = learned.model.estimate(fast.effort, fast.path)
+    assert not estimate.inside[np.abs(fast.path.speed) > 50].any()
+
+
+def test_half_a_level_beyond_the_learned_ones_is_measured(learned):
+    error, u = errors(learned.model, (0.085,))
+    assert len(error) > 100
+    assert np.mean(np.abs(error) <= 3 * u) > 0.9
+
+
+def test_near_standstill_a_dead_band_holds_the_torque(learned):
+    held = []
+    for load in (0.03, 0.05, 0.07):
+        item = observe(load, 0.1, 0, seed=11)
+        estimate = learned.model.estimate(item.effort, item.path)
+        rows = item.used & estimate.still
+        assert rows.sum() > 3
+        assert np.isnan(estimate.torque[rows]).all()
+        known = rows & np.isfinite(estimate.low)
+        held.append((estimate.low <= item.torque + 2e-3) & (item.torque - 2e-3 <= estimate.high))
+        held[-1] = held[-1][known]
+        assert np.isnan(estimate.low[~estimate.still]).all()
+    assert np.mean(np.concatenate(held)) > 0.9
+
+
+def test_a_transient_is_left_out():
+    time, position, effort, torque = record(0.05, 0.1)
+    position = position.copy()
+    jump = (time > 6) & (time < 6.2)
+    position[jump] += 30 * np.sin((time[jump] - 6) / 0.2 * np.pi)
+    path, _ = follow(time, position, BANDWIDTH_HZ, effort, torque)
+    assert not path.regular[(path.time > 6) & (path.time < 6.2)].any()
+    assert path.regular[(path.time < 5.5) | (path.time > 6.7)].all()
+
+
+def test_two_loads_make_a_line():
+    items = observations(loads=(0.02, 0.06))
+    model = learn(items).model
+    assert all("squared" not in name for side in model.sides for name in side.degree)
+    error, _ = errors(model, (0.04,))
+    assert np.sqrt(np.mean(error**2)) < 1.5e-3
+
+
+def test_one_load_tells_nothing():
+    with pytest.raises(InsufficientDataError, match="at one load"):
+        learn(observations(loads=(0.04,)))
+
+
+def test_two_loads_need_repeats():
+    with pytest.raises(InsufficientDataError, match="leave nothing to judge"):
+        learn(observations(loads=(0.02, 0.06), frequencies=(0.2,)))
+
+
+def test_one_direction_is_not_enough():
+    items = [replace(o, used=o.used & (o.path.speed > 0)) for o in observations()]
+    with pytest.raises(InsufficientDataError, match="negative direction"):
+        learn(items)
+
+
+def test_no_load_is_no_load():
+    items = [replace(o, torque=0 * o.torque) for o in observations(frequencies=(0.2,))]
+    with pytest.raises(InsufficientDataError, match="zero throughout"):
+        learn(items)
+
+
+@given(st.lists(st.floats(0.1, 100), min_size=1, max_size=30))
+def test_levels_rise_with_the_load(torques):
+    numbers = np.array(level_numbers(torques))
+    order = np.argsort(torques)
+    assert (np.diff(numbers[order]) >= 0).all()
+    assert set(numbers) == set(range(numbers.max() + 1))
+
+
+def test_levels_are_apart_by_gaps():
+    assert level_numbers([-10, -30.2, -10.3, -50, -29.9]) == [0, 1, 0, 2, 1]
+
+
+def test_every_group_has_the_columns_it_says():
+    item = observe(0.05, 0.3, 0)
+    scales = find_scales([item.path], [item.torque], turn=5.0)
+    for sign in SIGNS:
+        functions = motion_functions(item.path, scales, sign)
+        assert set(functions) == set(GROUPS)
+        for name, columns in functions.items():
+            assert columns.shape == (len(item.path.time), size_of(name)), name
+
+
+def test_what_was_chosen_is_told_apart(learned):
+    assert HIGHEST_POWER == 3
+    assert 0 < FLAT < 1
+    for side in learned.model.sides:
+        assert {"offset", "load"} <= set(side.degree)
+        assert (np.linalg.eigvalsh(side.covariance) > -1e-9 * np.trace(side.covariance)).all()

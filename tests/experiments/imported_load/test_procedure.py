@@ -1,0 +1,231 @@
+"""Implementation D on imported runs: a synthetic instrument, bad input, and real instruments."""
+
+import io
+import json
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from rigtool.cli import main
+from rigtool.experiments.imported_load.stored import load_model_from
+from rigtool.recipe.mapping import parse_mapping
+from rigtool.runfile import open_run
+from rigtool.runfile.importers import import_files
+from tests.experiments.imported_load.loaded_drive import record
+
+ROOT = Path(__file__).parents[3]
+DATA = ROOT.parent / "shared" / "data" / "mis-tool" / "Tool_4_Maryland_L_4"
+
+MAPPING = """mapping = 1
+[rig]
+name = "loaded drive"
+encoder_counts = 4000
+[signals]
+time = { column = "t", unit = "s" }
+encoder = { column = "q", unit = "count" }
+current = { column = "i", unit = "A" }
+"""
+SENSOR = 'reference_torque = { column = "r", unit = "N m" }\n'
+
+
+class Ran(NamedTuple):
+    exit_code: int
+    stdout: str
+    stderr: str
+
+
+def rigtool(*arguments):
+    stdout, stderr = io.StringIO(), io.StringIO()
+    with redirect_stdout(stdout), redirect_stderr(stderr), pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    return Ran(int(end.value.code or 0), stdout.getvalue(), stderr.getvalue())
+
+
+def instrument(folder, loads, mapping=MAPPING + SENSOR, **more):
+    """Import recordings of a synthetic drive at some loads and two speeds; return the paths."""
+    (folder / "raw").mkdir(parents=True)
+    for level, load in enumerate(loads):
+        for speed, frequency in enumerate((0.15, 0.3)):
+            time, position, effort, torque = record(
+                load, frequency, seed=10 * level + speed, **more
+            )
+            counts = np.round(position * 4000 / (2 * np.pi))
+            np.savez(folder / "raw" / f"{speed}{level}.npz", t=time, q=counts, i=effort, r=torque)
+    import_files([str(folder / "raw")], str(folder / "runs"), (parse_mapping(mapping), mapping))
+    return sorted((folder / "runs").glob("*.h5"))
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("learned")
+    runs = instrument(folder, (0.02, 0.04, 0.06))
+    found = rigtool("ilc-learn", *runs, "--implementation", "D", "-o", folder / "tables.h5", "-q")
+    assert found.exit_code == 0, found.stderr
+    return folder / "tables.h5"
+
+
+@pytest.fixture(scope="module")
+def measured(learned, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("measured")
+    runs = instrument(folder, (0.03, 0.05), seconds=20.0)
+    output = folder / "force.h5"
+    found = rigtool("measure-force", *runs, "--tables", learned, "-o", output, "--json", "-q")
+    assert found.exit_code == 0, found.stderr
+    return output, json.loads(found.stdout)
+
+
+def test_loads_that_were_not_learned_are_measured(measured):
+    results, tables = measured[1]["results"], measured[1]["tables"]
+    assert results["rmse_closing"]["value"] < 1.5e-3
+    assert results["rmse_closing"]["unit"] == "N m"
+    assert set(results) >= {"rmse_opening", "rmse_moving", "coverage_95"}
+    assert "levels" in tables
+
+
+def test_a_table_8_of_its_own(measured):
+    with open_run(str(measured[0])) as run:
+        levels = run.table("levels")
+        assert levels["applied_torque"] == pytest.approx([0.03, 0.05], rel=0.05)
+        assert np.abs(levels["error_percent"]).max() < 5
+        assert (levels["strokes"] >= 4).all()
+        error = levels["mean_torque"] - levels["applied_torque"]
+        assert levels["error_torque"] == pytest.approx(error, rel=1e-9)
+        assert (levels["std_torque"] >= 0).all()
+
+
+def test_the_sensor_is_for_judging_only(learned, measured, tmp_path):
+    runs = instrument(tmp_path, (0.03, 0.05), mapping=MAPPING, seconds=20.0)
+    found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5", "--json")
+    assert found.exit_code == 0, found.stderr
+    assert "rmse_closing" not in json.loads(found.stdout)["results"]
+    with open_run(str(tmp_path / "f.h5")) as without, open_run(str(measured[0])) as judged:
+        np.testing.assert_array_equal(
+            without.table("series")["torque"], judged.table("series")["torque"]
+        )
+        assert any("not judged" in note for note in without.notes)
+
+
+def test_a_model_comes_back_from_its_file(learned, tmp_path):
+    with open_run(str(learned)) as run:
+        model, unit = load_model_from(run)
+        assert unit == "A"
+        assert model.bandwidth_hz == 5.0
+        assert model.region.reach.shape == (2, 200)
+        for side in model.sides:
+            assert side.covariance.shape == (len(side.weights), len(side.weights))
+
+
+def test_the_report_shows_it(measured, tmp_path):
+    found = rigtool("report", measured[0], "-o", tmp_path / "report")
+    assert found.exit_code == 0, found.stderr
+    assert "Applied (sensor)" in found.stdout
+    assert len(list((tmp_path / "report" / "figures").glob("*.svg"))) == 3
+
+
+def test_learning_needs_a_sensor(tmp_path):
+    runs = instrument(tmp_path, (0.02, 0.04), mapping=MAPPING)
+    found = rigtool("ilc-learn", *runs, "--implementation", "D", "-o", tmp_path / "t.h5")
+    assert found.exit_code == 3
+    assert "reference_torque" in found.stderr
+    assert not (tmp_path / "t.h5").exists()
+
+
+def test_learning_needs_two_loads(tmp_path):
+    runs = instrument(tmp_path, (0.04,))
+    found = rigtool("ilc-learn", *runs, "--implementation", "D", "-o", tmp_path / "t.h5")
+    assert found.exit_code == 4
+    assert "at one load" in found.stderr
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("measure_force.lowpass_hz=fast", "must be a number above 0"),
+        ("measure_force.lowpass_hz=-1", "must be a number above 0"),
+        ("measure_force.cycles=3", "imported runs have no recipe"),
+    ],
+)
+def test_only_the_bandwidth_can_be_set(tmp_path, setting, message):
+    run = instrument(tmp_path, (0.04,))[0]
+    options = ("--implementation", "D", "--set", setting, "-o", tmp_path / "t.h5")
+    found = rigtool("ilc-learn", run, *options)
+    assert found.exit_code == 2
+    assert message in found.stderr
+
+
+def test_tables_of_another_rig_are_refused(learned, tmp_path):
+    mapping = MAPPING.replace("loaded drive", "another drive") + SENSOR
+    runs = instrument(tmp_path, (0.03,), mapping=mapping)
+    found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5")
+    assert found.exit_code == 2
+    assert "another drive" in found.stderr
+
+
+def test_loads_outside_what_was_learned_have_no_value(learned, tmp_path):
+    runs = instrument(tmp_path, (0.05, 0.5))
+    found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5", "--json")
+    assert found.exit_code == 0, found.stderr
+    outside = json.loads(found.stdout)["results"]["samples_outside"]["value"]
+    with open_run(str(tmp_path / "f.h5")) as run:
+        series = run.table("series")
+        heavy = np.abs(series["reference"]).max(axis=1) > 0.3
+        closing = (series["speed"] > 1) & heavy[:, None]
+        assert np.isnan(series["torque"][closing]).all()
+        assert outside >= np.count_nonzero(closing) / 2
+
+
+def test_where_everything_is_outside_nothing_is_written(learned, tmp_path):
+    runs = instrument(tmp_path, (0.8,))
+    found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5")
+    assert found.exit_code == 4
+    assert "outside" in found.stderr
+    assert not (tmp_path / "f.h5").exists()
+
+
+def test_runs_that_were_learned_from_are_told(learned, tmp_path):
+    runs = instrument(tmp_path, (0.02, 0.04, 0.06))
+    found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5")
+    assert found.exit_code == 0, found.stderr
+    assert "also" in found.stderr or "learned from" in found.stderr
+
+
+# -- real instruments
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory):
+    if not DATA.is_dir():
+        pytest.skip(f"{DATA} is not there: measured data are not part of the project")
+    folder = tmp_path_factory.mktemp("real")
+    text = (ROOT / "recipes" / "import" / "mis-tool.toml").read_text()
+    # Two frequencies and eight loads, to be quick: 16 of the 50 runs
+    files = [str(path) for path in sorted(DATA.glob("[02][0-7].TXT.gz"))]
+    import_files(files, str(folder / "runs"), (parse_mapping(text), text))
+    runs = sorted((folder / "runs").glob("*.h5"))
+    even = [path for path in runs if int(path.stem[1]) % 2 == 0]
+    odd = [path for path in runs if int(path.stem[1]) % 2]
+    tables, force = folder / "tables.h5", folder / "force.h5"
+    found = rigtool("ilc-learn", *even, "--implementation", "D", "-o", tables, "-q")
+    assert found.exit_code == 0, found.stderr
+    found = rigtool("measure-force", *odd, "--tables", tables, "-o", force, "--json", "-q")
+    assert found.exit_code == 0, found.stderr
+    return force, json.loads(found.stdout)["results"]
+
+
+def test_a_real_instrument_is_measured_at_loads_that_were_not_learned(real):
+    results = real[1]
+    assert results["rmse_closing"]["value"] < 3.6e-3  # what plain least squares reached
+    assert results["rmse_opening"]["value"] < 7e-3
+    assert 0.90 <= results["coverage_95"]["value"] <= 0.99
+
+
+def test_a_real_instruments_table_8(real):
+    with open_run(str(real[0])) as run:
+        levels = run.table("levels")
+        loads = levels["applied_torque"] > 25e-3
+        assert loads.sum() == 4
+        assert np.abs(levels["error_percent"][loads]).max() < 8  # of two runs a load only
+        assert any("homing" in note for note in run.notes)

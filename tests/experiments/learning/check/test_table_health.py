@@ -1,0 +1,227 @@
+"""What became of a learned table: each change is found, told by its size, and no other."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rigtool.control.lookup_table import LookupTable
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.learning.check.table_health import health, parts
+from rigtool.experiments.learning.rows import Row
+
+TURN = 2 * math.pi
+COUNT = 1000
+SPEED = 6.0
+MOVES = 6
+FRICTION = 2e-3
+ANGLE = np.arange(COUNT) * TURN / COUNT
+
+
+def pattern(angle, seed=0):
+    """Cogging and ripple of several orders, different with each seed."""
+    random = np.random.default_rng([9, seed])
+    orders = np.array([1, 2, 3, 4, 6, 12])
+    amplitude = np.array([0.4, 0.9, 0.3, 0.2, 0.15, 0.1]) * 1e-3 * random.uniform(0.7, 1.3, 6)
+    phase = random.uniform(0, TURN, 6)
+    return np.cos(np.multiply.outer(angle, orders) + phase) @ amplitude
+
+
+def noise(random, moves, count, scatter):
+    """Scatter of moves with the few cycles a turn that friction has."""
+    white = random.standard_normal((moves, count))
+    spectrum = np.fft.rfft(white) / np.sqrt(1 + (np.arange(count // 2 + 1) / 5) ** 2)
+    drawn = np.fft.irfft(spectrum, count)
+    return drawn * scatter / drawn.std()
+
+
+def learned(seed=0, scatter=1e-4, moves=20, part=slice(None), speeds=(-SPEED, SPEED)):
+    random = np.random.default_rng([1, seed])
+    position = ANGLE[part]
+    rows = []
+    for speed in speeds:
+        there = pattern(ANGLE) + FRICTION * np.sign(speed)
+        rows.append((there + noise(random, moves, COUNT, scatter).mean(axis=0))[part])
+    table = LookupTable(
+        position,
+        np.array(speeds),
+        np.stack(rows),
+        np.array([0.0, SPEED]),
+        np.array([0.0, 1.0]),
+        period=TURN if position.size == COUNT else None,
+    )
+    return table, np.full(table.torque.shape, scatter / math.sqrt(moves))
+
+
+def now(table, seed=0, *, shift=0.0, scale=1.0, friction=0.0, offset=0.0, other=0, scatter=1e-4):
+    """Return rows that a rig shows whose pattern has shifted, grown, changed."""
+    random = np.random.default_rng([2, seed])
+    first = round(table.position[0] / TURN * COUNT)
+    rows = []
+    for speed in table.speed:
+        there = scale * pattern(ANGLE - shift, other) + offset
+        there = there + (FRICTION + friction) * np.sign(speed)
+        moves = there + noise(random, MOVES, COUNT, scatter)
+        rows.append(Row(float(speed), moves[:, first : first + table.position.size]))
+    return rows
+
+
+def checked(table, u, rows):
+    return health(parts(table, u, rows, table.position), table.position, table.period)
+
+
+SEEDS = range(6)
+QUARTER = slice(100, 600)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("part", [slice(None), QUARTER])
+def test_an_unchanged_rig_fits(seed, part):
+    table, u = learned(seed, part=part)
+    found = checked(table, u, now(table, seed))
+    assert found.fits
+    assert found.pattern_fits
+    assert not found.friction_changed
+    assert not found.offset_changed
+    assert not found.shift_would_do
+    assert abs(found.shift.value) < 5 * found.shift.u
+    assert abs(found.scale.value - 1) < 5 * found.scale.u
+    assert found.limit == pytest.approx(1e-4, rel=0.4, abs=0)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("shift", [math.pi, 0.5, -2.0])
+def test_a_shifted_pattern_is_told_by_its_shift(seed, shift):
+    table, u = learned(seed)
+    found = checked(table, u, now(table, seed, shift=shift))
+    assert not found.fits
+    assert found.shift_would_do
+    assert not found.scale_would_do
+    off = math.remainder(found.shift.value - shift, TURN)
+    assert abs(off) < 5 * found.shift.u
+    assert found.shift.u < 0.03
+    assert found.scale.value == pytest.approx(1, rel=0, abs=5 * found.scale.u)
+    assert not found.friction_changed
+
+
+@settings(max_examples=25, deadline=None)
+@given(shift=st.floats(-math.pi, math.pi), seed=st.integers(0, 10_000))
+def test_without_scatter_shifts_are_exact(shift, seed):
+    table, u = learned(scatter=1e-9)
+    found = checked(table, u, now(table, seed, shift=shift, scatter=1e-8))
+    # The table is linear between its entries.
+    assert abs(math.remainder(found.shift.value - shift, TURN)) < 1e-4
+    assert found.scale.value == pytest.approx(1, rel=0, abs=1e-3)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_friction_that_has_changed_is_told_by_its_size(seed):
+    table, u = learned(seed)
+    found = checked(table, u, now(table, seed, friction=0.5e-3))
+    assert not found.fits
+    assert found.pattern_fits
+    assert found.friction_changed
+    assert not found.offset_changed
+    assert found.friction.value == pytest.approx(0.5e-3, rel=0, abs=5 * found.friction.u)
+
+
+def test_what_pulls_one_way_is_no_friction():
+    table, u = learned()
+    found = checked(table, u, now(table, offset=-0.5e-3))
+    assert not found.fits
+    assert found.offset_changed
+    assert not found.friction_changed
+    assert found.offset.value == pytest.approx(-0.5e-3, rel=0, abs=5 * found.offset.u)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("part", [slice(None), QUARTER])
+def test_another_pattern_is_neither_shift_nor_scale(seed, part):
+    table, u = learned(seed, part=part)
+    found = checked(table, u, now(table, seed, other=seed + 1))
+    assert not found.fits
+    assert not found.pattern_fits
+    assert not found.shift_would_do
+    assert not found.scale_would_do
+    if table.period is not None:
+        assert found.unexplained.certain
+    assert found.even > found.odd
+
+
+def test_a_larger_pattern_is_told_by_its_scale():
+    table, u = learned()
+    found = checked(table, u, now(table, scale=1.4))
+    assert not found.fits
+    assert found.scale_would_do
+    assert not found.shift_would_do
+    assert found.scale.value == pytest.approx(1.4, rel=0, abs=5 * found.scale.u)
+
+
+def test_a_range_does_not_tell_a_shift_for_certain():
+    """Half a turn is out of reach, a few degrees may be another pattern."""
+    table, u = learned(part=QUARTER)
+    for shift in (0.3, math.pi):
+        found = checked(table, u, now(table, shift=shift))
+        assert not found.fits
+        assert not found.whole_turn
+        assert not found.shift_would_do
+    assert found.reach == pytest.approx(TURN / 8, rel=0.02, abs=0)
+
+
+def test_one_direction_cannot_tell_friction():
+    table, u = learned(speeds=(SPEED,))
+    found = checked(table, u, now(table, friction=0.5e-3))
+    assert found.friction is None
+    assert found.offset_changed
+    assert not found.friction_changed
+
+
+def test_a_table_without_pattern_has_no_shift():
+    table, u = learned()
+    flat = LookupTable(
+        table.position,
+        table.speed,
+        np.sign(table.speed)[:, None] * np.full((2, COUNT), FRICTION),
+        table.low_speed,
+        table.amplitude,
+        period=TURN,
+    )
+    found = checked(flat, u, now(table, other=3))
+    assert found.shift is None
+    assert found.scale is None
+    assert not found.fits
+    assert not found.shift_would_do
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_uncertainties_hold(seed):
+    """Over draws, errors of friction and scale are as large as is said: reduced chi square."""
+    errors = []
+    for draw in range(12):
+        table, u = learned(100 * seed + draw)
+        found = checked(table, u, now(table, 100 * seed + draw, shift=1.0, friction=1e-4))
+        errors.append((found.friction.value - 1e-4) / found.friction.u)
+        errors.append((found.scale.value - 1) / found.scale.u)
+    assert 0.3 < np.mean(np.square(errors)) < 3.5
+
+
+def test_a_scatter_above_the_table_tells_nothing():
+    table, u = learned()
+    with pytest.raises(InsufficientDataError, match="nothing can be told"):
+        checked(table, u, now(table, scatter=5e-3))
+
+
+def test_one_move_has_no_scatter():
+    table, u = learned()
+    rows = [Row(row.speed, row.moves[:1]) for row in now(table)]
+    with pytest.raises(InsufficientDataError, match="at least 2"):
+        checked(table, u, rows)
+
+
+def test_a_speed_that_was_not_learned_is_refused():
+    table, u = learned()
+    rows = [Row(2 * row.speed, row.moves) for row in now(table)]
+    with pytest.raises(InsufficientDataError, match="does not cover -12 rad/s"):
+        checked(table, u, rows)

@@ -1,0 +1,207 @@
+"""Implementation D on the virtual rig: what it learns, and Table 8 read with it."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
+from rigtool.experiments.force import procedure as measure_force
+from rigtool.experiments.force.results_corrected import load_outcome
+from rigtool.experiments.learning import procedure as ilc_learn
+from rigtool.experiments.load_disturbance.stored import (
+    COVARIANCE,
+    TERMS,
+    disturbance_from,
+    load_friction,
+)
+from rigtool.runfile import open_run
+from tests.experiments.virtual_runs import RECIPE, run
+
+KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
+D = (
+    "ilc_learn.implementation=D",
+    "ilc_learn.speeds_rev_per_s=[2]",
+    "ilc_learn.low_speeds_rev_per_s=[]",
+    "ilc_learn.moves=3",
+    "ilc_learn.loads.forces=[0.1, 0.7, 3]",
+    "ilc_learn.loads.speeds_rev_per_s=[1, 2]",
+    "ilc_learn.loads.cycles=12",
+)
+FORCE = (
+    "measure_force.forces=[0.25, 2.5]",
+    "measure_force.cycles=16",
+    "measure_force.extra_cycles=3",
+)
+FULL = "measure_force.correction=full"
+LOAD = "measure_force.correction=load"
+
+
+def at(speed):
+    return f"measure_force.speed_rev_per_s={speed}"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """Calibrate and learn a rig softer than the thesis's, with more load friction."""
+    folder = tmp_path_factory.mktemp("rig")
+    sets = ("virtual.instrument.stiffness=0.13", "virtual.instrument.load_friction=0.2")
+    tables = folder / "tables.h5"
+    learned = run(ilc_learn, RECIPE, tables, *sets, *D, kt=KT)
+
+    def measured(*more, source=RECIPE, tables=tables, output="force.h5"):
+        own = (*sets, *FORCE) if source == RECIPE else ()
+        return run(measure_force, source, folder / output, *own, *more, kt=KT, tables=tables)
+
+    measured.learned, measured.folder, measured.tables = learned, folder, tables
+    return measured
+
+
+def test_the_rig_gives_its_tendon_and_load_friction_back(rig):
+    results = rig.learned.results
+    assert results["tendon_stiffness"].value == pytest.approx(0.13, rel=0.02)
+    for name in ("tendon_stiffness_shift", "tendon_stiffness_resonance"):
+        found = results[name]
+        assert found.value == pytest.approx(0.13, abs=max(0.008, 3 * found.u))
+    friction = results["load_friction_coefficient"]
+    assert friction.value == pytest.approx(0.2, abs=max(0.02, 3 * friction.u))
+    assert results["learned_torque"].value == pytest.approx(0.06, rel=1e-9)
+
+
+def test_loads_left_out_are_read(rig):
+    left_out = rig.learned.tables["left_out"]
+    assert left_out["error_percent"].shape == (2, 3)
+    assert np.abs(left_out["error_percent"][:, 1]).max() < 3
+
+
+def test_the_grid_has_an_uncertainty_at_each_point_and_the_shape_of_friction(rig):
+    table = rig.learned.tables["disturbance"]
+    assert table["torque"].shape == (4, 29, 13)
+    assert (np.diff(table["speed"]) > 0).all()
+    middle = table["torque"][:, 14, -1]
+    # Lifting adds, lowering takes off: about a fifth of 60 mN m
+    np.testing.assert_allclose(np.abs(middle), 12e-3, atol=2e-3)
+    assert (np.sign(middle) == np.sign(table["speed"])).all()
+    assert (table["u"][:, :, 1:] > 0).all()
+    assert table["u"].max() < 4e-3  # where the stroke begins and ends, at the largest load
+
+
+@pytest.mark.parametrize("speed", [1.4, 2])
+def test_full_reads_loads_within_5_percent_where_none_does_not(rig, speed):
+    outcome = rig(FULL, at(speed))
+    loads = outcome.tables["loads"]
+    assert np.abs(loads["error_percent"][1:]).max() < 5
+    assert np.abs(outcome.tables["loads_uncorrected"]["error_percent"][1:]).max() > 10
+    assert (np.abs(loads["error_torque"][1:]) < 4 * loads["mean_torque_u"][1:] + 0.02e-3).all()
+    assert outcome.results["loads_outside"].value == 0
+
+
+def test_a_motor_15_k_warmer_reads_the_same(rig):
+    outcome = rig(FULL, at(1), "virtual.thermal.ambient_degc=42")
+    assert np.abs(outcome.tables["loads"]["error_percent"][2]) < 0.7
+    notes = outcome.notes
+    assert any(re.search(r"its constant is corrected by -1\.[6-8] %", note) for note in notes), (
+        notes
+    )
+
+
+def test_a_stored_run_is_corrected_afterwards(rig):
+    thesis = rig(at(1), output="thesis.h5")
+    stored = rig.folder / "thesis.h5"
+    again = rig(source=stored, output="again.h5")
+    np.testing.assert_array_equal(
+        again.tables["loads"]["mean_torque"], thesis.tables["loads"]["mean_torque"]
+    )
+    full = rig(FULL, source=stored, output="again.h5")
+    assert np.abs(full.tables["loads"]["error_percent"][2]) < 2
+    load = rig(LOAD, source=stored, output="again.h5").tables
+    uncorrected = thesis.tables["loads"]["error_percent"]
+    np.testing.assert_allclose(load["loads_uncorrected"]["error_percent"], uncorrected, rtol=1e-9)
+    assert (np.abs(load["loads"]["error_percent"][1:]) < uncorrected[1:] / 2).all()
+    assert (load["loads"]["mean_torque_u"] >= load["loads_uncorrected"]["mean_torque_u"] / 2).all()
+
+
+@pytest.mark.parametrize("correction", ["none", "load", "full"])
+def test_what_samples_lack_is_in_every_uncertainty(rig, monkeypatch, correction):
+    """As a drive that is sent steps of position makes it: known from its line, taken on trust."""
+    rig(at(1), output="lacking.h5")
+    settings = {"source": rig.folder / "lacking.h5", "output": "again.h5"}
+    way = f"measure_force.correction={correction}"
+    before = rig(way, **settings).tables["loads"]["mean_torque_u"][1:]
+    lacking = 1.3e-3
+    monkeypatch.setattr(measure_force, "lacking_torque", lambda *given: (lacking, ()))
+    loads = rig(way, **settings).tables["loads"]
+    # The thesis's way takes a zero off, which lacks as much.
+    least = lacking if correction == "full" else math.sqrt(2) * lacking
+    expected = np.hypot(before, least)
+    np.testing.assert_allclose(loads["mean_torque_u"][1:], expected, rtol=1e-6)
+
+
+def test_a_load_beyond_the_learned_ones_has_no_value(rig):
+    outcome = rig(FULL, at(1), "measure_force.forces=[0.25, 4]")
+    assert np.isnan(outcome.tables["loads"]["mean_torque"][2])
+    assert np.isfinite(outcome.tables["loads"]["mean_torque"][1])
+    assert outcome.results["loads_outside"].value == 1
+    assert any("learn with larger loads" in note for note in outcome.notes)
+    with pytest.raises(InsufficientDataError, match="no load can be read"):
+        rig(FULL, at(1), "measure_force.forces=[4]")
+
+
+def test_a_reading_beyond_the_friction_that_was_learned_has_no_value(rig):
+    thesis = rig(at(1))
+    found = load_outcome(thesis, np.array([0.0, 1e-4, math.nan]), thesis)
+    loads = found.tables["loads"]
+    assert np.isfinite(loads["mean_torque"]).tolist() == [True, True, False]
+    assert np.isfinite(loads["applied_torque"]).all()
+    assert found.results["loads_outside"].value == 1
+    with pytest.raises(InsufficientDataError, match="beyond those that friction was learned with"):
+        load_outcome(thesis, np.array([0.0, math.nan, math.nan]), thesis)
+
+
+def test_a_speed_beyond_the_learned_ones_is_refused_before_it_moves(rig):
+    with pytest.raises((InsufficientDataError, RunFileError), match="learned up"):
+        rig(FULL, at(2.2), output="never.h5")
+    assert not (rig.folder / "never.h5").exists()
+
+
+def test_closer_to_standstill_than_learned_there_is_a_dead_band_and_no_value(rig):
+    outcome = rig(FULL, at(0.6), "measure_force.cycles=6")
+    loads = outcome.tables["loads"]
+    assert np.isnan(loads["mean_torque"][1:]).all()
+    assert outcome.results["loads_outside"].value == 2
+    inside = np.abs(loads["applied_torque"] - loads["dead_band_middle"]) < loads["dead_band"]
+    assert inside[1:].all()
+    assert any("closer to standstill friction may hold" in note for note in outcome.notes)
+    with pytest.raises(InsufficientDataError, match="closer to standstill"):
+        rig(LOAD, at(0.6))
+
+
+def test_tables_without_known_loads_correct_nothing(rig, tmp_path):
+    plain = tmp_path / "plain.h5"
+    sets = (*D, "ilc_learn.implementation=C")
+    run(ilc_learn, RECIPE, plain, *sets, kt=KT)
+    with pytest.raises(RunFileError, match="learn with --implementation D"):
+        rig(FULL, at(1), tables=plain)
+
+
+def test_known_loads_need_an_instrument(tmp_path, rig):
+    with pytest.raises(RecipeError, match="attach the instrument"):
+        run(ilc_learn, RECIPE, tmp_path / "d.h5", *D, "rig.attachment=pulley", kt=KT)
+
+
+def test_the_disturbance_is_read_back_as_it_was_stored(rig):
+    with open_run(rig.tables) as stored:
+        found = disturbance_from(stored)
+        assert found.tendon.stiffness == rig.learned.results["tendon_stiffness"].value
+        np.testing.assert_array_equal(found.coefficient, stored.table(TERMS)["coefficient"])
+        assert found.covariance.shape == (3 + len(found.terms),) * 2
+        u = np.sqrt(np.diag(stored.table(COVARIANCE)["covariance"])[3:])
+        np.testing.assert_allclose(u, stored.table(TERMS)["u"], rtol=1e-9)
+        ratio = 2 * math.pi * 0.85
+        friction, u = load_friction(
+            stored, ratio * 1.0, math.pi / 2 * 0.85, np.array([0.0, 0.03, 0.06])
+        )
+        assert friction[0] == pytest.approx(0, abs=0.1e-3)
+        assert 2 * friction[1] == pytest.approx(friction[2], rel=0.15)
+        assert (u[1:] < 0.1 * friction[1:]).all()

@@ -1,0 +1,128 @@
+"""The filters with a measured plant: what they rest on, what they bound, what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.plant import procedure as identify_plant
+from rigtool.recipe import load_recipe
+from rigtool.runfile import open_run
+from tests.experiments.virtual_runs import RECIPE, run, write_kt
+
+PULLEY = "rig.attachment=pulley"
+FRF = "ilc_learn.learning_filter=frf"
+PLANT = Path(__file__).parents[2] / "fixtures" / "plant.h5"
+
+
+@pytest.fixture(scope="module")
+def plant():
+    with open_run(PLANT) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def instrument(tmp_path_factory):
+    """Another rig's plant: two masses, measured in a few strokes."""
+    folder = tmp_path_factory.mktemp("design")
+    path = folder / "instrument.h5"
+    short = ("identify_plant.realisations=2", "identify_plant.periods=8")
+    run(identify_plant, RECIPE, path, *short, kt=write_kt(folder))
+    with open_run(path) as opened:
+        yield opened
+
+
+def recipe(*overrides):
+    return load_recipe(RECIPE, [PULLEY, *overrides])[0]
+
+
+def test_without_a_plant_the_nominal_inertia_and_no_bound():
+    found = design(recipe())
+    assert found.learning.measured is None
+    assert np.isnan(found.tables()["convergence"]["bound"]).all()
+    assert "convergence_bound" not in found.results()
+    (note,) = found.notes()
+    assert "nominal inertia, 1.503e-05 kg m2; the plant was not measured" in note
+    assert "give --plant" in note
+
+
+@pytest.mark.parametrize("kind", ["zpetc", "frf"])
+def test_with_a_plant_its_inertia_and_a_bound(plant, kind):
+    found = design(recipe(f"ilc_learn.learning_filter={kind}"), plant)
+    inertia = plant.result("inertia").value
+    model = found.learning.measured.loop.plant
+    # At rest the double integrator: friction is a small part at 50 Hz.
+    gain = np.abs(model.response(np.array([50.0])))[0]
+    assert gain == pytest.approx(1 / (inertia * (2 * np.pi * 50) ** 2), rel=1e-3, abs=0)
+    table = found.tables()["convergence"]
+    assert (table["bound"] >= table["magnitude"]).all()
+    assert np.isin(plant.table("frequency_response")["frequency"][1:], table["frequency"]).all()
+    results = found.results()
+    assert results["convergence_peak"].value <= results["convergence_bound"].value < 0.1
+    assert ("zpetc_phase_advance" in results) == (kind == "zpetc")
+    assert f"inertia {inertia:.5g}" in found.notes()[0]
+    assert any("inverse of the measured response" in note for note in found.notes()) == (
+        kind == "frf"
+    )
+
+
+def test_the_model_of_two_masses_is_taken_over(instrument):
+    found = design(load_recipe(RECIPE)[0], instrument)
+    response = found.learning.measured
+    off = np.abs(response.ratio(response.frequency) - 1)
+    assert off.max() < 0.1
+    assert len(response.loop.plant.den_delta) == 5
+    assert found.results()["convergence_bound"].value < 0.2
+
+
+def test_filters_for_the_error_are_those_for_the_torque_times_the_controller(plant):
+    """[eq. 3]: 1/Sp = C/T."""
+    found = design(recipe(FRF), plant)
+    frequency = np.array([5.0, 20.0, 80.0])
+    loop = found.learning.measured
+    plant_response = loop.ratio(frequency) * loop.loop.plant.response(frequency)
+    controller = found.controller.response(frequency)
+    sensitivity = plant_response / (1 + controller * plant_response)
+    inverse = found.learning.inverse.response(frequency) * controller
+    np.testing.assert_allclose(inverse * sensitivity, 1, rtol=1e-9, atol=0)
+
+
+def test_the_inverse_of_a_response_needs_one():
+    with pytest.raises(UsageError, match="give --plant"):
+        design(recipe(FRF))
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("rig.name=another", "rig.name briaire-2006, the recipe has another"),
+        ("rig.attachment=instrument", "rig.attachment pulley, the recipe has instrument"),
+        ("rig.sample_time=250e-6", "rig.sample_time 0.000125"),
+    ],
+)
+def test_the_plant_of_another_rig_is_refused(plant, override, message):
+    with pytest.raises(RunFileError, match=message):
+        design(recipe(override), plant)
+
+
+def test_a_run_of_another_command_is_no_plant():
+    with (
+        open_run(PLANT.with_name("kt.h5")) as other,
+        pytest.raises(RunFileError, match="calibrate-kt"),
+    ):
+        design(recipe(), other)
+
+
+def test_learning_beyond_what_the_plant_carries_is_refused(plant):
+    """A cut-off far above the measured lines: nobody knows what the loop does there."""
+    with pytest.raises(InsufficientDataError, match="over the uncertainty of the measured plant"):
+        design(recipe("ilc_learn.robustness_hz=3000"), plant)
+    design(recipe("ilc_learn.robustness_hz=3000"))
+
+
+def test_a_controller_that_is_unstable_with_the_measured_plant_is_refused(plant):
+    override = "rig.controller.integrator_hz=200"
+    with pytest.raises(InsufficientDataError, match=r"unstable with the measured inertia 1\.56"):
+        design(recipe(override), plant)

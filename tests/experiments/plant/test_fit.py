@@ -1,0 +1,119 @@
+"""Fits to made-up responses: the truth within its uncertainty, masses as many as there are."""
+
+import numpy as np
+import pytest
+
+from rigtool.control.plant_models import PlantModel
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.plant.fit import fit_plant
+from rigtool.experiments.plant.frequency_response import FrequencyResponse
+
+SAMPLE_TIME = 125e-6
+FREQUENCY = np.unique(np.geomspace(1, 62, 40).round()) * 4.0
+RIGID = PlantModel(1.566e-5, 5.33e-5)
+TWO = PlantModel(2.08e-5, 1e-4, 0.9, 50.0, 0.6)
+NOMINAL = 1.5e-5
+
+
+def measured(model, seed, *, noise=2e-3, experiments=8, lag=70e-6, coherence=1.0):
+    """Return the response of a plant behind an amplifier with a lag of first order."""
+    rng = np.random.default_rng(seed)
+    omega = 2 * np.pi * FREQUENCY
+    truth = model.held(SAMPLE_TIME).response(FREQUENCY) / (1 + 1j * omega * lag)
+    shape = (experiments, len(FREQUENCY))
+    scatter = noise * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    level = np.full(len(FREQUENCY), coherence)
+    return FrequencyResponse(FREQUENCY, truth * (1 + scatter), level, np.zeros(len(FREQUENCY)))
+
+
+def fitted(*args, **options):
+    return fit_plant(measured(*args, **options), SAMPLE_TIME, NOMINAL)
+
+
+def test_without_scatter_it_is_the_plant():
+    fit = fitted(RIGID, 0, noise=1e-9, lag=0.0)
+    assert fit.model.rigid
+    assert fit.model.inertia == pytest.approx(RIGID.inertia, rel=1e-6, abs=0)
+    assert fit.model.viscous == pytest.approx(RIGID.viscous, rel=1e-5, abs=0)
+    assert abs(fit.delay) < 1e-11
+
+
+def test_an_amplifiers_lag_is_told_from_the_plant():
+    """1/(1 + s tau): a delay of tau, and a gain of 1 - (w tau)^2/2."""
+    fit = fitted(RIGID, 0, noise=1e-6)
+    assert fit.delay == pytest.approx(70e-6, rel=0.01, abs=0)
+    assert fit.roll_off == pytest.approx(70e-6**2 / 2, rel=0.02, abs=0)
+    assert fit.model.inertia == pytest.approx(RIGID.inertia, rel=1e-4, abs=0)
+
+
+def test_uncertainties_are_what_repetition_shows():
+    """Deviations from the truth over their u, for many realisations.
+
+    Of two honest estimates of u the larger one counts: a little less than one is expected.
+    """
+    scores = []
+    for seed in range(40):
+        fit = fitted(RIGID, seed)
+        assert fit.model.rigid
+        assert fit.misfit == pytest.approx(1, abs=0.5)
+        for name, scale in (("inertia", RIGID.inertia), ("viscous", RIGID.viscous)):
+            u = fit.uncertainty(lambda f, name=name: getattr(f.model, name))
+            scores.append((getattr(fit.model, name) - scale) / u)
+            assert 0 < u < 0.1 * scale
+    assert 0.4 < np.mean(np.square(scores)) < 1.2
+    assert np.abs(scores).max() < 4
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_masses_are_found_where_there_are_two(seed):
+    fit = fitted(TWO, seed)
+    assert not fit.model.rigid
+    assert fit.rigid_rejected < 1e-4
+    for statistic, truth in (
+        (lambda f: f.model.inertia, TWO.inertia),
+        (lambda f: f.model.inertia * f.model.motor_side, TWO.inertia * TWO.motor_side),
+        (lambda f: f.model.antiresonance_hz, TWO.antiresonance_hz),
+        (lambda f: f.model.damping, TWO.damping),
+        (lambda f: f.model.resonance_hz, TWO.resonance_hz),
+    ):
+        u = fit.uncertainty(statistic)
+        assert abs(statistic(fit) - truth) < 4 * u
+        assert u < 0.1 * truth
+
+
+@pytest.mark.parametrize("antiresonance", [2.0, 1500.0])
+def test_a_resonance_outside_the_band_is_no_second_mass(antiresonance):
+    fit = fitted(PlantModel(2e-5, 5e-5, 0.8, antiresonance, 0.1), 1)
+    assert fit.model.rigid
+    mass = 0.8 if antiresonance < 4 else 1.0
+    assert fit.model.inertia == pytest.approx(mass * 2e-5, rel=0.02, abs=0)
+
+
+def test_a_plant_that_no_model_explains_is_more_uncertain():
+    found = measured(RIGID, 3)
+    bump = 1 + 0.05 * np.sin(np.log(FREQUENCY) * 12)
+    bumpy = FrequencyResponse(FREQUENCY, found.each * bump, found.coherence, found.quantisation)
+    plain, odd = (fit_plant(f, SAMPLE_TIME, NOMINAL) for f in (found, bumpy))
+
+    def inertia(fit):
+        return fit.model.inertia
+
+    assert odd.misfit > 5
+    assert odd.uncertainty(inertia) > 3 * plain.uncertainty(inertia)
+    assert abs(odd.model.inertia - RIGID.inertia) < 3 * odd.uncertainty(inertia)
+
+
+def test_lines_of_little_coherence_are_left_out():
+    found = measured(RIGID, 2)
+    coherence = np.where(FREQUENCY < 12, 0.5, 0.99)
+    wrong = found.each * np.where(FREQUENCY < 12, 2.0, 1.0)
+    fit = fit_plant(
+        FrequencyResponse(FREQUENCY, wrong, coherence, found.quantisation), SAMPLE_TIME, NOMINAL
+    )
+    np.testing.assert_array_equal(fit.used, FREQUENCY >= 12)
+    assert fit.model.inertia == pytest.approx(RIGID.inertia, rel=0.005, abs=0)
+
+
+def test_an_excitation_that_is_lost_is_refused():
+    with pytest.raises(InsufficientDataError, match=r"only 0 of \d+ lines .* raise identify_plant"):
+        fitted(RIGID, 0, coherence=0.6)

@@ -1,0 +1,265 @@
+"""Identification on the virtual rig: the inertia that is there, and what is refused."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
+from rigtool.experiments.plant import procedure as identify_plant
+from rigtool.experiments.plant.procedure_excitation import (
+    excited_lines,
+    multisine,
+    plans,
+    samples,
+    tasks,
+)
+from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
+from rigtool.quantity import Quantity
+from rigtool.recipe import load_recipe
+from rigtool.runfile import RunWriter, open_run
+from tests.experiments.virtual_runs import RECIPE, run, write_results
+
+PULLEY = "rig.attachment=pulley"
+SHORT = (
+    PULLEY,
+    "identify_plant.speeds=[14]",
+    "identify_plant.realisations=2",
+    "identify_plant.periods=8",
+)
+STROKES = ("identify_plant.realisations=2", "identify_plant.periods=8")
+# What the rig's calibration finds, within its uncertainty: thesis section 7.1.1
+CONSTANT = {
+    "torque_constant_mean": Quantity(45.4e-3, "N m/A", 2.3e-5, 20),
+    "torque_constant": Quantity(45.8e-3, "N m/A", 2.3e-5, 20),
+    "torque_constant_temperature_coefficient": Quantity(-1.16e-3, "1/K", 1e-5),
+    "amplifier_gain": Quantity(1.0, "1", 1e-6),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("plant")
+
+
+@pytest.fixture(scope="module")
+def kt(folder):
+    path = folder / "kt.h5"
+    with RunWriter(path, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
+        writer.finish(CONSTANT, {})
+    return path
+
+
+@pytest.fixture(scope="module")
+def pulley(folder, kt):
+    path = folder / "pulley.h5"
+    return path, run(identify_plant, RECIPE, path, *SHORT, kt=kt)
+
+
+@pytest.fixture(scope="module")
+def instrument(folder, kt):
+    path = folder / "instrument.h5"
+    return path, run(identify_plant, RECIPE, path, *STROKES, kt=kt)
+
+
+def motor():
+    return load_recipe(RECIPE)[0].virtual.motor
+
+
+def off(result, truth):
+    """Return the deviation from the truth in standard uncertainties."""
+    return abs(result.value - truth) / result.u
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+def test_the_inertia_that_is_there(folder, kt, seed):
+    outcome = run(identify_plant, RECIPE, folder / f"{seed}.h5", *SHORT, seed=seed, kt=kt)
+    inertia, viscous = (outcome.results[name] for name in ("inertia", "viscous_friction"))
+    assert off(inertia, motor().inertia) < 2
+    assert inertia.u < 3e-3 * inertia.value
+    assert off(viscous, motor().viscous_friction) < 4  # three degrees of freedom
+    assert viscous.u < 0.05 * viscous.value
+    assert "inertia_motor_side" not in outcome.results
+    assert outcome.results["mass_line_crossing"].value == pytest.approx(40.2, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("virtual.motor.inertia=3e-5", "rig.inertia.pulley=1.8e-5"),
+        ("virtual.motor.viscous_friction=3e-4", "virtual.motor.coulomb_friction=6e-3"),
+        ("rig.encoder_counts=16384", "virtual.amplifier.bandwidth_hz=700"),
+        ("rig.sample_time=250e-6", "rig.controller.crossover_hz=40"),
+    ],
+)
+def test_other_rigs(folder, kt, overrides):
+    outcome = run(identify_plant, RECIPE, folder / "other.h5", *SHORT, *overrides, kt=kt)
+    recipe = load_recipe(RECIPE, overrides)[0]
+    assert off(outcome.results["inertia"], recipe.virtual.motor.inertia) < 3
+    assert off(outcome.results["viscous_friction"], recipe.virtual.motor.viscous_friction) < 4
+
+
+def test_what_is_reported(pulley):
+    outcome = pulley[1]
+    results = outcome.results
+    for name in ("bandwidth", "gain_margin", "phase_margin", "modulus_margin"):
+        assert 0 < results[name].u < 0.1 * abs(results[name].value), name
+    assert results["coherence_min"].value > 0.8
+    assert results["bandwidth"].value == pytest.approx(100, rel=0.1)
+    table = outcome.tables["frequency_response"]
+    fit = outcome.tables["fit"]
+    known = np.interp(
+        np.log(table["frequency"]), np.log(fit["frequency"]), np.log(fit["magnitude"])
+    )
+    used = table["used"] == 1
+    assert np.abs(np.log(table["magnitude"]) - known)[used].max() < 0.03
+    assert (table["coherence"][used] >= 0.8).all()
+    assert (table["u"] > 0).all()
+    assert (table["radius"] > 2 * table["u"]).all()
+    loop = outcome.tables["sensitivities"]
+    both = [loop[f"{name}_magnitude"] * np.exp(1j * loop[f"{name}_phase"]) for name in ("t", "s")]
+    np.testing.assert_allclose(both[0] + both[1], 1, rtol=0, atol=1e-9)
+    assert any("encoder's steps" in note for note in outcome.notes)
+    assert any("one rigid inertia" in note for note in outcome.notes)
+    assert any("never stopped" in note for note in outcome.notes)
+
+
+def test_the_instrument_is_not_a_rigid_body(instrument):
+    """Two masses on the tendon: wheel and motor above the resonance, the grasper too below it."""
+    results = instrument[1].results
+    recipe = load_recipe(RECIPE)[0]
+    v = recipe.virtual.instrument
+    wheel = recipe.virtual.motor.inertia + v.wheel_inertia
+    assert off(results["inertia_motor_side"], wheel) < 3
+    carried = v.grasper_inertia / (recipe.rig.angle_ratio * recipe.rig.torque_factor)
+    # Friction that grows with the load makes it seem a little heavier.
+    assert results["inertia"].value == pytest.approx(wheel + carried, rel=0.015, abs=0)
+    natural = math.sqrt(v.stiffness / v.grasper_inertia) / (2 * math.pi)
+    assert results["antiresonance_frequency"].value == pytest.approx(natural, rel=0.1, abs=0)
+    assert results["resonance_frequency"].value > results["antiresonance_frequency"].value
+    assert any("a rigid inertia does not explain" in note for note in instrument[1].notes)
+
+
+def test_stored_signals_give_the_same_again(pulley, folder, kt):
+    path, outcome = pulley
+    again = run(identify_plant, path, folder / "again.h5", kt=kt)
+    assert again.results == outcome.results
+    assert again.notes == outcome.notes
+
+
+def test_without_a_calibration_no_uncertainty_is_stated(pulley, folder):
+    outcome = run(identify_plant, pulley[0], folder / "plain.h5")
+    inertia = outcome.results["inertia"]
+    assert inertia.u is None
+    assert "give --kt" in inertia.reason
+    ratio = 0.045 / torque_at_27(CONSTANT)
+    assert inertia.value / pulley[1].results["inertia"].value == pytest.approx(ratio, rel=1e-4)
+    assert any("data sheet" in note for note in outcome.notes)
+
+
+def torque_at_27(constants):
+    slope = constants["torque_constant_temperature_coefficient"].value
+    return constants["torque_constant"].value * (1 + 7 * slope)
+
+
+def test_torque_constant_at_the_temperature_of_the_motor(kt, folder):
+    with open_run(kt) as known:
+        found = torque_per_ampere_at(known, 27.0)
+    assert found.value == pytest.approx(torque_at_27(CONSTANT), rel=1e-12, abs=0)
+    assert found.u == pytest.approx(math.hypot(5.02e-4, 7e-5) * found.value, rel=0.01, abs=0)
+    mean = {"torque_constant_mean": (0.0454, "N m/A"), "amplifier_gain": (1.0, "1")}
+    with open_run(write_results(folder / "mean.h5", "calibrate-kt", **mean)) as known:
+        assert torque_per_ampere_at(known, 27.0).value == 0.0454
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (("identify_plant.swing=0.003",), r"lines have a coherence .* raise identify_plant.swing"),
+        (("rig.current_limit=0.9", "identify_plant.current_share=0.99"), "reaches the limit"),
+    ],
+)
+def test_data_that_do_not_carry_a_plant_are_refused(folder, kt, overrides, message):
+    output = folder / "refused.h5"
+    with pytest.raises(InsufficientDataError, match=message):
+        run(identify_plant, RECIPE, output, *SHORT, *overrides, kt=kt)
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("identify_plant.lines=11", "is not excited"),
+        ("identify_plant.settle_time=5", "no whole period of 2000 samples"),
+    ],
+)
+def test_other_settings_than_recorded_are_refused(pulley, folder, kt, override, message):
+    with pytest.raises(InsufficientDataError, match=message):
+        run(identify_plant, pulley[0], folder / "no.h5", override, kt=kt)
+
+
+def test_another_commands_run_is_refused(pulley, folder, kt):
+    with open_run(kt) as known, open_run(pulley[0]) as stored:
+        with pytest.raises(RunFileError, match="no recording multisine_000"):
+            identify_plant.analyse([known], stored.recipe, kt=known)
+        with pytest.raises(RunFileError, match="calibrate-kt"):
+            identify_plant.analyse([stored], stored.recipe, kt=stored)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (("identify_plant.frequency_min=2",), "less than one cycle"),
+        (("identify_plant.frequency_max=3",), "must be above frequency_min"),
+        (("identify_plant.turn_angle=90",), "leaves nothing"),
+        (("identify_plant.stroke_speeds=[9]",), "lower the speed"),
+        (("identify_plant.frequency_max=4000",), "below half the sampling rate"),
+    ],
+)
+def test_settings_that_cannot_be_are_mistakes(folder, overrides, message):
+    with pytest.raises(RecipeError, match=message):
+        run(identify_plant, RECIPE, folder / "mistake.h5", *overrides)
+
+
+@pytest.mark.parametrize("attachment", ["pulley", "instrument"])
+def test_the_excitation_keeps_to_its_limits(attachment):
+    recipe = load_recipe(RECIPE, [f"rig.attachment={attachment}"])[0]
+    lines = excited_lines(recipe)
+    for plan in plans(recipe):
+        torque = multisine(recipe, plan)
+        assert len(torque) == samples(recipe) == 2000
+        spectrum = np.abs(np.fft.rfft(torque))
+        spectrum /= spectrum.max()
+        others = np.delete(spectrum, lines)
+        assert others.max() < 1e-12
+        assert spectrum[lines].min() > 1e-3
+        for task in tasks(recipe, plan):
+            periods = len(task.feedforward.signal) / len(torque)
+            assert periods == int(periods)
+            np.testing.assert_allclose(
+                np.abs(task.feedforward.signal.reshape(-1, 2000)),
+                np.abs(torque)[None].repeat(int(periods), 0),
+                rtol=1e-9,
+            )
+
+
+def test_turns_are_cut_into_equal_parts():
+    """Periods begin at equally spaced angles of the turn: ripple drops out of their mean."""
+    recipe = load_recipe(RECIPE, [PULLEY])[0]
+    periods, period = recipe.identify_plant.periods, recipe.identify_plant.period
+    for plan in plans(recipe):
+        starts = np.sort((np.arange(periods) * plan.speed * period) % (2 * np.pi))
+        steps = np.diff(starts, append=starts[0] + 2 * np.pi)
+        np.testing.assert_allclose(steps, 2 * np.pi / periods, rtol=0, atol=1e-6)
+
+
+def test_strokes_turn_the_excitation_over():
+    recipe = load_recipe(RECIPE)[0]
+    plan = plans(recipe)[0]
+    (task,) = tasks(recipe, plan)
+    signal, motion = task.feedforward.signal, task.motion
+    half = len(signal) // 2
+    np.testing.assert_array_equal(signal[:half], -signal[half:])
+    cycle = 2 * motion.stroke_time / recipe.rig.sample_time
+    assert cycle == pytest.approx(half, abs=1e-6)
+    assert motion.cycles % 2 == 0

@@ -1,0 +1,165 @@
+"""`fft-ripple` on imported runs: synthetic ones with known ripple, and the public data set."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rigtool.errors import RunFileError, UsageError
+from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.ripple import procedure as fft_ripple
+from rigtool.experiments.session import run_command
+from rigtool.recipe.mapping import load_mapping, parse_mapping
+from rigtool.runfile import open_run
+from rigtool.runfile.importers import import_files
+from tests.experiments.imported_runs import SLOW, slow_turn, take
+
+ROOT = Path(__file__).parents[3]
+COGGING = ROOT / ".." / "shared" / "data" / "odrive-cogging" / "analysis" / "cogging_torque"
+needs_data = pytest.mark.skipif(
+    not COGGING.is_dir(), reason="the public data sets are not beside the repository"
+)
+
+MAP = """mapping = 1
+[rig]
+name = "maps"
+[map]
+signal = "current"
+unit = "A"
+missing = 0
+"""
+
+
+def analyse(sources, output, *overrides, **inputs):
+    options = CommonOptions(overwrite=True, overrides=overrides)
+    return run_command(
+        fft_ripple, [str(source) for source in sources], str(output), options=options, inputs=inputs
+    )
+
+
+@pytest.fixture(scope="module")
+def turns(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("turns")
+    files = {f"off_{n}": slow_turn(n, 0) for n in range(3)}
+    files |= {f"on_{n}": slow_turn(10 + n, 0.8) for n in range(3)}
+    return folder, take(folder, SLOW, files)
+
+
+def test_orders_and_by_how_much_each_was_reduced(turns):
+    folder, paths = turns
+    outcome = analyse(paths, folder / "ripple.h5")
+    results = outcome.results
+    assert results["strongest_order"].value == 7
+    for order, amplitude in ((7, 0.8), (14, 0.2), (28, 0.2)):
+        found = results[f"order_{order}_amplitude"]
+        assert found.unit == "A"
+        assert found.value == pytest.approx(amplitude, rel=0.05, abs=0)
+        reduced = results[f"order_{order}_motion_reduction"]
+        assert reduced.value == pytest.approx(0.8, rel=0, abs=0.03)
+        assert results[f"order_{order}_current_reduction"].value == pytest.approx(0, abs=0.05)
+    assert any("compensation 1 against 0" in note for note in outcome.notes)
+    assert any("irregular time axis" in note for note in outcome.notes)
+    with open_run(folder / "ripple.h5") as run:
+        assert (run.command, run.rig) == ("fft-ripple", "slow")
+        assert len(run.provenance["inputs"]) == 6
+        assert run.table("reduction").shape == (1, 100)
+
+
+def test_one_condition_alone_has_orders_and_nothing_to_compare(turns):
+    folder, paths = turns
+    outcome = analyse(paths[:3], folder / "off.h5")
+    assert outcome.results["strongest_order"].value == 7
+    assert "reduction" not in outcome.tables
+    assert not any(name.endswith("reduction") for name in outcome.results)
+
+
+def test_one_turn_says_that_nothing_repeats(turns):
+    folder, paths = turns
+    outcome = analyse(paths[:1], folder / "one.h5")
+    assert outcome.results["strongest_order"].value == 7
+    assert any("one turn: what repeats cannot be told" in note for note in outcome.notes)
+
+
+def test_a_torque_constant_makes_torque_of_current(tmp_path):
+    text = SLOW.replace("[rig]", "[rig]\ntorque_constant = 0.5\ntorque_constant_u = 0.01")
+    paths = take(tmp_path, text, {"off_0": slow_turn(1, 0), "off_1": slow_turn(2, 0)})
+    found = analyse(paths, tmp_path / "r.h5").results["order_7_amplitude"]
+    assert found.unit == "N m"
+    assert found.value == pytest.approx(0.4, rel=0.05, abs=0)
+
+
+def test_sources_that_do_not_go_together(turns, tmp_path):
+    _, paths = turns
+    np.save(tmp_path / "map.npy", np.arange(1.0, 65))
+    mapped = str(tmp_path / "map.h5")
+    import_files([str(tmp_path / "map.npy")], mapped, (parse_mapping(MAP), MAP))
+    with pytest.raises(UsageError, match="give one kind"):
+        analyse([paths[0], mapped], tmp_path / "r.h5")
+    with pytest.raises(UsageError, match="two or more"):
+        analyse([mapped], tmp_path / "r.h5")
+    with pytest.raises(UsageError, match="no recipe"):
+        analyse(paths, tmp_path / "r.h5", "fft_ripple.revolutions=3")
+    other = take(tmp_path, SLOW.replace("8192", "4096"), {"off_0": slow_turn(1, 0)})
+    with pytest.raises(UsageError, match=r"encoder_counts 4096.*one rig"):
+        analyse([*paths, *other], tmp_path / "r.h5")
+    analyse(paths, tmp_path / "ripple.h5")
+    with pytest.raises(RunFileError, match="is a run of fft-ripple"):
+        analyse([paths[0], tmp_path / "ripple.h5"], tmp_path / "r.h5")
+    assert not (tmp_path / "r.h5").exists()
+
+
+def test_a_linear_axis_has_no_turns(tmp_path):
+    text = SLOW.replace("[rig]", '[rig]\naxis = "linear"')
+    paths = take(tmp_path, text, {"off_0": slow_turn(1, 0)})
+    with pytest.raises(UsageError, match="linear axis"):
+        analyse(paths, tmp_path / "r.h5")
+
+
+def test_a_turned_map_is_told(tmp_path):
+    random = np.random.default_rng(1)
+    angle = np.arange(256) * 2 * np.pi / 256
+    order = np.arange(1, 20)
+    amplitude, phase = random.exponential(size=19), random.uniform(-3, 3, 19)
+    whole = np.cos(np.multiply.outer(angle, order) + phase) @ amplitude
+    sources = []
+    for name, turned in (("a", 0), ("b", 0), ("c", 128)):
+        np.save(tmp_path / f"{name}.npy", np.roll(whole, turned) + random.normal(0, 0.05, 256))
+        sources.append(str(tmp_path / f"{name}.npy"))
+    np.save(tmp_path / "d.npy", random.normal(size=256))
+    mapping = (parse_mapping(MAP), MAP)
+    import_files([*sources, str(tmp_path / "d.npy")], str(tmp_path / "maps"), mapping)
+    outcome = analyse([tmp_path / "maps" / f"{n}.h5" for n in "abcd"], tmp_path / "m.h5")
+    shift = outcome.results["shift_c"]
+    assert abs(abs(shift.value) - np.pi) < 5 * shift.u
+    verdicts = {note[0]: note for note in outcome.notes if note[1] == ":"}
+    assert "shifted by half a turn" in verdicts["c"]
+    assert "another map" in verdicts["d"]
+    assert sum("the same map (" in note for note in verdicts.values()) == 1
+
+
+@needs_data
+def test_cogging_of_the_odrive_set(tmp_path):
+    """The orders that its author names; compensation shows in the motion, not in the current."""
+    mapping = load_mapping(ROOT / "recipes" / "import" / "odrive-slow.toml")
+    for folder in ("slow2", "slow2_slower"):
+        import_files([str(COGGING / folder)], str(tmp_path / folder), mapping)
+    fast = analyse(sorted((tmp_path / "slow2").iterdir()), tmp_path / "fast.h5")
+    slow = analyse(sorted((tmp_path / "slow2_slower").iterdir()), tmp_path / "slow.h5")
+    for outcome in (fast, slow):
+        results = outcome.results
+        assert results["strongest_order"].value == 7
+        for order in (7, 14, 28, 12, 36):
+            assert 0.75 < results[f"order_{order}_motion_reduction"].value < 1
+            assert abs(results[f"order_{order}_current_reduction"].value) < 0.2
+
+
+@needs_data
+def test_map_c_of_the_odrive_set_is_shifted_by_half_a_turn(tmp_path):
+    mapping = load_mapping(ROOT / "recipes" / "import" / "odrive-map.toml")
+    import_files([str(COGGING / "coggingmap_0")], str(tmp_path / "maps"), mapping)
+    names = [f"cogging_measure_final_{trial}_16" for trial in "abcd"]
+    outcome = analyse([tmp_path / "maps" / f"{name}.h5" for name in names], tmp_path / "m.h5")
+    shifted = [note for note in outcome.notes if "shifted" in note]
+    assert len(shifted) == 1
+    assert shifted[0].startswith(f"{names[2]}: the same map, shifted by half a turn")
+    assert abs(outcome.results[f"shift_{names[2]}"].value) == pytest.approx(np.pi, abs=0.01)

@@ -1,0 +1,122 @@
+"""Turns of a steadily turning shaft: known orders come back, whatever the time axis."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.ripple.imported_turns import fill, find_turns, reduction, turn_spectrum
+from rigtool.experiments.ripple.orders import Spectrum
+
+POSITIONS = 500
+
+
+def turning(turns=3.0, speed=0.2, start=0.37, seed=1, orders=((7, 0.8, 0.3), (28, 0.2, -1.0))):
+    """Irregular time, angle in turns, and torque with these orders: (order, amplitude, phase)."""
+    random = np.random.default_rng(seed)
+    count = int(turns * 4000)
+    time = np.cumsum(random.uniform(0.5, 1.5, count))
+    time *= abs(turns / speed) / time[-1]
+    angle = start + speed * time
+    torque = 0.1 + sum(a * np.cos(2 * np.pi * k * angle + p) for k, a, p in orders)
+    return time, angle, torque
+
+
+@pytest.mark.parametrize("speed", [0.2, -0.2])
+def test_orders_come_back_with_amplitude_and_phase(speed):
+    found = find_turns(*turning(speed=speed), POSITIONS)
+    assert found.speed == pytest.approx(2 * math.pi * speed, rel=1e-3, abs=0)
+    assert len(found.torque) == 3
+    spectrum = turn_spectrum(fill(found.torque)[0], 100)
+    for order, amplitude, phase in ((7, 0.8, 0.3), (28, 0.2, -1.0)):
+        assert spectrum.amplitude[order - 1] == pytest.approx(amplitude, rel=5e-3, abs=0)
+        assert spectrum.phase[order - 1] == pytest.approx(phase, rel=0, abs=0.01)
+    assert spectrum.strongest() == 7
+
+
+def test_the_ripple_of_the_motion_is_told_apart_from_its_speed():
+    time, angle, torque = turning()
+    moved = angle + 1e-3 / (2 * np.pi) * np.cos(2 * np.pi * 12 * angle)
+    spectrum = turn_spectrum(fill(find_turns(time, moved, torque, POSITIONS).deviation)[0], 50)
+    assert spectrum.strongest() == 12
+    assert spectrum.amplitude[11] == pytest.approx(1e-3, rel=0.02, abs=0)
+
+
+def test_what_is_before_the_steady_motion_is_left_out():
+    """A run that first goes back to where it starts, and swings."""
+    time, angle, torque = turning(turns=1.0, start=0.0, orders=((7, 0.8, 0.3),))
+    away = np.exp(-time / 0.05) * np.cos(40 * time)
+    found = find_turns(time, angle + away, torque - 5 * away, POSITIONS)
+    assert 0.05 < found.settled < 0.6
+    amplitude = turn_spectrum(fill(found.torque)[0], 20).amplitude
+    assert amplitude[6] == pytest.approx(0.8, rel=0.03, abs=0)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(1, 60), st.floats(-3.1, 3.1), st.floats(-5, 5), st.booleans())
+def test_any_order_any_start_either_direction(order, phase, start, backwards):
+    speed = -0.2 if backwards else 0.2
+    found = find_turns(
+        *turning(turns=2.0, speed=speed, start=start, orders=((order, 1.0, phase),)), POSITIONS
+    )
+    spectrum = turn_spectrum(fill(found.torque)[0], 80)
+    assert spectrum.strongest() == order
+    error = math.remainder(spectrum.phase[order - 1] - phase, 2 * math.pi)
+    assert abs(error) < 0.05
+
+
+def test_a_gap_of_one_turn_is_filled_from_the_others():
+    first, second = np.arange(8.0), np.arange(8.0) + 2
+    second[3] = np.nan
+    filled, gap = fill(np.stack([first, second]))
+    assert gap == 0
+    assert filled[1, 3] == 3.0
+
+
+def test_a_gap_of_all_turns_is_bridged_and_told():
+    values = np.array([[0.0, np.nan, np.nan, 3.0, 2.0, 1.0, 0.0, 0.0]])
+    filled, gap = fill(values)
+    assert filled[0, 1:3].tolist() == [1.0, 2.0]
+    assert gap == 2 / 8
+    around = np.roll(values, 7)  # the same gap across the end of the turn
+    np.testing.assert_allclose(fill(around)[0], np.roll(filled, 7), rtol=1e-14, atol=0)
+
+
+def test_one_turn_has_the_noise_of_the_orders_around():
+    random = np.random.default_rng(3)
+    floors = [
+        turn_spectrum(random.normal(size=(1, POSITIONS)), 100).noise_floor.mean() for _ in range(20)
+    ]
+    # White noise of unit variance: each order's rms amplitude is sqrt(4/n), sinc aside.
+    assert np.mean(floors) == pytest.approx(math.sqrt(4 / POSITIONS), rel=0.06, abs=0)
+
+
+def test_reduction_with_its_uncertainty():
+    zero = np.zeros(3)
+    order = np.arange(1.0, 4)
+    before = Spectrum(order, np.array([1.0, 0.5, 0.01]), zero, np.array([0.1, 0.0, 0.1]))
+    after = Spectrum(order, np.array([0.2, 0.6, 0.0]), zero, np.array([0.05, 0.0, 0.1]))
+    value, u = reduction(before, after)
+    np.testing.assert_allclose(value[:2], [0.8, -0.2], rtol=1e-12, atol=0)
+    assert np.isnan(value[2])  # what is noise cannot be reduced
+    expected = math.hypot(0.05, 0.2 * 0.1) / math.sqrt(2)
+    np.testing.assert_allclose(u[:2], [expected, 0.0], rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t, a, y: (t, a * 0.1, y), "0.30 of a turn steadily, 0.9 are"),
+        (lambda t, a, y: (t, a * 0, y), "0.00 of a turn"),
+        (lambda t, a, y: (t[:50], a[:50], y[:50]), "50 samples are too few, 64"),
+        (lambda t, a, y: (t[::100], a[::100], y[::100]), "samples are too far apart"),
+        (lambda t, a, y: (t[::-1], a, y), "time does not rise"),
+        (lambda t, a, y: (t, a, np.where(y > 0.5, np.nan, y)), "torque is nan"),
+    ],
+)
+def test_data_that_do_not_carry_it(change, message):
+    with pytest.raises(InsufficientDataError, match=message):
+        find_turns(*change(*turning()), POSITIONS)

@@ -1,0 +1,88 @@
+"""Maps around a turn: orders by least squares, and what is turned is found."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.ripple.map_shift import highest_order, map_orders, match_maps, typical
+
+ORDERS = 40
+
+
+def values(angle, shift=0.0, seed=1):
+    random = np.random.default_rng(seed)
+    amplitude, phase = random.exponential(size=20), random.uniform(-3, 3, 20)
+    order = np.arange(1, 21)
+    return np.cos(np.multiply.outer(angle - shift, order) + phase) @ amplitude + 3
+
+
+def sampled(count=512, seed=None):
+    if seed is None:
+        return np.arange(count) * (2 * np.pi / count)
+    random = np.random.default_rng(seed)
+    return np.sort(np.arange(count) + random.uniform(-0.3, 0.3, count)) % count * 2 * np.pi / count
+
+
+def test_orders_are_those_of_the_fourier_transform():
+    angle = sampled()
+    expected = np.fft.rfft(values(angle))[1 : ORDERS + 1] * 2 / len(angle)
+    found = map_orders(angle, values(angle), ORDERS)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
+def test_orders_do_not_depend_on_where_it_was_sampled():
+    angle = np.sort(sampled(seed=4))
+    assert 100 < highest_order(angle) <= 256
+    found = map_orders(angle, values(angle), ORDERS)
+    np.testing.assert_allclose(
+        found, map_orders(sampled(), values(sampled()), ORDERS), rtol=0, atol=1e-10
+    )
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.floats(-3.1, 3.1), st.integers(0, 1000))
+def test_a_turned_map_is_found(shift, seed):
+    angle = sampled()
+    a, b = (map_orders(angle, values(angle, s, seed), ORDERS) for s in (0.0, shift))
+    found = match_maps(a, b)
+    assert math.remainder(found.shift - shift, 2 * math.pi) == pytest.approx(0, rel=0, abs=0.02)
+    assert found.best_correlation > 0.99
+
+
+def test_the_uncertainty_covers_the_scatter_of_the_shift():
+    angle, random = sampled(), np.random.default_rng(5)
+    found = []
+    for _ in range(200):
+        noisy = [values(angle, s) + random.normal(0, 0.5, len(angle)) for s in (0.0, 1.0)]
+        found.append(match_maps(*(map_orders(angle, item, ORDERS) for item in noisy)))
+    scatter = np.std([item.shift for item in found])
+    assert np.mean([item.shift_u for item in found]) == pytest.approx(scatter, rel=0.2, abs=0)
+
+
+def test_the_typical_map_is_not_the_odd_one():
+    angle = sampled()
+    maps = [map_orders(angle, values(angle, s), ORDERS) for s in (math.pi, 0.0, 0.001, 0.002)]
+    assert typical(maps) in (1, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("angle", "message"),
+    [
+        (sampled(50), "50 angles tell orders up to 24, 40 are needed"),
+        (sampled(512)[:400], "tell orders up to"),
+        (sampled(8), "too few, 16"),
+        (sampled(512)[::-1], "time does not rise|does not rise"),
+    ],
+)
+def test_too_few_angles(angle, message):
+    with pytest.raises(InsufficientDataError, match=message):
+        map_orders(angle, values(angle), ORDERS)
+
+
+def test_a_constant_map():
+    with pytest.raises(InsufficientDataError, match="constant"):
+        match_maps(np.zeros(5, complex), np.ones(5, complex))

@@ -1,0 +1,157 @@
+"""Ripple of the virtual rig, from recipe to spectra and back from the file."""
+
+import numpy as np
+import pytest
+
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.ripple import procedure as fft_ripple
+from rigtool.runfile import open_run
+from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt
+
+SHORT = (
+    "fft_ripple.speeds=[3, 30]",
+    "fft_ripple.revolutions=4",
+    "fft_ripple.torques=[14e-3, 160e-3]",
+    "fft_ripple.slow_speed_rev_per_s=0.5",
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("ripple")
+
+
+@pytest.fixture(scope="module")
+def kt(folder):
+    return write_kt(folder)
+
+
+@pytest.fixture(scope="module")
+def measured(folder, kt):
+    path = folder / "ripple.h5"
+    return path, run(fft_ripple, RECIPE, path, *SHORT, kt=kt)
+
+
+def test_the_second_order_is_strongest_slowly_and_the_first_fast(measured):
+    """[7.1.3, Fig. 28]"""
+    results = measured[1].results
+    assert results["strongest_order_lowest_speed"].value == 2
+    assert results["strongest_order_highest_speed"].value == 1
+    assert results["repeatable_rms"].value > 3 * results["non_repeatable_rms"].value
+
+
+def test_cogging_is_found_with_amplitude_and_phase(folder, kt):
+    """The controller asks for the opposite of the cogging torque, within the band of T."""
+    cogging = "virtual.motor.cogging=[{ order = 3, amplitude = 0.5e-3, phase = 0.6 }]"
+    outcome = run(
+        fft_ripple,
+        RECIPE,
+        folder / "cogging.h5",
+        *SHORT,
+        *QUIET,
+        cogging,
+        "fft_ripple.record_every=1",
+        kt=kt,
+    )
+    found = outcome.tables["speed_spectrum"]
+    assert found["amplitude"][0, 2] == pytest.approx(0.5e-3, rel=0.02, abs=0)
+    error = np.angle(np.exp(1j * (found["phase"][0, 2] - 0.6 - np.pi)))
+    assert error == pytest.approx(0, abs=0.03)
+    assert np.delete(found["amplitude"][0, :12], 2).max() < 0.02e-3
+    assert outcome.results["strongest_order_lowest_speed"].value == 3
+
+
+def test_averaging_into_few_samples_costs_no_amplitude(folder, kt):
+    """Of 131 samples a turn, each a mean of 128, order 40 would keep 62 %; orders above 52 none."""
+    cogging = "virtual.motor.cogging=[{ order = 40, amplitude = 0.5e-3, phase = 0.6 }]"
+    alone = ("fft_ripple.speeds=[3]", "fft_ripple.torques=[]", "fft_ripple.power_cycles=0")
+    sets = (*SHORT, *QUIET, cogging, *alone)
+    fine, coarse = (
+        run(fft_ripple, RECIPE, folder / "few.h5", *sets, f"fft_ripple.record_every={every}", kt=kt)
+        for every in (4, 128)
+    )
+    expected = fine.tables["speed_spectrum"]["amplitude"][0, 39]
+    found = coarse.tables["speed_spectrum"]["amplitude"][0]
+    assert found[39] == pytest.approx(expected, rel=0.02, abs=0)
+    assert np.isfinite(found[:52]).all()
+    assert np.isnan(found[52:]).all()
+    said = "at 3 rad/s there are 131 samples a turn: orders above 52 are not told"
+    assert said in coarse.notes
+    assert not any("at 3 rad/s" in note for note in fine.notes)
+
+
+def test_ripple_grows_with_constant_torque(measured):
+    """[Fig. 25]"""
+    waveforms = measured[1].tables["torque_waveforms"]
+    np.testing.assert_allclose(waveforms["torque"], [14e-3, 160e-3], rtol=1e-12, atol=0)
+    rms = np.sqrt(np.mean(waveforms["ripple"] ** 2, axis=1))
+    assert rms[1] > 1.2 * rms[0]
+    np.testing.assert_allclose(waveforms["ripple"].mean(axis=1), 0, rtol=0, atol=1e-12)
+
+
+def test_a_power_cycle_changes_the_ripple_and_nothing_else_does(folder, kt, measured):
+    results = measured[1].results
+    table = measured[1].tables["power_waveforms"]
+    assert table["power_cycle"].tolist() == [0, 1]
+    expected = np.corrcoef(*table["torque"])[0, 1]
+    # Noise, which is left out of the comparison, lowers that of the whole waveforms.
+    assert expected < results["power_cycle_correlation"].value < expected + 0.1
+    assert results["power_cycle_correlation"].value < 0.95
+    # A ripple that start-ups do not touch is the same ripple.
+    cogging = "virtual.motor.cogging=[{ order = 2, amplitude = 0.5e-3, phase = 0.6 }]"
+    same = run(fft_ripple, RECIPE, folder / "same.h5", *SHORT, *QUIET, cogging, kt=kt)
+    assert same.results["power_cycle_correlation"].value == pytest.approx(1, rel=0, abs=2e-3)
+    assert same.results["power_cycle_shift"].value == pytest.approx(0, rel=0, abs=0.01)
+
+
+def test_psd_shows_the_orders_at_their_frequencies(measured):
+    psd = measured[1].tables["speed_psd"]
+    frequency = psd["frequency"]
+    fast = frequency[np.argmax(psd["psd"][1])]
+    assert fast == pytest.approx(30 / (2 * np.pi), rel=0, abs=frequency[1])
+
+
+def test_the_stored_signals_give_the_same_again(measured, folder, kt):
+    path, outcome = measured
+    again = run(fft_ripple, path, folder / "again.h5", kt=kt)
+    assert again.results == outcome.results
+    with open_run(path) as stored:
+        assert stored.recipe.rig.attachment == "pulley"  # measured on the bare motor
+
+
+def test_without_power_cycles_nothing_is_compared(folder, kt):
+    outcome = run(
+        fft_ripple,
+        RECIPE,
+        folder / "once.h5",
+        *SHORT,
+        "fft_ripple.power_cycles=0",
+        "fft_ripple.torques=[]",
+        kt=kt,
+    )
+    assert not any("power" in name or "torque" in name for name in outcome.tables)
+    assert not any(name.startswith("power") for name in outcome.results)
+    assert any("nothing to compare" in note for note in outcome.notes)
+
+
+def test_too_short_a_recording_is_refused(measured, folder, kt):
+    with pytest.raises(InsufficientDataError, match=r"speed_000: 4 whole revolutions.* 9 are"):
+        run(fft_ripple, measured[0], folder / "no.h5", "fft_ripple.revolutions=9", kt=kt)
+    assert not (folder / "no.h5").exists()
+
+
+def test_inputs_that_do_not_fit_are_refused(measured, kt):
+    with open_run(measured[0]) as stored, open_run(kt) as constant:
+        with pytest.raises(UsageError, match="takes one"):
+            fft_ripple.analyse([stored, stored], stored.recipe, kt=constant)
+        with pytest.raises(RunFileError, match="no recording speed_000"):
+            fft_ripple.analyse([constant], stored.recipe, kt=constant)
+        with pytest.raises(RunFileError, match="calibrate-kt"):
+            fft_ripple.analyse([stored], stored.recipe, kt=stored)
+
+
+def test_how_a_run_was_recorded_cannot_be_changed_afterwards(measured, folder, kt):
+    """Samples are means of as many as were averaged: another number would misjudge them."""
+    with pytest.raises(UsageError, match="record_every=1: a stored run stays as it was recorded"):
+        run(fft_ripple, measured[0], folder / "no.h5", "fft_ripple.record_every=1", kt=kt)
+    assert not (folder / "no.h5").exists()

@@ -1,0 +1,44 @@
+"""`suspension` on the virtual rig, and what stops it."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_run_commands import call
+
+RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
+
+
+def found(capsys, *arguments):
+    code, out, err = call(capsys, "suspension", *arguments, "--json")
+    assert code == 0, err
+    return json.loads(out)["results"]
+
+
+@pytest.mark.parametrize("stiffness", [14.5e3, 30e3])
+def test_the_rigs_stiffness_is_within_its_uncertainty(tmp_path, capsys, stiffness):
+    setting = f"virtual.eccentricity.spring_constant={stiffness}"
+    for seed in range(4):
+        path = tmp_path / f"{seed}.h5"
+        results = found(capsys, RECIPE, "--seed", seed, "--set", setting, "-o", path)
+        spring = results["spring_constant"]
+        assert abs(spring["value"] - stiffness) < 3.5 * spring["u"]
+        assert spring["u"] < 0.02 * stiffness
+        assert results["eigenfrequency"]["value"] == pytest.approx(
+            math.sqrt(spring["value"] / 1.025) / (2 * math.pi), rel=1e-9
+        )
+    again = found(capsys, path, "-o", tmp_path / "again.h5")
+    assert again == results
+
+
+def test_a_rig_whose_springs_are_not_described(tmp_path, capsys):
+    text = RECIPE.read_text()
+    start = text.index("[rig.suspension]")
+    bare = text[:start] + text[text.index("[rig.arm]") :]
+    (tmp_path / "rig.toml").write_text(bare)
+    code, _, err = call(capsys, "suspension", tmp_path / "rig.toml", "-o", tmp_path / "a.h5")
+    assert code == 3
+    assert "[rig.suspension]" in err
+    assert not (tmp_path / "a.h5").exists()

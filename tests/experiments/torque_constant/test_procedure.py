@@ -1,0 +1,119 @@
+"""calibrate-kt on the virtual rig, from recipe to torque constant and back from the file."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from rigtool.errors import RecipeError
+from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.session import run_command
+from rigtool.experiments.torque_constant import procedure as calibrate_kt
+from rigtool.recipe import CalibrateKt, load_recipe
+from rigtool.runfile import open_run
+from tests.experiments.virtual_runs import RECIPE, run
+
+SHORT = ("calibrate_kt.temperatures_degc=[20, 35, 50]", "calibrate_kt.record_every=160")
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    path = tmp_path_factory.mktemp("kt") / "kt.h5"
+    return path, run(calibrate_kt, RECIPE, path, *SHORT, seed=1)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_thesis_values_for_several_seeds(tmp_path, seed):
+    """[7.1.1]"""
+    results = run(calibrate_kt, RECIPE, tmp_path / "kt.h5", *SHORT, seed=seed).results
+    assert_allclose(results["torque_constant"].value, 45.8e-3, atol=0.1e-3, rtol=0)
+    slope = results["torque_constant_temperature_coefficient"]
+    assert_allclose(slope.value, -0.116e-2, atol=0.01e-2, rtol=0)
+    assert_allclose(results["torque_constant_constant_error"].value, 0.9e-2, atol=0.05e-2, rtol=0)
+    assert_allclose(results["amplifier_gain"].value, 1.0, atol=1e-4)
+    assert_allclose(results["amplifier_offset"].value, 1e-3, atol=5e-5, rtol=0)
+    assert results["amplifier_linearity"].value < 1e-3
+    for name in ("torque_constant", "torque_constant_mean"):
+        assert abs(results["torque_constant"].value - 45.8e-3) < 3 * results[name].u
+
+
+@pytest.mark.parametrize(
+    ("setting", "constant"),
+    [
+        ("virtual.motor.torque_constant=0.030", 0.030),
+        ("virtual.motor.static_friction=8e-3", 45.8e-3),
+        ("virtual.arm.damping=1.0", 45.8e-3),  # no ringing that shakes the friction loose
+    ],
+)
+def test_other_rigs(tmp_path, setting, constant):
+    results = run(calibrate_kt, RECIPE, tmp_path / "kt.h5", *SHORT, setting).results
+    assert_allclose(results["torque_constant"].value, constant, rtol=2e-3)
+    assert abs(results["torque_constant"].value - constant) < 3 * results["torque_constant"].u
+
+
+def test_analysis_of_the_file_gives_the_same(measured, tmp_path):
+    path, outcome = measured
+    again = run(calibrate_kt, path, tmp_path / "again.h5")
+    assert again.results == outcome.results
+    with open_run(tmp_path / "again.h5") as stored:
+        assert stored.results == outcome.results
+        assert not stored.recordings
+        assert_allclose(stored.table("torque_constant")["temperature"], [20, 35, 50], atol=1.5)
+    assert again.notes == outcome.notes
+    assert "arm length" in outcome.notes[0]
+
+
+def test_hysteresis_table_is_the_friction(measured):
+    _, outcome = measured
+    table = outcome.tables["hysteresis"]
+    middle = np.abs(table["current"] - 2.0) < 0.7
+    difference = (table["falling"] - table["rising"])[middle].mean()
+    assert_allclose(difference, outcome.results["hysteresis_torque"].value, rtol=0.02)
+    assert difference > 1e-3
+
+
+def test_runs_at_different_temperatures_are_pooled(tmp_path):
+    paths = []
+    for temperature, seed in ((20, 1), (50, 1)):
+        paths.append(tmp_path / f"{temperature}.h5")
+        setting = f"calibrate_kt.temperatures_degc=[{temperature}, {temperature}]"
+        one = run(calibrate_kt, RECIPE, paths[-1], setting, SHORT[1], seed=seed)
+        assert "torque_constant" not in one.results
+        assert any("second temperature" in note for note in one.notes)
+        true = 45.8e-3 * (1 - 1.16e-3 * (temperature - 20))
+        assert_allclose(one.results["torque_constant_mean"].value, true, rtol=3e-3)
+    options = CommonOptions()
+    sources = [str(path) for path in paths]
+    pooled = run_command(
+        calibrate_kt, sources, str(tmp_path / "both.h5"), options=options, inputs={}
+    )
+    slope = pooled.results["torque_constant_temperature_coefficient"]
+    assert_allclose(slope.value, -1.16e-3, atol=1e-4, rtol=0)
+
+
+def test_one_rotor_angle_says_what_it_cannot_know(tmp_path):
+    same = "calibrate_kt.temperatures_degc=[20, 20]"
+    outcome = run(
+        calibrate_kt, RECIPE, tmp_path / "kt.h5", same, "calibrate_kt.rotor_positions=1", SHORT[1]
+    )
+    assert any("does not average out" in note for note in outcome.notes)
+
+
+def test_current_beyond_the_amplifier_is_refused(tmp_path):
+    with pytest.raises(RecipeError, match=r"current_max is 12 A, rig.current_limit 10 A"):
+        run(calibrate_kt, RECIPE, tmp_path / "kt.h5", "calibrate_kt.current_max=12")
+    assert not (tmp_path / "kt.h5").exists()
+
+
+def test_staircase_goes_up_and_down():
+    settings = CalibrateKt(current_max=2.0, steps=4, staircases=2)
+    levels = calibrate_kt.staircase(settings)
+    up = [0.0, 0.5, 1.0, 1.5, 2.0, 1.5, 1.0, 0.5]
+    assert_allclose(levels, [*up, *up, 0.0], rtol=1e-9)
+
+
+def test_the_motor_is_measured_without_instrument(measured):
+    path, _ = measured
+    recipe, _ = load_recipe(RECIPE)
+    assert recipe.rig.attachment == "instrument"
+    with open_run(path) as stored:
+        assert stored.recipe.rig.attachment == "pulley"

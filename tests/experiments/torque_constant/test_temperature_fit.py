@@ -1,0 +1,241 @@
+"""Torque constant from staircases simulated from physics, beside a file of bad input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.staircase import amplifier_linearity, find_plateaus
+from rigtool.experiments.torque_constant.temperature_fit import Calibration, calibrate
+from rigtool.numerics.turn_mean import mean_over_turn
+from tests.experiments.torque_constant.staircases import Bench
+
+ARM = {"arm_length_u": 0.2e-3, "gauge_relative_u": 3e-4, "reference_range_degc": (20.0, 35.0)}
+
+
+def analyse(bench: Bench, signals: dict[str, np.ndarray]) -> Calibration:
+    plateaus = find_plateaus(**signals, arm_length=bench.arm_length, settle_time=bench.settle_time)
+    return calibrate(plateaus, arm_length=bench.arm_length, **ARM)
+
+
+@pytest.fixture(scope="module")
+def thesis() -> Calibration:
+    bench = Bench()
+    return analyse(bench, bench.record())
+
+
+def test_thesis_values_come_back(thesis):
+    # thesis 7.1.1: 45.8 mN m/A at 20 degC, -0.116 %/K, and 0.9 % for a constant over 20-35 degC
+    assert thesis.torque_constant is not None
+    assert thesis.coefficient is not None
+    assert_allclose(thesis.torque_constant.value, 45.8e-3, rtol=5e-4)
+    assert_allclose(thesis.coefficient.value, -1.16e-3, rtol=0.05)
+    assert_allclose(thesis.mean.value, 45.8e-3 * (1 - 1.16e-3 * 7.5), rtol=5e-4)
+    assert_allclose(thesis.constant_error.value, 0.9e-2, atol=0.03e-2)
+
+
+def test_friction_hysteresis_is_reported_and_its_transition_found(thesis):
+    # sliding on either branch in the middle of the span: twice the friction
+    assert_allclose(thesis.slopes.hysteresis, 4e-3, rtol=0.01)
+    # Dahl: exp(-deflection / presliding angle), deflection = torque / stiffness of the arm
+    assert_allclose(thesis.slopes.transition, 8e-4 * 15.0, rtol=0.02)
+    middle = len(thesis.slopes.level) // 2
+    assert_allclose(thesis.slopes.falling[middle], 2e-3, rtol=0.03)
+    assert_allclose(thesis.slopes.rising[middle], -2e-3, rtol=0.03)
+
+
+def test_stated_uncertainty_holds_what_is_common_to_all_points(thesis):
+    common = np.hypot(0.2 / 540, 3e-4)
+    relative = thesis.torque_constant.u / thesis.torque_constant.value
+    assert common < relative < 1.1 * common
+    # what scales all points cancels in the relative coefficient
+    assert thesis.coefficient.u < 2e-5
+
+
+def test_ripple_over_rotor_angles_is_found():
+    # amplitudes a_k of orders k give a standard deviation of sqrt(sum a_k^2 / 2)
+    uneven = Bench(saturation=0.0)
+    found = analyse(uneven, uneven.record((20, 50))).ripple
+    assert_allclose(found.value, np.sqrt((2 * 0.004**2 + 0.001**2) / 2), rtol=0.1)
+    smooth = Bench(ripple=(), saturation=0.0)
+    assert analyse(smooth, smooth.record((20, 50))).ripple.value < 1e-4
+    assert analyse(smooth, smooth.record((20, 50), angles=1, shifted=False)).ripple is None
+
+
+def test_errors_scatter_as_stated():
+    # The arm's length and the gauge are exact here: compare with the parts that do scatter.
+    bench = Bench()
+    errors = []
+    for seed in range(8):
+        found = analyse(bench, bench.record((20, 35, 50), seed=seed))
+        scatter = [found.components[name] for name in ("scatter", "heat in the winding")]
+        errors.append((found.mean.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) / np.hypot(*scatter))
+        assert abs(found.coefficient.value + 1.16e-3) < 3 * found.coefficient.u
+    assert 0.4 < np.sqrt(np.mean(np.square(errors))) < 2.0
+
+
+@pytest.mark.parametrize(
+    "bench",
+    [
+        Bench(friction=0.0),
+        Bench(friction=6e-3, stiffness=40.0),
+        Bench(stiffness=400.0),  # friction that never slides within a staircase
+        Bench(torque_constant=0.12, coefficient=-2e-3, ripple=(0.02, 0.0, 0.003)),
+        Bench(heating=0.1, time_constant=12.0),
+        Bench(housing_drift=-0.1),
+        Bench(amplifier_gain=1.03, amplifier_offset=-0.02),
+    ],
+    ids=["no friction", "more", "stiff arm", "other motor", "hot", "drifting", "amplifier"],
+)
+def test_other_rigs(bench):
+    found = analyse(bench, bench.record())
+    assert_allclose(found.torque_constant.value, bench.torque_constant, rtol=1.5e-3)
+    assert abs(found.torque_constant.value - bench.torque_constant) < 3 * found.torque_constant.u
+    assert_allclose(found.coefficient.value, bench.coefficient, atol=6e-5)
+    assert_allclose(found.linearity.gain, bench.amplifier_gain, rtol=1e-4)
+    assert_allclose(found.linearity.offset, bench.amplifier_offset, atol=2e-4)
+
+
+def test_ignored_friction_would_show():
+    # The same signals, the slope by a straight line: what the analysis has to take out.
+    bench = Bench(stiffness=40.0, ripple=())
+    plateaus = find_plateaus(**bench.record(), arm_length=0.54, settle_time=0.08)
+    straight = np.polyfit(plateaus.current, plateaus.torque, 1)[0]
+    assert straight < 45.8e-3 * (1 - 0.01)
+
+
+def test_same_angles_at_each_temperature():
+    bench = Bench()
+    found = analyse(bench, bench.record(shifted=False))
+    assert found.rotor_angles == 8
+    assert_allclose(found.torque_constant.value, 45.8e-3, rtol=5e-4)
+    # Orders from the third on cannot be told from the mean: that is uncertainty.
+    assert found.components["ripple over rotor angles"] > 1e-3
+    assert_allclose(found.coefficient.value, -1.16e-3, rtol=0.02)
+
+
+def test_one_rotor_angle_leaves_the_heat_unknown():
+    bench = Bench(ripple=(), saturation=0.0)
+    found = analyse(bench, bench.record((20, 35, 50), angles=1, shifted=False))
+    assert found.components["heat in the winding"] == pytest.approx(found.slopes.heating, rel=1e-9)
+    assert abs(found.mean.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) < 2 * found.mean.u / 45e-3
+
+
+def test_unknown_rotor_angles():
+    bench = Bench()
+    found = analyse(bench, {**bench.record(), "rotor_angle": None})
+    assert found.rotor_angles == 0
+    assert abs(found.torque_constant.value - 45.8e-3) < 3 * found.torque_constant.u
+    assert found.components["scatter"] > 3e-4  # the ripple scatters it
+
+
+def test_one_temperature_carries_no_coefficient():
+    bench = Bench()
+    found = analyse(bench, bench.record((25.0,)))
+    assert found.torque_constant is None
+    assert found.coefficient is None
+    assert_allclose(found.mean.value, 45.8e-3 * (1 - 1.16e-3 * 5), rtol=1e-3)
+
+
+@given(factor=st.floats(0.05, 20.0), seed=st.integers(0, 3))
+@settings(max_examples=6, deadline=None)
+def test_torque_scales_the_constant_and_nothing_else(factor, seed):
+    bench = Bench(force_noise=1e-4)
+    signals = bench.record((20, 50), seed=seed)
+    one = analyse(bench, signals)
+    other = analyse(bench, {**signals, "force": signals["force"] * factor})
+    assert_allclose(other.mean.value, one.mean.value * factor, rtol=1e-6)
+    assert_allclose(other.mean.u, one.mean.u * factor, rtol=1e-3)
+    assert_allclose(other.coefficient.value, one.coefficient.value, rtol=1e-4)
+
+
+def test_plateaus_leave_the_settling_out():
+    time = np.arange(4000) * 0.01
+    setpoint = np.repeat(np.arange(10.0), 400)
+    settling = np.exp(-(time % 4.0) / 0.05)
+    plateaus = find_plateaus(
+        time=time,
+        current_setpoint=setpoint,
+        current=setpoint + settling,
+        force=2 * setpoint,
+        temperature=np.full(4000, 25.0),
+        rotor_angle=None,
+        arm_length=0.5,
+        settle_time=1.0,
+    )
+    assert_allclose(plateaus.current, np.arange(10.0), atol=1e-8)
+    assert_allclose(plateaus.torque, np.arange(10.0), rtol=1e-12)
+    assert_allclose(plateaus.begin, np.arange(10) * 4.0, atol=1e-9)
+    assert np.all(np.isnan(plateaus.rotor_angle))
+
+
+def test_a_gap_in_time_begins_a_staircase():
+    bench = Bench()
+    plateaus = find_plateaus(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
+    assert_allclose(np.bincount(plateaus.staircase), np.full(6, 41), rtol=1e-9)
+
+
+def test_linearity_finds_the_worst_level():
+    bench = Bench(cubic=1e-3)
+    plateaus = find_plateaus(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
+    found = amplifier_linearity(plateaus)
+    x = np.unique(plateaus.current_setpoint)
+    y = x * (1 + 1e-3 * x**2) + 1e-3
+    gain, offset = np.polyfit(x, y, 1)
+    assert_allclose(found.gain, gain, rtol=1e-4)
+    assert_allclose(found.offset, offset, atol=5e-5)
+    assert_allclose(found.deviation, np.max(np.abs(y - gain * x - offset)), rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("bench", "change", "message"),
+    [
+        (Bench(cubic=3e-3), {}, "not proportional"),
+        (Bench(), {"current_setpoint": lambda s: 0 * s}, "throughout"),
+        (Bench(), {"force": lambda s: -s}, "reverse the sign"),
+        (Bench(), {"force": lambda s: np.minimum(s, 0.25)}, "not linear"),
+        (Bench(), {"force": lambda s: np.where(np.arange(len(s)) == 77, np.nan, s)}, "sample 77"),
+        (Bench(), {"temperature": lambda s: s[:-1]}, "samples"),
+        (Bench(), {"time": lambda s: s[::-1]}, "does not rise"),
+        (Bench(settle_time=0.3), {}, "hold each step longer"),
+    ],
+    ids=["amplifier", "constant", "sign", "end stop", "nan", "length", "clock", "short steps"],
+)
+def test_bad_signals_are_refused_with_a_reason(bench, change, message):
+    signals = replace(bench, settle_time=0.08).record((20, 40), 2)
+    for name, function in change.items():
+        signals[name] = function(signals[name])
+    with pytest.raises(InsufficientDataError, match=message):
+        analyse(bench, signals)
+
+
+def test_a_staircase_that_only_rises_is_refused():
+    bench = Bench()
+    signals = bench.record((20, 40), 2, np.linspace(0, 4, 12))
+    with pytest.raises(InsufficientDataError, match="run it up and down"):
+        analyse(bench, signals)
+
+
+def test_mean_over_turn_averages_orders_out():
+    angle = 2 * np.pi * np.arange(8) / 8
+    value = 3.0 + 0.5 * np.cos(angle + 1) + 0.2 * np.cos(2 * angle) + 0.1 * np.cos(3 * angle)
+    found = mean_over_turn(angle, value)
+    assert_allclose(found.value, 3.0, rtol=1e-12)
+    assert found.dof == 3
+    # only the third order scatters beside the two that eight angles resolve
+    assert_allclose(found.scatter**2 * 3, 8 * 0.1**2 / 2, rtol=1e-9)
+
+
+@given(shift=st.floats(0, 6.2), noise=st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_mean_over_turn_does_not_care_where_the_turn_begins(shift, noise):
+    rng = np.random.default_rng(noise)
+    angle = 2 * np.pi * np.arange(12) / 12
+    value = rng.standard_normal(12)
+    here, there = mean_over_turn(angle, value), mean_over_turn(angle + shift, value)
+    assert_allclose(there.value, here.value, atol=1e-12)
+    assert_allclose(there.u, here.u, rtol=1e-9)

@@ -1,0 +1,144 @@
+"""The target's link over a pseudo-terminal and a socket, against the virtual rig itself."""
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rigtool.control.lookup_table import LookupTable
+from rigtool.recipe import load_recipe
+from rigtool.rigs import CHANNELS, Feedforward, Load, Task, open_rig
+from rigtool.rigs.bench import Bench, Operator
+from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.serial.emulators.faults import Fault
+from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.emulators.target import TargetEmulator
+from tests.rigs.serial.recipes import RECIPE, serial_recipe
+
+KT = 0.0454
+BENCH = Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
+TRIANGLE = Task(Triangle(0.1, 1.1, 3.0, 0.2, cycles=1), Feedforward(1.5e-5, 2e-3, 5e-5))
+
+TABLE = LookupTable(
+    np.linspace(0.0, 1.2, 200),
+    np.array([-3.0, -1.0, 1.0, 3.0]),
+    np.random.default_rng(1).normal(0.0, 1e-3, (4, 200)),
+    np.array([0.0, 0.5, 1.0]),
+    np.array([0.0, 0.7, 1.0]),
+)
+SIGNAL = np.random.default_rng(2).normal(0.0, 1e-3, 777)
+
+
+def virtual():
+    return load_recipe(RECIPE)[0]
+
+
+def target_rig(port, *more):
+    return open_rig(serial_recipe(port, "serial.watchdog=5", *more), KT, "test", BENCH)
+
+
+def blocks_of(rig, task):
+    blocks = list(rig.perform(task))
+    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+
+
+def as_stored(signals):
+    return {name: values.astype(CHANNELS[name][1]) for name, values in signals.items()}
+
+
+def assert_same(got, expected):
+    assert set(got) == set(expected)
+    for name, values in as_stored(expected).items():
+        np.testing.assert_array_equal(as_stored(got)[name], values, err_msg=name)
+
+
+@pytest.mark.parametrize("log", ["memory", "stream"])
+@pytest.mark.parametrize("tcp", [False, True])
+def test_signals_are_those_of_the_virtual_rig(log, tcp):
+    tasks = [
+        TRIANGLE,
+        Task(TRIANGLE.motion, Feedforward(1.5e-5, table=TABLE, signal=SIGNAL), record_every=3),
+        Task(SpeedProfile((0.0, 0.1, 0.4, 0.5), (0.0, 3.0, 3.0, 0.0)), record_every=4),
+        Task(CurrentRamp(0.5, 0.2), load=Load(radial_force=5.0), stop_angle=0.05),
+        Task(CurrentSteps((0.0, 1.0), 0.1), load=Load(clamped=True), record_every=8),
+    ]
+    direct = open_rig(virtual(), KT, "test")
+    with (
+        serve(TargetEmulator(virtual()), tcp=tcp) as server,
+        target_rig(server.port, f"serial.log={log}") as rig,
+    ):
+        for task in tasks:
+            for each in (direct, rig):
+                if task.load.clamped:
+                    each.soak(40.0)
+                    each.clamp(0.3)
+                each.move_by(0.2)
+            expected = blocks_of(direct, task)
+            assert_same(blocks_of(rig, task), expected)
+    assert server.error is None
+
+
+def test_times_of_the_target_are_told_in_the_hosts():
+    with (
+        serve(TargetEmulator(virtual(), paced=True)) as server,
+        target_rig(server.port, "serial.log=stream") as rig,
+    ):
+        motion = SpeedProfile((0.0, 0.2, 0.6), (0.0, 1.0, 0.0))
+        begin = time.monotonic()
+        got = blocks_of(rig, Task(motion, record_every=8))
+        end = time.monotonic()
+        moments = rig.line.opened + rig._host_time(got["time"])
+    assert begin < moments[0] < begin + 1.0
+    assert moments[-1] - moments[0] == pytest.approx(0.6, abs=2e-3)
+    assert moments[-1] < end + 0.3
+
+
+def test_8_khz_stream_without_loss_on_little_of_a_core():
+    with subprocess.Popen(
+        [Path(sys.executable).with_name("rigtool"), "target-emulator", RECIPE, "--paced"],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        port = process.stdout.readline().strip()
+        with target_rig(port, "serial.log=stream", "rig.attachment=pulley") as rig:
+            running = rig.perform(Task(SpeedProfile((0.0, 0.5, 2.0), (0.0, 3.0, 3.0))))
+            processor = time.process_time()
+            samples = sum(len(block["time"]) for block in running)
+            processor = time.process_time() - processor
+            facts = json.loads(rig.report())
+        process.terminate()
+    assert samples == 16000
+    assert facts["missing_samples"] == facts["retries"] == 0
+    assert processor < 0.3  # 15 % of a core; a quarter of that where nothing else runs
+
+
+def test_blocks_come_down_at_a_megabyte_a_second():
+    with serve(TargetEmulator(virtual())) as server, target_rig(server.port) as rig:
+        task = Task(SpeedProfile((0.0, 1.0, 8.0), (0.0, 3.0, 3.0)))
+        running = rig.perform(task)
+        next(running)
+        before, start = rig.line.counts.bytes_received, time.process_time()
+        list(running)
+        # of the processor's time, both sides of the line: other programs run here as well
+        rate = (rig.line.counts.bytes_received - before) / (time.process_time() - start)
+    assert rate > 1e6
+
+
+@pytest.mark.parametrize("log", ["memory", "stream"])
+def test_a_record_plays_back_bit_for_bit(log, tmp_path):
+    path = str(tmp_path / "line.spy")
+    recipe = serial_recipe("none", f"serial.log={log}", "serial.watchdog=5")
+    signals = []
+    with serve(TargetEmulator(virtual()), Fault("cut", at=25), Fault("late", at=33)) as server:
+        for driver, port, spy in (("target", server.port, path), ("replay", path, None)):
+            line = recipe.serial.model_copy(update={"driver": driver, "port": port})
+            bench = replace(BENCH, spy=spy)
+            with open_rig(recipe.model_copy(update={"serial": line}), KT, "test", bench) as rig:
+                signals.append(blocks_of(rig, TRIANGLE))
+                assert json.loads(rig.report())["retries"] > 0
+    assert_same(*signals)
