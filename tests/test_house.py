@@ -1,59 +1,132 @@
-"""The house as docs and newcomers know it: imports point down, commands start light."""
+"""The house, held against the tree itself: floors, rooms, purity, circles, mirroring tests."""
 
 import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).parents[1] / "rigtool"
+from tests.house import MODULES, NUMERICS, PACKAGE, TESTS, place
+
 FLOORS = (
     "cli",
     "report",
-    "procedures",
+    "experiments",
     "rigs",
     "runfile",
-    "analysis",
+    "control",
+    "numerics",
     "recipe",
     "quantity",
     "errors",
 )
-MODULES = sorted(path for path in PACKAGE.rglob("*.py") if path.parent != PACKAGE)
+"""From the top; a module imports from its own floor and from those below."""
+
+MOST_ENTRIES = 20
+"""Of a folder, `__init__.py` not counted."""
+
+OF_FILES = ("click", "h5py", "pathlib", "rigtool.recipe", "rigtool.runfile", "rigtool.rigs")
+
+FOLDERS = sorted({path.parent for path in MODULES})
 
 
-def imported(tree):
-    """Yield the modules that a syntax tree imports, wherever in it."""
-    for node in ast.walk(tree):
+def imported(path):
+    """Return the modules and names that a file imports, wherever in it."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute here"
-            yield node.module
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+IMPORTED = {path: imported(path) for path in MODULES}
+
+
+def module_file(name):
+    """Return the file that an imported name is from, None for one of another package."""
+    parts = name.split(".")
+    while parts and parts[0] == "rigtool":
+        path = PACKAGE.joinpath(*parts[1:])
+        if path.with_suffix(".py").is_file():
+            return path.with_suffix(".py")
+        if (path / "__init__.py").is_file():
+            return path / "__init__.py"
+        parts.pop()
+    return None
+
+
+@pytest.mark.parametrize("path", MODULES, ids=place)
 def test_imports_point_down(path):
-    own = FLOORS.index(path.relative_to(PACKAGE).parts[0])
-    for name in imported(ast.parse(path.read_text())):
+    own = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    if own in ("__init__", "__main__"):
+        return
+    for name in IMPORTED[path]:
         parts = name.split(".")
-        if parts[0] == "rigtool" and len(parts) > 1:
-            assert FLOORS.index(parts[1]) >= own, f"{path.name} imports {name} from above"
+        if parts[0] == "rigtool" and parts[1] in FLOORS:
+            assert FLOORS.index(parts[1]) >= FLOORS.index(own), f"{name} is above {own}"
 
 
-def test_analysis_knows_no_file_no_recipe_no_command_line():
-    for path in (PACKAGE / "analysis").glob("*.py"):
-        for name in imported(ast.parse(path.read_text())):
-            assert name.split(".")[0] not in ("click", "h5py", "json", "pathlib"), path.name
-            assert not name.startswith(("rigtool.recipe", "rigtool.runfile")), path.name
+def test_every_floor_is_named():
+    entries = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or path.is_dir()}
+    assert entries - {"__init__", "__main__", "__pycache__"} == set(FLOORS)
 
 
-def test_analyses_and_procedures_never_see_the_virtual_rigs_parameters():
-    for folder in ("analysis", "procedures", "report"):
-        for path in (PACKAGE / folder).rglob("*.py"):
-            text = path.read_text()
-            assert "recipe.virtual" not in text or path.name == "session.py", path.name
-            assert "rigs.virtual" not in text, path.name
+@pytest.mark.parametrize("path", NUMERICS, ids=place)
+def test_numerics_know_no_file_no_recipe_no_rig_no_command_line(path):
+    for name in IMPORTED[path]:
+        assert not name.startswith(OF_FILES), f"{name}: numerics take arrays"
+
+
+def entry(folder, path):
+    """Return the file or folder in `folder` that a path is or lies in, None where it is outside."""
+    if not path.is_relative_to(folder):
+        return None
+    return path.relative_to(folder).parts[0]
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=place)
+def test_no_circles(folder):
+    arrows = {}
+    for path, names in IMPORTED.items():
+        own = entry(folder, path)
+        files = (module_file(name) for name in names)
+        others = {entry(folder, file) for file in files if file is not None}
+        if own is not None and path != folder / "__init__.py":
+            arrows.setdefault(own, set()).update(others - {own, None, "__init__.py"})
+    while leaves := [own for own, others in arrows.items() if not others & arrows.keys()]:
+        for leaf in leaves:
+            del arrows[leaf]
+    assert not arrows, f"these import each other: {arrows}"
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=place)
+def test_no_room_is_crowded(folder):
+    entries = {entry(folder, path) for path in MODULES if path.is_relative_to(folder)}
+    assert len(entries - {"__init__.py"}) <= MOST_ENTRIES, sorted(entries)
+
+
+def test_nothing_but_the_session_sees_the_virtual_rigs_parameters():
+    for path in MODULES:
+        if place(path).split("/")[0] in ("experiments", "report", "control", "numerics"):
+            text = path.read_text(encoding="utf-8")
+            assert "recipe.virtual" not in text or place(path) == "experiments/session.py", path
+            assert "rigs.virtual" not in text, path
+
+
+WITHOUT_ROOM = ("attack", "fixtures", "emulators")
+"""Folders of tests that mirror no room."""
+
+
+def test_tests_mirror_the_rooms():
+    """A folder of tests is named as the room that it tests, and every room has tests."""
+    tested = {path.parent.relative_to(TESTS) for path in TESTS.rglob("test_*.py")}
+    rooms = {folder.relative_to(PACKAGE) for folder in FOLDERS}
+    assert {one.as_posix() for one in tested - rooms if one.name not in WITHOUT_ROOM} == set()
+    bare = {one.as_posix() for one in rooms - tested if one.name not in WITHOUT_ROOM}
+    assert bare == set()
 
 
 def test_commands_import_what_is_heavy_only_when_called():
