@@ -31,7 +31,7 @@ from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
 from tests.rigs.serial.test_hosted import toy_rig
 
 SILENT = Bench(yes=True, operator=Operator(ask=lambda q: "", say=lambda t: None, present=True))
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+FIXTURES = Path(__file__).parents[3] / "fixtures"
 ARM = load_recipe(RECIPE)[0].rig.arm.length
 RADIUS = 0.014
 """Of the pulley on which loads hang, m."""

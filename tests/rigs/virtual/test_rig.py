@@ -14,7 +14,7 @@ from rigtool.rigs import Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.virtual.maps import MAP_SIZE, rotor_map
 
-RECIPE = Path(__file__).parents[2] / "recipes" / "briaire-2006.toml"
+RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 
 # An ideal motor: what is not under test is switched off.
 IDEAL = [
