@@ -20,7 +20,7 @@ from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.maxon import guard as maxon_guard
-from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.odrive import driver as odrive
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call

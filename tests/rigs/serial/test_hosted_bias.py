@@ -20,7 +20,7 @@ from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.serial.drive import Abilities
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.maxon import driver as maxon
-from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.odrive import driver as odrive
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulated_time import pass_time

@@ -16,11 +16,12 @@ from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
-from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
@@ -208,7 +209,7 @@ def test_feedforward_arrives_as_that_current():
     with serve(device) as server, moteus_rig(server.port) as rig:
         drive = rig.drive
         drive.enable("position")
-        sent = drive._command(moteus.SetPoint(current=0.5))
+        sent = drive._command(SetPoint(current=0.5))
         drive.halt()
     written = frames.Subframes(sent[3:])
     resolution, count, first = written.registers(written.byte())
