@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any
 
 from rigtool.errors import HardwareError
 from rigtool.experiments.outcome import Outcome
@@ -65,7 +65,7 @@ class Plan:
             safety.check(found, limits, name)
 
 
-class _Rehearsal:
+class _Rehearsal(Rig):
     """A rig that only remembers what it was asked to do."""
 
     def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
@@ -77,15 +77,10 @@ class _Rehearsal:
         self._torque_constant = torque_constant
         self._position = position
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        pass
-
-    def lacks(self, need: str) -> str | None:
-        """Nothing is refused in a rehearsal."""
-        return None
+    @property
+    def position(self) -> float:
+        """Angle of the shaft after the motions so far, rad; NaN where it is not known."""
+        return self._position
 
     def perform(self, task: Task) -> Iterator[Block]:
         """Remember a task; there are no signals."""

@@ -7,7 +7,7 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
@@ -101,12 +101,19 @@ class Task:
 class Rig(Protocol):
     """A motor, an encoder and a current amplifier under position control.
 
-    A context manager: whatever ends the `with` block leaves the motor without current.
+    A context manager: whatever ends the `with` block leaves the motor without current. What only
+    a physical rig needs does nothing here; a rig of equations inherits that.
     """
+
+    physical: bool = False
+    """Whether something real moves: a plan of the motions is agreed to first, and time passes."""
+
+    watcher: Callable[[Block], None] | None = None
+    """Receives what a rig sends while it moves, where signals come later; it must not wait."""
 
     def __enter__(self) -> Self:
         """Connect; nothing moves."""
-        ...
+        return self
 
     def __exit__(
         self,
@@ -115,10 +122,27 @@ class Rig(Protocol):
         trace: TracebackType | None,
     ) -> None:
         """Stop, switch off and let go of the line."""
-        ...
+        return None
 
     def lacks(self, need: str) -> str | None:
         """Return why this one of `NEEDS`, or this channel, is not offered; None where it is."""
+        return None
+
+    def use_only(self, channels: Collection[str]) -> None:
+        """Leave alone the instruments that fill none of these channels; called before `with`."""
+        return None
+
+    def permit(self, plan: str) -> None:
+        """Show what is about to move; raises `UsageError` unless that is agreed to."""
+        return None
+
+    def report(self) -> str | None:
+        """Return facts about the line that are stored with a run, as JSON; None without a line."""
+        return None
+
+    @property
+    def position(self) -> float:
+        """Angle of the shaft, rad."""
         ...
 
     def perform(self, task: Task) -> Iterator[Block]:

@@ -96,7 +96,12 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
         "temperature",
     )
     return tuple(
-        RecordingSpec(name, recorded, {"force": (force, "N"), "cycles": (float(cycles), "1")})
+        RecordingSpec(
+            name,
+            recorded,
+            {"force": (force, "N"), "cycles": (float(cycles), "1")},
+            settings.record_every,
+        )
         for name, force, cycles in plan
     )
 
@@ -104,13 +109,12 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: Run) -> None:
     """Lift and lower each load with the learned table switched on."""
     _require_inputs(recipe, kt, tables)
-    settings = recipe.measure_force
     require_slow_strokes(recipe, strokes(recipe, 1))
     feedforward = feedforward_from(tables, recipe.rig.nominal_inertia)
     for spec in recordings(recipe):
         motion = strokes(recipe, int(spec.conditions["cycles"][0]))
         load = Load(force=spec.conditions["force"][0])
-        task = Task(motion, feedforward, load, record_every=settings.record_every)
+        task = Task(motion, feedforward, load, record_every=spec.record_every)
         record(rig, task, recorder, spec.name)
 
 

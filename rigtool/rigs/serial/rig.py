@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
-from rigtool.rigs.base import NEEDS, Block, Load, Task
+from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
 from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move
 from rigtool.rigs.serial import safety
@@ -36,11 +36,13 @@ COMING_BACK = 10.0
 """Time in which a port must be back after its device was switched off and on, s."""
 
 
-class SerialRig(ABC):
+class SerialRig(Rig, ABC):
     """A rig behind a `Line`, as a context manager: on any exit it is stopped, off and restored.
 
     Subclasses fill in `_connect`, `_execute`, `_halt`, `_restore`, `_position` and `_reason`.
     """
+
+    physical = True
 
     def __init__(self, recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> None:
         assert recipe.serial is not None
@@ -65,8 +67,6 @@ class SerialRig(ABC):
         }
         self._unused: list[str] = []
         self.notes: list[str] = []
-        self.watcher: Callable[[Block], None] | None = None
-        """Gets what a rig tells while it moves, where the signals come later; it must not wait."""
 
     # -- for subclasses
 

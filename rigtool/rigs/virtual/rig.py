@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.recipe import Recipe
 from rigtool.recipe.virtual import Virtual
-from rigtool.rigs.base import Block, Load, Task
+from rigtool.rigs.base import Block, Load, Rig, Task
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, OpenLoop
 from rigtool.rigs.virtual import kernel
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
@@ -30,7 +29,7 @@ MOVE_SPEED = 2.0
 SETTLE_TIME = 0.5
 
 
-class VirtualRig:
+class VirtualRig(Rig):
     """A motor with encoder, amplifier and instrument that exist only as equations.
 
     `torque_constant` is what the controller assumes, N m/A. `stream` names the use (a command), so
@@ -69,17 +68,6 @@ class VirtualRig:
         self._state["direction"] = 1.0
         ambient = self._virtual.thermal.ambient_degc
         self._state["winding_degc"] = self._state["housing_degc"] = ambient
-
-    def __enter__(self) -> Self:
-        """Connect: nothing to do for equations."""
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        """Let go: nothing to do for equations."""
-
-    def lacks(self, need: str) -> str | None:
-        """Return None: equations offer everything."""
-        return None
 
     @property
     def position(self) -> float:

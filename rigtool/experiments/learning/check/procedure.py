@@ -132,7 +132,7 @@ def measure(
     plain = feedforward(recipe.rig.nominal_inertia, tables.results)
     for spec in recordings(recipe):
         if _turns(spec.conditions):
-            task = turning.task(recipe, spec, plain)
+            task = turning.task(spec, plain)
         else:
             task = Task(limited_angle.motion(recipe, spec), plain)
         record(rig, task, recorder, spec.name)
