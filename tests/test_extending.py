@@ -11,7 +11,6 @@ import pytest
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 LISTS = {
-    "Driver": ("rigtool/recipe/serial.py", "Driver = Literal[", ""),
     "MODULES": ("rigtool/rigs/serial/drivers.py", "MODULES = {\n", ""),
     "COMMANDS": ("rigtool/cli/__init__.py", "COMMANDS = {\n", ""),
     "IMPORTERS": (
