@@ -66,6 +66,13 @@ class Feedforward:
     table: LookupTable | None = None
     signal: NDArray[np.float64] | None = None
 
+    def model_torque(
+        self, speed: NDArray[np.float64], acceleration: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the torque (n,) of inertia and friction model, N m; rad/s and rad/s2 (n,)."""
+        torque = self.inertia * acceleration + self.viscous * speed
+        return torque + self.coulomb * np.tanh(speed) if self.coulomb else torque
+
 
 @dataclass(frozen=True)
 class Load:

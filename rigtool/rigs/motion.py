@@ -7,7 +7,7 @@ needs no more memory than a second. Angles in rad at the motor, speeds in rad/s,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,16 +42,12 @@ class SpeedProfile:
 
     times: tuple[float, ...]
     speeds: tuple[float, ...]
+    start: ClassVar[None] = None
 
     @property
     def duration(self) -> float:
         """Length of the motion, s."""
         return self.times[-1]
-
-    @property
-    def start(self) -> None:
-        """Starts from wherever the rotor is."""
-        return None
 
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """Integrate the piecewise linear speed exactly; see `Motion.setpoint`."""
@@ -133,11 +129,7 @@ class Move:
 
     angle: float
     duration: float
-
-    @property
-    def start(self) -> None:
-        """Starts from wherever the rotor is."""
-        return None
+    start: ClassVar[None] = None
 
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """See `Motion.setpoint`."""

@@ -117,8 +117,7 @@ class VirtualRig(Rig):
     def _closed_loop_setpoint(self) -> float:
         if self._setpoint is None:  # close the loop where the rotor is
             self._section_state[:] = 0.0
-            count = 2 * math.pi / self._rig.encoder_counts
-            self._setpoint = math.floor(self._state["angle"][0] / count) * count
+            self._setpoint = self.position
         return self._setpoint
 
     def _run(self, task: Task) -> Iterator[Block]:
@@ -182,15 +181,13 @@ class VirtualRig(Rig):
         position, speed, acceleration = motion.setpoint(time)
         position = position + origin
         ff = task.feedforward
-        torque = ff.inertia * acceleration + ff.viscous * speed
-        if ff.coulomb:
-            torque = torque + ff.coulomb * np.tanh(speed)
         table = zero if ff.table is None else ff.table.evaluate(position, speed)
         return {
             "time": time - time[0],
             "loop_input": position,
             "position_setpoint": position,
-            "feedforward_current": torque / self._assumed_torque_constant,
+            "feedforward_current": ff.model_torque(speed, acceleration)
+            / self._assumed_torque_constant,
             "table_current": table / self._assumed_torque_constant,
         }
 

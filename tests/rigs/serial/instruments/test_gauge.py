@@ -165,7 +165,7 @@ def test_nothing_is_zeroed_or_set_where_it_need_not_be():
             "sends no unit: switch it on",
         ),
         ("mark10", Mark10Emulator(lambda: 1.0, unit="lbFin"), "force", "no unit of force"),
-        ("mark10", Mark10Emulator(lambda: 9.0, highest=5), "force", "says 'overload'"),
+        ("mark10", Mark10Emulator(lambda: 9.0, highest=5), "force", "sends 'overload'"),
         (
             "mecmesin",
             with_options(MecmesinEmulator(lambda: 1.0), mode="MaxC"),
