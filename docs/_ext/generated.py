@@ -138,7 +138,7 @@ def _default(field: FieldInfo) -> str:
 # -- modules
 
 PACKAGE = Path(rigtool_package.__file__).parent
-FLOORS = ("numerics", "control", "runfile", "rigs", "experiments", "report")
+FLOORS = ("numerics", "control", "runfile", "rigs", "experiments", "report", "api")
 """Folders of the package that others program against, from the bottom up."""
 
 

@@ -15,9 +15,9 @@ import pytest
 import rigtool
 from rigtool.errors import RunFileError, UsageError
 
-FIXTURES = Path(__file__).parent / "fixtures"
+FIXTURES = Path(__file__).parents[1] / "fixtures"
 REFERENCES = json.loads((FIXTURES / "references.json").read_text())
-RECIPE = Path(__file__).parents[1] / "recipes" / "briaire-2006.toml"
+RECIPE = Path(__file__).parents[2] / "recipes" / "briaire-2006.toml"
 
 CALLS = {
     "kt": (rigtool.calibrate_kt, ()),

@@ -16,8 +16,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
+from rigtool.api.arrays import analyse_arrays
 from rigtool.errors import RigtoolError, UsageError
-from rigtool.experiments.arrays import analyse_arrays
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
@@ -27,7 +27,7 @@ from rigtool.runfile import Run
 from rigtool.runfile import open_run as open
 
 if TYPE_CHECKING:
-    from rigtool.experiments.arrays import Signals
+    from rigtool.api.arrays import Signals
     from rigtool.recipe import Recipe
 
     File = str | os.PathLike[str]
