@@ -18,6 +18,7 @@ FLOORS = (
     "control",
     "numerics",
     "recipe",
+    "plugins",
     "quantity",
     "errors",
 )
