@@ -17,7 +17,7 @@ from rigtool.errors import HardwareError, InsufficientDataError, UsageError
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
 from rigtool.experiments.deploy.quantised_table import Sampled, interpolated_codes
 from rigtool.experiments.deploy.stored_export import in_unit
-from rigtool.experiments.learning.stored_origin import learned_table_from, told_loss
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.recipe import Recipe
 from rigtool.rigs.bench import Bench
 from rigtool.rigs.serial.drivers import driver_module
@@ -226,7 +226,7 @@ def _plan(turn: PositionMap, sampled: Sampled, zero: EncoderZero, before: DriveT
         f"of the encoder that the drive looks its table up by, which counts {direction} the "
         "position does",
         f"{stored.codes.size} codes, scale {stored.scale:.6g} A; lost "
-        + told_loss(sampled.loss, "A", "rounding"),
+        + sampled.loss.text("A", "rounding"),
         f"the table that is there is {was}; {change} codes change",
     ]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.force.cycles import find_cycles, kept_factor, lowpass_at, readings
+from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.results import ZERO_AGAIN, Reading, loads_outcome
 from rigtool.experiments.force.results_instrument import instrument_outcome
@@ -31,6 +31,7 @@ from rigtool.experiments.session import channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.decimation import Decimator
+from rigtool.numerics.lowpass import kept_factor, lowpass
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
@@ -254,7 +255,7 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
     )
     signals = collected.finish()
     for signal in signals:  # one by one: the filter holds several copies of what it works on
-        signal[:] = lowpass_at(rate / factor, signal, cutoff)
+        signal[:] = lowpass(rate / factor, signal, cutoff)
     return signals, rate / factor
 
 

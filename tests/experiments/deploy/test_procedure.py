@@ -13,7 +13,7 @@ from rigtool.experiments.deploy.position_map import position_map
 from rigtool.experiments.deploy.procedure import _told_ripple, deploy
 from rigtool.experiments.deploy.stored_export import in_unit
 from rigtool.experiments.learning.implementations import turning
-from rigtool.experiments.learning.stored_origin import learned_table_from
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.serial.emulators.faults import Fault

@@ -20,7 +20,7 @@ from rigtool.experiments.learning.implementations.validation import (
     steady_outcome,
 )
 from rigtool.experiments.learning.results_residual import Remaining
-from rigtool.experiments.learning.rows import Moves, Row
+from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.turns import (
     TURN,
     by_angle,
@@ -31,6 +31,7 @@ from rigtool.experiments.learning.turns import (
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.session import channels, record
+from rigtool.numerics.moves import Moves
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Rig, Task
