@@ -9,7 +9,7 @@ from rigtool.recipe import load_recipe
 from rigtool.report.figures import PLOTS, style, sweep
 from rigtool.runfile import Column, RunWriter, Table, open_run
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TURNING = ROOT / "tests" / "fixtures" / "turning.h5"
 SPEED = np.linspace(-30, 30, 9000)
 ITERATIONS = np.arange(4.0)
