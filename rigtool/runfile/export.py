@@ -14,7 +14,8 @@ from rigtool.errors import RunFileError, UsageError
 from rigtool.quantity import Quantity
 from rigtool.runfile import frames, schema
 from rigtool.runfile.model import Table
-from rigtool.runfile.reader import Recording, Run
+from rigtool.runfile.reader import Run
+from rigtool.runfile.recording import Recording
 from rigtool.runfile.storage import storage_errors
 
 _MAT_LIMIT = 2**31

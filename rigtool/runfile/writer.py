@@ -24,7 +24,8 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import layout, provenance, schema, tree
 from rigtool.runfile.model import RecordingSpec, Table
 from rigtool.runfile.opened import OpenFile, open_hdf5
-from rigtool.runfile.reader import Recording, Run
+from rigtool.runfile.reader import Run
+from rigtool.runfile.recording import Recording
 from rigtool.runfile.storage import flush, reserve, storage_errors, sync_folder, sync_path
 from rigtool.runfile.stream import Stream
 
