@@ -19,6 +19,7 @@ FLOORS = (
     "recipe",
     "quantity",
     "errors",
+    "interrupts",
 )
 """From the top; a module imports from its own floor and from those below."""
 

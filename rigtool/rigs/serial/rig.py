@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import HardwareError
+from rigtool.interrupts import held
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
 from rigtool.rigs.bench import Bench
@@ -134,7 +135,7 @@ class SerialRig(Rig, ABC):
     ) -> None:
         """Stop, switch off, restore, let go. What fails here is said, and hides no error."""
         problems = []
-        with safety.uninterrupted():
+        with held():
             if self._running is not None:
                 self._running.close()
             for what, act in (("stop", self._halt), ("restore its settings", self._restore)):
@@ -287,7 +288,7 @@ class SerialRig(Rig, ABC):
 
         Whatever thread has the line lets go of it first.
         """
-        with safety.uninterrupted(), contextlib.suppress(HardwareError):
+        with held(), contextlib.suppress(HardwareError):
             if self._running is not None:
                 self._running.close()
             self._halt()
@@ -369,7 +370,7 @@ def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) 
             yield item
     finally:
         stop.set()
-        with safety.uninterrupted():
+        with held():
             thread.join()
 
 
