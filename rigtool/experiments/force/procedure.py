@@ -27,7 +27,7 @@ from rigtool.experiments.force.results_method import (
 from rigtool.experiments.learning.stored_table import feedforward_from, require_same_rig
 from rigtool.experiments.loop_health import require_health
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.decimation import Decimator
@@ -39,20 +39,6 @@ from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 Array = NDArray[np.float64]
-
-__all__ = [
-    "COMMAND",
-    "NEEDED",
-    "analyse",
-    "analyse_imported",
-    "measure",
-    "recordings",
-]
-
-COMMAND = "measure-force"
-
-NEEDED = ("kt",)
-"""Inputs that only imported runs can do without."""
 
 SIGNALS = (
     "time",
@@ -334,3 +320,13 @@ def _table_u(tables: Run, recipe: Recipe) -> float:
     row = int(np.argmin(np.abs(lookup["speed"] - speed)))
     angle = math.radians(settings.measure_angle) * ratio
     return float(np.interp(angle, lookup["position"], lookup["u"][row]))
+
+
+PROCEDURE = Procedure(
+    "measure-force",
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    analyse_imported=analyse_imported,
+)
