@@ -14,10 +14,10 @@ LISTS = {
     "Driver": ("rigtool/recipe/serial.py", "Driver = Literal[", ""),
     "MODULES": ("rigtool/rigs/serial/drivers.py", "MODULES = {\n", ""),
     "COMMANDS": ("rigtool/cli/__init__.py", "COMMANDS = {\n", ""),
-    "SELF_DESCRIBED": (
+    "IMPORTERS": (
         "rigtool/runfile/importers/__init__.py",
-        "SELF_DESCRIBED = (",
-        "from rigtool.runfile.importers.logger import is_logger, read_logger\n",
+        "IMPORTERS = {",
+        "from rigtool.runfile.importers import logger\n",
     ),
 }
 """Where a line goes: the file, what it follows, and the import that it needs."""

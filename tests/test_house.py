@@ -17,6 +17,7 @@ FLOORS = (
     "control",
     "numerics",
     "recipe",
+    "plugins",
     "quantity",
     "errors",
     "interrupts",

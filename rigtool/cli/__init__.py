@@ -8,12 +8,15 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from rigtool.errors import RigtoolError
 from rigtool.interrupts import Terminated, handled
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """For numpy and scipy, which are imported later. Their matrices are small here: more threads would
@@ -43,7 +46,10 @@ COMMANDS = {
     "export": "Write a run, or a learned table, for other programs.",
 }
 """Commands in the order of use, each with the first line of its help. The command itself is the
-object `command` of the module that `module_name` tells."""
+object `command` in the module that `module_name` names."""
+
+PLUGINS = "rigtool.commands"
+"""Group of the entry points with which other packages add commands: each a `click.Command`."""
 
 
 def module_name(command: str) -> str:
@@ -56,21 +62,41 @@ class LazyGroup(click.Group):
     """Lists commands without importing them: `rigtool --help` needs click only."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names in the order of use."""
-        return list(COMMANDS)
+        """Return the names in the order of use, then those of other packages."""
+        return [*COMMANDS, *_added()]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return a command, None where there is none of this name."""
-        if cmd_name not in COMMANDS:
+        """Import and return a command, None where there is none of this name.
+
+        Raises `RigtoolError` for a command of another package that cannot be used.
+        """
+        if cmd_name in COMMANDS:
+            module = importlib.import_module(f"rigtool.cli.{module_name(cmd_name)}")
+            command: click.Command = module.command
+            return command
+        added = _added()
+        if cmd_name not in added:
             return None
-        module = importlib.import_module(f"rigtool.cli.{module_name(cmd_name)}")
-        command: click.Command = module.command
-        return command
+        from rigtool.plugins import load
+
+        return load(added[cmd_name], click.Command)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands into the help."""
+        from rigtool.plugins import summary
+
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
+        if added := {name: summary(entry) for name, entry in _added().items()}:
+            with formatter.section("Commands of other packages"):
+                formatter.write_dl(list(added.items()))
+
+
+def _added() -> dict[str, EntryPoint]:
+    """Return the commands of other packages by name; those of rigtool cannot be replaced."""
+    from rigtool.plugins import plugins
+
+    return plugins(PLUGINS, frozenset(COMMANDS))
 
 
 @click.group(
