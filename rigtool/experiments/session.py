@@ -23,7 +23,7 @@ from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import Rig, open_rig
-from rigtool.rigs.bench import Bench
+from rigtool.rigs.operator import Operator
 from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
 
 IMPORTED = "import"
@@ -82,8 +82,8 @@ def _measure(
     constant = _assumed_torque_constant(recipe, inputs)
     if options.dry_run:
         return dry_run(procedure, recipe, constant, inputs)
-    bench = Bench(yes=options.yes, spy=options.spy)
-    rig = open_rig(recipe, constant, procedure.command, bench)
+    operator = Operator(yes=options.yes, spy=options.spy)
+    rig = open_rig(recipe, constant, procedure.command, operator)
     plan = procedure.recordings(recipe)
     rig.use_only({channel.name for spec in plan for channel in spec.channels})
     if rig.physical:

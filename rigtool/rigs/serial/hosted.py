@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Task
-from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move, Observe, OpenLoop
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.between import ROOM, Between, usual_time
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
@@ -67,12 +67,12 @@ class HostedRig(SerialRig):
         recipe: Recipe,
         torque_constant: float,
         use: str,
-        bench: Bench,
+        operator: Operator,
         *,
         make_drive: Callable[[Line, Recipe], Drive],
         baud_rate: int,
     ) -> None:
-        super().__init__(recipe, torque_constant, use, bench)
+        super().__init__(recipe, torque_constant, use, operator)
         self._make_drive = make_drive
         self._baud_rate = self._settings.baud_rate or baud_rate
         self._drive: Drive | None = None
@@ -92,7 +92,7 @@ class HostedRig(SerialRig):
             self._settings.port,
             self._baud_rate,
             timeout=self._settings.watchdog / 5,
-            spy=self._bench.spy,
+            spy=self._operator.spy,
             driver=self._settings.driver,
         )
 

@@ -15,13 +15,14 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import constants
 
 from rigtool.errors import HardwareError
 from rigtool.interrupts import held
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
-from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move, Observe
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
 from rigtool.rigs.serial.line import Line
@@ -45,12 +46,14 @@ class SerialRig(Rig, ABC):
 
     physical = True
 
-    def __init__(self, recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> None:
+    def __init__(
+        self, recipe: Recipe, torque_constant: float, use: str, operator: Operator
+    ) -> None:
         assert recipe.serial is not None
         self._recipe, self._settings = recipe, recipe.serial
         self._limits = recipe.serial.limits
         self._torque_constant = torque_constant
-        self._use, self._bench = use, bench
+        self._use, self._operator = use, operator
         self._line: Line | None = None
         self._identity = ""
         self._permitted = False
@@ -58,7 +61,7 @@ class SerialRig(Rig, ABC):
         self._load = Load()
         self._clamp_angle = math.nan
         self._gauges: dict[str, Gauge] = {
-            name: open_gauge(name, settings, bench.operator, lambda: self._line)
+            name: open_gauge(name, settings, operator, lambda: self._line)
             for name, settings in (
                 ("force", recipe.serial.force),
                 ("temperature", recipe.serial.temperature),
@@ -170,7 +173,7 @@ class SerialRig(Rig, ABC):
                 "an operator reads once a motion, and the force changes with every step of "
                 "current: a gauge on a line is needed"
             )
-        alone = not self._bench.operator.present
+        alone = not self._operator.present
         if alone and isinstance(self._gauges.get(need), OperatorGauge):
             return f"an operator reads it, and {NOBODY}"
         if need in self._gauges or need == "rotor_angle":
@@ -200,7 +203,8 @@ class SerialRig(Rig, ABC):
         ]
         if self.lacks("temperature"):
             notes.append("the temperature of the motor is not measured: its limit is not watched")
-        self._bench.permit("\n".join([f"{self._identity} on {self.line.port}", plan, *notes]))
+        plan = "\n".join([f"{self._identity} on {self.line.port}", plan, *notes])
+        self._operator.permit(plan, "the rig would move", "Move now?")
         self._permitted = True
 
     @property
@@ -313,7 +317,7 @@ class SerialRig(Rig, ABC):
         """Clamp the arm with the shaft at this angle, rad."""
         degrees = math.degrees(angle)
         here = math.degrees(self._position())
-        self._bench.operator.done(
+        self._operator.done(
             f"Clamp the arm on the force gauge with the shaft at {degrees:.1f} deg (now "
             f"{here:.1f} deg)"
         )
@@ -321,14 +325,14 @@ class SerialRig(Rig, ABC):
 
     def soak(self, temperature_degc: float) -> None:
         """Wait until the motor has this temperature throughout, degC."""
-        self._bench.operator.done(
+        self._operator.done(
             f"Bring the motor to {temperature_degc:g} degC and wait until it has it throughout"
         )
 
     def power_cycle(self) -> None:
         """Switch the amplifier off and on: it calibrates itself anew."""
         self._halt()
-        self._bench.operator.done("Switch the amplifier off and on again")
+        self._operator.done("Switch the amplifier off and on again")
         self._reconnect()
 
     def _reconnect(self) -> None:
@@ -342,7 +346,7 @@ class SerialRig(Rig, ABC):
         if load in (before, replace(before, clamped=True)):
             return
         self._halt()
-        self._bench.operator.done(describe_load(load, self._recipe.rig.attachment))
+        self._operator.done(describe_load(load, self._recipe.rig.attachment))
 
 
 def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) -> Iterator[Block]:
@@ -379,7 +383,7 @@ def describe_load(load: Load, attachment: str) -> str:
     parts = []
     if load.force:
         where = "the grasper" if attachment == "instrument" else "the cord on the pulley"
-        parts.append(f"hang {load.force:g} N ({load.force / 9.81 * 1e3:.1f} g) on {where}")
+        parts.append(f"hang {load.force:g} N ({load.force / constants.g * 1e3:.1f} g) on {where}")
     if load.torque:
         parts.append(f"load the shaft with {load.torque * 1e3:g} mN m (weight on a cord)")
     if load.radial_force:

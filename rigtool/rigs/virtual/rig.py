@@ -32,6 +32,7 @@ CONTACTS, HAND = 0xC047AC7, 0x4A4D
 """Streams of the seed for what is drawn besides the bench's own noise."""
 
 GRAVITY = 9.81
+"""Of the simulated weights, m/s2: it enters their inertia, and with it every digit of old runs."""
 SOAK_TIME = 600.0
 MOVE_SPEED = 2.0
 SETTLE_TIME = 0.5
@@ -58,16 +59,7 @@ class VirtualRig(Rig):
         self._time = 0.0
         self._clamp_angle = 0.0
         self._assumed_torque_constant = torque_constant
-        controller = recipe.rig.controller
-        self._sections = controller_sections(
-            crossover_hz=controller.crossover_hz,
-            lead_ratio=controller.lead_ratio,
-            integrator_hz=controller.integrator_hz,
-            lowpass_hz=controller.lowpass_hz,
-            lowpass_damping=controller.lowpass_damping,
-            inertia=recipe.rig.nominal_inertia,
-            sample_time=recipe.rig.sample_time,
-        )
+        self._sections = controller_sections(**recipe.rig.loop_design)
         self._section_state = np.zeros((len(self._sections), 2))
         self._setpoint: float | None = None  # of the closed loop, rad; None while it is open
         self._rotor_map = rotor_map(self._virtual, self._virtual.amplifier, self._power_cycle)
