@@ -10,6 +10,7 @@ from tests.house import MODULES, NUMERICS, PACKAGE, TESTS, place
 
 FLOORS = (
     "cli",
+    "api",
     "report",
     "experiments",
     "rigs",

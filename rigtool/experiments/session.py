@@ -66,7 +66,7 @@ def _measure(
     options: CommonOptions,
     inputs: Mapping[str, Run],
 ) -> Outcome:
-    _require_inputs(procedure, inputs)
+    require_inputs(procedure, inputs)
     overrides = list(options.overrides)
     if procedure.bare_motor:
         overrides.append("rig.attachment=pulley")
@@ -156,7 +156,7 @@ def _analyse_stored(
             )
         for run in runs:
             run.require_command(procedure.command, *procedure.accepts)
-        _require_inputs(procedure, inputs)
+        require_inputs(procedure, inputs)
         recipe = runs[0].recipe
         if recipe is None:
             raise RunFileError(
@@ -234,7 +234,8 @@ def _imported_settings(accepted: Mapping[str, str], overrides: Sequence[str]) ->
     return settings
 
 
-def _require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
+def require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
+    """Raise `UsageError` where an input is missing that a procedure needs."""
     for name in procedure.needed:
         if name not in inputs:
             raise UsageError(

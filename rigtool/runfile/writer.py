@@ -56,8 +56,9 @@ class RunWriter:
     Refuses an existing `path` (or the remains of an interrupted run) with `UsageError` unless
     `overwrite`. Where anything fails nothing appears under `path`, and recorded samples stay in
     `<path>.part`. With `origin`, a run that was interrupted and is written anew, its provenance is
-    kept instead of that of the running program, and no part stays after a failure. `rig` names the
-    rig where no recipe does; `source` is the file of another program that is imported.
+    kept instead of that of the running program, and no part stays after a failure, nor with
+    `copied`, where the signals exist elsewhere. `rig` names the rig where no recipe does; `source`
+    is the file of another program that is imported.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class RunWriter:
         origin: Run | None = None,
         rig: str | None = None,
         source: provenance.Source | None = None,
+        copied: bool = False,
     ) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
@@ -82,7 +84,7 @@ class RunWriter:
         self._require_free(inputs)
         self._command = command
         self._specs = tuple(recordings)
-        self._is_copy = origin is not None
+        self._is_copy = copied or origin is not None
         if origin is not None:
             self._rig = origin.rig
             self._provenance = provenance.restore(origin.provenance)
