@@ -16,7 +16,7 @@ from rigtool.experiments.outcome import Outcome
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import WITHOUT_GAUGES, WITHOUT_WATCHDOG, Serial
 from rigtool.rigs import NEEDS, Block, Rig, Task
-from rigtool.rigs.motion import OpenLoop
+from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
@@ -214,8 +214,10 @@ def _require_gauges(plan: Plan, settings: Serial, command: str) -> None:
 
 
 def _needs(task: Task) -> Iterator[str]:
-    open_loop = isinstance(task.motion, OpenLoop)
-    yield "open_loop" if open_loop else "closed_loop"
+    if isinstance(task.motion, Observe):
+        yield "observe"
+    else:
+        yield "open_loop" if isinstance(task.motion, OpenLoop) else "closed_loop"
     added, load = task.feedforward, task.load
     if added.inertia or added.coulomb or added.viscous:
         yield "feedforward"

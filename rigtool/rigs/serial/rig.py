@@ -20,7 +20,7 @@ from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Load, Task
 from rigtool.rigs.bench import Bench
-from rigtool.rigs.motion import Move
+from rigtool.rigs.motion import Move, Observe
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
 from rigtool.rigs.serial.line import Line
@@ -162,6 +162,8 @@ class SerialRig(ABC):
 
     def lacks(self, need: str) -> str | None:
         """Return why a need or channel is not offered; None where it is."""
+        if need == "observe":
+            return "rigtool has to move the motor of a rig on a line itself"
         if need == "force" and isinstance(self._gauges.get(need), OperatorGauge):
             return (
                 "an operator reads once a motion, and the force changes with every step of "
@@ -236,6 +238,8 @@ class SerialRig(ABC):
 
         Raises `HardwareError` where the motion is beyond a limit, or something goes wrong.
         """
+        if isinstance(task.motion, Observe):
+            raise HardwareError(f"{self.line.port}: {self.lacks('observe')}: it cannot be observed")
         self._require_permission(task)
         self._set_load(task.load)
         on_lines = any(not isinstance(gauge, OperatorGauge) for gauge in self._gauges.values())

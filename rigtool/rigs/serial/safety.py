@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rigtool.errors import RecipeError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.base import Block, Feedforward, Task
-from rigtool.rigs.motion import OpenLoop
+from rigtool.rigs.motion import Observe, OpenLoop
 
 Array = NDArray[np.float64]
 
@@ -75,6 +75,8 @@ class Extremes:
 def extremes(task: Task, origin: float, sample_time: float, torque_constant: float) -> Extremes:
     """Evaluate a task at every sample of the loop; `origin` [rad] is where the shaft is."""
     motion = task.motion
+    if isinstance(motion, Observe):  # where somebody else moves it is not known
+        return Extremes(motion.duration, (math.nan, math.nan), 0.0, 0.0, 0.0, math.nan)
     total = max(1, round(motion.duration / sample_time))
     low, high, top_speed, top_acceleration, top_current = math.inf, -math.inf, 0.0, 0.0, 0.0
     end = origin
