@@ -192,23 +192,25 @@ def _touched(
     output, `load` that of the recipe's load, `inertia` the rig's with that load.
     """
     weight = touch[WEIGHT_MOMENT]
+    hung = weight * p.inertia_per_weight
+    total = inertia + hung
     outside = load + touch[FORCE_TORQUE] + weight * lever
-    stiffness, damping = p.grip_stiffness, p.grip_damping
-    spring = stiffness * (angle - touch[HAND_ANGLE]) - damping * touch[HAND_SPEED]
+    grip = p.grip_stiffness * (angle - touch[HAND_ANGLE]) - p.grip_damping * touch[HAND_SPEED]
+    per_speed = p.grip_damping + p.dt * p.grip_stiffness
+    push = yielding = 0.0
     for j in range(tissues.shape[0]):
         tissue = tissues[j]
         depth = angle - tissue[TISSUE_ANGLE]
         if tissue[BEGIN] <= time < tissue[END] and depth > 0.0:
-            push = tissue[TISSUE_STIFFNESS] * depth
-            if push + tissue[TISSUE_DAMPING] * speed > 0.0:
-                spring += push
-                stiffness += tissue[TISSUE_STIFFNESS]
-                damping += tissue[TISSUE_DAMPING]
-    hung = weight * p.inertia_per_weight
-    total = inertia + hung
-    per_speed = damping + p.dt * stiffness
-    after = (speed + p.dt * (driving - outside - spring) / total) / (1.0 + p.dt * per_speed / total)
-    outside += spring + per_speed * after + (p.load_inertia + hung) * (after - speed) / p.dt
+            push += tissue[TISSUE_STIFFNESS] * depth
+            yielding += tissue[TISSUE_DAMPING] + p.dt * tissue[TISSUE_STIFFNESS]
+    free = speed + p.dt * (driving - outside - grip) / total
+    after = (free - p.dt * push / total) / (1.0 + p.dt * (per_speed + yielding) / total)
+    if push + yielding * after < 0.0:  # tissue lets go
+        push = yielding = 0.0
+        after = free / (1.0 + p.dt * per_speed / total)
+    outside += grip + push + (per_speed + yielding) * after
+    outside += (p.load_inertia + hung) * (after - speed) / p.dt
     return after, outside
 
 

@@ -285,7 +285,10 @@ class TargetEmulator(Emulator):
             signal if signal.size else None,
         )
         load = link.unpack_load(objects[Slot.LOAD]) if Slot.LOAD in objects else Load()
-        return Task(link.unpack_motion(objects[Slot.MOTION]), added, load, every, stop_angle)
+        virtual = self._recipe.virtual
+        touched = virtual is not None and bool(virtual.contact)
+        motion = link.unpack_motion(objects[Slot.MOTION])
+        return Task(motion, added, load, every, stop_angle, touched)
 
     def _start(self, payload: bytes) -> bytes:
         if self.state is not State.ARMED:
