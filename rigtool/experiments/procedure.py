@@ -25,8 +25,7 @@ class Procedure:
     other rigs; `imported_settings` maps the keys of `--set` that it takes to its argument names.
 
     `rig_needs(recipe)` names what a rig has to offer for motions that depend on what is measured
-    first, see `dry_run`. `record_every(recipe)` is the largest number of samples of the loop that
-    make one recorded sample.
+    first, see `dry_run`.
     """
 
     command: str
@@ -39,7 +38,6 @@ class Procedure:
     analyse_imported: Callable[..., Outcome] | None = None
     imported_settings: Mapping[str, str] = field(default_factory=dict)
     rig_needs: Callable[[Recipe], tuple[str, ...]] = lambda recipe: ()
-    record_every: Callable[[Recipe], int] = lambda recipe: 1
 
 
 def channels(*names: str) -> tuple[Channel, ...]:

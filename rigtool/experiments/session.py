@@ -22,9 +22,8 @@ from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe, load_recipe, override_recipe
-from rigtool.rigs import open_rig
-from rigtool.rigs.bench import Bench
-from rigtool.rigs.serial.rig import SerialRig
+from rigtool.rigs import Rig, open_rig
+from rigtool.rigs.operator import Operator
 from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
 
 IMPORTED = "import"
@@ -83,12 +82,12 @@ def _measure(
     constant = _assumed_torque_constant(recipe, inputs)
     if options.dry_run:
         return dry_run(procedure, recipe, constant, inputs)
-    bench = Bench(yes=options.yes, spy=options.spy)
-    rig = open_rig(recipe, constant, procedure.command, bench)
+    operator = Operator(yes=options.yes, spy=options.spy)
+    rig = open_rig(recipe, constant, procedure.command, operator)
     plan = procedure.recordings(recipe)
-    if isinstance(rig, SerialRig):
-        rig.use_only({channel.name for spec in plan for channel in spec.channels})
-        plan = _in_seconds(plan, recipe, procedure)
+    rig.use_only({channel.name for spec in plan for channel in spec.channels})
+    if rig.physical:
+        plan = _in_seconds(plan, recipe.rig.sample_time)
     writer = _WatchedWriter(
         output,
         command=procedure.command,
@@ -102,34 +101,33 @@ def _measure(
     live = nullcontext() if options.live is None else open_live(options.live)
     with live as feed, writer, _progress(options, plan, writer):
         writer.live = feed
-        if isinstance(rig, SerialRig) and feed is not None:
+        if feed is not None:
             rig.watcher = partial(feed.show, MEANWHILE)
         with rig:
-            if isinstance(rig, SerialRig):
+            if rig.physical:
                 _permit(rig, procedure, recipe, constant, inputs)
             procedure.measure(rig, recipe, writer, **inputs)
         run = writer.recorded()
-        if isinstance(rig, SerialRig):
-            run.provenance["line"] = report = rig.report()
+        if (report := rig.report()) is not None:
+            run.provenance["line"] = report
             writer.note_line(report)
         outcome = procedure.analyse([run], recipe, **inputs)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
 
 
-def _in_seconds(
-    plan: Sequence[RecordingSpec], recipe: Recipe, procedure: Procedure
-) -> tuple[RecordingSpec, ...]:
+def _in_seconds(plan: Sequence[RecordingSpec], sample_time: float) -> tuple[RecordingSpec, ...]:
     """Put about a second in a chunk, so that a program that is killed loses no more than that.
 
     A virtual rig is a thousand times faster than its clock: it may lose a large chunk.
     """
-    chunk = chunk_of(1 / (procedure.record_every(recipe) * recipe.rig.sample_time))
-    return tuple(replace(spec, chunk=chunk) for spec in plan)
+    return tuple(
+        replace(spec, chunk=chunk_of(1 / (spec.record_every * sample_time))) for spec in plan
+    )
 
 
 def _permit(
-    rig: SerialRig,
+    rig: Rig,
     procedure: Procedure,
     recipe: Recipe,
     torque_constant: float,

@@ -43,13 +43,15 @@ class RecordingSpec:
     """A recording before it is made: its channels on one `time`, and under which conditions.
 
     `conditions` maps a name to (value, unit), e.g. `{"speed": (3.0, "rad/s")}`. A viewer plots the
-    first channel other than `time`. What a killed run may lose are `chunk` samples. Raises
-    `ValueError` for names or channels that do not fit.
+    first channel other than `time`. A sample is the mean of `record_every` samples of the loop.
+    What a killed run may lose are `chunk` samples. Raises `ValueError` for names or channels that
+    do not fit.
     """
 
     name: str
     channels: tuple[Channel, ...]
     conditions: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    record_every: int = 1
     chunk: int = schema.CHUNK
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.force.cycles import find_cycles, kept_factor, lowpass_at, readings
+from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.results import ZERO_AGAIN, Reading, loads_outcome
 from rigtool.experiments.force.results_instrument import instrument_outcome
@@ -31,6 +31,7 @@ from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.decimation import Decimator
+from rigtool.numerics.lowpass import kept_factor, lowpass
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
@@ -82,7 +83,12 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
         "temperature",
     )
     return tuple(
-        RecordingSpec(name, recorded, {"force": (force, "N"), "cycles": (float(cycles), "1")})
+        RecordingSpec(
+            name,
+            recorded,
+            {"force": (force, "N"), "cycles": (float(cycles), "1")},
+            settings.record_every,
+        )
         for name, force, cycles in plan
     )
 
@@ -90,13 +96,12 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: Run) -> None:
     """Lift and lower each load with the learned table switched on."""
     _require_inputs(recipe, kt, tables)
-    settings = recipe.measure_force
     require_slow_strokes(recipe, strokes(recipe, 1))
     feedforward = feedforward_from(tables, recipe.rig.nominal_inertia)
     for spec in recordings(recipe):
         motion = strokes(recipe, int(spec.conditions["cycles"][0]))
         load = Load(force=spec.conditions["force"][0])
-        task = Task(motion, feedforward, load, record_every=settings.record_every)
+        task = Task(motion, feedforward, load, record_every=spec.record_every)
         record(rig, task, recorder, spec.name)
 
 
@@ -236,7 +241,7 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
     )
     signals = collected.finish()
     for signal in signals:  # one by one: the filter holds several copies of what it works on
-        signal[:] = lowpass_at(rate / factor, signal, cutoff)
+        signal[:] = lowpass(rate / factor, signal, cutoff)
     return signals, rate / factor
 
 
@@ -324,5 +329,4 @@ PROCEDURE = Procedure(
     analyse,
     needed=("kt",),
     analyse_imported=analyse_imported,
-    record_every=lambda recipe: recipe.measure_force.record_every,
 )

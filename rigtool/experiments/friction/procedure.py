@@ -56,11 +56,12 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
         "feedforward_current",
         "temperature",
     )
-    force = recipe.stribeck.radial_force
-    return (
-        *(RecordingSpec(name, names) for name in (HOLDS, *SWEEPS)),
-        RecordingSpec(BREAKAWAY, names, {"radial_force": (0.0, "N")}),
-        RecordingSpec(BREAKAWAY_LOADED, names, {"radial_force": (force, "N")}),
+    force, every = recipe.stribeck.radial_force, recipe.stribeck.record_every
+    conditions = {BREAKAWAY: {"radial_force": (0.0, "N")}}
+    conditions[BREAKAWAY_LOADED] = {"radial_force": (force, "N")}
+    return tuple(
+        RecordingSpec(name, names, conditions.get(name, {}), every)
+        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
     )
 
 
@@ -179,5 +180,4 @@ PROCEDURE = Procedure(
     bare_motor=True,
     analyse_imported=analyse_imported,
     rig_needs=rig_needs,
-    record_every=lambda recipe: recipe.stribeck.record_every,
 )

@@ -27,10 +27,6 @@ from rigtool.runfile import RecordingSpec, Run, RunWriter
 COMMAND = "ilc-learn"
 
 
-def _turning(recipe: Recipe) -> int:
-    return recipe.ilc_learn.turning.record_every
-
-
 IMPLEMENTATIONS: dict[str, tuple[str, Procedure]] = {
     "A": (
         "turning at one speed, by position, amplitude and phase by speed",
@@ -40,7 +36,6 @@ IMPLEMENTATIONS: dict[str, tuple[str, Procedure]] = {
             one_speed.measure,
             one_speed.analyse,
             bare_motor=True,
-            record_every=_turning,
         ),
     ),
     "B": (
@@ -51,7 +46,6 @@ IMPLEMENTATIONS: dict[str, tuple[str, Procedure]] = {
             all_speeds.measure,
             all_speeds.analyse,
             bare_motor=True,
-            record_every=_turning,
         ),
     ),
     "C": (
@@ -65,7 +59,6 @@ IMPLEMENTATIONS: dict[str, tuple[str, Procedure]] = {
             known_loads.recordings,
             known_loads.measure,
             known_loads.analyse,
-            record_every=lambda recipe: recipe.ilc_learn.loads.record_every,
         ),
     ),
     "standard": (
@@ -155,5 +148,4 @@ PROCEDURE = Procedure(
     needed=("kt",),
     analyse_imported=analyse_imported,
     rig_needs=rig_needs,
-    record_every=lambda recipe: _implementation(recipe).record_every(recipe),
 )

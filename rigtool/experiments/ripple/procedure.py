@@ -93,6 +93,7 @@ def _spec(
             "steady_from": (start, "s"),
             "steady_until": (start + turns * 2 * math.pi / speed, "s"),
         },
+        recipe.fft_ripple.record_every,
     )
 
 
@@ -108,7 +109,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
         task = Task(
             SpeedProfile((0.0, run_up, until, until + run_up), (0.0, speed, speed, 0.0)),
             load=Load(torque=conditions.get("torque", 0.0)),
-            record_every=recipe.fft_ripple.record_every,
+            record_every=spec.record_every,
         )
         record(rig, task, recorder, spec.name)
 
@@ -364,5 +365,4 @@ PROCEDURE = Procedure(
     needed=("kt",),
     bare_motor=True,  # no instrument can follow whole turns
     analyse_imported=analyse_imported,
-    record_every=lambda recipe: recipe.fft_ripple.record_every,
 )

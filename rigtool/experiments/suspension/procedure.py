@@ -37,7 +37,10 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording for each force."""
     return tuple(
         RecordingSpec(
-            f"pull_{number:03d}", channels("time", "deflection"), {"radial_force": (force, "N")}
+            f"pull_{number:03d}",
+            channels("time", "deflection"),
+            {"radial_force": (force, "N")},
+            RECORD_EVERY,
         )
         for number, force in enumerate(recipe.suspension.forces)
     )
@@ -48,7 +51,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
     _described(recipe)
     for spec in recordings(recipe):
         load = Load(radial_force=spec.conditions["radial_force"][0])
-        task = Task(CurrentSteps((0.0,), READING_TIME), load=load, record_every=RECORD_EVERY)
+        task = Task(CurrentSteps((0.0,), READING_TIME), load=load, record_every=spec.record_every)
         record(rig, task, recorder, spec.name)
 
 
@@ -176,5 +179,4 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     bare_motor=True,
-    record_every=lambda recipe: RECORD_EVERY,
 )

@@ -28,7 +28,8 @@ STAIRCASE = "staircase"
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording of all staircases in sequence; the bench clock runs on."""
     names = ("time", "rotor_angle", "current_setpoint", "current", "force", "temperature")
-    return (RecordingSpec(STAIRCASE, channels(*names)),)
+    every = recipe.calibrate_kt.record_every
+    return (RecordingSpec(STAIRCASE, channels(*names), record_every=every),)
 
 
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
@@ -210,5 +211,4 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     bare_motor=True,
-    record_every=lambda recipe: recipe.calibrate_kt.record_every,
 )

@@ -10,8 +10,7 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning.check import procedure as ilc_check
 from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
-from rigtool.experiments.learning.stored_origin import learned_table_from
-from rigtool.experiments.learning.stored_table import lookup_table_from
+from rigtool.experiments.learning.stored_table import learned_table_from, lookup_table_from
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.session import run_command
 from rigtool.quantity import Quantity

@@ -25,10 +25,10 @@ from rigtool.experiments.learning.implementations import a_one_speed as one_spee
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
 from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.implementations import turning
+from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
 from rigtool.experiments.learning.procedure_design import design
 from rigtool.experiments.learning.rows import Row
-from rigtool.experiments.learning.stored_origin import learned_table_from
-from rigtool.experiments.learning.stored_table import COULOMB, VISCOUS, feedforward, require_rig
+from rigtool.experiments.learning.stored_table import feedforward, learned_table_from, require_rig
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, record
@@ -125,7 +125,7 @@ def measure(
     plain = feedforward(recipe.rig.nominal_inertia, tables.results)
     for spec in recordings(recipe):
         if _turns(spec.conditions):
-            task = turning.task(recipe, spec, plain)
+            task = turning.task(spec, plain)
         else:
             task = Task(limited_angle.motion(recipe, spec), plain)
         record(rig, task, recorder, spec.name)
@@ -215,7 +215,4 @@ PROCEDURE = Procedure(
     needed=("kt",),
     accepts=("ilc-learn",),
     analyse_imported=analyse_imported,
-    record_every=lambda recipe: (
-        recipe.ilc_learn.turning.record_every if recipe.ilc_learn.implementation in TURNING else 1
-    ),
 )

@@ -57,6 +57,7 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
                 "force": (force, "N"),
                 "cycles": (float(settings.cycles), "1"),
             },
+            settings.record_every,
         )
         for row, speed in enumerate(settings.speeds_rev_per_s)
         for number, force in enumerate((0.0, *settings.forces, 0.0))
@@ -78,8 +79,8 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Run) -> Non
             cycles=int(spec.conditions["cycles"][0]),
         )
         load = Load(force=spec.conditions["force"][0])
-        every = recipe.ilc_learn.loads.record_every
-        record(rig, Task(motion, plain, load, record_every=every), recorder, spec.name)
+        task = Task(motion, plain, load, record_every=spec.record_every)
+        record(rig, task, recorder, spec.name)
 
 
 def analyse(runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
