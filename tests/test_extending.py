@@ -15,7 +15,6 @@ import rigtool
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 LISTS = {
-    "Driver": ("rigtool/recipe/serial.py", "Driver = Literal[", ""),
     "MODULES": ("rigtool/rigs/serial/drivers.py", "MODULES = {\n", ""),
     "COMMANDS": ("rigtool/cli/__init__.py", "COMMANDS = {\n", ""),
 }
