@@ -14,11 +14,8 @@ import rigtool
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
-LISTS = {
-    "MODULES": ("rigtool/rigs/serial/drivers.py", "MODULES = {\n", ""),
-    "COMMANDS": ("rigtool/cli/__init__.py", "COMMANDS = {\n", ""),
-}
-"""Where a line goes: the file, what it follows, and the import that it needs."""
+INTO = {"COMMANDS": ("rigtool/cli/__init__.py", "COMMANDS = {\n")}
+"""Where a line goes: the file, and what it follows."""
 
 
 @pytest.fixture(scope="module")
@@ -44,13 +41,10 @@ def copy(tmp_path_factory):
 
 
 def insert(root, name, text):
-    file, behind, needed = LISTS[name]
-    path = root / file
-    source = path.read_text()
+    file, behind = INTO[name]
+    source = (root / file).read_text()
     assert source.count(behind) == 1
-    future = "from __future__ import annotations\n"
-    source = source.replace(behind, f"{behind}{text}").replace(future, f"{future}{needed}", 1)
-    path.write_text(source)
+    (root / file).write_text(source.replace(behind, f"{behind}{text}"))
 
 
 @pytest.fixture(scope="module")
@@ -104,6 +98,13 @@ def test_an_installed_command_shows_what_it_measured(installed):
         force = kt.recordings["staircase"].read("force")
     rms = float(np.sqrt(np.mean(force**2)))
     assert f"staircase  force  {rms:.4g} N\n" in printed["rigtool rms kt.h5"]
+
+
+def test_an_installed_driver_is_among_those_that_are_asked(installed):
+    root, _ = installed
+    refused = run(root, "-m", "rigtool", "devices", "loop://", "--driver", "nobody")
+    assert refused.returncode == 2
+    assert ", acme," in refused.stderr
 
 
 def test_an_installed_importer_reads_its_format(installed):
