@@ -13,6 +13,7 @@ from typing import Any, Self
 
 from rigtool.errors import HardwareError
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import WITHOUT_GAUGES, WITHOUT_WATCHDOG, Serial
 from rigtool.rigs import NEEDS, Block, Rig, Task
@@ -147,7 +148,7 @@ class _Recorder:
 
 
 def rehearse(
-    procedure: Any,
+    procedure: Procedure,
     recipe: Recipe,
     torque_constant: float,
     inputs: Mapping[str, Run],
@@ -162,8 +163,7 @@ def rehearse(
         rig.plan.complete = False
     for spec in specs:
         rig.plan.needs |= {channel.name: None for channel in spec.channels}
-    if hasattr(procedure, "rig_needs"):
-        rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
+    rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
     return rig.plan
 
 
@@ -179,14 +179,14 @@ def require_offered(rig: Rig, plan: Plan, command: str) -> None:
 
 
 def dry_run(
-    procedure: Any, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
+    procedure: Procedure, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
 ) -> Outcome:
     """Return a plan as remarks, checked against the limits of a rig that has some."""
     plan = rehearse(procedure, recipe, torque_constant, inputs)
     notes = [str(plan)]
     if recipe.rig.source == "serial" and recipe.serial is not None:
         plan.check(recipe.serial.limits)
-        _require_gauges(plan, recipe.serial, procedure.COMMAND)
+        _require_gauges(plan, recipe.serial, procedure.command)
         low, high = recipe.serial.limits.position
         limits = recipe.serial.limits
         notes.append(

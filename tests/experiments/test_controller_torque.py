@@ -13,7 +13,7 @@ from rigtool.experiments.controller_torque import (
     loop_signals,
     naming,
 )
-from rigtool.experiments.session import channels
+from rigtool.experiments.procedure import channels
 from rigtool.recipe import load_recipe
 from rigtool.runfile import RecordingSpec, RunWriter
 from tests.experiments.virtual_runs import RECIPE

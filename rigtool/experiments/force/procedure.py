@@ -25,27 +25,13 @@ from rigtool.experiments.force.results_method import (
 from rigtool.experiments.learning.stored_table import feedforward_from, require_same_rig
 from rigtool.experiments.load_disturbance.stored_recordings import CHANNELS
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import mean_constant_note, torque_per_ampere
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import RecordingSpec, Run, RunWriter
-
-__all__ = [
-    "COMMAND",
-    "NEEDED",
-    "analyse",
-    "analyse_imported",
-    "measure",
-    "recordings",
-]
-
-COMMAND = "measure-force"
-
-NEEDED = ("kt",)
-"""Inputs that only imported runs can do without."""
 
 HYSTERESIS, SHIFT = "hysteresis", "shift"
 
@@ -253,3 +239,14 @@ def _table_u(tables: Run, recipe: Recipe) -> float:
     row = int(np.argmin(np.abs(lookup["speed"] - speed)))
     angle = math.radians(settings.measure_angle) * ratio
     return float(np.interp(angle, lookup["position"], lookup["u"][row]))
+
+
+PROCEDURE = Procedure(
+    "measure-force",
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    analyse_imported=analyse_imported,
+    record_every=lambda recipe: recipe.measure_force.record_every,
+)

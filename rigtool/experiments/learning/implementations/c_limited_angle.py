@@ -38,7 +38,7 @@ from rigtool.experiments.learning.rows import (
 )
 from rigtool.experiments.learning.stored_table import feedforward, friction_results, tables_of
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.moves import Moves, at_positions, cut_moves
 from rigtool.quantity import Quantity

@@ -32,14 +32,13 @@ from rigtool.experiments.load_disturbance.stored import (
 )
 from rigtool.experiments.load_disturbance.stored_recordings import CHANNELS, cycles_of
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import channels, record
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
 
-COMMAND = "ilc-learn"
 LOADED = "known"
 """How names of recordings of known loads begin."""
 

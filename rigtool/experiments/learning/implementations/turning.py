@@ -31,7 +31,7 @@ from rigtool.experiments.learning.turns import (
     turn_angles,
 )
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import channels, record
 from rigtool.numerics.moves import Moves
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
