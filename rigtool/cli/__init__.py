@@ -5,16 +5,15 @@ from __future__ import annotations
 import importlib
 import keyword
 import os
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
-from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from rigtool.errors import RigtoolError
+from rigtool.interrupts import Terminated, handled
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -57,10 +56,6 @@ def module_name(command: str) -> str:
     """Return the module of a command: underscores for hyphens, one behind a word of Python."""
     name = command.replace("-", "_")
     return f"{name}_" if keyword.iskeyword(name) else name
-
-
-class Terminated(BaseException):
-    """SIGTERM arrived: files are closed on the way out, as with Ctrl-C."""
 
 
 class LazyGroup(click.Group):
@@ -126,11 +121,9 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code; errors become messages on stderr."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     _keep_memory_of_blocks()
-    signal.signal(signal.SIGTERM, _terminate)
-    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        signal.signal(signal.SIGHUP, _terminate)  # the terminal was closed; nohup ignores it
     try:
-        code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False)
+        with handled():
+            code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False)
     except BaseException as error:
         if "--debug" in arguments:
             traceback.print_exc()
@@ -180,7 +173,3 @@ def _say(error: BaseException, message: str, code: int) -> int:
     for line in (message, *getattr(error, "__notes__", ())):
         click.echo(line, err=True)
     return code
-
-
-def _terminate(signum: int, frame: FrameType | None) -> None:
-    raise Terminated

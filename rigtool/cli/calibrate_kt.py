@@ -23,7 +23,7 @@ def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> No
     """
     from rigtool.cli.printing import print_outcome
     from rigtool.experiments.session import run_command
-    from rigtool.experiments.torque_constant import procedure as calibrate_kt
+    from rigtool.experiments.torque_constant.procedure import PROCEDURE
 
-    outcome = run_command(calibrate_kt, sources, output, options=options, inputs={})
+    outcome = run_command(PROCEDURE, sources, output, options=options, inputs={})
     print_outcome(outcome, output, options)

@@ -45,13 +45,19 @@ def command(
     """
     from rigtool.experiments.deploy.procedure import deploy
     from rigtool.recipe import load_recipe
-    from rigtool.rigs.bench import Bench
+    from rigtool.rigs.operator import Operator
     from rigtool.runfile import open_run
 
     recipe, _ = load_recipe(rig, overrides)
     with open_run(tables) as run, open_inputs(kt=kt) as inputs:
-        bench = Bench(yes=yes, spy=spy)
-        done = deploy(run, recipe, speed=speed, kt=inputs.get("kt"), dry_run=dry_run, bench=bench)
+        done = deploy(
+            run,
+            recipe,
+            speed=speed,
+            kt=inputs.get("kt"),
+            dry_run=dry_run,
+            operator=Operator(yes=yes, spy=spy),
+        )
     if quiet:
         return
     for line in done.lines:

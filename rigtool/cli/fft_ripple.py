@@ -35,9 +35,9 @@ def command(sources: tuple[str, ...], output: str, kt: str | None, options: Comm
     are grouped by their conditions, and compared by order; imported maps with each other.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.ripple import procedure as fft_ripple
+    from rigtool.experiments.ripple.procedure import PROCEDURE
     from rigtool.experiments.session import run_command
 
     with open_inputs(kt=kt) as inputs:
-        outcome = run_command(fft_ripple, sources, output, options=options, inputs=inputs)
+        outcome = run_command(PROCEDURE, sources, output, options=options, inputs=inputs)
     print_outcome(outcome, output, options)

@@ -37,9 +37,9 @@ def command(sources: tuple[str, ...], output: str, kt: str | None, options: Comm
     current limit, end with exit code 4. Thesis sections 7.2.3 and 7.2.4.2.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.plant import procedure as identify_plant
+    from rigtool.experiments.plant.procedure import PROCEDURE
     from rigtool.experiments.session import run_command
 
     with open_inputs(kt=kt) as inputs:
-        outcome = run_command(identify_plant, sources, output, options=options, inputs=inputs)
+        outcome = run_command(PROCEDURE, sources, output, options=options, inputs=inputs)
     print_outcome(outcome, output, options)

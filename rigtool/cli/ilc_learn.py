@@ -82,7 +82,7 @@ def command(
     and load, that measure-force reads torque with.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.imported_load import procedure as imported_load
+    from rigtool.experiments.imported_load.procedure import PROCEDURE as BY_LOAD
     from rigtool.experiments.learning import procedure as ilc_learn
     from rigtool.experiments.session import run_command
 
@@ -104,7 +104,7 @@ def command(
     if learning_filter is not None:
         options = options.with_override(f"ilc_learn.learning_filter={learning_filter}")
     with open_inputs(kt=kt, friction=friction, plant=plant) as inputs:
-        procedure = imported_load if by_load else ilc_learn
+        procedure = BY_LOAD if by_load else ilc_learn.PROCEDURE
         outcome = run_command(procedure, sources, output, options=options, inputs=inputs)
     print_outcome(outcome, output, options)
 
@@ -122,7 +122,7 @@ def _check(
 
     with open_inputs(**paths) as inputs:
         options = ilc_check.as_learned(options, sources, inputs["tables"])
-        outcome = run_command(ilc_check, sources, output, options=options, inputs=inputs)
+        outcome = run_command(ilc_check.PROCEDURE, sources, output, options=options, inputs=inputs)
     if options.dry_run:
         print_outcome(outcome, output, options)
         return

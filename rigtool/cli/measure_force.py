@@ -48,11 +48,11 @@ def command(
     hold a sensor's reference_torque it judges the result.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.force import procedure as measure_force
+    from rigtool.experiments.force.procedure import PROCEDURE
     from rigtool.experiments.session import run_command
 
     if correction is not None:
         options = options.with_override(f"measure_force.correction={correction}")
     with open_inputs(kt=kt, tables=tables) as inputs:
-        outcome = run_command(measure_force, sources, output, options=options, inputs=inputs)
+        outcome = run_command(PROCEDURE, sources, output, options=options, inputs=inputs)
     print_outcome(outcome, output, options)

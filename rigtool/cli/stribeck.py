@@ -33,9 +33,9 @@ def command(sources: tuple[str, ...], output: str, kt: str | None, options: Comm
     in its equation of motion. A curve that no friction model explains ends with exit code 4.
     """
     from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.friction import procedure as stribeck
+    from rigtool.experiments.friction.procedure import PROCEDURE
     from rigtool.experiments.session import run_command
 
     with open_inputs(kt=kt) as inputs:
-        outcome = run_command(stribeck, sources, output, options=options, inputs=inputs)
+        outcome = run_command(PROCEDURE, sources, output, options=options, inputs=inputs)
     print_outcome(outcome, output, options)

@@ -24,7 +24,7 @@ def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> No
     """
     from rigtool.cli.printing import print_outcome
     from rigtool.experiments.session import run_command
-    from rigtool.experiments.suspension import procedure as suspension
+    from rigtool.experiments.suspension.procedure import PROCEDURE
 
-    outcome = run_command(suspension, sources, output, options=options, inputs={})
+    outcome = run_command(PROCEDURE, sources, output, options=options, inputs={})
     print_outcome(outcome, output, options)

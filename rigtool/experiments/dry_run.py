@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any
 
 from rigtool.errors import HardwareError
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import WITHOUT_GAUGES, WITHOUT_WATCHDOG, Serial
 from rigtool.rigs import NEEDS, Block, Rig, Task
-from rigtool.rigs.motion import OpenLoop
+from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
@@ -65,7 +66,7 @@ class Plan:
             safety.check(found, limits, name)
 
 
-class _Rehearsal:
+class _Rehearsal(Rig):
     """A rig that only remembers what it was asked to do."""
 
     def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
@@ -77,15 +78,10 @@ class _Rehearsal:
         self._torque_constant = torque_constant
         self._position = position
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        pass
-
-    def lacks(self, need: str) -> str | None:
-        """Nothing is refused in a rehearsal."""
-        return None
+    @property
+    def position(self) -> float:
+        """Angle of the shaft after the motions so far, rad; NaN where it is not known."""
+        return self._position
 
     def perform(self, task: Task) -> Iterator[Block]:
         """Remember a task; there are no signals."""
@@ -147,7 +143,7 @@ class _Recorder:
 
 
 def rehearse(
-    procedure: Any,
+    procedure: Procedure,
     recipe: Recipe,
     torque_constant: float,
     inputs: Mapping[str, Run],
@@ -162,8 +158,7 @@ def rehearse(
         rig.plan.complete = False
     for spec in specs:
         rig.plan.needs |= {channel.name: None for channel in spec.channels}
-    if hasattr(procedure, "rig_needs"):
-        rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
+    rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
     return rig.plan
 
 
@@ -179,14 +174,14 @@ def require_offered(rig: Rig, plan: Plan, command: str) -> None:
 
 
 def dry_run(
-    procedure: Any, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
+    procedure: Procedure, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
 ) -> Outcome:
     """Return a plan as remarks, checked against the limits of a rig that has some."""
     plan = rehearse(procedure, recipe, torque_constant, inputs)
     notes = [str(plan)]
     if recipe.rig.source == "serial" and recipe.serial is not None:
         plan.check(recipe.serial.limits)
-        _require_gauges(plan, recipe.serial, procedure.COMMAND)
+        _require_gauges(plan, recipe.serial, procedure.command)
         low, high = recipe.serial.limits.position
         limits = recipe.serial.limits
         notes.append(
@@ -214,8 +209,10 @@ def _require_gauges(plan: Plan, settings: Serial, command: str) -> None:
 
 
 def _needs(task: Task) -> Iterator[str]:
-    open_loop = isinstance(task.motion, OpenLoop)
-    yield "open_loop" if open_loop else "closed_loop"
+    if isinstance(task.motion, Observe):
+        yield "observe"
+    else:
+        yield "open_loop" if isinstance(task.motion, OpenLoop) else "closed_loop"
     added, load = task.feedforward, task.load
     if added.inertia or added.coulomb or added.viscous:
         yield "feedforward"

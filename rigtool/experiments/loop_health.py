@@ -59,15 +59,7 @@ def smallest_gain(recipe: Recipe) -> float:
     """Return the smallest gain of the recipe's controller below its crossover, N m/rad."""
     from scipy.signal import sosfreqz
 
-    controller, rig = recipe.rig.controller, recipe.rig
-    sections = controller_sections(
-        crossover_hz=controller.crossover_hz,
-        lead_ratio=controller.lead_ratio,
-        integrator_hz=controller.integrator_hz,
-        lowpass_hz=controller.lowpass_hz,
-        lowpass_damping=controller.lowpass_damping,
-        inertia=rig.nominal_inertia,
-        sample_time=rig.sample_time,
-    )
-    frequency = np.geomspace(min(LOWEST_HZ, controller.crossover_hz), controller.crossover_hz, 100)
+    rig, crossover = recipe.rig, recipe.rig.controller.crossover_hz
+    sections = controller_sections(**rig.loop_design)
+    frequency = np.geomspace(min(LOWEST_HZ, crossover), crossover, 100)
     return float(np.abs(sosfreqz(sections, frequency, fs=1 / rig.sample_time)[1]).min())

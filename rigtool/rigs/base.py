@@ -7,7 +7,7 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
-from rigtool.rigs.motion import Motion, OpenLoop
+from rigtool.rigs.motion import Motion, Observe, OpenLoop
 
 Block = dict[str, NDArray[np.float64]]
 """Equal-length arrays by channel name, `time` among them."""
@@ -34,6 +34,7 @@ CHANNELS = {
     "force": ("N", "f4", "force gauge at the end of the arm"),
     "rotor_angle": ("rad", "f4", "angle of the shaft in the arm's clamp"),
     "deflection": ("m", "f8", "of the motor on its leaf springs, by a micrometer"),
+    "reference_torque": ("N m", "f8", "what truly acts on the output from outside; judges only"),
 }
 """Unit, type in the file and meaning of each channel a rig may offer."""
 
@@ -41,6 +42,7 @@ CHANNELS = {
 NEEDS = {
     "closed_loop": "follow a set point of position",
     "open_loop": "follow a current with the position loop open",
+    "observe": "record while somebody else moves it",
     "feedforward": "add a torque that is computed from the set point",
     "table": "add a learned table",
     "signal": "add a torque signal sample by sample",
@@ -88,25 +90,44 @@ class Task:
     """One thing to do while recording.
 
     Each recorded sample is the mean of `record_every` samples of the loop. An open-loop task ends
-    early once the shaft has turned by `stop_angle` rad, where that is given.
+    early once the shaft has turned by `stop_angle` rad, where that is given. Where it is `touched`,
+    whatever is at the output may touch it meanwhile, unknown to the program, and a rig that knows
+    what truly acted records it as `reference_torque`: the torque on the output [N m] of all that
+    hangs on it or touches it, positive where it resists positive motion, with the inertia of what
+    hangs there.
     """
 
-    motion: Motion | OpenLoop
+    motion: Motion | OpenLoop | Observe
     feedforward: Feedforward = Feedforward()
     load: Load = Load()
     record_every: int = 1
     stop_angle: float | None = None
+    touched: bool = False
+
+    @property
+    def start(self) -> float | None:
+        """Position at which the motion starts, rad; None where from wherever the rotor is."""
+        if isinstance(self.motion, OpenLoop | Observe):
+            return None
+        return self.motion.start
 
 
 class Rig(Protocol):
     """A motor, an encoder and a current amplifier under position control.
 
-    A context manager: whatever ends the `with` block leaves the motor without current.
+    A context manager: whatever ends the `with` block leaves the motor without current. What only
+    a physical rig needs does nothing here; a rig of equations inherits that.
     """
+
+    physical: bool = False
+    """Whether something real moves: a plan of the motions is agreed to first, and time passes."""
+
+    watcher: Callable[[Block], None] | None = None
+    """Receives what a rig sends while it moves, where signals come later; it must not wait."""
 
     def __enter__(self) -> Self:
         """Connect; nothing moves."""
-        ...
+        return self
 
     def __exit__(
         self,
@@ -115,10 +136,27 @@ class Rig(Protocol):
         trace: TracebackType | None,
     ) -> None:
         """Stop, switch off and let go of the line."""
-        ...
+        return None
 
     def lacks(self, need: str) -> str | None:
         """Return why this one of `NEEDS`, or this channel, is not offered; None where it is."""
+        return None
+
+    def use_only(self, channels: Collection[str]) -> None:
+        """Leave alone the instruments that fill none of these channels; called before `with`."""
+        return None
+
+    def permit(self, plan: str) -> None:
+        """Show what is about to move; raises `UsageError` unless that is agreed to."""
+        return None
+
+    def report(self) -> str | None:
+        """Return facts about the line that are stored with a run, as JSON; None without a line."""
+        return None
+
+    @property
+    def position(self) -> float:
+        """Angle of the shaft, rad."""
         ...
 
     def perform(self, task: Task) -> Iterator[Block]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,9 @@ from rigtool.errors import RunFileError, UsageError
 from rigtool.quantity import Quantity
 from rigtool.runfile import frames, schema
 from rigtool.runfile.model import Table
-from rigtool.runfile.reader import Recording, Run
-from rigtool.runfile.storage import storage_errors
+from rigtool.runfile.outputs import replacing, require_output
+from rigtool.runfile.reader import Run
+from rigtool.runfile.recording import Recording
 
 _MAT_LIMIT = 2**31
 """Bytes of a variable in a MATLAB file of version 5."""
@@ -44,23 +45,19 @@ def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite
         )
     if part is not None and output.suffix not in (".csv", ".parquet"):
         raise UsageError(f"{output}: holds the whole run; --part is for .csv and .parquet")
-    write_new(output, overwrite, write)
+    write_new(output, overwrite, write, [run.path])
 
 
-def write_new(output: Path, overwrite: bool, write: Callable[[Path], None]) -> None:
+def write_new(
+    output: Path, overwrite: bool, write: Callable[[Path], None], inputs: Sequence[Path] = ()
+) -> None:
     """Let `write` make a file beside `output`, that takes its name when it is whole.
 
     Raises `UsageError` where the output exists, unless `overwrite`.
     """
-    if output.exists() and not overwrite:
-        raise UsageError(f"{output}: exists already: give another name, or --overwrite")
-    beside = output.with_name(output.name + ".tmp")
-    with storage_errors(output):
-        try:
-            write(beside)
-            os.replace(beside, output)
-        finally:
-            beside.unlink(missing_ok=True)
+    output = require_output(output, overwrite=overwrite, inputs=inputs)
+    with replacing(output) as new:
+        write(new)
 
 
 def _copy(run: Run, path: Path) -> None:

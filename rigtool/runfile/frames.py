@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from rigtool.errors import UsageError
 from rigtool.quantity import Quantity
 from rigtool.runfile import schema
 from rigtool.runfile.model import Table
-from rigtool.runfile.reader import Recording, Run
+from rigtool.runfile.reader import Run
+from rigtool.runfile.recording import Recording
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,33 +55,14 @@ def choose(run: Run, part: str | None) -> Frame:
     if isinstance(chosen, Recording):
         return Frame(dict(chosen.units), _recording(chosen))
     if isinstance(chosen, Table):
-        return Frame({n: c.unit for n, c in chosen.columns.items()}, iter([_table(chosen)]))
+        return Frame({n: c.unit for n, c in chosen.columns.items()}, iter([chosen.to_pandas()]))
     return Frame(dict.fromkeys(RESULT_COLUMNS, ""), iter([_results(chosen)]))
 
 
 def _recording(recording: Recording) -> Iterator[pd.DataFrame]:
-    import pandas as pd
-
     for start in range(0, max(recording.size, 1), BLOCK):
         stop = min(start + BLOCK, recording.size)
-        yield pd.DataFrame(
-            {name: recording.read_stored(name, start, stop) for name in recording.units}
-        )
-
-
-def _table(table: Table) -> pd.DataFrame:
-    """Return one row for each point of the axes; columns with fewer axes repeat."""
-    import pandas as pd
-
-    columns = {}
-    for name, column in table.columns.items():
-        if name in table.axes:
-            shape = [1] * len(table.shape)
-            shape[table.axes.index(name)] = -1
-        else:
-            shape = [*column.values.shape, *[1] * (len(table.shape) - column.values.ndim)]
-        columns[name] = np.broadcast_to(column.values.reshape(shape), table.shape).ravel()
-    return pd.DataFrame(columns)
+        yield recording.to_pandas(start, stop)
 
 
 def _results(results: Mapping[str, Quantity]) -> pd.DataFrame:

@@ -31,10 +31,8 @@ def test_saturation_is_refused():
 @given(st.floats(0, 9), st.floats(0.5, 50))
 def test_whatever_a_sine_makes_the_controller_ask_for_is_believed(amplitude, frequency):
     """A sine of the distance asks for |C| times itself: no torque, no distance."""
-    controller, rig = RECIPE.rig.controller, RECIPE.rig
-    sections = controller_sections(
-        **controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
-    )
+    rig = RECIPE.rig
+    sections = controller_sections(**rig.loop_design)
     gain = abs(sosfreqz(sections, [frequency], fs=1 / rig.sample_time)[1][0])
     distance = amplitude * rig.torque_constant / gain
     look(controller=amplitude, distance=distance)

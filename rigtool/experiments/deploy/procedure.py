@@ -17,9 +17,9 @@ from rigtool.errors import HardwareError, InsufficientDataError, UsageError
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
 from rigtool.experiments.deploy.quantised_table import Sampled, interpolated_codes
 from rigtool.experiments.deploy.stored_export import in_unit
-from rigtool.experiments.learning.stored_origin import learned_table_from, told_loss
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.recipe import Recipe
-from rigtool.rigs.bench import Bench
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drivers import driver_module
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.table_store import DriveTable, EncoderZero, TableStore
@@ -52,7 +52,7 @@ def deploy(
     speed: float | None,
     kt: Run | None,
     dry_run: bool,
-    bench: Bench,
+    operator: Operator,
 ) -> Deployed:
     """Store the table of a run in the drive of a recipe; with `dry_run` only look.
 
@@ -69,7 +69,7 @@ def deploy(
     settings = recipe.serial
     baud_rate = settings.baud_rate or module.BAUD_RATE
     with Line(
-        settings.port, baud_rate, timeout=TIMEOUT, spy=bench.spy, driver=settings.driver
+        settings.port, baud_rate, timeout=TIMEOUT, spy=operator.spy, driver=settings.driver
     ) as line:
         store: TableStore = module.make_table_store(line, recipe)
         identity = store.connect()
@@ -86,7 +86,11 @@ def deploy(
         plan = [f"{identity} on {settings.port}", *_plan(turn, sampled, zero, before)]
         if dry_run:
             return Deployed((*plan, "nothing was changed"), tuple(remarks))
-        _permit(bench, [*plan, *remarks])
+        operator.permit(
+            "\n".join([*plan, *remarks]),
+            "the drive's table would be replaced",
+            "Store this in the drive's flash now?",
+        )
         store.store(new, before)
         retries = line.counts.retries
     done = f"stored and read back: {store.size} codes and their scale are in the drive's flash"
@@ -226,20 +230,6 @@ def _plan(turn: PositionMap, sampled: Sampled, zero: EncoderZero, before: DriveT
         f"of the encoder that the drive looks its table up by, which counts {direction} the "
         "position does",
         f"{stored.codes.size} codes, scale {stored.scale:.6g} A; lost "
-        + told_loss(sampled.loss, "A", "rounding"),
+        + sampled.loss.text("A", "rounding"),
         f"the table that is there is {was}; {change} codes change",
     ]
-
-
-def _permit(bench: Bench, plan: list[str]) -> None:
-    """Show what is about to be stored; raises `UsageError` unless that is agreed to."""
-    bench.operator.say("\n".join(plan))
-    if bench.yes:
-        return
-    if not bench.operator.present:
-        raise UsageError(
-            "the drive's table would be replaced now, and nobody is at the terminal to agree: look "
-            "at --dry-run, then add --yes"
-        )
-    if not bench.operator.agrees("Store this in the drive's flash now?"):
-        raise UsageError("not agreed to: nothing was stored")

@@ -10,7 +10,8 @@ from rigtool.errors import UsageError
 from rigtool.experiments.deploy import drive_formats as texts
 from rigtool.experiments.deploy.c_header import header
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
-from rigtool.experiments.learning.stored_origin import LearnedTable, learned_table_from
+from rigtool.experiments.learning.learned_table import LearnedTable
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.runfile import Run
 from rigtool.runfile.export import write_new
 
@@ -122,7 +123,7 @@ def _table_contents(
     learned: LearnedTable, output: Path, wanted: str
 ) -> tuple[str | dict[str, Any], str]:
     if wanted in ("c", "c-int16"):
-        return header(learned, output, short=wanted == "c-int16")
+        return header(learned, output.stem, short=wanted == "c-int16")
     if output.suffix == ".mat":
         return texts.table_matlab(learned)
     return texts.table_csv(learned) if output.suffix == ".csv" else texts.table_json(learned)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.force.cycles import find_cycles, kept_factor, lowpass_at, readings
+from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.results import ZERO_AGAIN, Reading, loads_outcome
 from rigtool.experiments.force.results_instrument import instrument_outcome
@@ -27,10 +27,11 @@ from rigtool.experiments.force.results_method import (
 from rigtool.experiments.learning.stored_table import feedforward_from, require_same_rig
 from rigtool.experiments.loop_health import require_health
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.decimation import Decimator
+from rigtool.numerics.lowpass import kept_factor, lowpass
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
@@ -38,20 +39,6 @@ from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 Array = NDArray[np.float64]
-
-__all__ = [
-    "COMMAND",
-    "NEEDED",
-    "analyse",
-    "analyse_imported",
-    "measure",
-    "recordings",
-]
-
-COMMAND = "measure-force"
-
-NEEDED = ("kt",)
-"""Inputs that only imported runs can do without."""
 
 SIGNALS = (
     "time",
@@ -96,7 +83,12 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
         "temperature",
     )
     return tuple(
-        RecordingSpec(name, recorded, {"force": (force, "N"), "cycles": (float(cycles), "1")})
+        RecordingSpec(
+            name,
+            recorded,
+            {"force": (force, "N"), "cycles": (float(cycles), "1")},
+            settings.record_every,
+        )
         for name, force, cycles in plan
     )
 
@@ -104,13 +96,12 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run, tables: Run) -> None:
     """Lift and lower each load with the learned table switched on."""
     _require_inputs(recipe, kt, tables)
-    settings = recipe.measure_force
     require_slow_strokes(recipe, strokes(recipe, 1))
     feedforward = feedforward_from(tables, recipe.rig.nominal_inertia)
     for spec in recordings(recipe):
         motion = strokes(recipe, int(spec.conditions["cycles"][0]))
         load = Load(force=spec.conditions["force"][0])
-        task = Task(motion, feedforward, load, record_every=settings.record_every)
+        task = Task(motion, feedforward, load, record_every=spec.record_every)
         record(rig, task, recorder, spec.name)
 
 
@@ -250,7 +241,7 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
     )
     signals = collected.finish()
     for signal in signals:  # one by one: the filter holds several copies of what it works on
-        signal[:] = lowpass_at(rate / factor, signal, cutoff)
+        signal[:] = lowpass(rate / factor, signal, cutoff)
     return signals, rate / factor
 
 
@@ -329,3 +320,13 @@ def _table_u(tables: Run, recipe: Recipe) -> float:
     row = int(np.argmin(np.abs(lookup["speed"] - speed)))
     angle = math.radians(settings.measure_angle) * ratio
     return float(np.interp(angle, lookup["position"], lookup["u"][row]))
+
+
+PROCEDURE = Procedure(
+    "measure-force",
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    analyse_imported=analyse_imported,
+)

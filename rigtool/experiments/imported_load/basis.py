@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force.cycles import lowpass_at
 from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.lowpass import lowpass
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ class Path:
 
     def thin(self, fine: Array) -> Array:
         """Return signals (..., m) low-passed, at the rows (..., n)."""
-        thinned: Array = lowpass_at(self.rate, fine, self.bandwidth_hz)[..., :: self.factor]
+        thinned: Array = lowpass(self.rate, fine, self.bandwidth_hz)[..., :: self.factor]
         return thinned
 
 
@@ -134,13 +134,13 @@ def follow(
     t, p, *rest = (block_means(values, size) for values in (t, p, *rest))
     rate = 1 / (step * size)
     factor = max(1, round(rate / ROW_RATE))
-    smooth = lowpass_at(rate, p, min(SPEED_BAND * bandwidth_hz, 0.45 * rate))
+    smooth = lowpass(rate, p, min(SPEED_BAND * bandwidth_hz, 0.45 * rate))
     speed = np.gradient(smooth, 1 / rate)
     rows = slice(None, None, factor)
-    slow = np.gradient(lowpass_at(rate, p, bandwidth_hz), 1 / rate)
+    slow = np.gradient(lowpass(rate, p, bandwidth_hz), 1 / rate)
     path = Path(
         time=t[rows],
-        position=lowpass_at(rate, p, bandwidth_hz)[rows],
+        position=lowpass(rate, p, bandwidth_hz)[rows],
         speed=slow[rows],
         acceleration=np.gradient(slow, 1 / rate)[rows],
         regular=~_transient(speed, round(rate / bandwidth_hz))[rows],

@@ -36,16 +36,11 @@ from rigtool.experiments.imported_load.learning import (
 )
 from rigtool.experiments.imported_load.model import LoadModel
 from rigtool.experiments.imported_load.stored import RANDOM, WIDE_MODEL, tables_of
-from rigtool.experiments.learning.procedure import COMMAND, NEEDED, analyse, measure, recordings
+from rigtool.experiments.learning.procedure import PROCEDURE as LEARNING
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.recipe.commands import MeasureForce
 from rigtool.runfile import Column, Run, Table
-
-__all__ = ["COMMAND", "NEEDED", "analyse", "analyse_imported", "measure", "recordings"]
-
-IMPORTED_SETTINGS = {"measure_force.lowpass_hz": "bandwidth_hz"}
-"""What `--set` may change for imported runs, and what `analyse_imported` calls it."""
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -217,3 +212,10 @@ def _random_table(found: Sequence[tuple[float, Accuracy]]) -> Table:
         "rmse_closing",
         "errors at random halves of the samples, learned from the other half",
     )
+
+
+PROCEDURE = replace(
+    LEARNING,
+    analyse_imported=analyse_imported,
+    imported_settings={"measure_force.lowpass_hz": "bandwidth_hz"},
+)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import ModuleType
 
 from rigtool.errors import UsageError
 from rigtool.experiments.between_set_points import remark
@@ -16,9 +15,10 @@ from rigtool.experiments.learning.implementations import b_all_speeds as all_spe
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
 from rigtool.experiments.learning.implementations import d_known_loads as known_loads
 from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
-from rigtool.experiments.learning.imported import analyse_imported as analyse_imported
+from rigtool.experiments.learning.imported import analyse_imported
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
@@ -26,19 +26,50 @@ from rigtool.runfile import RecordingSpec, Run, RunWriter
 
 COMMAND = "ilc-learn"
 
-NEEDED = ("kt",)
 
-IMPLEMENTATIONS: dict[str, tuple[str, ModuleType]] = {
-    "A": ("turning at one speed, by position, amplitude and phase by speed", one_speed),
-    "B": ("turning, both directions, by position and speed", all_speeds),
-    "C": ("limited angle, both directions, by position and speed", limited_angle),
-    "D": ("as C, and known loads: torque as a third input", known_loads),
-    "standard": ("a repeated move, by time", trajectory),
+IMPLEMENTATIONS: dict[str, tuple[str, Procedure]] = {
+    "A": (
+        "turning at one speed, by position, amplitude and phase by speed",
+        Procedure(
+            COMMAND,
+            one_speed.recordings,
+            one_speed.measure,
+            one_speed.analyse,
+            bare_motor=True,
+        ),
+    ),
+    "B": (
+        "turning, both directions, by position and speed",
+        Procedure(
+            COMMAND,
+            all_speeds.recordings,
+            all_speeds.measure,
+            all_speeds.analyse,
+            bare_motor=True,
+        ),
+    ),
+    "C": (
+        "limited angle, both directions, by position and speed",
+        Procedure(COMMAND, limited_angle.recordings, limited_angle.measure, limited_angle.analyse),
+    ),
+    "D": (
+        "as C, and known loads: torque as a third input",
+        Procedure(
+            COMMAND,
+            known_loads.recordings,
+            known_loads.measure,
+            known_loads.analyse,
+        ),
+    ),
+    "standard": (
+        "a repeated move, by time",
+        Procedure(COMMAND, trajectory.recordings, trajectory.measure, trajectory.analyse),
+    ),
 }
-"""Ways to learn that exist, by the thesis's letter: what they do, and their module."""
+"""Ways to learn that exist, by the thesis's letter: what they do, and how.
 
-BARE = ("A", "B")
-"""Implementations that turn the shaft round and round: no instrument can follow."""
+Those for the bare motor turn the shaft round and round, which no instrument can follow.
+"""
 
 
 def require_implementation(name: str) -> None:
@@ -56,20 +87,21 @@ def asked(options: CommonOptions, name: str | None, *, validate: bool) -> Common
     if name is not None:
         require_implementation(name)
         options = options.with_override(f"ilc_learn.implementation={name}")
-        if name in BARE:
+        if IMPLEMENTATIONS[name][1].bare_motor:
             options = options.with_override("rig.attachment=pulley")
     return options.with_override("ilc_learn.validation=true") if validate else options
 
 
-def _module(recipe: Recipe) -> ModuleType:
+def _implementation(recipe: Recipe) -> Procedure:
     name = recipe.ilc_learn.implementation
     require_implementation(name)
-    if name in BARE and recipe.rig.attachment != "pulley":
+    implementation = IMPLEMENTATIONS[name][1]
+    if implementation.bare_motor and recipe.rig.attachment != "pulley":
         raise UsageError(
             f"implementation {name} turns the shaft round and round, which the "
             f"{recipe.rig.attachment} cannot: take it off, and say --set rig.attachment=pulley"
         )
-    return IMPLEMENTATIONS[name][1]
+    return implementation
 
 
 def rig_needs(recipe: Recipe) -> tuple[str, ...]:
@@ -79,8 +111,7 @@ def rig_needs(recipe: Recipe) -> tuple[str, ...]:
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """List what the implementation records."""
-    specs: tuple[RecordingSpec, ...] = _module(recipe).recordings(recipe)
-    return specs
+    return _implementation(recipe).recordings(recipe)
 
 
 def measure(
@@ -93,7 +124,7 @@ def measure(
     plant: Run | None = None,
 ) -> None:
     """Learn, and record what remains with what was learned switched on."""
-    _module(recipe).measure(rig, recipe, recorder, kt=kt, friction=friction, plant=plant)
+    _implementation(recipe).measure(rig, recipe, recorder, kt=kt, friction=friction, plant=plant)
 
 
 def analyse(
@@ -105,5 +136,16 @@ def analyse(
     plant: Run | None = None,
 ) -> Outcome:
     """Learn from the stored signals, and say what remained."""
-    outcome: Outcome = _module(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
+    outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
     return replace(outcome, notes=(*outcome.notes, *remark(runs, torque_per_ampere(kt).value)))
+
+
+PROCEDURE = Procedure(
+    COMMAND,
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    analyse_imported=analyse_imported,
+    rig_needs=rig_needs,
+)

@@ -113,9 +113,7 @@ def design(recipe: Recipe, plant: Run | None = None) -> Design:
     where L needs a plant that is not given, `RunFileError` where the plant is that of another rig.
     """
     settings, rig = recipe.ilc_learn, recipe.rig
-    nominal = position_loop(
-        **rig.controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
-    )
+    nominal = position_loop(**rig.loop_design)
     measured = None if plant is None else measured_loop(plant, recipe, nominal.controller)
     loop = nominal if measured is None else measured.loop
     if not loop.stable:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.learning.rows import cut_moves
 from rigtool.experiments.load_disturbance.tendon import contact
+from rigtool.numerics.moves import cut_moves
 from rigtool.numerics.steady_mean import steady_mean
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ def lowpass_periodic(signals: Array, period: float, cutoff_hz: float, slopes: in
     """Low-pass signals (..., n) that repeat with a period, s, and differentiate them `slopes`
     times.
 
-    The gain is that of `force.lowpass`: a Butterworth of second order forward and backward.
+    The gain is that of `numerics.lowpass`: a Butterworth of second order forward and backward.
     """
     count = signals.shape[-1]
     frequency = np.arange(count // 2 + 1) / period

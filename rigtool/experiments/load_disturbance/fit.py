@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import constants
 
 from rigtool.experiments.load_disturbance.model import (
     Comparison,
@@ -25,7 +26,7 @@ from rigtool.experiments.load_disturbance.model import (
     state_under,
     tendon_parameters,
 )
-from rigtool.experiments.load_disturbance.tendon import GRAVITY, Tendon
+from rigtool.experiments.load_disturbance.tendon import Tendon
 from rigtool.experiments.load_disturbance.terms import Sizes, State, Term, depends_on_load, terms
 
 Array = NDArray[np.float64]
@@ -177,7 +178,7 @@ class _Problem:
         from scipy.optimize import least_squares
 
         load, tip = self.sizes.load, TIP_FRICTION * self.sizes.friction
-        inertia = load * self.comparisons[0].loaded.drive.arm / GRAVITY
+        inertia = load * self.comparisons[0].loaded.drive.arm / constants.g
         tried = [
             Tendon(k, 2 * DAMPING * math.sqrt(k * inertia), tip)
             for k in (load / np.geomspace(STIFFEST, SOFTEST, TRIED)).tolist()

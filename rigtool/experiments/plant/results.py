@@ -32,10 +32,7 @@ NOT_CALIBRATED = (
 
 def controller(recipe: Recipe) -> TransferFunction:
     """Return the recipe's controller: it is made for the nominal inertia, whatever is there."""
-    rig = recipe.rig
-    return position_loop(
-        **rig.controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
-    ).controller
+    return position_loop(**recipe.rig.loop_design).controller
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import remark
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     Comparison,
@@ -26,7 +27,6 @@ from rigtool.experiments.ripple.orders import (
     spectrum,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
-from rigtool.experiments.session import channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.welch import Welch
 from rigtool.quantity import Quantity
@@ -36,23 +36,6 @@ from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
 
 Array = NDArray[np.float64]
-
-__all__ = [
-    "BARE_MOTOR",
-    "COMMAND",
-    "NEEDED",
-    "analyse",
-    "analyse_imported",
-    "measure",
-    "recordings",
-]
-
-COMMAND = "fft-ripple"
-
-NEEDED = ("kt",)
-
-BARE_MOTOR = True
-"""Whole turns, over and over: no instrument can follow."""
 
 ACCELERATION = 30.0
 """Of run-up and stop, rad/s2."""
@@ -110,6 +93,7 @@ def _spec(
             "steady_from": (start, "s"),
             "steady_until": (start + turns * 2 * math.pi / speed, "s"),
         },
+        recipe.fft_ripple.record_every,
     )
 
 
@@ -125,7 +109,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
         task = Task(
             SpeedProfile((0.0, run_up, until, until + run_up), (0.0, speed, speed, 0.0)),
             load=Load(torque=conditions.get("torque", 0.0)),
-            record_every=recipe.fft_ripple.record_every,
+            record_every=spec.record_every,
         )
         record(rig, task, recorder, spec.name)
 
@@ -371,3 +355,14 @@ def _comparison_table(comparisons: Sequence[Comparison]) -> Table:
         "correlation",
         "ripple after each start of the amplifier against the one before the first restart",
     )
+
+
+PROCEDURE = Procedure(
+    "fft-ripple",
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    bare_motor=True,  # no instrument can follow whole turns
+    analyse_imported=analyse_imported,
+)

@@ -52,13 +52,15 @@ from rigtool.errors import HardwareError
 
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
-    from rigtool.rigs.bench import Bench
+    from rigtool.rigs.operator import Operator
     from rigtool.rigs.serial.rig import SerialRig
 
 __all__ = ["open_serial_rig"]
 
 
-def open_serial_rig(recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> SerialRig:
+def open_serial_rig(
+    recipe: Recipe, torque_constant: float, use: str, operator: Operator
+) -> SerialRig:
     """Return the rig of a recipe's [serial], not connected yet: use it as a context manager.
 
     Raises `HardwareError` for a driver that is none.
@@ -70,7 +72,7 @@ def open_serial_rig(recipe: Recipe, torque_constant: float, use: str, bench: Ben
     assert recipe.serial is not None
     module = driver_module(recipe.serial.driver)
     if hasattr(module, "make_rig"):
-        rig: SerialRig = module.make_rig(recipe, torque_constant, use, bench)
+        rig: SerialRig = module.make_rig(recipe, torque_constant, use, operator)
         return rig
     if not hasattr(module, "make_drive"):
         raise HardwareError(f"{module.__name__} is no driver: it has no make_drive")
@@ -78,7 +80,7 @@ def open_serial_rig(recipe: Recipe, torque_constant: float, use: str, bench: Ben
         recipe,
         torque_constant,
         use,
-        bench,
+        operator,
         make_drive=module.make_drive,
         baud_rate=module.BAUD_RATE,
     )

@@ -21,7 +21,7 @@ from rigtool.errors import HardwareError
 
 MODULES = {
     "odrive": "rigtool.rigs.serial.odrive.driver",
-    "moteus": "rigtool.rigs.serial.moteus.drive",
+    "moteus": "rigtool.rigs.serial.moteus.driver",
     "target": "rigtool.rigs.serial.target.driver",
     "maxon": "rigtool.rigs.serial.maxon.driver",
 }

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Task
-from rigtool.rigs.bench import Bench
-from rigtool.rigs.motion import Move, OpenLoop
+from rigtool.rigs.motion import Move, Observe, OpenLoop
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.between import ROOM, Between, usual_time
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
@@ -67,12 +67,12 @@ class HostedRig(SerialRig):
         recipe: Recipe,
         torque_constant: float,
         use: str,
-        bench: Bench,
+        operator: Operator,
         *,
         make_drive: Callable[[Line, Recipe], Drive],
         baud_rate: int,
     ) -> None:
-        super().__init__(recipe, torque_constant, use, bench)
+        super().__init__(recipe, torque_constant, use, operator)
         self._make_drive = make_drive
         self._baud_rate = self._settings.baud_rate or baud_rate
         self._drive: Drive | None = None
@@ -92,7 +92,7 @@ class HostedRig(SerialRig):
             self._settings.port,
             self._baud_rate,
             timeout=self._settings.watchdog / 5,
-            spy=self._bench.spy,
+            spy=self._operator.spy,
             driver=self._settings.driver,
         )
 
@@ -174,9 +174,8 @@ class HostedRig(SerialRig):
     # -- motions
 
     def _execute(self, task: Task) -> Generator[Block, None, None]:
-        motion = task.motion
-        if not isinstance(motion, OpenLoop) and motion.start is not None:
-            angle = motion.start - self._position()
+        if task.start is not None:
+            angle = task.start - self._position()
             speed = safety.speed_of_moves(self._limits)
             approach = Move(angle, SETTLE_TIME + abs(angle) / speed)
             for _ in self._run(Task(approach, load=task.load)):
@@ -243,8 +242,8 @@ class _Loop:
         last = self._drive.read()
         begin = self._origin = last.position
         motion = task.motion
-        if not isinstance(motion, OpenLoop) and motion.start is not None:
-            self._origin = motion.start
+        if task.start is not None:
+            self._origin = task.start
         self._drive.enable("current" if self._open_loop else self._rig.mode)
         block = max(1, round(BLOCK_TIME / dt / task.record_every)) * task.record_every
         self._start = start = self._line.now()
@@ -290,7 +289,7 @@ class _Loop:
     def _motion_at(self, *moments: float) -> tuple[Array, Array, Array]:
         """Return position on the drive's zero, speed and acceleration at times of the line."""
         motion = self._task.motion
-        assert not isinstance(motion, OpenLoop)
+        assert not isinstance(motion, OpenLoop | Observe)
         time = np.clip(np.array(moments) - self._start, 0.0, motion.duration)
         position, speed, acceleration = motion.setpoint(time)
         return position + self._origin, speed, acceleration

@@ -15,12 +15,14 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import constants
 
 from rigtool.errors import HardwareError
+from rigtool.interrupts import held
 from rigtool.recipe import Recipe
-from rigtool.rigs.base import NEEDS, Block, Load, Task
-from rigtool.rigs.bench import Bench
-from rigtool.rigs.motion import Move
+from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
+from rigtool.rigs.motion import Move, Observe
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
 from rigtool.rigs.serial.line import Line
@@ -36,18 +38,22 @@ COMING_BACK = 10.0
 """Time in which a port must be back after its device was switched off and on, s."""
 
 
-class SerialRig(ABC):
+class SerialRig(Rig, ABC):
     """A rig behind a `Line`, as a context manager: on any exit it is stopped, off and restored.
 
     Subclasses fill in `_connect`, `_execute`, `_halt`, `_restore`, `_position` and `_reason`.
     """
 
-    def __init__(self, recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> None:
+    physical = True
+
+    def __init__(
+        self, recipe: Recipe, torque_constant: float, use: str, operator: Operator
+    ) -> None:
         assert recipe.serial is not None
         self._recipe, self._settings = recipe, recipe.serial
         self._limits = recipe.serial.limits
         self._torque_constant = torque_constant
-        self._use, self._bench = use, bench
+        self._use, self._operator = use, operator
         self._line: Line | None = None
         self._identity = ""
         self._permitted = False
@@ -55,7 +61,7 @@ class SerialRig(ABC):
         self._load = Load()
         self._clamp_angle = math.nan
         self._gauges: dict[str, Gauge] = {
-            name: open_gauge(name, settings, bench.operator, lambda: self._line)
+            name: open_gauge(name, settings, operator, lambda: self._line)
             for name, settings in (
                 ("force", recipe.serial.force),
                 ("temperature", recipe.serial.temperature),
@@ -65,8 +71,6 @@ class SerialRig(ABC):
         }
         self._unused: list[str] = []
         self.notes: list[str] = []
-        self.watcher: Callable[[Block], None] | None = None
-        """Gets what a rig tells while it moves, where the signals come later; it must not wait."""
 
     # -- for subclasses
 
@@ -134,7 +138,7 @@ class SerialRig(ABC):
     ) -> None:
         """Stop, switch off, restore, let go. What fails here is said, and hides no error."""
         problems = []
-        with safety.uninterrupted():
+        with held():
             if self._running is not None:
                 self._running.close()
             for what, act in (("stop", self._halt), ("restore its settings", self._restore)):
@@ -162,12 +166,14 @@ class SerialRig(ABC):
 
     def lacks(self, need: str) -> str | None:
         """Return why a need or channel is not offered; None where it is."""
+        if need == "observe":
+            return "rigtool has to move the motor of a rig on a line itself"
         if need == "force" and isinstance(self._gauges.get(need), OperatorGauge):
             return (
                 "an operator reads once a motion, and the force changes with every step of "
                 "current: a gauge on a line is needed"
             )
-        alone = not self._bench.operator.present
+        alone = not self._operator.present
         if alone and isinstance(self._gauges.get(need), OperatorGauge):
             return f"an operator reads it, and {NOBODY}"
         if need in self._gauges or need == "rotor_angle":
@@ -197,7 +203,8 @@ class SerialRig(ABC):
         ]
         if self.lacks("temperature"):
             notes.append("the temperature of the motor is not measured: its limit is not watched")
-        self._bench.permit("\n".join([f"{self._identity} on {self.line.port}", plan, *notes]))
+        plan = "\n".join([f"{self._identity} on {self.line.port}", plan, *notes])
+        self._operator.permit(plan, "the rig would move", "Move now?")
         self._permitted = True
 
     @property
@@ -236,6 +243,8 @@ class SerialRig(ABC):
 
         Raises `HardwareError` where the motion is beyond a limit, or something goes wrong.
         """
+        if isinstance(task.motion, Observe):
+            raise HardwareError(f"{self.line.port}: {self.lacks('observe')}: it cannot be observed")
         self._require_permission(task)
         self._set_load(task.load)
         on_lines = any(not isinstance(gauge, OperatorGauge) for gauge in self._gauges.values())
@@ -283,7 +292,7 @@ class SerialRig(ABC):
 
         Whatever thread has the line lets go of it first.
         """
-        with safety.uninterrupted(), contextlib.suppress(HardwareError):
+        with held(), contextlib.suppress(HardwareError):
             if self._running is not None:
                 self._running.close()
             self._halt()
@@ -308,7 +317,7 @@ class SerialRig(ABC):
         """Clamp the arm with the shaft at this angle, rad."""
         degrees = math.degrees(angle)
         here = math.degrees(self._position())
-        self._bench.operator.done(
+        self._operator.done(
             f"Clamp the arm on the force gauge with the shaft at {degrees:.1f} deg (now "
             f"{here:.1f} deg)"
         )
@@ -316,14 +325,14 @@ class SerialRig(ABC):
 
     def soak(self, temperature_degc: float) -> None:
         """Wait until the motor has this temperature throughout, degC."""
-        self._bench.operator.done(
+        self._operator.done(
             f"Bring the motor to {temperature_degc:g} degC and wait until it has it throughout"
         )
 
     def power_cycle(self) -> None:
         """Switch the amplifier off and on: it calibrates itself anew."""
         self._halt()
-        self._bench.operator.done("Switch the amplifier off and on again")
+        self._operator.done("Switch the amplifier off and on again")
         self._reconnect()
 
     def _reconnect(self) -> None:
@@ -337,7 +346,7 @@ class SerialRig(ABC):
         if load in (before, replace(before, clamped=True)):
             return
         self._halt()
-        self._bench.operator.done(describe_load(load, self._recipe.rig.attachment))
+        self._operator.done(describe_load(load, self._recipe.rig.attachment))
 
 
 def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) -> Iterator[Block]:
@@ -365,7 +374,7 @@ def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) 
             yield item
     finally:
         stop.set()
-        with safety.uninterrupted():
+        with held():
             thread.join()
 
 
@@ -374,7 +383,7 @@ def describe_load(load: Load, attachment: str) -> str:
     parts = []
     if load.force:
         where = "the grasper" if attachment == "instrument" else "the cord on the pulley"
-        parts.append(f"hang {load.force:g} N ({load.force / 9.81 * 1e3:.1f} g) on {where}")
+        parts.append(f"hang {load.force:g} N ({load.force / constants.g * 1e3:.1f} g) on {where}")
     if load.torque:
         parts.append(f"load the shaft with {load.torque * 1e3:g} mN m (weight on a cord)")
     if load.radial_force:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,9 +14,9 @@ from rigtool.experiments.deploy.position_map import position_map
 from rigtool.experiments.deploy.procedure import _told_ripple, deploy
 from rigtool.experiments.deploy.stored_export import in_unit
 from rigtool.experiments.learning.implementations import turning
-from rigtool.experiments.learning.stored_origin import learned_table_from
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.ripple import procedure as fft_ripple
-from rigtool.rigs.bench import Bench, Operator
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.motor import Motor
 from rigtool.rigs.serial.emulators.server import serve
@@ -46,9 +47,9 @@ def kt():
 
 def run_deploy(port, tables, kt, *more, driver="moteus", yes=True, operator=QUIET, **options):
     recipe = serial_recipe(port, *more, driver=driver)
-    bench = Bench(yes=yes, operator=operator)
+    operator = replace(operator, yes=yes)
     given = {"speed": SPEED, "dry_run": False, **options}
-    return deploy(tables, recipe, kt=kt, bench=bench, **given)
+    return deploy(tables, recipe, kt=kt, operator=operator, **given)
 
 
 def codes(settings):

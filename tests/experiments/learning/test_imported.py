@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.learning import procedure as ilc_learn
 from rigtool.experiments.learning.check import procedure as ilc_check
-from rigtool.experiments.learning.stored_origin import learned_table_from
-from rigtool.experiments.learning.stored_table import lookup_table_from
+from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+from rigtool.experiments.learning.stored_table import learned_table_from, lookup_table_from
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.session import run_command
 from rigtool.quantity import Quantity
@@ -28,14 +28,14 @@ OPTIONS = CommonOptions(overwrite=True)
 
 
 def learn(sources, output, **inputs):
-    return run_command(ilc_learn, list(map(str, sources)), output, options=OPTIONS, inputs=inputs)
+    return run_command(ILC_LEARN, list(map(str, sources)), output, options=OPTIONS, inputs=inputs)
 
 
 def check(sources, tables, output, **inputs):
     with open_run(tables) as opened:
         inputs["tables"] = opened
         return run_command(
-            ilc_check, list(map(str, sources)), output, options=OPTIONS, inputs=inputs
+            ILC_CHECK, list(map(str, sources)), output, options=OPTIONS, inputs=inputs
         )
 
 

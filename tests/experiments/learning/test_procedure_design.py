@@ -7,7 +7,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning.procedure_design import design
-from rigtool.experiments.plant import procedure as identify_plant
+from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt
@@ -29,7 +29,7 @@ def instrument(tmp_path_factory):
     folder = tmp_path_factory.mktemp("design")
     path = folder / "instrument.h5"
     short = ("identify_plant.realisations=2", "identify_plant.periods=8")
-    run(identify_plant, RECIPE, path, *short, kt=write_kt(folder))
+    run(IDENTIFY_PLANT, RECIPE, path, *short, kt=write_kt(folder))
     with open_run(path) as opened:
         yield opened
 

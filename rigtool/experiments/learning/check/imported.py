@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import effort_of, is_linear, require_one_rig, signals_of
-from rigtool.experiments.learning.stored_origin import LearnedTable, learned_table_from
+from rigtool.experiments.learning.learned_table import LearnedTable
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import (
     ORDERS,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.learning.check.imported import analyse_imported as analyse_imported
+from rigtool.experiments.learning.check.imported import analyse_imported
 from rigtool.experiments.learning.check.results import FITS, outcome_of
 from rigtool.experiments.learning.check.table_health import health, parts
 from rigtool.experiments.learning.filters import Learning
@@ -25,26 +25,19 @@ from rigtool.experiments.learning.implementations import a_one_speed as one_spee
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
 from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.implementations import turning
+from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
 from rigtool.experiments.learning.procedure_design import design
 from rigtool.experiments.learning.rows import Row
-from rigtool.experiments.learning.stored_origin import learned_table_from
-from rigtool.experiments.learning.stored_table import COULOMB, VISCOUS, feedforward, require_rig
+from rigtool.experiments.learning.stored_table import feedforward, learned_table_from, require_rig
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import record
+from rigtool.experiments.procedure import Procedure, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig, Task
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 Array = NDArray[np.float64]
-
-COMMAND = "ilc-check"
-
-ACCEPTS = (COMMAND, "ilc-learn")
-"""Commands whose stored runs can be checked."""
-
-NEEDED = ("kt",)
 
 MOVES = 6
 """Moves, or turns, that are recorded at each speed, unless `--set` says otherwise."""
@@ -132,7 +125,7 @@ def measure(
     plain = feedforward(recipe.rig.nominal_inertia, tables.results)
     for spec in recordings(recipe):
         if _turns(spec.conditions):
-            task = turning.task(recipe, spec, plain)
+            task = turning.task(spec, plain)
         else:
             task = Task(limited_angle.motion(recipe, spec), plain)
         record(rig, task, recorder, spec.name)
@@ -212,3 +205,14 @@ def _moved_rows(
     for recording in recorded:
         rows += limited_angle.rows(recording, recipe, torque_constant, learning, position)
     return position, rows
+
+
+PROCEDURE = Procedure(
+    "ilc-check",
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    accepts=("ilc-learn",),
+    analyse_imported=analyse_imported,
+)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.learning.check.imported import FITS as FITS
 from rigtool.experiments.learning.check.table_health import Estimate, Health, Part
+from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.rows import Row
-from rigtool.experiments.learning.stored_origin import LearnedTable
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table

@@ -29,19 +29,17 @@ from rigtool.experiments.learning.procedure_design import design
 from rigtool.experiments.learning.results_residual import Remaining
 from rigtool.experiments.learning.rows import (
     Amplitudes,
-    Moves,
     Row,
     assemble,
-    at_positions,
-    cut_moves,
     fit_amplitudes,
     learned_rows,
     torque_rows,
 )
 from rigtool.experiments.learning.stored_table import feedforward, friction_results, tables_of
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.moves import Moves, at_positions, cut_moves
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Rig, Task

@@ -30,14 +30,13 @@ from rigtool.experiments.load_disturbance.stored import (
 )
 from rigtool.experiments.load_disturbance.stored_recordings import CHANNELS, cycles_of
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import channels, record
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
 
-COMMAND = "ilc-learn"
 LOADED = "known"
 """How names of recordings of known loads begin."""
 
@@ -58,6 +57,7 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
                 "force": (force, "N"),
                 "cycles": (float(settings.cycles), "1"),
             },
+            settings.record_every,
         )
         for row, speed in enumerate(settings.speeds_rev_per_s)
         for number, force in enumerate((0.0, *settings.forces, 0.0))
@@ -79,8 +79,8 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Run) -> Non
             cycles=int(spec.conditions["cycles"][0]),
         )
         load = Load(force=spec.conditions["force"][0])
-        every = recipe.ilc_learn.loads.record_every
-        record(rig, Task(motion, plain, load, record_every=every), recorder, spec.name)
+        task = Task(motion, plain, load, record_every=spec.record_every)
+        record(rig, task, recorder, spec.name)
 
 
 def analyse(runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:

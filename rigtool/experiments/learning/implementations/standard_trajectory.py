@@ -25,7 +25,7 @@ from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.procedure_design import Design, design
 from rigtool.experiments.learning.stored_table import TRAJECTORY, feedforward, friction_results
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe

@@ -20,7 +20,7 @@ from rigtool.experiments.learning.implementations.validation import (
     steady_outcome,
 )
 from rigtool.experiments.learning.results_residual import Remaining
-from rigtool.experiments.learning.rows import Moves, Row
+from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.turns import (
     TURN,
     by_angle,
@@ -30,7 +30,8 @@ from rigtool.experiments.learning.turns import (
     turn_angles,
 )
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import channels, record
+from rigtool.numerics.moves import Moves
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Rig, Task
@@ -99,6 +100,7 @@ def _steady(recipe: Recipe, name: str, speed: float) -> RecordingSpec:
             # a little more, as samples do not end where turns do
             "steady_until": (start + (turns + 0.05) / abs(speed), "s"),
         },
+        recipe.ilc_learn.turning.record_every,
     )
 
 
@@ -113,12 +115,14 @@ def sweep_specs(recipe: Recipe) -> list[RecordingSpec]:
         "steady_until": (start + turning.sweep_time, "s"),
     }
     return [
-        RecordingSpec(f"sweep_{variant}", channels(*common.CHANNELS), conditions)
+        RecordingSpec(
+            f"sweep_{variant}", channels(*common.CHANNELS), conditions, turning.record_every
+        )
         for variant in SWEEPS
     ]
 
 
-def task(recipe: Recipe, spec: RecordingSpec, fed: Feedforward) -> Task:
+def task(spec: RecordingSpec, fed: Feedforward) -> Task:
     """Return what to do for a recording: run up, turn steadily or sweep, and stop."""
     speed, begin, end = (spec.conditions[k][0] for k in ("speed", "steady_from", "steady_until"))
     run_up = abs(speed) / ACCELERATION
@@ -131,7 +135,7 @@ def task(recipe: Recipe, spec: RecordingSpec, fed: Feedforward) -> Task:
     else:
         last = end + MARGIN
         profile = SpeedProfile((0.0, run_up, last, last + run_up), (0.0, speed, speed, 0.0))
-    return Task(profile, fed, record_every=recipe.ilc_learn.turning.record_every)
+    return Task(profile, fed, record_every=spec.record_every)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +150,7 @@ class Bench:
         """Make recordings with this fed forward, and return them."""
         made = list(specs)
         for spec in made:
-            record(self.rig, task(self.recipe, spec, fed), self.recorder, spec.name)
+            record(self.rig, task(spec, fed), self.recorder, spec.name)
         return [self.recorder.recording(spec.name) for spec in made]
 
     def check(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rigtool.errors import RecipeError
 from rigtool.recipe.serial import Instrument
 from rigtool.rigs.base import CHANNELS
-from rigtool.rigs.bench import Operator
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.line import Line
 
 Array = NDArray[np.float64]

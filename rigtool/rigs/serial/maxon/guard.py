@@ -10,23 +10,14 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
-import signal
 import subprocess
 import sys
 import threading
-import time
 
 from rigtool.errors import HardwareError
 
 ON, OFF = b"1", b"0"
 READY = b"r"
-
-PATIENCE = 30.0
-"""Time for which a guard tries to switch the drive off, s: the port may have to come back."""
-
-PAUSE = 0.05
-"""Between its attempts, s."""
 
 
 class Guard:
@@ -89,7 +80,7 @@ class Guard:
         answer, their_answer = os.pipe()
         # a Ctrl-C or Ctrl-Z at the terminal is not for it
         self.process = process = subprocess.Popen(
-            [sys.executable, "-m", "rigtool.rigs.serial.maxon.guard", *self._arguments],
+            [sys.executable, "-m", "rigtool.rigs.serial.maxon.guard_process", *self._arguments],
             stdin=theirs,
             stdout=their_answer,
             start_new_session=True,
@@ -105,61 +96,3 @@ class Guard:
                 f"{self._arguments[0]}: the process that would switch the drive off where this one "
                 "is killed cannot be started"
             )
-
-
-def main(port: str, baud_rate: str, node: str, silence: str) -> None:
-    """Watch over standard input, and switch the drive off where that ends or falls silent."""
-    from rigtool.rigs.serial.maxon import driver as _  # noqa: F401  so that it is there in time
-
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # it ends with the program that it watches
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
-    words: queue.Queue[bytes] = queue.Queue()
-    threading.Thread(target=_listen, args=(words,), daemon=True).start()
-    os.write(1, READY)
-    os.close(1)
-    on = False
-    while True:
-        try:
-            word = words.get(timeout=float(silence) if on else None)
-        except queue.Empty:
-            break
-        if not word:
-            break
-        on = word[-1:] == ON
-    if on:
-        switch_off(port, int(baud_rate), int(node))
-
-
-def _listen(words: queue.Queue[bytes]) -> None:
-    while True:
-        word = os.read(0, 64)
-        words.put(word)
-        if not word:
-            return
-
-
-def switch_off(port: str, baud_rate: int, node: int) -> None:
-    """Open a port, whoever has it, and switch off what is there; tell on stderr how it went."""
-    from rigtool.rigs.serial.line import Line
-    from rigtool.rigs.serial.maxon.driver import drive_on
-
-    deadline = time.monotonic() + PATIENCE
-    told = f"{port}: rigtool was killed, hangs or lost the line while the drive was on: "
-    while True:
-        try:
-            with Line(port, baud_rate, timeout=0.1, exclusive=False) as line:
-                drive_on(line, node, encoder_counts=4).halt()
-            told += "it is switched off now"
-            break
-        except HardwareError as error:
-            if time.monotonic() > deadline:
-                told += f"it could not be switched off ({error}): switch off its supply"
-                break
-        time.sleep(PAUSE)
-    with contextlib.suppress(OSError):
-        print(told, file=sys.stderr, flush=True)
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

@@ -19,8 +19,8 @@ from rigtool.control.position_loop import controller_sections
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import CHANNELS, Block, Load, Task
-from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
 from rigtool.rigs.serial.safety import Watch, speed_of_moves
@@ -66,9 +66,9 @@ def probe(line: Line) -> str | None:
     return _describe(Talk(line, timeout=line.timeout, retries=1).hello())
 
 
-def make_rig(recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> TargetRig:
+def make_rig(recipe: Recipe, torque_constant: float, use: str, operator: Operator) -> TargetRig:
     """Return the rig, not connected yet."""
-    return TargetRig(recipe, torque_constant, use, bench)
+    return TargetRig(recipe, torque_constant, use, operator)
 
 
 class TargetRig(SerialRig):
@@ -77,8 +77,10 @@ class TargetRig(SerialRig):
     _talk: Talk
     _hello: link.Hello
 
-    def __init__(self, recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> None:
-        super().__init__(recipe, torque_constant, use, bench)
+    def __init__(
+        self, recipe: Recipe, torque_constant: float, use: str, operator: Operator
+    ) -> None:
+        super().__init__(recipe, torque_constant, use, operator)
         self._in_session = False
         self._up: dict[Slot, bytes] = {}  # what the target has
         self._arrived: list[tuple[int, bytes]] = []  # streamed, and not yet in a log
@@ -90,7 +92,7 @@ class TargetRig(SerialRig):
         return Line(
             self._settings.port,
             self._settings.baud_rate or BAUD_RATE,
-            spy=self._bench.spy,
+            spy=self._operator.spy,
             driver="target",
         )
 
@@ -105,16 +107,7 @@ class TargetRig(SerialRig):
         self._require_match(hello)
         self._chunk = hello.max_payload - link.CHUNK.size
         rig = self._recipe.rig
-        controller = rig.controller
-        sections = controller_sections(
-            crossover_hz=controller.crossover_hz,
-            lead_ratio=controller.lead_ratio,
-            integrator_hz=controller.integrator_hz,
-            lowpass_hz=controller.lowpass_hz,
-            lowpass_damping=controller.lowpass_damping,
-            inertia=rig.nominal_inertia,
-            sample_time=rig.sample_time,
-        )
+        sections = controller_sections(**rig.loop_design)
         setup = link.RigSetup(
             self._torque_constant,
             rig.sample_time,

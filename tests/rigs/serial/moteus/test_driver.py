@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,14 @@ from rigtool.errors import HardwareError
 from rigtool.experiments.learning.procedure_design import design
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.operator import Operator
+from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
-from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
@@ -35,13 +37,13 @@ SHORT = Task(SpeedProfile((0.0, 0.1, 0.3, 0.4), (0.0, 4.0, 4.0, 0.0)))
 QUIET = Operator(say=lambda text: None, present=False)
 
 
-def moteus_rig(port, *more, bench=None):
+def moteus_rig(port, *more, operator=None):
     recipe = serial_recipe(port, *more, driver="moteus", sample_time=PERIOD)
     return HostedRig(
         recipe,
         0.045,
         "test",
-        bench or Bench(yes=True, operator=QUIET),
+        operator or replace(QUIET, yes=True),
         make_drive=moteus.make_drive,
         baud_rate=moteus.BAUD_RATE,
     )
@@ -208,7 +210,7 @@ def test_feedforward_arrives_as_that_current():
     with serve(device) as server, moteus_rig(server.port) as rig:
         drive = rig.drive
         drive.enable("position")
-        sent = drive._command(moteus.SetPoint(current=0.5))
+        sent = drive._command(SetPoint(current=0.5))
         drive.halt()
     written = frames.Subframes(sent[3:])
     resolution, count, first = written.registers(written.byte())
@@ -383,8 +385,8 @@ def test_drive_without_thermometer_says_so():
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
     path = tmp_path / "line.spy"
     brief = Task(SpeedProfile((0.0, 0.05, 0.1), (0.0, 1.0, 0.0)))
-    bench = Bench(yes=True, spy=str(path), operator=QUIET)
-    with serve(MoteusEmulator()) as server, moteus_rig(server.port, bench=bench) as rig:
+    operator = replace(QUIET, yes=True, spy=str(path))
+    with serve(MoteusEmulator()) as server, moteus_rig(server.port, operator=operator) as rig:
         first = perform(rig, brief)
     with moteus_rig(f"replay://{path}") as rig:
         again = perform(rig, brief)

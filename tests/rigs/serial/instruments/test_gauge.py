@@ -7,7 +7,7 @@ import pytest
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe.serial import Instrument
-from rigtool.rigs.bench import Operator
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.instruments import MODULES, gauge, instrument_module, open_gauge

@@ -1,4 +1,4 @@
-"""A learned table as it leaves the house: with its unit, its uncertainty, and where it is from."""
+"""A learned table as exported: with its unit, uncertainty and origin [7.2.4.2, Fig. 49]."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
-from rigtool.errors import RunFileError
-from rigtool.experiments.deploy.quantised_table import Loss
-from rigtool.experiments.learning.stored_table import COULOMB, VISCOUS, stored_table_from
 from rigtool.quantity import Quantity
-from rigtool.runfile import Run
 
 Array = NDArray[np.float64]
+
+COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
+"""Results that state with which friction feed-forward a table was learned, where with any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,36 +55,3 @@ class LearnedTable:
             "Learned beside a feed-forward of friction that is not in it; add, with v in rad/s:",
             f"{coulomb:.6g} N m * tanh(v) + {viscous:.6g} N m s/rad * v",
         ]
-
-
-def learned_table_from(run: Run) -> LearnedTable:
-    """Return the learned table of a run of ilc-learn; raises `RunFileError` where it has none."""
-    table = stored_table_from(run)
-    stored = run.table("lookup")
-    signal = stored.columns[stored.signal]
-    made = run.provenance
-    return LearnedTable(
-        table=table,
-        u=np.asarray(stored["u"], dtype=np.float64),
-        quantity=stored.signal,
-        unit=signal.unit,
-        friction={n: run.results[n] for n in (COULOMB, VISCOUS) if n in run.results},
-        band_hz=_band(run),
-        origin=(
-            f"Rig {run.rig or 'unknown'}; learned on {made['date']}, rigtool {made['version']}.",
-            f"File {run.path.name}, content sha256 {run.content_sha256}.",
-        ),
-    )
-
-
-def _band(run: Run) -> float | None:
-    """Return the cut-off of Q, Hz; a table outlives the recipes that this version reads."""
-    try:
-        return None if run.recipe is None else run.recipe.ilc_learn.robustness_hz
-    except RunFileError:
-        return None
-
-
-def told_loss(lost: Loss, unit: str, by: str) -> str:
-    """Say what was lost by what, in the unit of the table."""
-    return f"by {by}, largest {lost.largest:.2g} {unit}, rms {lost.rms:.2g} {unit}"
