@@ -1,7 +1,7 @@
-"""What a command is going to do on a rig, found by doing it without one.
+"""The plan of a command: its motions, found by running it on a rig that only notes them.
 
-Motions that depend on what earlier ones measure are not known beforehand: the plan ends there and
-says so.
+Motions that depend on earlier measurements are not known beforehand: the plan ends there and
+states that it is not complete.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from rigtool.rigs.serial.drivers import REPLAY, driver
 from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
 
-SHOWN = 12
-"""Lines of a plan that are shown of motions that differ; the rest is counted."""
+MAX_LINES = 12
+"""Lines for motions that differ in a plan at most; the rest is counted."""
 
 
 class _NeedsData(Exception):
@@ -49,8 +49,8 @@ class Plan:
             f"  {line}" if count == 1 else f"  {count} times {line}"
             for line, count in together.items()
         ]
-        if len(lines) > SHOWN:
-            lines = [*lines[:SHOWN], f"  and {len(lines) - SHOWN} kinds of motion more"]
+        if len(lines) > MAX_LINES:
+            lines = [*lines[:MAX_LINES], f"  and {len(lines) - MAX_LINES} kinds of motion more"]
         total = sum(found.duration for _, found in self.motions)
         count = len(self.motions)
         head = f"{count} motion{'s' if count != 1 else ''} to record, {total:.0f} s in all"
@@ -68,7 +68,7 @@ class Plan:
 
 
 class _Rehearsal(Rig):
-    """A rig that only remembers what it was asked to do."""
+    """A rig that only notes the tasks that it is given."""
 
     def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
         self.plan = Plan()
@@ -194,8 +194,8 @@ def dry_run(
         notes.append("Whether the drive offers all that is asked when it is connected")
         if found is not None and not found.has_watchdog:
             notes.append(
-                "This drive has no watchdog: where computer or cable fail it goes on as it was "
-                "told last. It runs only with serial.emergency_stop = true; try that stop first"
+                "This drive has no watchdog: where computer or cable fail it follows its last "
+                "set point. It runs only with serial.emergency_stop = true; try that stop first"
             )
     return Outcome(results={}, tables={}, notes=tuple(notes))
 

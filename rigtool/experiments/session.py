@@ -30,8 +30,8 @@ IMPORTED = "import"
 """The command of runs that hold other people's measurements."""
 
 
-MEANWHILE = "told while it moves, not recorded"
-"""Name for drawings of what a rig tells before the signals of a motion come."""
+STATUS_ONLY = "status while it moves, not recorded"
+"""Name in drawings of what a rig reports before the signals of a motion come."""
 
 
 def run_command(
@@ -102,7 +102,7 @@ def _measure(
     with live as feed, writer, _progress(options, plan, writer):
         writer.live = feed
         if feed is not None:
-            rig.watcher = partial(feed.show, MEANWHILE)
+            rig.watcher = partial(feed.show, STATUS_ONLY)
         with rig:
             if rig.physical:
                 _permit(rig, procedure, recipe, constant, inputs)

@@ -18,8 +18,8 @@ def open_rig(
 ) -> Rig:
     """Return the rig that a recipe names; use it as a context manager.
 
-    `torque_constant` [N m/A] turns the controller's torque into current; `stream` names the use;
-    `operator` is whoever stands at a rig on a serial line.
+    `torque_constant` [N m/A] turns the controller's torque into current; `stream` names the
+    command, by which the virtual rig draws its noise; `operator` attends a rig on a serial line.
     """
     if recipe.rig.source == "serial":
         from rigtool.rigs.operator import Operator

@@ -1,8 +1,7 @@
 """The Rig protocol: where signals come from, simulated or measured.
 
-A rig is asked to perform tasks and answers with blocks of signals; it knows nothing of analyses or
-files. Channels and their units are fixed here, so that a run file reads the same whatever rig made
-it.
+A rig performs tasks and yields blocks of signals; it knows nothing of experiments or files.
+Channels and their units are fixed here, so that run files of all rigs read alike.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ NEEDS = {
     "soak": "bring the motor to a temperature",
     "power_cycle": "switch the amplifier off and on",
 }
-"""What a command may ask of a rig, beside channels; `Rig.lacks` answers."""
+"""What a command may need of a rig beside channels, see `Rig.lacks`."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Task:
-    """One thing to do while recording.
+    """One motion that is recorded.
 
     Each recorded sample is the mean of `record_every` samples of the loop. An open-loop task ends
     early once the shaft has turned by `stop_angle` rad, where that is given. Where it is `touched`,

@@ -1,4 +1,4 @@
-"""The operator: who stands at the rig, is asked for permission, and does what no drive can."""
+"""The operator: gives permission to move, and does at the rig what no drive can."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def _ask(question: str) -> str:
 
 @dataclass(frozen=True)
 class Operator:
-    """Whoever stands at the rig, asked at the terminal, and what the command line states for them.
+    """The person at the rig, asked at the terminal.
 
     Without a terminal (`present` is false) each question raises a `HardwareError` that states what
-    was to be done. `ask` and `say` are replaced in tests. `yes` permits in advance; `spy` is the
-    file that receives every byte on the line.
+    was to be done. `yes` (--yes) is permission in advance; `spy` (--spy) is the file that receives
+    every byte on the line. `ask` and `say` are replaced in tests.
     """
 
     ask: Callable[[str], str] = _ask

@@ -22,14 +22,14 @@ Rules:
   reads one reply for everything else. Both repeat a request that may be repeated (`retries=0` for
   one that may not) and count it. Raise `DamagedReply` where a checksum, length or form is wrong,
   return None from `accept` where a line answers an older question. `LineLost` is raised for you.
-- Say `HardwareError` where the drive refuses or reports an error: value, limit, remedy.
+- Raise `HardwareError` where the drive refuses or reports an error: value, limit, remedy.
 - Times that enter a sample or a command come from `Line.now()`, never from `time`: so a spy file
   plays back as it was. Nothing else may call `Line.now()`, nor anything random decide what is sent.
   An instrument has a line of its own beside the drive's, with the same clock and spy file.
 - `step` should be a single exchange where the protocol allows it: that sets the rate.
 - SI at the interface: rad and rad/s of the motor shaft, A, degC. Feed-forward comes as current: a
-  drive that takes torque multiplies it by the torque constant it is set to itself (read it from the
-  drive in `connect`), so that this current flows.
+  drive that takes torque multiplies it by its own torque constant (read from the drive in
+  `connect`), so that this current flows.
 - `configure` remembers each value it changes before it changes it; `restore` brings all of them
   back, and only those; nothing is stored in the drive's flash. Limits are set as low as asked; the
   watchdog as `watchdog` s. What the drive cannot watch is returned in words.
@@ -39,7 +39,7 @@ Emulators and tests
 -------------------
 `emulators/NAME.py` holds a subclass of `emulators.server.Emulator`: bytes in, bytes out, with the
 real device's known faults. `emulators.server.serve(emulator, faults)` puts it on a pseudo-terminal;
-`port` is what a recipe or `Line` opens. `emulators.faults.Fault` says what goes wrong and when:
+`port` is what a recipe or `Line` opens. `emulators.faults.Fault` names what goes wrong and when:
 flipped bits, lost, doubled or cut bytes, silence, reset, refusal, a pulled cable, a reply to an
 older question. `emulators.motor.Motor` is a shaft with inertia and friction to put behind it.
 """

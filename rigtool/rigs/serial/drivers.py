@@ -11,15 +11,18 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rigtool.errors import RecipeError
 from rigtool.plugins import load, plugins
-from rigtool.recipe import Recipe
-from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.drive import Drive
-from rigtool.rigs.serial.line import Line
-from rigtool.rigs.serial.rig import SerialRig
-from rigtool.rigs.serial.table_store import TableStore
+
+if TYPE_CHECKING:
+    from rigtool.recipe import Recipe
+    from rigtool.rigs.operator import Operator
+    from rigtool.rigs.serial.drive import Drive
+    from rigtool.rigs.serial.line import Line
+    from rigtool.rigs.serial.rig import SerialRig
+    from rigtool.rigs.serial.table_store import TableStore
 
 MODULES = {
     "odrive": "rigtool.rigs.serial.odrive.driver",

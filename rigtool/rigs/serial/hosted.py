@@ -5,8 +5,8 @@ runs, so that writing files does not disturb it. A tick that comes late is made 
 sample carries the time at which it was taken; how evenly is in the run's record of the line.
 
 A drive whose set point of position stands still between two of them answers each with a step of
-current. It is made to follow speeds, which the host corrects by what is left of the position; where
-it takes positions only, `between` tells what that does to the samples.
+current. It is made to follow speeds, which the host corrects by the error of position; where
+it takes positions only, `between` measures how that biases the samples.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from rigtool.rigs.serial.ticks import Clock
 Array = NDArray[np.float64]
 
 BLOCK_TIME = 0.25
-"""Signals are handed on in blocks of about this length, s."""
+"""Length of a block of signals, about, s."""
 
 RATE_READINGS = 40
-"""Readings at standstill by which the rate of a line is found."""
+"""Readings at standstill from which the rate of a line is found."""
 
 CORRECTED = 0.3
-"""Part of an error of position that is taken back in a period at most."""
+"""Part of an error of position that is corrected in a period at most."""
 
 LONGER = 1.5
-"""Period that is recommended, in times of a reading."""
+"""Recommended period, as a multiple of the time of a reading."""
 
 COLUMNS = (
     "time",
@@ -154,7 +154,7 @@ class HostedRig(SerialRig):
             return f"this {name} takes no torque feed-forward beside its set point"
         if need in ("current", "current_setpoint", "temperature") and need not in able.channels:
             more = ": add [serial.temperature]" if need == "temperature" else ""
-            return f"this {name} does not tell its {need}{more}"
+            return f"this {name} does not report its {need}{more}"
         if need in ("force", "deflection"):
             return f"{name} does not measure it: add [serial.{need}]"
         return None if need in (*NEEDS, *COLUMNS) else f"{name} does not record it"
@@ -229,7 +229,7 @@ class _Loop:
         try:
             self._ticking(stop)
         except BaseException:
-            with contextlib.suppress(HardwareError):  # leaving the rig tries again, and tells
+            with contextlib.suppress(HardwareError):  # leaving the rig tries again and reports
                 self._drive.halt()
             raise
         finally:

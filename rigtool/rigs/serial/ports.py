@@ -1,4 +1,4 @@
-"""Which ports there are, and what answers on them."""
+"""The serial ports of this computer, and the devices that answer on them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROBE_TIME = 0.15
 class Device:
     """A port and what is known of it: `driver` and `identity` are empty where nothing answers.
 
-    `problem` says why a port could not be asked.
+    `problem` is the reason why a port could not be asked.
     """
 
     port: str
@@ -38,23 +38,23 @@ def list_ports() -> list[tuple[str, str]]:
 
 
 def askable() -> list[str]:
-    """Return the names of drives and instruments that can be asked who they are."""
+    """Return the names of the drivers and instruments that can be probed."""
     return [*known(), *INSTRUMENTS]
 
 
-def _asked_unless_told() -> list[str]:
+def _asked_by_default() -> list[str]:
     return [name for name in askable() if name not in BY_CHARACTER]
 
 
 def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iterator[Device]:
-    """Ask on these ports, or on all of this computer, which of these drivers' devices answers.
+    """Probe these ports, or all of this computer, for the devices of these drivers.
 
-    Only questions are asked: nothing moves and nothing is changed. Instruments that take each
-    character for a command are asked where they are named, and no one else is then.
+    Probing only asks: nothing moves and nothing is changed. Instruments that take each character
+    for a command are probed only where they are named, and alone.
     """
     described = dict(list_ports())
     for port in ports or described:
-        yield _ask_on(port, described.get(port, ""), drivers or _asked_unless_told())
+        yield _ask_on(port, described.get(port, ""), drivers or _asked_by_default())
 
 
 def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:

@@ -1,4 +1,4 @@
-"""What all rigs on a serial line share: limits, permission, the operator, the way out."""
+"""What all rigs on a serial line share: limits, permission, operator, instruments, safe exit."""
 
 from __future__ import annotations
 
@@ -96,18 +96,18 @@ class SerialRig(Rig, ABC):
 
     @abstractmethod
     def _position(self) -> float:
-        """Return where the shaft is, rad."""
+        """Return the angle of the shaft, rad."""
 
     @abstractmethod
     def _reason(self, need: str) -> str | None:
         """Return why a need or channel is not offered by what is on the line, None where it is."""
 
     def _last_resort(self) -> str:
-        """Return what stops a drive that can no longer be told, for the operator."""
+        """Return what stops a drive that cannot be reached any more, for the operator."""
         return f"Its watchdog stops it after {self._settings.watchdog:g} s of silence"
 
     def _set_load(self, load: Load) -> None:
-        """Bring about what acts from outside; the operator does, unless the rig can."""
+        """Apply a load: the operator does, unless the rig can."""
         self._ask_for_load(load)
 
     @property
@@ -116,7 +116,7 @@ class SerialRig(Rig, ABC):
         assert self._line is not None, "use the rig as a context manager"
         return self._line
 
-    # -- in and out
+    # -- connecting and leaving
 
     def __enter__(self) -> Self:
         """Connect, identify, set limits and watchdog; nothing moves."""
@@ -136,7 +136,7 @@ class SerialRig(Rig, ABC):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop, switch off, restore, let go. What fails here is said, and hides no error."""
+        """Stop, switch off, restore, let go. A failure here is reported, and hides no error."""
         problems = []
         with held():
             if self._running is not None:
@@ -145,7 +145,7 @@ class SerialRig(Rig, ABC):
                 try:
                     act()
                 except HardwareError as failure:
-                    problems.append(f"the drive could not be told to {what}: {failure}")
+                    problems.append(f"the drive could not be made to {what}: {failure}")
                     break  # the line is gone: what follows would only wait
             for gauge in self._gauges.values():
                 gauge.__exit__(None, None, None)
@@ -186,7 +186,7 @@ class SerialRig(Rig, ABC):
         return reason
 
     def use_only(self, channels: Collection[str]) -> None:
-        """Leave the instruments alone that fill none of these channels; to be said before `with`.
+        """Leave the instruments alone that fill none of these channels; called before `with`.
 
         A thermometer is read in any case: the limit of temperature is watched by it.
         """
@@ -209,17 +209,17 @@ class SerialRig(Rig, ABC):
 
     @property
     def position(self) -> float:
-        """Where the shaft is, rad; raises `HardwareError` where the drive does not know."""
+        """Angle of the shaft, rad; raises `HardwareError` where the drive does not know it."""
         position = self._position()
         if not math.isfinite(position):
             raise HardwareError(
-                f"{self.line.port}: the drive says its position is {position}: calibrate or home "
+                f"{self.line.port}: the drive reports the position {position}: calibrate or home "
                 "it first"
             )
         return position
 
     def report(self) -> str:
-        """Return what is to be kept about the line with a run, as JSON."""
+        """Return facts about the line and the instruments that are stored with a run, as JSON."""
         facts: dict[str, Any] = {
             "driver": self._settings.driver,
             "port": self._settings.port,
@@ -233,7 +233,7 @@ class SerialRig(Rig, ABC):
         return json.dumps(facts, sort_keys=True)
 
     def _facts(self) -> Mapping[str, Any]:
-        """Return what a subclass adds to the report."""
+        """Return the facts that a subclass adds to the report."""
         return {}
 
     # -- motions
@@ -288,7 +288,7 @@ class SerialRig(Rig, ABC):
             self.permit(f"{type(task.motion).__name__}: {found}")
 
     def _break_off(self) -> None:
-        """End a motion before its end. Errors are left to `__exit__`, which tries again, and tells.
+        """End a motion before its end; `__exit__` tries again, and reports errors.
 
         Whatever thread has the line lets go of it first.
         """
@@ -342,7 +342,7 @@ class SerialRig(Rig, ABC):
 
     def _ask_for_load(self, load: Load) -> None:
         before, self._load = self._load, load
-        # An arm that was just clamped needs no word; the rest is as it was or is to be changed.
+        # The operator knows of an arm that was just clamped.
         if load in (before, replace(before, clamped=True)):
             return
         self._halt()

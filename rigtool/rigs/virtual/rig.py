@@ -48,7 +48,7 @@ class VirtualRig(Rig):
     def __init__(self, recipe: Recipe, torque_constant: float, stream: str) -> None:
         if recipe.virtual is None:
             raise RecipeError(
-                'the recipe says source = "virtual" but has no table [virtual]; '
+                'rig.source is "virtual" and there is no table [virtual]; '
                 "recipes/briaire-2006.toml shows one"
             )
         self._virtual: Virtual = recipe.virtual

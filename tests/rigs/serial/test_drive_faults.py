@@ -49,7 +49,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(hosted, "BLOCK_TIME", 0.05)
     monkeypatch.setattr(maxon, "FRAME_TIMEOUT", 0.03)
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
-    monkeypatch.setattr(maxon_guard.Guard, "_tell", lambda guard, word: None)
+    monkeypatch.setattr(maxon_guard.Guard, "_send", lambda guard, word: None)
 
 
 @pytest.fixture(params=DRIVES)

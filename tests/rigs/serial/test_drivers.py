@@ -62,7 +62,8 @@ def test_driver_of_another_package_is_found_opened_and_asked():
         with rig:
             assert "toy 1" in rig.report()
         (device,) = find_devices([server.port], ["toy"])
-    assert (device.driver, device.identity) == ("toy", "toy 1")
+    assert device.driver == "toy"
+    assert device.identity.startswith("toy 1")
 
 
 @pytest.mark.usefixtures("package")

@@ -81,7 +81,7 @@ def test_drive_that_takes_speeds_only_is_held_in_position_by_the_host():
         got = perform(rig, Task(Triangle(0.0, 1.0, 4.0, 0.3, cycles=1)))
         assert rig.lacks("table") == "this odrive takes no torque feed-forward beside its set point"
         assert rig.lacks("open_loop") is not None
-        assert rig.lacks("current_setpoint") == "this odrive does not tell its current_setpoint"
+        assert rig.lacks("current_setpoint") == "this odrive does not report its current_setpoint"
         assert "add [serial.temperature]" in rig.lacks("temperature")
         assert "add [serial.force]" in rig.lacks("force")
         assert rig.lacks("closed_loop") is None
@@ -279,7 +279,9 @@ def test_drive_that_does_not_know_where_it_is_never_moves():
     device = toy.ToyEmulator()
     with serve(device) as server, toy_rig(server.port) as rig:
         device.motor.position = float("nan")
-        with pytest.raises(HardwareError, match="position is nan: calibrate or home it first"):
+        with pytest.raises(
+            HardwareError, match="reports the position nan: calibrate or home it first"
+        ):
             perform(rig, BRIEF)
         assert device.mode is None
 

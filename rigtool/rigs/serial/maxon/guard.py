@@ -1,8 +1,8 @@
-"""What stops a maxon drive where rigtool is killed or hangs: another process on the same computer.
+"""Stops a maxon drive when rigtool is killed or hangs, by another process on the same computer.
 
-No drive of maxon's has a watchdog on its serial line. So while one is on, rigtool tells a process
-of its own, over a pipe, that it lives. Where that falls silent, or the pipe ends, the process
-opens the port itself and switches the drive off. It does nothing against a computer or a cable
+No maxon drive has a watchdog on its serial line. While one is on, rigtool sends a sign of life over
+a pipe to a second process. When the pipe falls silent or ends, that process opens the port itself
+and switches the drive off. It does nothing against a computer or a cable
 that fails: `serial.emergency_stop` is for those.
 """
 
@@ -23,7 +23,7 @@ READY = b"r"
 class Guard:
     """The host's end: starts the process when it is first needed.
 
-    `silence` [s] is how long it may be told nothing while the drive is on.
+    `silence` [s] is the longest time without a sign of life while the drive is on.
     """
 
     def __init__(self, port: str, baud_rate: int, node: int, silence: float) -> None:
@@ -33,34 +33,34 @@ class Guard:
         self.process: subprocess.Popen[bytes] | None = None
 
     def watch(self) -> None:
-        """Tell that the drive is on, or about to be, and this program lives.
+        """Announce that the drive is on, or about to be.
 
-        Raises `HardwareError` where nobody is there to be told.
+        Raises `HardwareError` where the process is gone.
         """
         if self._pipe is None:
             self._start()
         self._on = True
-        self._tell(ON)
+        self._send(ON)
 
     def beat(self) -> None:
-        """Tell that this program lives, if the drive is on."""
+        """Send a sign of life, if the drive is on."""
         if self._on:
-            self._tell(ON)
+            self._send(ON)
 
     def rest(self) -> None:
-        """Tell that the drive is off."""
+        """Announce that the drive is off."""
         if self._on:
             self._on = False
             with contextlib.suppress(HardwareError):  # it is not needed any more
-                self._tell(OFF)
+                self._send(OFF)
 
     def close(self) -> None:
-        """Let the process go."""
+        """Close the pipe: the process ends."""
         if self._pipe is not None:
             os.close(self._pipe)
             self._pipe = None
 
-    def _tell(self, word: bytes) -> None:
+    def _send(self, word: bytes) -> None:
         try:
             if self._pipe is None:
                 raise BrokenPipeError
@@ -69,8 +69,8 @@ class Guard:
             self.close()
             raise HardwareError(
                 f"{self._arguments[0]}: the process that would switch the drive off where this one "
-                "fails is gone: it was ended, or heard nothing for "
-                f"{float(self._arguments[-1]):.3g} s and switched it off (raise serial.watchdog)"
+                "fails is gone: it was ended, or received nothing for "
+                f"{float(self._arguments[-1]):.3g} s and acted (raise serial.watchdog)"
             ) from None
 
     def _start(self) -> None:

@@ -19,10 +19,10 @@ from rigtool.rigs.serial.maxon.driver import drive_on
 from rigtool.rigs.serial.maxon.guard import ON, READY
 
 PATIENCE = 30.0
-"""Time for which a guard tries to switch the drive off, s: the port may have to come back."""
+"""Time for which the process tries to switch the drive off, s: the port may be gone for a while."""
 
 PAUSE = 0.05
-"""Between its attempts, s."""
+"""Time between attempts, s."""
 
 
 def main(port: str, baud_rate: str, node: str, silence: str) -> None:
@@ -56,22 +56,22 @@ def _listen(words: queue.Queue[bytes]) -> None:
 
 
 def switch_off(port: str, baud_rate: int, node: int) -> None:
-    """Open a port, whoever has it, and switch off what is there; tell on stderr how it went."""
+    """Open a port that another program may have, switch off the drive, report on stderr."""
     deadline = time.monotonic() + PATIENCE
-    told = f"{port}: rigtool was killed, hangs or lost the line while the drive was on: "
+    report = f"{port}: rigtool was killed, hangs or lost the line while the drive was on: "
     while True:
         try:
             with Line(port, baud_rate, timeout=0.1, exclusive=False) as line:
                 drive_on(line, node, encoder_counts=4).halt()
-            told += "it is switched off now"
+            report += "it is switched off now"
             break
         except HardwareError as error:
             if time.monotonic() > deadline:
-                told += f"it could not be switched off ({error}): switch off its supply"
+                report += f"it could not be switched off ({error}): switch off its supply"
                 break
         time.sleep(PAUSE)
     with contextlib.suppress(OSError):
-        print(told, file=sys.stderr, flush=True)
+        print(report, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -149,8 +149,8 @@ class Moteus:
         for name in ("servo.voltage_mode_control", "servo.fixed_voltage_mode"):
             if number(name) != 0:
                 raise HardwareError(
-                    f"{name} is on: the drive controls voltage, so its current says nothing of "
-                    "torque; set it to 0"
+                    f"{name} is on: the drive controls voltage, so torque does not follow from its "
+                    "current; set it to 0"
                 )
         ratio = number("motor_position.rotor_to_output_ratio")
         if not ratio > 0:
@@ -168,7 +168,7 @@ class Moteus:
 
     @property
     def motor(self) -> Motor:
-        """What the drive knows of its motor; once connected."""
+        """What the drive knows of its motor, read by `connect`."""
         assert self._motor is not None, "connect first"
         return self._motor
 
@@ -342,7 +342,7 @@ class Moteus:
             raise HardwareError(f"moteus {self.link.node} stopped by itself: {_fault(state)}")
         if state[MODE] == TIMED_OUT:
             raise HardwareError(
-                f"moteus {self.link.node} stopped: its watchdog heard nothing for "
+                f"moteus {self.link.node} stopped: its watchdog received nothing for "
                 f"{self._watchdog:g} s; raise serial.watchdog, or find what holds up the line"
             )
         raise HardwareError(
@@ -364,7 +364,7 @@ class Moteus:
             if state[MODE] == STOPPED:
                 return
         raise HardwareError(
-            f"moteus {self.link.node} was told to stop and is still in mode {state[MODE]:g}: "
+            f"moteus {self.link.node} was sent a stop and is still in mode {state[MODE]:g}: "
             "switch its supply off"
         )
 

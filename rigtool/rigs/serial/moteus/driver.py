@@ -1,4 +1,4 @@
-"""The moteus driver: who answers on a line, and what stands for it there."""
+"""The moteus driver: probes a line, makes the drive and its table store."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROBED_NODES = range(1, 5)
 
 
 def probe(line: Line) -> str | None:
-    """Return who answers on a line, None where no moteus does."""
+    """Return the identity of the moteus that answers, None for another device."""
     for node in PROBED_NODES:
         link = Link(line, node)
         with contextlib.suppress(HardwareError):

@@ -42,7 +42,7 @@ class MoteusTable:
     def connect(self) -> str:
         """Identify the drive.
 
-        Raises `HardwareError` for one that runs, or whose position means nothing.
+        Raises `HardwareError` for one that runs, or whose position is not referenced to the rotor.
         """
         identity = self._drive.connect()
         state = self.link.query(frames.read(MODE) + frames.read(HOMED), (MODE, HOMED))
@@ -61,7 +61,7 @@ class MoteusTable:
     def zero(self) -> EncoderZero:
         """Measure how the encoder that the table goes by belongs to the position.
 
-        Raises `HardwareError` for a direction that is none.
+        Raises `HardwareError` for a direction other than 1 or -1.
         """
         source = int(self.link.number("motor_position.commutation_source"))
         sign = int(self.link.number("motor_position.output.sign"))

@@ -1,6 +1,6 @@
 """A target that runs motions by itself: a microcontroller or real-time PC with the 8 kHz loop.
 
-What to do goes up as descriptions, the log comes down after the run or while it goes on. The link
+Motions are uploaded as descriptions; the log is downloaded after the run or streamed. The link
 is specified in docs/target-link.md.
 """
 
@@ -36,16 +36,16 @@ Array = NDArray[np.float64]
 BAUD_RATE = 115200
 
 SMALLEST_CHUNK = 64
-"""Payload below which a line that damages frames is not worth going on with, bytes."""
+"""Payload of a frame at least, bytes, however many frames a line damages."""
 
 POLL = 0.02
-"""Time between two questions for the state while a motion runs, s."""
+"""Time between two requests for the state while a motion runs, s."""
 
 UPLOADS = 3
-"""Times that something longer than a frame is carried until its CRC-32 is right."""
+"""Attempts to transfer something longer than a frame with the right CRC-32."""
 
 PATIENCE = 60.0
-"""Time beyond the motion's own in which it must be over: the approach is in it, s."""
+"""Time that a motion may take beyond its duration, for the approach, s."""
 
 _NEEDED = {
     "open_loop": Ability.OPEN_LOOP,
@@ -60,9 +60,9 @@ _NEEDED = {
 
 
 def probe(line: Line) -> str | None:
-    """Return who answers on the line, None where it is no target.
+    """Return the identity of the target that answers, None where something else does.
 
-    A HELLO ends a session that another host has: ports are opened exclusively, so there is none.
+    A HELLO ends the session of another host; ports are opened exclusively, so there is no other.
     """
     return _describe(Talk(line, timeout=line.timeout, retries=1).hello())
 
@@ -157,7 +157,7 @@ class TargetRig(SerialRig):
         ability = _NEEDED.get(need)
         if ability is None or ability in self._hello.abilities:
             return None
-        return "the target does not say that it can"
+        return "the target does not offer it"
 
     def _facts(self) -> dict[str, int]:
         return {
@@ -255,17 +255,17 @@ class TargetRig(SerialRig):
 
     def _watch_over(self, status: Status, watch: Watch, until: float) -> None:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
-        told = {
+        measured = {
             "time": np.array([status.time]),
             "encoder": np.array([status.position * counts]),
             "current": np.array([status.current]),
             "temperature": np.array([status.temperature]),
         }
         if self.watcher is not None and not self._talk.streaming:
-            self.watcher(told)
-        problem = watch.problem(told)
+            self.watcher(measured)
+        problem = watch.problem(measured)
         if problem is None and self.line.now() > until:
-            problem = f"{self.line.port}: the motion does not come to its end: it was stopped"
+            problem = f"{self.line.port}: the motion did not end in time: it was stopped"
         if problem:
             self._call(Kind.STOP)
             raise HardwareError(problem)
@@ -319,7 +319,7 @@ class TargetRig(SerialRig):
         return status
 
     def _put(self, slot: Slot, data: bytes) -> None:
-        """Bring an object up, unless it is there already."""
+        """Upload an object, unless the target has it already."""
         if self._up.get(slot) == data:
             return
         self._up.pop(slot, None)
@@ -361,7 +361,7 @@ class TargetRig(SerialRig):
         )
 
     def matches(self, first: int, count: int, data: bytes) -> bool:
-        """Say whether these are the samples in the target's log, by their CRC-32."""
+        """Return whether these are the samples in the target's log, by their CRC-32."""
         reply = self._call(Kind.DIGEST, link.DIGEST.pack(first, count))
         return reply == link.CRC32.pack(zlib.crc32(data))
 

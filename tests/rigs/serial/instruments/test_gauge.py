@@ -256,7 +256,7 @@ def test_overload_is_told_and_leaves_a_hole():
         got = watch(instrument)
         problem, facts = instrument.problem(), instrument.report()
     assert np.isnan(got).all()
-    assert "40 samples have no reading near them: its last word was: overload" in problem
+    assert "40 samples have no reading near them: it last sent: overload" in problem
     assert facts["flags"]["overload"] > 2
     assert facts["missing_samples"] == 40
 

@@ -113,7 +113,7 @@ def test_instruments_play_back_bit_for_bit(driver, tmp_path, monkeypatch):
             lambda motor: Mark10Emulator(lambda: newtons(motor), highest=15),
             "mark10",
             None,
-            "its last word was: overload",
+            "it last sent: overload",
         ),
     ],
 )

@@ -217,7 +217,7 @@ def test_overload_stops_the_drive_and_what_was_measured_is_kept(device):
     got = []
     with serve(device) as server, serve(gauge) as beside:
         with (
-            pytest.raises(HardwareError, match="its last word was: overload"),
+            pytest.raises(HardwareError, match="it last sent: overload"),
             toy_rig(server.port, *with_gauge(beside), operator=SILENT) as rig,
         ):
             got.extend(rig.perform(Task(CurrentSteps((0.0, 1.0), 0.6), load=Load(clamped=True))))

@@ -50,7 +50,7 @@ def short_blocks(monkeypatch):
 def no_guard(monkeypatch):
     """Start no process beside each of these tests; test_maxon_guard.py has those about it."""
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
-    monkeypatch.setattr(maxon_guard.Guard, "_tell", lambda guard, word: None)
+    monkeypatch.setattr(maxon_guard.Guard, "_send", lambda guard, word: None)
 
 
 @pytest.fixture(params=FAMILIES)

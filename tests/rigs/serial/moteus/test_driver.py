@@ -374,7 +374,7 @@ def test_limits_that_the_drive_has_already_are_not_raised():
 def test_drive_without_thermometer_says_so():
     device = MoteusEmulator(servo__enable_motor_temperature=0)
     with serve(device) as server, moteus_rig(server.port) as rig:
-        assert "does not tell its temperature" in rig.lacks("temperature")
+        assert "does not report its temperature" in rig.lacks("temperature")
         assert any("no thermometer on the motor" in note for note in rig.notes)
         assert rig.lacks("table") is None
         assert rig.lacks("open_loop") is None
