@@ -25,7 +25,7 @@ IS_BOUND = "is itself the bound at 95 % for the plant"
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class FilterDesign:
     """L, Q and p for a loop, and the convergence criterion, which holds.
 
     `controller` is C(z): L times C is the inverse of the process sensitivity, for learning on the
@@ -105,7 +105,7 @@ class Design:
         }
 
 
-def design(recipe: Recipe, plant: Run | None = None) -> Design:
+def design_filters(recipe: Recipe, plant: Run | None = None) -> FilterDesign:
     """Return the filters for the recipe's loop, from the plant that identify-plant measured.
 
     Without `plant` it is the nominal inertia. `ilc_learn.learning_filter` says which L. Raises
@@ -140,7 +140,7 @@ def design(recipe: Recipe, plant: Run | None = None) -> Design:
         frequency = np.union1d(frequency, measured.frequency)
     criterion = convergence(learning, frequency)
     criterion.require()
-    return Design(learning, criterion, nominal.controller, _origin(recipe, plant, learning))
+    return FilterDesign(learning, criterion, nominal.controller, _origin(recipe, plant, learning))
 
 
 def _inverse(recipe: Recipe, system: TransferFunction, measured: MeasuredLoop | None) -> Inverse:

@@ -12,7 +12,7 @@ from rigtool.errors import HardwareError, InsufficientDataError, UsageError
 from rigtool.experiments.deploy.position_map import position_map
 from rigtool.experiments.deploy.procedure import _told_ripple, deploy
 from rigtool.experiments.deploy.stored_export import in_unit
-from rigtool.experiments.learning.implementations import turning
+from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.rigs.bench import Bench, Operator
@@ -332,7 +332,7 @@ def ripple_of(path):
 
 
 def test_a_table_learned_on_the_drive_makes_it_run_evenly(tmp_path, capsys, monkeypatch):
-    for module in (turning, fft_ripple):
+    for module in (bare_motor, fft_ripple):
         monkeypatch.setattr(module, "ACCELERATION", 100.0)
         monkeypatch.setattr(module, "SETTLE_TIME", 0.1)
     device = MoteusEmulator(encoder=0.31, sign=-1)

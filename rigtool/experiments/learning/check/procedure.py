@@ -22,11 +22,11 @@ from rigtool.experiments.learning.check.results import FITS, outcome_of
 from rigtool.experiments.learning.check.table_health import health, parts
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
+from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
 from rigtool.experiments.learning.implementations import signals as common
-from rigtool.experiments.learning.implementations import turning
 from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
-from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.stored_table import feedforward, learned_table_from, require_rig
 from rigtool.experiments.options import CommonOptions
@@ -86,7 +86,7 @@ def _one_speed(tables: Run) -> bool:
 
 def _filters(recipe: Recipe, plant: Run | None, tables: Run) -> Learning:
     """Return the filters that the table was learned with: those of A let less pass."""
-    filters = design(recipe, plant)
+    filters = design_filters(recipe, plant)
     if _one_speed(tables) and tables.recipe is not None:
         return one_speed.narrowed(filters, tables.recipe)
     return filters.learning
@@ -105,8 +105,8 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     settings = recipe.ilc_learn
     if settings.implementation in TURNING:
         speeds = settings.turning.speeds_rev_per_s
-        ways = [min(speeds)] if settings.implementation == "A" else turning.both(speeds)
-        return tuple(turning.steady_specs(recipe, "check", ways))
+        ways = [min(speeds)] if settings.implementation == "A" else bare_motor.both(speeds)
+        return tuple(bare_motor.steady_specs(recipe, "check", ways))
     return tuple(limited_angle.specs(recipe, "check", settings.speeds_rev_per_s, settings.moves))
 
 
@@ -121,11 +121,11 @@ def measure(
 ) -> None:
     """Move as the table was learned: with the same feed-forward, without the table."""
     require_rig(tables, recipe)
-    design(recipe, plant)
+    design_filters(recipe, plant)
     plain = feedforward(recipe.rig.nominal_inertia, tables.results)
     for spec in recordings(recipe):
         if _turns(spec.conditions):
-            task = turning.task(recipe, spec, plain)
+            task = bare_motor.task(recipe, spec, plain)
         else:
             task = Task(limited_angle.motion(recipe, spec), plain)
         record(rig, task, recorder, spec.name)
@@ -161,7 +161,7 @@ def analyse(
     position = learned.table.position
     if whole:
         rows = _turned_rows(recorded, recipe, constant, learning, position)
-        turning.require_friction_fed(recorded[0], recipe, constant, fed)
+        bare_motor.require_friction_fed(recorded[0], recipe, constant, fed)
     else:
         position, rows = _moved_rows(recorded, recipe, constant, learning, learned.table)
         limited_angle.require_feedforward(recorded[0], recipe, constant, fed)
@@ -182,8 +182,8 @@ def _turned_rows(
     learning: Learning,
     position: Array,
 ) -> list[Row]:
-    cut = [turning.turned(recording, recipe, torque_constant) for recording in recorded]
-    return [turning.learned_by(item, learning, position.size, first=True) for item in cut]
+    cut = [bare_motor.turned(recording, recipe, torque_constant) for recording in recorded]
+    return [bare_motor.learned_by(item, learning, position.size, first=True) for item in cut]
 
 
 def _moved_rows(

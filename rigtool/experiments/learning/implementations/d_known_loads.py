@@ -17,7 +17,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.controller_torque import loop_signals, naming
-from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
+from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
 from rigtool.experiments.load_disturbance.fit import learn, relearned
@@ -43,11 +43,6 @@ LOADED = "known"
 """How names of recordings of known loads begin."""
 
 
-def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
-    """List what implementation C records, then the known loads at each speed."""
-    return (*limited_angle.recordings(recipe), *_loaded(recipe))
-
-
 def _loaded(recipe: Recipe) -> list[RecordingSpec]:
     settings, ratio = recipe.ilc_learn.loads, recipe.rig.angle_ratio
     return [
@@ -65,45 +60,59 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
     ]
 
 
-def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Run) -> None:
-    """Learn the table, then lift and lower the known loads."""
-    _require_instrument(recipe)
-    limited_angle.measure(rig, recipe, recorder, **inputs)
-    plain = feedforward(recipe.rig.nominal_inertia, friction_results(inputs.get("friction")))
-    settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
-    for spec in _loaded(recipe):
-        motion = Triangle(
-            low=0.0,
-            high=math.radians(settings.angle) * ratio,
-            speed=spec.conditions["speed"][0],
-            turn_angle=math.radians(settings.turn_angle) * ratio,
-            cycles=int(spec.conditions["cycles"][0]),
-        )
-        load = Load(force=spec.conditions["force"][0])
-        every = recipe.ilc_learn.loads.record_every
-        record(rig, Task(motion, plain, load, record_every=every), recorder, spec.name)
+class KnownLoads(LimitedAngle):
+    """Learning as implementation C does, and then from known loads."""
 
+    ABOUT = "as C, and known loads: torque as a third input"
 
-def analyse(runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
-    """Learn the table from its moves, and the disturbance from the known loads.
+    @staticmethod
+    def record_every(recipe: Recipe) -> int:
+        """Return how many samples of the loop make a recorded one."""
+        return recipe.ilc_learn.loads.record_every
 
-    Raises `InsufficientDataError` where the loads do not carry it.
-    """
-    _require_instrument(recipe)
-    table = limited_angle.analyse(runs, recipe, **inputs)
-    loads = _learn_loads(runs[0], recipe, inputs["kt"])
-    return Outcome(
-        {**table.results, **loads.results},
-        {**table.tables, **loads.tables},
-        (*table.notes, *loads.notes),
-    )
+    @classmethod
+    def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
+        """List what implementation C records, then the known loads at each speed."""
+        return (*super().recordings(recipe), *_loaded(recipe))
 
+    def require(self, recipe: Recipe, friction: Run | None) -> None:
+        """Raise `RecipeError` without the instrument."""
+        if recipe.rig.attachment != "instrument":
+            raise RecipeError(
+                "implementation D learns what an instrument does to a load; rig.attachment is "
+                f"{recipe.rig.attachment}: attach the instrument, or learn with implementation C"
+            )
 
-def _require_instrument(recipe: Recipe) -> None:
-    if recipe.rig.attachment != "instrument":
-        raise RecipeError(
-            f"implementation D learns what an instrument does to a load; rig.attachment is "
-            f"{recipe.rig.attachment}: attach the instrument, or learn with implementation C"
+    @classmethod
+    def measure(cls, rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Any) -> None:
+        """Learn the table, then lift and lower the known loads."""
+        super().measure(rig, recipe, recorder, **inputs)
+        plain = feedforward(recipe.rig.nominal_inertia, friction_results(inputs.get("friction")))
+        settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
+        for spec in _loaded(recipe):
+            motion = Triangle(
+                low=0.0,
+                high=math.radians(settings.angle) * ratio,
+                speed=spec.conditions["speed"][0],
+                turn_angle=math.radians(settings.turn_angle) * ratio,
+                cycles=int(spec.conditions["cycles"][0]),
+            )
+            load = Load(force=spec.conditions["force"][0])
+            every = recipe.ilc_learn.loads.record_every
+            record(rig, Task(motion, plain, load, record_every=every), recorder, spec.name)
+
+    @classmethod
+    def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
+        """Learn the table from its moves, and the disturbance from the known loads.
+
+        Raises `InsufficientDataError` where the loads do not carry it.
+        """
+        table = super().analyse(runs, recipe, **inputs)
+        loads = _learn_loads(runs[0], recipe, inputs["kt"])
+        return Outcome(
+            {**table.results, **loads.results},
+            {**table.tables, **loads.tables},
+            (*table.notes, *loads.notes),
         )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -14,37 +13,6 @@ from rigtool.runfile import Column, Recording, Run, Table
 
 DEFAULT_RUNS = {"A": 10, "standard": 10}
 """[Fig. 44]; the other implementations make one run at each speed."""
-
-
-class Taught(Protocol):
-    """What learning runs teach, with all of them judged."""
-
-    @property
-    def history(self) -> Sequence[LearningRun]:
-        """The runs so far."""
-
-
-_Recorded = TypeVar("_Recorded")
-_Taught = TypeVar("_Taught", bound=Taught)
-
-
-def run_by_run(
-    recipe: Recipe,
-    first: _Recorded,
-    learn: Callable[[Sequence[_Recorded]], _Taught],
-    again: Callable[[str, _Taught], _Recorded],
-) -> _Taught:
-    """Learn from a first run, then from more, until nothing is left to learn or all are made.
-
-    `learn` takes all runs so far; `again` makes one more of a kind with what was learned. Returns
-    what the last `learn` did.
-    """
-    runs = [first]
-    while True:
-        learned = learn(runs)
-        if len(runs) == runs_at_most(recipe) or learned.history[-1].finished:
-            return learned
-        runs.append(again(kind_of(len(runs)), learned))
 
 
 def runs_at_most(recipe: Recipe) -> int:

@@ -120,6 +120,7 @@ class Slipped:
             size=recording.size,
             conditions=recording.conditions,
             condition=recording.condition,
+            has=recording.has,
             read=lambda channel: recording.read(channel) + added.get(channel, 0.0),
         )
 
