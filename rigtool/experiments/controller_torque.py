@@ -1,4 +1,4 @@
-"""The torque of the controller: all that it asks for, less what is fed forward [7.2.4.2, 8.1].
+"""The torque of the controller: the set point of current, less what is fed forward [7.2.4.2, 8.1].
 
     controller torque = k (set point - feed-forward - table)
 
@@ -55,7 +55,7 @@ LOWEST_HZ = 0.5
 class LoopSignals:
     """Signals of the position loop (n,): `time` s, `setpoint` and `rotor` rad, `encoder` counts.
 
-    Currents in A: `asked` is the set point of the amplifier, `controller` the controller's own part
+    Currents in A: `total` is the set point of the amplifier, `controller` the controller's own part
     of it, `modelled` the feed-forward of inertia and friction, `learned` that of table or signal.
     """
 
@@ -63,7 +63,7 @@ class LoopSignals:
     setpoint: Array
     encoder: Array
     rotor: Array
-    asked: Array
+    total: Array
     controller: Array
     modelled: Array
     learned: Array
@@ -109,13 +109,13 @@ def _checked(
     blocks: Iterable[tuple[Array, ...]], recipe: Recipe, remedy: str
 ) -> Iterator[LoopSignals]:
     largest = controlled = farthest = 0.0
-    for time, asked, modelled, learned, setpoint, encoder in blocks:
+    for time, total, modelled, learned, setpoint, encoder in blocks:
         rotor = encoder * (2 * math.pi / recipe.rig.encoder_counts)
-        controller = asked - modelled - learned
-        largest = max(largest, _largest(asked))
+        controller = total - modelled - learned
+        largest = max(largest, _largest(total))
         controlled = max(controlled, _largest(controller))
         farthest = max(farthest, _largest(setpoint - rotor))
-        yield LoopSignals(time, setpoint, encoder, rotor, asked, controller, modelled, learned)
+        yield LoopSignals(time, setpoint, encoder, rotor, total, controller, modelled, learned)
     require_loop_health(
         recipe,
         largest_current=largest,

@@ -1,6 +1,6 @@
 """`ilc-learn`: learn the repeatable disturbance [7.2.4].
 
-How to learn is the recipe's `ilc_learn.implementation`; each is a module of its own.
+The recipe's `ilc_learn.implementation` states how; each way is a module of its own.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def require_implementation(name: str) -> None:
 
 
 def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:
-    """Return the options with what the command line asks for put above the recipe.
+    """Return the options with the choices of the command line, which override the recipe.
 
     Raises `UsageError` for learning that does not exist.
     """
@@ -66,7 +66,7 @@ def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
     if implementation.BARE_MOTOR and recipe.rig.attachment != "pulley":
         raise UsageError(
             f"implementation {name} turns the shaft round and round, which the "
-            f"{recipe.rig.attachment} cannot: take it off, and say --set rig.attachment=pulley"
+            f"{recipe.rig.attachment} cannot: take it off, and add --set rig.attachment=pulley"
         )
     return implementation
 
@@ -102,7 +102,7 @@ def analyse(
     friction: Run | None = None,
     plant: Run | None = None,
 ) -> Outcome:
-    """Learn from the stored signals, and say what remained."""
+    """Learn from the stored signals, and report what remained."""
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
     return replace(outcome, notes=(*outcome.notes, *remark(runs, torque_per_ampere(kt).value)))
 

@@ -19,7 +19,7 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.check.imported import analyse_imported
 from rigtool.experiments.learning.check.results import FITS, outcome_of
-from rigtool.experiments.learning.check.table_health import health, parts
+from rigtool.experiments.learning.check.table_health import judge_table, parts
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
 from rigtool.experiments.learning.implementations import bare_motor
@@ -40,7 +40,7 @@ from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 Array = NDArray[np.float64]
 
 MOVES = 6
-"""Moves, or turns, that are recorded at each speed, unless `--set` says otherwise."""
+"""Moves, or turns, that are recorded at each speed, unless `--set` changes it."""
 
 TURNING = ("A", "B")
 """Implementations that turn: A at one speed and in one direction. Others are checked by C's moves.
@@ -48,9 +48,9 @@ TURNING = ("A", "B")
 
 
 def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> CommonOptions:
-    """Return options under which a recipe moves as the table was learned, in short.
+    """Return options under which a recipe repeats the moves of learning, but fewer of them.
 
-    What the user sets counts above that; stored sources stay what they are.
+    Settings of the user override these; stored sources stay as they are.
     """
     if any(Path(source).suffix != ".toml" for source in sources):
         return options
@@ -80,7 +80,7 @@ def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> C
 
 
 def _one_speed(tables: Run) -> bool:
-    """Say whether a table was learned at one speed, by implementation A."""
+    """Return whether a table was learned at one speed, by implementation A."""
     return tables.recipe is not None and tables.recipe.ilc_learn.implementation == "A"
 
 
@@ -93,7 +93,7 @@ def _filters(recipe: Recipe, plant: Run | None, tables: Run) -> Learning:
 
 
 def fits(outcome: Outcome) -> bool:
-    """Say whether the table fits; where it does not, the first note says what changed."""
+    """Return whether the table fits; if not, the first note states what changed."""
     return outcome.results[FITS].value == 1
 
 
@@ -142,7 +142,7 @@ def analyse(
     kt: Run,
     plant: Run | None = None,
 ) -> Outcome:
-    """Compare what the stored moves show with what the table says.
+    """Compare the torque of the stored moves with the table.
 
     Raises `InsufficientDataError` where they cannot be compared.
     """
@@ -166,12 +166,12 @@ def analyse(
         position, rows = _moved_rows(recorded, recipe, constant, learning, learned.table)
         limited_angle.require_feedforward(recorded[0], recipe, constant, fed)
     compared = parts(learned.table, learned.u, rows, position)
-    found = health(compared, position, learned.table.period)
+    found = judge_table(compared, position, learned.table.period)
     return outcome_of(found, compared, rows, position, learned, recipe.rig.encoder_counts)
 
 
 def _turns(conditions: Mapping[str, object]) -> bool:
-    """Say whether a recording is of turns, by its conditions."""
+    """Return whether a recording holds turns, by its conditions."""
     return "revolutions" in conditions
 
 

@@ -47,19 +47,19 @@ from rigtool.runfile import Recording, RecordingSpec, Run, Table
 Array = NDArray[np.float64]
 
 ACCELERATION = 30.0
-"""Of run-up and stop, rad/s2."""
+"""Acceleration of run-up and stop, rad/s2."""
 
 SETTLE_TIME = 0.5
-"""After the run-up, s."""
+"""Wait after the run-up, s."""
 
 MARGIN = 0.05
-"""From the end of what is used to the beginning of the stop, s."""
+"""Time from the end of the samples in use to the beginning of the stop, s."""
 
 SPARE = 8
-"""Samples taken beyond a turn, so that it is whole."""
+"""Samples taken beyond a turn, so that the turn is whole."""
 
 SAME = 5e-3
-"""Difference of two tables, relative to the largest torque, that recording them may make."""
+"""Difference of two tables, relative to the largest torque, that recording may cause."""
 
 SWEEPS = ("off", "plain", "on")
 """Sweeps with the table off, without its amplitude and phase tables, and with them."""
@@ -82,7 +82,7 @@ def between(recipe: Recipe) -> list[float]:
 
 
 def revolutions(recipe: Recipe, speed_rev_per_s: float) -> int:
-    """Return how many turns count at a speed, rev/s."""
+    """Return the number of turns in use at a speed, rev/s."""
     turning = recipe.ilc_learn.turning
     low = abs(speed_rev_per_s) < min(turning.speeds_rev_per_s)
     return turning.low_speed_revolutions if low else turning.revolutions
@@ -377,10 +377,10 @@ class BareMotor(Implementation[T]):
 
 
 def notes_on_table(remains: Remaining, table: LookupTable, recipe: Recipe) -> tuple[str, ...]:
-    """Say so where the turns were made with another table than the one reported.
+    """Report turns that were made with another table than the one in the results.
 
-    A recorded sample is a mean over the angle of several; read between samples it is one over three
-    such angles in a row.
+    A recorded sample is the mean over the angle of several samples of the loop; interpolated
+    between samples it is a mean over three such angles.
     """
     speeds = np.array([row.speed for row in remains.after])
     positions = remains.position

@@ -4,7 +4,7 @@ First C learns by position and speed. Then known loads are lifted and lowered at
 each speed beginning and ending without load; from these the disturbance of a load is learned
 (`experiments.load_disturbance.model`): friction that grows with load, stiffness of the tendon,
 ripple by current. Both go into one run file: the table is fed forward while moving, the disturbance
-tells afterwards which load the motor's torque stands for.
+converts the motor's torque into a load afterwards.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rigtool.experiments.controller_torque import loop_signals, naming
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
-from rigtool.experiments.load_disturbance.fit import learn, relearned
+from rigtool.experiments.load_disturbance.fit import fit_disturbance, refit_disturbance
 from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
 from rigtool.experiments.load_disturbance.reading import read_load
 from rigtool.experiments.load_disturbance.stored import (
@@ -40,7 +40,7 @@ from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
 
 LOADED = "known"
-"""How names of recordings of known loads begin."""
+"""First part of the names of recordings of known loads."""
 
 
 def _loaded(recipe: Recipe) -> list[RecordingSpec]:
@@ -118,7 +118,7 @@ class KnownLoads(LimitedAngle):
 
 def _learn_loads(run: Run, recipe: Recipe, kt: Run) -> Outcome:
     pairs, moments = _pairs(run, recipe, kt)
-    disturbance = learn(pairs, moments)
+    disturbance = fit_disturbance(pairs, moments)
     grid = grid_of(disturbance, pairs, recipe)
     return Outcome(
         {
@@ -200,7 +200,7 @@ def _tendon_results(
     if len(speeds) > 1:
         for name, speed in (("shift", speeds[0]), ("resonance", speeds[-1])):
             own = [i for i, each in enumerate(pairs) if each.loaded.speed == speed]
-            alone = learn([pairs[i] for i in own], [moments[i] for i in own])
+            alone = fit_disturbance([pairs[i] for i in own], [moments[i] for i in own])
             results[f"tendon_stiffness_{name}"] = tendon_results(alone)["tendon_stiffness"]
     return results
 
@@ -217,7 +217,9 @@ def _left_out(
     error, u = np.full((2, len(speeds), len(loads)), math.nan)
     for column, moment in enumerate(loads):
         others = [i for i, m in enumerate(moments) if m != moment]
-        less = relearned(disturbance, [pairs[i] for i in others], [moments[i] for i in others])
+        less = refit_disturbance(
+            disturbance, [pairs[i] for i in others], [moments[i] for i in others]
+        )
         for pair, there in zip(pairs, moments, strict=True):
             if there != moment:
                 continue
@@ -247,5 +249,5 @@ def _notes(disturbance: Disturbance, pairs: list[LoadedPair], recipe: Recipe) ->
     slow, fast = disturbance.speeds[0] / ratio, disturbance.speeds[-1] / ratio
     return (
         f"loads were learned up to {disturbance.torque * 1e3:.4g} mN m from {slow:.3g} to "
-        f"{fast:.3g} rev/s: measure-force corrects loads and speeds within, and says where not",
+        f"{fast:.3g} rev/s: measure-force corrects those within this range and reports others",
     )
