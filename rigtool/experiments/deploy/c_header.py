@@ -161,7 +161,7 @@ def _head(learned: LearnedTable, name: str, lost: str) -> list[str]:
         *learned.rule(),
         f"{name}_{learned.quantity}(position, speed) does so; {name}_covers(position, speed) says",
         "where it is valid. Positions are floats: give them within a few turns of zero.",
-        *learned.friction_told(),
+        *learned.friction_lines(),
         f"Lost: {lost}.",
     ]
 
@@ -183,7 +183,7 @@ def _covers(macro: str) -> str:
 
 
 def _float(value: float) -> str:
-    text = str(np.float32(value))  # as few digits as tell it from its neighbours
+    text = str(np.float32(value))  # as few digits as distinguish it from its neighbours
     return (text if any(c in text for c in ".en") else text + ".0") + "f"
 
 

@@ -1,4 +1,4 @@
-"""Learned tables as others read them: for drives, as Fourier coefficients, as plain numbers."""
+"""Texts of learned tables: for drives, as Fourier coefficients, as plain numbers."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def odrive(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[
 
 
 def fourier(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[str, str]:
-    """Return the orders that stand out of the noise, and what they leave out."""
+    """Return the orders above the noise as text, and what they leave out."""
     band = None
     if learned.band_hz is not None:
         band = int(learned.band_hz * 2 * math.pi / abs(turn.speed))
@@ -157,7 +157,7 @@ def _table_head(learned: LearnedTable) -> list[str]:
         f"Learned {learned.quantity} [{learned.unit}] by position and speed of the motor shaft.",
         *learned.origin,
         *learned.rule(),
-        *learned.friction_told(),
+        *learned.friction_lines(),
         f"Lost: {NOTHING_LOST}.",
     ]
 
@@ -171,7 +171,7 @@ def _map_lines(learned: LearnedTable, turn: PositionMap, unit: str) -> list[str]
     ]
     if not turn.both_directions:
         lines.append("Friction that varies with position is in it, and is wrong the other way.")
-    return [*lines, *learned.friction_told()]
+    return [*lines, *learned.friction_lines()]
 
 
 def _lost(lost: Any, unit: str) -> dict[str, Any]:

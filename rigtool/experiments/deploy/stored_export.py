@@ -1,4 +1,4 @@
-"""`export` of learned tables: which format, and the file of it."""
+"""`export` of learned tables: the choice of the format, and its file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MAPS = ("moteus", "odrive", "fourier")
 
 
 def chosen_format(run: Run, output: Path, part: str | None, wanted: str | None) -> str | None:
-    """Return the format of a learned table that is asked for; None where it is the run's own.
+    """Return the chosen format of a learned table; None for the run's own formats.
 
     Raises `UsageError` where format, file and run do not go together.
     """
@@ -85,7 +85,7 @@ def export_table(
                 raise UsageError(f"{option} is for {', '.join(MAPS)}: {wanted} holds all speeds")
         contents, lost = _table_contents(learned, output, wanted)
     write_new(output, overwrite, lambda path: _write(path, contents))
-    remarks += learned.friction_told()
+    remarks += learned.friction_lines()
     return (f"lost {lost}", *remarks)
 
 

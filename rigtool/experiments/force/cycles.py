@@ -1,9 +1,9 @@
 """Force from motor current: cycles of a hanging load, their scatter, their peak [chapter 8].
 
-A load F at an arm r asks for the torque T(a) = F r sin(a) at the output angle a. Each cycle lifts
+A load F at an arm r takes the torque T(a) = F r sin(a) at the output angle a. Each cycle lifts
 it (rising stroke) and lowers it (falling stroke). T is read at one angle of each rising stroke, and
-as a curve over the whole up-and-down. Friction that grows with load adds to one stroke and is
-missing in the other, thesis section 8.2:
+as a curve over the whole up-and-down. Friction that grows with load adds to one stroke and
+subtracts from the other [8.2]:
 
     T_lifting = T_load + T_ef,  T_lowering = T_load - T_ef,  T_ef = (T_lifting - T_lowering) / 2
 
@@ -244,8 +244,8 @@ def find_peak(angle: ArrayLike, torque: ArrayLike) -> Peak:
         if not first <= centre <= last or np.count_nonzero(near) < 5:
             break
         offset = a[near] - centre
-        # Weights that fade to the window's ends: no point enters or leaves it with a jump, so the
-        # window comes to rest also on an oscillating curve.
+        # Weights fade to the ends of the window: no point enters or leaves it with a jump, so that
+        # the window comes to rest on an oscillating curve, too.
         weight = 1 - (offset / PEAK_HALF_WIDTH) ** 2
         cubic = np.polyfit(offset, values[near], 3, w=weight)
         if cubic[1] >= 0:

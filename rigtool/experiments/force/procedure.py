@@ -181,7 +181,7 @@ def _require_inputs(recipe: Recipe, kt: Run, tables: Run) -> None:
     """Raise `RunFileError` unless calibration and tables belong to the recipe's rig.
 
     With a correction also unless the tables hold it, `InsufficientDataError` at another speed. A
-    calibration that does not say its rig is taken on trust: it is one number, of any source.
+    calibration that does not state its rig is accepted: it is one number, of any source.
     """
     kt.require_command("calibrate-kt")
     if kt.rig not in (None, recipe.rig.name):
@@ -218,7 +218,7 @@ def _constant_at_one_angle(mean: Quantity, kt: Run) -> Quantity:
 
 
 def _input_notes(kt: Run, tables: Run) -> tuple[str, ...]:
-    """Say where the tables were learned with another motor constant than the one used here."""
+    """Report tables that were learned with another torque constant than the one used here."""
     calibrations = [
         used["content_sha256"]
         for used in tables.provenance["inputs"]

@@ -1,4 +1,4 @@
-"""Loads of `measure-force` with their uncertainty: Tables 8 and 9, and what no load shows."""
+"""Loads of `measure-force` with their uncertainty: Tables 8 and 9, and the unloaded cycles."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from rigtool.runfile import Column, Table
 Array = NDArray[np.float64]
 
 GRID_COUNTS = 10
-"""Distance of the points at which curves are stored, quad counts."""
+"""Distance between the points of stored curves, quad counts."""
 
 ZERO_AGAIN = "zero_again"
 """Recording without load after all loads (correction full): zero is known before and after."""
 
 SIGNIFICANCE = 0.05
-"""Shapiro-Wilk probability below which readings are said not to be normally distributed."""
+"""Shapiro-Wilk probability below which readings are reported as not normally distributed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ COLUMNS = {
 
 
 def applied_torque(recipe: Recipe, force: float, angle: float | Array) -> Array:
-    """Return the torque that a force asks for at an output angle, N m, in the order of `angle`.
+    """Return the torque that a force takes at an output angle, N m, in the order of `angle`.
 
     At the grasper force * length * sin(angle) [8.1], on the pulley force * radius.
     """
@@ -129,8 +129,8 @@ def load_rows(
     angle = math.radians(recipe.measure_force.measure_angle)
     unloaded = statistics(loads[0].values, 0.0)
     zero = unloaded.mean if recipe.measure_force.zero else 0.0
-    # The error of the table is in the zero reading as well and goes with it; what makes the zero
-    # reading uncertain comes instead.
+    # The zero reading contains the error of the table, too, and removes it; its own uncertainty
+    # takes the place of the table's.
     zero_u = math.hypot(unloaded.u, loads[0].method_u) / recipe.rig.torque_factor
     offset_u = zero_u if recipe.measure_force.zero else table_u
     rows = []
@@ -301,12 +301,12 @@ def _load_notes(loads: Sequence[Reading], rows: Sequence[LoadRow], p: float) -> 
     if p < SIGNIFICANCE:
         notes.append(
             f"the readings without load are not normally distributed (Shapiro-Wilk p = {p:.2g}): "
-            "their S says little about how often they are far off"
+            "their S shows little of how often they are far off"
         )
     for load, row in zip(loads, rows, strict=True):
         if row.cycles < load.asked_cycles:
             notes.append(
-                f"{load.name}: {row.cycles} whole cycles of {load.asked_cycles} that were asked for"
+                f"{load.name}: {row.cycles} whole cycles of {load.asked_cycles} in the recipe"
             )
         if row.effective_cycles < row.cycles / 2:
             notes.append(

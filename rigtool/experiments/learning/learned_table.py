@@ -19,11 +19,11 @@ COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
 
 @dataclass(frozen=True, eq=False)
 class LearnedTable:
-    """A learned table and what its user must be told.
+    """A learned table and what its user has to know.
 
-    `u` has the shape of its torque. `quantity` and `unit` are what it holds; `friction` was fed
-    forward while it was learned, and is not in it; `band_hz` is the cut-off of Q, None where it is
-    not known; `origin` are lines about rig, program, date and hash.
+    `u` has the shape of its torque. `quantity` and `unit` are those of its values; `friction` was
+    fed forward while it was learned and is not part of it; `band_hz` is the cut-off of Q, None
+    where it is not known; `origin` are lines about rig, program, date and hash.
     """
 
     table: LookupTable
@@ -46,7 +46,7 @@ class LearnedTable:
             f"{where} the table does not extrapolate.",
         ]
 
-    def friction_told(self) -> list[str]:
+    def friction_lines(self) -> list[str]:
         """Return what has to be fed forward beside the table, in lines; none where nothing is."""
         if not self.friction:
             return []

@@ -1,20 +1,22 @@
 """`ilc-learn`: learn the repeatable disturbance [7.2.4].
 
-How to learn is the recipe's `ilc_learn.implementation`; each is a module of its own.
+The recipe's `ilc_learn.implementation` states how; each way is a module of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from rigtool.errors import UsageError
 from rigtool.experiments.between_set_points import remark
-from rigtool.experiments.learning.implementations import a_one_speed as one_speed
-from rigtool.experiments.learning.implementations import b_all_speeds as all_speeds
-from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
-from rigtool.experiments.learning.implementations import d_known_loads as known_loads
-from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
+from rigtool.experiments.learning.implementations.a_one_speed import OneSpeed
+from rigtool.experiments.learning.implementations.b_all_speeds import AllSpeeds
+from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
+from rigtool.experiments.learning.implementations.d_known_loads import KnownLoads
+from rigtool.experiments.learning.implementations.skeleton import Implementation
+from rigtool.experiments.learning.implementations.standard_trajectory import RepeatedMove
 from rigtool.experiments.learning.imported import analyse_imported
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
@@ -27,86 +29,51 @@ from rigtool.runfile import RecordingSpec, Run, RunWriter
 COMMAND = "ilc-learn"
 
 
-IMPLEMENTATIONS: dict[str, tuple[str, Procedure]] = {
-    "A": (
-        "turning at one speed, by position, amplitude and phase by speed",
-        Procedure(
-            COMMAND,
-            one_speed.recordings,
-            one_speed.measure,
-            one_speed.analyse,
-            bare_motor=True,
-        ),
-    ),
-    "B": (
-        "turning, both directions, by position and speed",
-        Procedure(
-            COMMAND,
-            all_speeds.recordings,
-            all_speeds.measure,
-            all_speeds.analyse,
-            bare_motor=True,
-        ),
-    ),
-    "C": (
-        "limited angle, both directions, by position and speed",
-        Procedure(COMMAND, limited_angle.recordings, limited_angle.measure, limited_angle.analyse),
-    ),
-    "D": (
-        "as C, and known loads: torque as a third input",
-        Procedure(
-            COMMAND,
-            known_loads.recordings,
-            known_loads.measure,
-            known_loads.analyse,
-        ),
-    ),
-    "standard": (
-        "a repeated move, by time",
-        Procedure(COMMAND, trajectory.recordings, trajectory.measure, trajectory.analyse),
-    ),
+IMPLEMENTATIONS: dict[str, type[Implementation[Any]]] = {
+    "A": OneSpeed,
+    "B": AllSpeeds,
+    "C": LimitedAngle,
+    "D": KnownLoads,
+    "standard": RepeatedMove,
 }
-"""Ways to learn that exist, by the thesis's letter: what they do, and how.
-
-Those for the bare motor turn the shaft round and round, which no instrument can follow.
-"""
+"""Ways to learn that exist, by the thesis's letter."""
 
 
 def require_implementation(name: str) -> None:
     """Raise `UsageError` unless learning of this name exists."""
     if name not in IMPLEMENTATIONS:
-        known = ", ".join(f"{key} ({what})" for key, (what, _) in IMPLEMENTATIONS.items())
+        known = ", ".join(f"{key} ({way.ABOUT})" for key, way in IMPLEMENTATIONS.items())
         raise UsageError(f"--implementation {name} does not exist yet; there is {known}")
 
 
 def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:
-    """Return the options with what the command line asks for put above the recipe.
+    """Return the options with the choices of the command line, which override the recipe.
 
     Raises `UsageError` for learning that does not exist.
     """
     if name is not None:
         require_implementation(name)
         options = options.with_override(f"ilc_learn.implementation={name}")
-        if IMPLEMENTATIONS[name][1].bare_motor:
+        if IMPLEMENTATIONS[name].BARE_MOTOR:
             options = options.with_override("rig.attachment=pulley")
     return options.with_override("ilc_learn.validation=true") if validate else options
 
 
-def _implementation(recipe: Recipe) -> Procedure:
+def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
     name = recipe.ilc_learn.implementation
     require_implementation(name)
-    implementation = IMPLEMENTATIONS[name][1]
-    if implementation.bare_motor and recipe.rig.attachment != "pulley":
+    implementation = IMPLEMENTATIONS[name]
+    if implementation.BARE_MOTOR and recipe.rig.attachment != "pulley":
         raise UsageError(
             f"implementation {name} turns the shaft round and round, which the "
-            f"{recipe.rig.attachment} cannot: take it off, and say --set rig.attachment=pulley"
+            f"{recipe.rig.attachment} cannot: take it off, and add --set rig.attachment=pulley"
         )
     return implementation
 
 
 def rig_needs(recipe: Recipe) -> tuple[str, ...]:
     """Return what a rig has to offer for motions that are only known once something is learned."""
-    return ("signal",) if recipe.ilc_learn.implementation == "standard" else ("table",)
+    return (_implementation(recipe).RIG_NEED,)
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -135,7 +102,7 @@ def analyse(
     friction: Run | None = None,
     plant: Run | None = None,
 ) -> Outcome:
-    """Learn from the stored signals, and say what remained."""
+    """Learn from the stored signals, and report what remained."""
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
     return replace(outcome, notes=(*outcome.notes, *remark(runs, torque_per_ampere(kt).value)))
 

@@ -1,4 +1,4 @@
-"""Learned tables in run files: how `ilc-learn` writes them and others read them."""
+"""Learned tables in run files: how `ilc-learn` writes them and other commands read them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rigtool.rigs import Feedforward
 from rigtool.runfile import Column, Run, Table
 
 PERIOD = "lookup_period"
-"""Result that says after which angle a table repeats, rad, where it does."""
+"""Result that states the angle after which a periodic table repeats, rad."""
 
 
 TRAJECTORY = "trajectory"
@@ -186,7 +186,9 @@ def require_rig(tables: Run, recipe: Recipe) -> None:
     tables.require_command("ilc-learn")
     learned = tables.recipe
     if learned is None:
-        raise RunFileError(f"{tables.path}: does not say on which rig it was learned: learn again")
+        raise RunFileError(
+            f"{tables.path}: does not state on which rig it was learned: learn again"
+        )
     for what, there, here in (
         ("rig", learned.rig.name, recipe.rig.name),
         ("attachment", learned.rig.attachment, recipe.rig.attachment),

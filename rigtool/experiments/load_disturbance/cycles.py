@@ -1,4 +1,4 @@
-"""Cycles of a load laid over each other [8.2], with all that a model of its disturbance looks at.
+"""Superimposed cycles of a load [8.2], with all signals that a model of its disturbance needs.
 
 All signals are on one period of a motion that repeats, so that the low-pass is a product with its
 spectrum: without phase shift, ends or delay, and the same for what is measured and what is
@@ -32,7 +32,7 @@ POINTS = 16
 
 @dataclass(frozen=True)
 class Transmission:
-    """How a motor drives the output, as the bench knows it.
+    """How a motor drives the output, by the recipe.
 
     `angle_ratio` motor angle per output angle, `torque_factor` output torque per motor torque,
     `inertia` on the motor shaft kg m2, `arm` where the load hangs m, `bandwidth_hz` of the reading.
@@ -113,7 +113,7 @@ def lowpass_periodic(signals: Array, period: float, cutoff_hz: float, slopes: in
     """Low-pass signals (..., n) that repeat with a period, s, and differentiate them `slopes`
     times.
 
-    The gain is that of `numerics.lowpass`: a Butterworth of second order forward and backward.
+    The gain is that of `numerics.lowpass`, a Butterworth of second order forward and backward.
     """
     count = signals.shape[-1]
     frequency = np.arange(count // 2 + 1) / period

@@ -1,14 +1,14 @@
-"""How the disturbance of a load is fitted to what known loads show.
+"""Fit of the disturbance of a load to recordings at known loads.
 
 Stiffness, damping and friction of the tendon enter as they are, coefficients linearly: least
 squares over the first three, the rest being solved for at each step (variable projection: G. H.
 Golub and V. Pereyra, SIAM J. Numer. Anal. 10(2) 413-432, 1973). Each coefficient has a spread, see
-`disturbance_terms`, which acts as one more observation of zero: where the data tell nothing it
-stays near zero, and its uncertainty says so.
+`terms`, which acts as one more observation of zero: where the data do not determine a coefficient,
+it stays near zero, with an uncertainty near its spread.
 
-What differs from one recording to the next by itself (friction level, by direction: 'instrument
-friction changes in time') is fitted for each recording and forgotten; so is the scatter of the
-cycles without load, which all loads of a speed have in common.
+What changes from one recording to the next (the friction level of each direction: 'instrument
+friction changes in time') is fitted for each recording and dropped; so is the scatter of the cycles
+without load, which all loads of a speed have in common.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from rigtool.experiments.load_disturbance.terms import Sizes, State, Term, depen
 Array = NDArray[np.float64]
 
 MODEL_ERROR = 2e-3
-"""Of the peak of a load: what such a model is trusted to describe at a single point, relative."""
+"""Error of the model at a single point, relative to the peak of a load."""
 
 SOFTEST, STIFFEST = 1.0, 1e-3
 """Stretch of the tendon under the largest load with which the search begins and ends, rad."""
 
-TRIED = 13
-"""Stiffnesses between these that are tried first."""
+SCANNED_STIFFNESSES = 13
+"""Number of stiffnesses between these at which the search begins."""
 
 DAMPING, DAMPING_SPREAD = 0.1, 1.5
 """Damping ratio of the largest load that the search starts with, and its logarithm's spread."""
@@ -51,7 +51,7 @@ STEP = 1e-3
 """For derivatives by the tendon's parameters, relative to what the search starts with."""
 
 
-def learn(pairs: Sequence[LoadedPair], moments: Sequence[float]) -> Disturbance:
+def fit_disturbance(pairs: Sequence[LoadedPair], moments: Sequence[float]) -> Disturbance:
     """Learn from pairs whose loads have these moments, N m.
 
     The loads of one speed are compared with one and the same motion without load.
@@ -62,7 +62,7 @@ def learn(pairs: Sequence[LoadedPair], moments: Sequence[float]) -> Disturbance:
     return Disturbance(problem.terms, tendon, coefficient, covariance, max(moments), problem.speeds)
 
 
-def relearned(
+def refit_disturbance(
     disturbance: Disturbance, pairs: Sequence[LoadedPair], moments: Sequence[float]
 ) -> Disturbance:
     """Learn the coefficients again with the same tendon from other, or fewer, pairs."""
@@ -107,7 +107,7 @@ class _Problem:
         self._basis = self._projection()
 
     def _still_part(self) -> Array:
-        """Fill in the columns that do not depend on the tendon, (rows, columns)."""
+        """Return the columns that do not depend on the tendon, (rows, columns)."""
         count = len(self.terms)
         matrix = np.zeros((sum(self._rows), len(self._spread)))
         first = 0
@@ -181,7 +181,7 @@ class _Problem:
         inertia = load * self.pairs[0].loaded.transmission.arm / constants.g
         tried = [
             Tendon(k, 2 * DAMPING * math.sqrt(k * inertia), tip)
-            for k in (load / np.geomspace(STIFFEST, SOFTEST, TRIED)).tolist()
+            for k in (load / np.geomspace(STIFFEST, SOFTEST, SCANNED_STIFFNESSES)).tolist()
         ]
         start = min(tried, key=lambda each: float(np.sum(self.residual(each) ** 2)))
 

@@ -5,9 +5,9 @@ The motor's torque with a load, less that of the same motion without, is
     y = s - s0 + sum over terms of coefficient (function with load - function without load)
 
 s and s0 are the torques that the tendon carries (`tendon`), the functions those of
-`disturbance_terms`. Both sides pass the same low-pass and are compared over the straight part of
-the strokes. What differs from one recording to the next by itself (friction level, by direction:
-'instrument friction changes in time') is fitted for each recording and forgotten; so is the scatter
+`terms`. Both sides pass the same low-pass and are compared over the straight part of
+the strokes. What changes from one recording to the next (the friction level of each direction:
+'instrument friction changes in time') is fitted for each recording and dropped; so is the scatter
 of the cycles without load, which all loads of a speed have in common.
 """
 
@@ -81,7 +81,7 @@ class LoadedPair:
 
     @property
     def independent(self) -> float:
-        """Points among the compared ones that the low-pass leaves independent."""
+        """Number of compared points that are independent after the low-pass."""
         loaded, rows = self.loaded, len(self.rows)
         used = rows * self.rows_apart / len(loaded.setpoint)
         return min(rows, 2 * loaded.transmission.bandwidth_hz * loaded.period * used)
@@ -144,7 +144,7 @@ class Disturbance:
     speeds: tuple[float, ...]
 
     def expectation(self, pair: LoadedPair) -> Callable[[float], Array]:
-        """Return the function of a load's moment, N m, that `expected` is, to be asked often."""
+        """Return `expected` as a function of a load's moment, N m, for many evaluations."""
         loaded, speed = pair.loaded, pair.loaded.speed
 
         def whole(state: State) -> Array:

@@ -1,9 +1,9 @@
-"""The load that a learned disturbance explains a motor's torque by: read from whole strokes.
+"""The load on a motor, read from its torque over whole strokes with a learned disturbance.
 
-Of a load F r sin(a) every point of a stroke tells a part. The load is the one whose expected torque
-(`disturbance`) fits the straight part of the strokes best, the recording's own friction level being
-free: rising and falling strokes together then tell the load, whatever friction did meanwhile. Close
-to the solution that is a weighted mean over the stroke,
+Every point of a stroke shows a part of a load F r sin(a). The load is the one whose expected torque
+(`model`) fits the straight part of the strokes best, with the recording's own friction level free:
+rising and falling strokes together determine the load, whatever its friction. Close to the solution
+that is a weighted mean over the stroke,
 
     load = sum over points of weight * torque
 
@@ -32,8 +32,8 @@ STEP = 0.01
 
 SMALLEST_STEP = 1e-4
 ROUNDS = 50
-FURTHEST, TRIED = 3.0, 41
-"""Loads that are looked at, in parts of the largest learned one, and how many of them."""
+HIGHEST_LOAD, SCANNED_LOADS = 3.0, 41
+"""Highest load of the scan, in parts of the largest learned one, and the number of loads."""
 
 CONVERGED = 1e-5
 """Change at which a load is found, in parts of the largest learned one."""
@@ -59,7 +59,7 @@ class LoadReading:
 
 @dataclass(frozen=True)
 class DeadBand:
-    """Between which torques a load may be where the motion stands still, N m at the output.
+    """Bounds of a load where the motion stands still, N m at the output.
 
     `middle` is the mean of lifting and lowering, zero taken off, `half` half their difference:
     friction may hold that much either way.
@@ -108,7 +108,7 @@ def read_load(disturbance: Disturbance, pair: LoadedPair, angle: float) -> LoadR
 def _solve(disturbance: Disturbance, pair: LoadedPair) -> tuple[float, Array, Array]:
     """Return the load, N m, the weight of each row in it, and what is left at the rows, N m.
 
-    A load that swings near its resonance fits at several places: all are looked at first.
+    A load that swings near its resonance fits at several places: all are scanned first.
     """
     rows, scale = pair.rows, disturbance.torque
     own = pair.nuisance[:, rows]
@@ -125,7 +125,7 @@ def _solve(disturbance: Disturbance, pair: LoadedPair) -> tuple[float, Array, Ar
         left = left - basis @ (basis.T @ left)
         return float(left @ left)
 
-    grid = scale * np.linspace(0.0, FURTHEST, TRIED)
+    grid = scale * np.linspace(0.0, HIGHEST_LOAD, SCANNED_LOADS)
     moment, spacing = float(min(grid.tolist(), key=misfit)), float(grid[1])
     for _ in range(ROUNDS):
         middle = expected(moment)
@@ -137,10 +137,10 @@ def _solve(disturbance: Disturbance, pair: LoadedPair) -> tuple[float, Array, Ar
         if abs(change) <= CONVERGED * scale:
             return moment + change, inverse[0], difference - matrix @ (inverse @ difference)
         moment += min(max(change, -spacing), spacing)
-        if moment > FURTHEST * scale:
+        if moment > HIGHEST_LOAD * scale:
             break
     raise InsufficientDataError(
-        f"no load up to {FURTHEST:g} times the largest learned one, {scale * 1e3:.4g} mN m, "
+        f"no load up to {HIGHEST_LOAD:g} times the largest learned one, {scale * 1e3:.4g} mN m, "
         "explains the torque: learn with larger loads, or check that the tables are of this rig"
     )
 

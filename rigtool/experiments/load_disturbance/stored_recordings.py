@@ -44,7 +44,7 @@ def cycles_of(
             signals.time,
             signals.setpoint,
             signals.rotor,
-            signals.asked,
+            signals.total,
             transmission=transmission_of(recipe),
             speed=speed,
             torque_constant=torque_per_ampere_at(kt, temperature).value,

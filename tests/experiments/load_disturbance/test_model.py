@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.load_disturbance.fit import learn, relearned
+from rigtool.experiments.load_disturbance.fit import fit_disturbance, refit_disturbance
 from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
 from rigtool.experiments.load_disturbance.reading import dead_band, read_load
 from rigtool.experiments.load_disturbance.tendon import Tendon
@@ -38,7 +38,7 @@ def known(unloaded):
 
 @pytest.fixture(scope="module")
 def learned(known):
-    return learn(*known)
+    return fit_disturbance(*known)
 
 
 def test_the_tendon_comes_back(learned):
@@ -73,7 +73,7 @@ def test_a_friction_level_that_drifts_moves_no_reading(learned, unloaded):
 def test_a_load_left_out_of_the_learning_is_read(learned, known):
     pairs, moments = known
     without = [i for i, moment in enumerate(moments) if moment != 0.03]
-    less = relearned(learned, [pairs[i] for i in without], [moments[i] for i in without])
+    less = refit_disturbance(learned, [pairs[i] for i in without], [moments[i] for i in without])
     left = moments.index(0.03)
     assert read_load(less, pairs[left], math.pi / 2).moment == pytest.approx(0.03, rel=0.01)
 

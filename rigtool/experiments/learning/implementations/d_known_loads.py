@@ -4,7 +4,7 @@ First C learns by position and speed. Then known loads are lifted and lowered at
 each speed beginning and ending without load; from these the disturbance of a load is learned
 (`experiments.load_disturbance.model`): friction that grows with load, stiffness of the tendon,
 ripple by current. Both go into one run file: the table is fed forward while moving, the disturbance
-tells afterwards which load the motor's torque stands for.
+converts the motor's torque into a load afterwards.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.controller_torque import loop_signals, naming
-from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
+from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
-from rigtool.experiments.load_disturbance.fit import learn, relearned
+from rigtool.experiments.load_disturbance.fit import fit_disturbance, refit_disturbance
 from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
 from rigtool.experiments.load_disturbance.reading import read_load
 from rigtool.experiments.load_disturbance.stored import (
@@ -40,12 +40,7 @@ from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
 
 LOADED = "known"
-"""How names of recordings of known loads begin."""
-
-
-def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
-    """List what implementation C records, then the known loads at each speed."""
-    return (*limited_angle.recordings(recipe), *_loaded(recipe))
+"""First part of the names of recordings of known loads."""
 
 
 def _loaded(recipe: Recipe) -> list[RecordingSpec]:
@@ -66,51 +61,60 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
     ]
 
 
-def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Run) -> None:
-    """Learn the table, then lift and lower the known loads."""
-    _require_instrument(recipe)
-    limited_angle.measure(rig, recipe, recorder, **inputs)
-    plain = feedforward(recipe.rig.nominal_inertia, friction_results(inputs.get("friction")))
-    settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
-    for spec in _loaded(recipe):
-        motion = Triangle(
-            low=0.0,
-            high=math.radians(settings.angle) * ratio,
-            speed=spec.conditions["speed"][0],
-            turn_angle=math.radians(settings.turn_angle) * ratio,
-            cycles=int(spec.conditions["cycles"][0]),
-        )
-        load = Load(force=spec.conditions["force"][0])
-        task = Task(motion, plain, load, record_every=spec.record_every)
-        record(rig, task, recorder, spec.name)
+class KnownLoads(LimitedAngle):
+    """Learning as implementation C does, and then from known loads."""
 
+    ABOUT = "as C, and known loads: torque as a third input"
 
-def analyse(runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
-    """Learn the table from its moves, and the disturbance from the known loads.
+    @classmethod
+    def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
+        """List what implementation C records, then the known loads at each speed."""
+        return (*super().recordings(recipe), *_loaded(recipe))
 
-    Raises `InsufficientDataError` where the loads do not carry it.
-    """
-    _require_instrument(recipe)
-    table = limited_angle.analyse(runs, recipe, **inputs)
-    loads = _learn_loads(runs[0], recipe, inputs["kt"])
-    return Outcome(
-        {**table.results, **loads.results},
-        {**table.tables, **loads.tables},
-        (*table.notes, *loads.notes),
-    )
+    def require(self, recipe: Recipe, friction: Run | None) -> None:
+        """Raise `RecipeError` without the instrument."""
+        if recipe.rig.attachment != "instrument":
+            raise RecipeError(
+                "implementation D learns what an instrument does to a load; rig.attachment is "
+                f"{recipe.rig.attachment}: attach the instrument, or learn with implementation C"
+            )
 
+    @classmethod
+    def measure(cls, rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Any) -> None:
+        """Learn the table, then lift and lower the known loads."""
+        super().measure(rig, recipe, recorder, **inputs)
+        plain = feedforward(recipe.rig.nominal_inertia, friction_results(inputs.get("friction")))
+        settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
+        for spec in _loaded(recipe):
+            motion = Triangle(
+                low=0.0,
+                high=math.radians(settings.angle) * ratio,
+                speed=spec.conditions["speed"][0],
+                turn_angle=math.radians(settings.turn_angle) * ratio,
+                cycles=int(spec.conditions["cycles"][0]),
+            )
+            load = Load(force=spec.conditions["force"][0])
+            task = Task(motion, plain, load, record_every=spec.record_every)
+            record(rig, task, recorder, spec.name)
 
-def _require_instrument(recipe: Recipe) -> None:
-    if recipe.rig.attachment != "instrument":
-        raise RecipeError(
-            f"implementation D learns what an instrument does to a load; rig.attachment is "
-            f"{recipe.rig.attachment}: attach the instrument, or learn with implementation C"
+    @classmethod
+    def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
+        """Learn the table from its moves, and the disturbance from the known loads.
+
+        Raises `InsufficientDataError` where the loads do not carry it.
+        """
+        table = super().analyse(runs, recipe, **inputs)
+        loads = _learn_loads(runs[0], recipe, inputs["kt"])
+        return Outcome(
+            {**table.results, **loads.results},
+            {**table.tables, **loads.tables},
+            (*table.notes, *loads.notes),
         )
 
 
 def _learn_loads(run: Run, recipe: Recipe, kt: Run) -> Outcome:
     pairs, moments = _pairs(run, recipe, kt)
-    disturbance = learn(pairs, moments)
+    disturbance = fit_disturbance(pairs, moments)
     grid = grid_of(disturbance, pairs, recipe)
     return Outcome(
         {
@@ -192,7 +196,7 @@ def _tendon_results(
     if len(speeds) > 1:
         for name, speed in (("shift", speeds[0]), ("resonance", speeds[-1])):
             own = [i for i, each in enumerate(pairs) if each.loaded.speed == speed]
-            alone = learn([pairs[i] for i in own], [moments[i] for i in own])
+            alone = fit_disturbance([pairs[i] for i in own], [moments[i] for i in own])
             results[f"tendon_stiffness_{name}"] = tendon_results(alone)["tendon_stiffness"]
     return results
 
@@ -209,7 +213,9 @@ def _left_out(
     error, u = np.full((2, len(speeds), len(loads)), math.nan)
     for column, moment in enumerate(loads):
         others = [i for i, m in enumerate(moments) if m != moment]
-        less = relearned(disturbance, [pairs[i] for i in others], [moments[i] for i in others])
+        less = refit_disturbance(
+            disturbance, [pairs[i] for i in others], [moments[i] for i in others]
+        )
         for pair, there in zip(pairs, moments, strict=True):
             if there != moment:
                 continue
@@ -239,5 +245,5 @@ def _notes(disturbance: Disturbance, pairs: list[LoadedPair], recipe: Recipe) ->
     slow, fast = disturbance.speeds[0] / ratio, disturbance.speeds[-1] / ratio
     return (
         f"loads were learned up to {disturbance.torque * 1e3:.4g} mN m from {slow:.3g} to "
-        f"{fast:.3g} rev/s: measure-force corrects loads and speeds within, and says where not",
+        f"{fast:.3g} rev/s: measure-force corrects those within this range and reports others",
     )

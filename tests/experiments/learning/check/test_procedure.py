@@ -120,6 +120,7 @@ class Slipped:
             size=recording.size,
             conditions=recording.conditions,
             condition=recording.condition,
+            has=recording.has,
             read=lambda channel: recording.read(channel) + added.get(channel, 0.0),
         )
 
@@ -156,7 +157,7 @@ def test_an_instrument_is_checked_on_its_range(moved, folder, kt):
     power = check(tables, folder, kt, "virtual.power_cycle=1", seed=seed)
     assert not ilc_check.fits(power)
     assert "another shape" in power.notes[0]
-    assert "a part of the turn cannot tell" in power.notes[0]
+    assert "a part of the turn does not show which" in power.notes[0]
     stiff = check(tables, folder, kt, "virtual.instrument.friction=12.6e-3", seed=seed)
     assert not ilc_check.fits(stiff)
     assert "friction has changed by +2" in stiff.notes[0]

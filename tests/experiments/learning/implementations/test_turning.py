@@ -10,7 +10,7 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
 from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
-from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.stored_table import lookup_table_from, require_same_rig
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
@@ -257,7 +257,7 @@ def test_an_instrument_cannot_turn_round_and_round(folder, kt):
 def test_the_cut_off_follows_from_bandwidth_and_speeds():
     """[7.2.4.2]: 100 Hz, 1 and 5 rev/s: 20 Hz."""
     recipe = load_recipe(RECIPE, [PULLEY])[0]
-    filters = design(recipe)
+    filters = design_filters(recipe)
     bandwidth = one_speed.bandwidth(filters.learning)
     assert bandwidth == pytest.approx(100, rel=0.1)
     assert one_speed.narrowed(filters, recipe).cutoff_hz == pytest.approx(bandwidth / 5, rel=1e-9)

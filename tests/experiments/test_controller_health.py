@@ -10,7 +10,11 @@ from scipy.signal import sosfreqz
 
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.loop_health import UNEXPLAINED_DISTANCE, require_loop_health, smallest_gain
+from rigtool.experiments.controller_torque import (
+    UNEXPLAINED_DISTANCE,
+    require_loop_health,
+    smallest_gain,
+)
 from rigtool.recipe import load_recipe
 
 RECIPE = load_recipe(Path(__file__).parents[2] / "recipes" / "briaire-2006.toml", ())[0]
