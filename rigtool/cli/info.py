@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option("--overwrite", is_flag=True, help="Replace a plot that exists.")
 @debug_option
 def command(path: str, as_json: bool, plot: str | None, overwrite: bool) -> None:
-    """Show what a run file holds.
+    """Show the contents of a run file.
 
     Who made it, when and from what; results with units and uncertainty; recorded signals with
     rate and duration; tables and remarks.

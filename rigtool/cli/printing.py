@@ -1,4 +1,4 @@
-"""Results on stdout: for people with units and uncertainty, or as strict JSON."""
+"""Results on stdout: text with units and uncertainty, or strict JSON."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) -> None:
-    """Print what a command found and stored in `output`: results on stdout, remarks on stderr."""
+    """Print the results of a command on stdout, its notes and `output` on stderr."""
     if options.dry_run:
         for note in outcome.notes:
             click.echo(note)
