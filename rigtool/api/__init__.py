@@ -3,8 +3,8 @@
 Sources are what a command takes, a recipe (.toml) or run files (.h5), or open runs, or arrays:
 `{"staircase": signals}`, a recording's name with a DataFrame or mapping of its signals (n,), in the
 units of run files, with the recipe of their rig. Inputs such as `kt` are run files or open runs.
-Each function returns the `Outcome` of its command, and raises as the command does; messages name
-the options of the command line.
+Each function returns the `Outcome` of its command, and raises the `RigtoolError` that the command
+prints; messages name the options of the command line.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ class Options(TypedDict, total=False):
 
 
 def calibrate_kt(*sources: Source, **options: Unpack[Options]) -> Outcome:
-    """Find the torque constant against temperature."""
+    """Find the torque constant against temperature [7.1.1]."""
     from rigtool.experiments.torque_constant.procedure import PROCEDURE
 
     return _call(PROCEDURE, sources, {}, **options)
 
 
 def stribeck(*sources: Source, kt: File | Run | None = None, **options: Unpack[Options]) -> Outcome:
-    """Find friction: Coulomb, viscous, static, and breakaway around the turn."""
+    """Find friction: Coulomb, viscous, static, and breakaway around the turn [7.1.2, 7.2.2]."""
     from rigtool.experiments.friction.procedure import PROCEDURE
 
     return _call(PROCEDURE, sources, {"kt": kt}, **options)
@@ -81,7 +81,7 @@ def stribeck(*sources: Source, kt: File | Run | None = None, **options: Unpack[O
 def fft_ripple(
     *sources: Source, kt: File | Run | None = None, **options: Unpack[Options]
 ) -> Outcome:
-    """Measure torque ripple by order of rotation, speed and torque."""
+    """Measure torque ripple by order of rotation, speed and torque [7.1.3]."""
     from rigtool.experiments.ripple.procedure import PROCEDURE
 
     return _call(PROCEDURE, sources, {"kt": kt}, **options)
@@ -90,7 +90,7 @@ def fft_ripple(
 def identify_plant(
     *sources: Source, kt: File | Run | None = None, **options: Unpack[Options]
 ) -> Outcome:
-    """Measure the frequency response of the plant; fit inertia and friction."""
+    """Measure the frequency response of the plant; fit inertia and friction [7.2.3]."""
     from rigtool.experiments.plant.procedure import PROCEDURE
 
     return _call(PROCEDURE, sources, {"kt": kt}, **options)
@@ -104,7 +104,7 @@ def ilc_learn(
     implementation: str | None = None,
     **options: Unpack[Options],
 ) -> Outcome:
-    """Learn the disturbance that repeats with position and speed.
+    """Learn the disturbance that repeats with position and speed [7.2.4].
 
     `implementation` is the way to learn by the thesis's letter; without it, the recipe's. "D" on
     imported runs of known loads needs no recipe.
@@ -126,7 +126,7 @@ def measure_force(
     kt: File | Run | None = None,
     **options: Unpack[Options],
 ) -> Outcome:
-    """Measure known loads, reading force from current."""
+    """Measure known loads, reading force from current [8.1]."""
     from rigtool.experiments.force.procedure import PROCEDURE
 
     return _call(PROCEDURE, sources, {"kt": kt, "tables": tables}, **options)

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
     Signals = Mapping[str, ArrayLike] | pd.DataFrame
 
+SAME_INTERVAL = 0.05
+"""Relative difference of sampling intervals that clocks explain; a factor of 2 is another rate."""
+
 NOTE = "the signals were given as arrays, not recorded by rigtool"
 
 
@@ -55,6 +58,8 @@ def analyse_arrays(
             f"{', '.join(plan)}"
         )
     given = {name: _signals(plan[name], signals) for name, signals in arrays.items()}
+    for name, signals in given.items():
+        _require_rate(plan[name], signals["time"], known.rig.sample_time)
     with RunWriter(
         output,
         command=procedure.command,
@@ -109,3 +114,13 @@ def _numbers(what: str, values: Any) -> NDArray[np.float64]:
     if found.ndim != 1:
         raise UsageError(f"{what}: has shape {found.shape}, needed is one dimension")
     return found
+
+
+def _require_rate(spec: RecordingSpec, time: NDArray[np.float64], sample_time: float) -> None:
+    """Raise `UsageError` unless samples are as far apart as the recipe plans."""
+    found, planned = float(np.median(np.diff(time))), spec.record_every * sample_time
+    if abs(found / planned - 1) > SAME_INTERVAL:
+        raise UsageError(
+            f"{spec.name}: samples are {found:.4g} s apart, by the recipe {planned:.4g} s: set "
+            "record_every of this command, or rig.sample_time, as the signals were recorded"
+        )

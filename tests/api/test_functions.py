@@ -165,6 +165,7 @@ def test_sources_that_do_not_go_together(kt, staircase):
         (lambda frame: {"staircase": frame[["time"]]}, "needs time and what was measured"),
         (lambda frame: {"staircase": frame[::-1]}, "time must rise"),
         (lambda frame: {"staircase": frame[:1]}, "2 or more samples"),
+        (lambda frame: {"staircase": frame[::2]}, r"are 0.04 s apart, by the recipe 0\.02 s"),
         (lambda frame: {"staircase": frame.assign(force="heavy")}, "force: is no array of numbers"),
         (
             lambda frame: {"staircase": {**frame, "force": frame.force[1:]}},
@@ -178,7 +179,9 @@ def test_sources_that_do_not_go_together(kt, staircase):
 )
 def test_arrays_that_are_no_recording_are_refused(staircase, change, message):
     with pytest.raises(UsageError, match=message):
-        rigtool.calibrate_kt(change(staircase), recipe=RECIPE)
+        rigtool.calibrate_kt(
+            change(staircase), recipe=RECIPE, settings=["calibrate_kt.record_every=160"]
+        )
 
 
 def test_units_that_a_frame_states_are_compared(staircase):

@@ -11,7 +11,7 @@ import pytest
 import xarray
 from scipy.io import loadmat
 
-from rigtool.errors import RigtoolError, UsageError
+from rigtool.errors import UsageError
 from rigtool.runfile import Recording, RunWriter, open_run
 from rigtool.runfile.export import export
 from tests.runfile.whole_run import SIZE, SPECS, TABLES, samples, write
@@ -199,5 +199,5 @@ def test_an_existing_file_is_refused_and_kept(run_path, tmp_path):
 
 
 def test_a_folder_that_is_not_there(run_path, tmp_path):
-    with pytest.raises(RigtoolError, match="No such file or directory"):
+    with pytest.raises(UsageError, match="does not exist: create it first"):
         exported(run_path, tmp_path / "no" / "a.csv", "sweep")
