@@ -100,7 +100,7 @@ def test_a_broken_command_is_one_line_with_its_name(install, value, message):
 
 def test_a_command_cannot_replace_one_of_rigtool(install):
     done = run(install("[rigtool.commands]\ninfo = acme_rig:heat\n"), "info", "--help")
-    assert "Show what a run file holds" in done.stdout
+    assert "Show the contents of a run file" in done.stdout
     assert done.stderr == ""
     done = run(install("[rigtool.commands]\ninfo = acme_rig:heat\n", "other"), "--help")
     assert done.stderr.splitlines() == [

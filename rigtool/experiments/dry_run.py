@@ -13,10 +13,11 @@ from typing import Any
 
 from rigtool.errors import HardwareError
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Serial
 from rigtool.rigs import NEEDS, Block, Rig, Task
-from rigtool.rigs.motion import OpenLoop
+from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.drivers import REPLAY, driver
 from rigtool.rigs.serial.rig import describe_load
@@ -143,7 +144,7 @@ class _Recorder:
 
 
 def rehearse(
-    procedure: Any,
+    procedure: Procedure,
     recipe: Recipe,
     torque_constant: float,
     inputs: Mapping[str, Run],
@@ -158,8 +159,7 @@ def rehearse(
         rig.plan.complete = False
     for spec in specs:
         rig.plan.needs |= {channel.name: None for channel in spec.channels}
-    if hasattr(procedure, "rig_needs"):
-        rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
+    rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
     return rig.plan
 
 
@@ -175,7 +175,7 @@ def require_offered(rig: Rig, plan: Plan, command: str) -> None:
 
 
 def dry_run(
-    procedure: Any, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
+    procedure: Procedure, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
 ) -> Outcome:
     """Return a plan as remarks, checked against the limits of a rig that has some."""
     plan = rehearse(procedure, recipe, torque_constant, inputs)
@@ -184,7 +184,7 @@ def dry_run(
         plan.check(recipe.serial.limits)
         found = None if recipe.serial.driver == REPLAY else driver(recipe.serial.driver)
         if found is not None and found.make_drive is not None:
-            _require_gauges(plan, recipe.serial, procedure.COMMAND)
+            _require_gauges(plan, recipe.serial, procedure.command)
         low, high = recipe.serial.limits.position
         limits = recipe.serial.limits
         notes.append(
@@ -211,8 +211,10 @@ def _require_gauges(plan: Plan, settings: Serial, command: str) -> None:
 
 
 def _needs(task: Task) -> Iterator[str]:
-    open_loop = isinstance(task.motion, OpenLoop)
-    yield "open_loop" if open_loop else "closed_loop"
+    if isinstance(task.motion, Observe):
+        yield "observe"
+    else:
+        yield "open_loop" if isinstance(task.motion, OpenLoop) else "closed_loop"
     added, load = task.feedforward, task.load
     if added.inertia or added.coulomb or added.viscous:
         yield "feedforward"

@@ -24,7 +24,7 @@ from rigtool.recipe.commands import (
 )
 from rigtool.recipe.rig import Rig
 from rigtool.recipe.serial import Serial
-from rigtool.recipe.virtual import Virtual
+from rigtool.recipe.virtual import Sine, Virtual
 
 RECIPE_VERSION = 1
 
@@ -51,6 +51,17 @@ class Recipe(Section):
                 'rig.source is "serial" and there is no table [serial]: add one with driver, port '
                 "and [serial.limits]"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _loop_follows_contacts(self) -> Recipe:
+        highest = 0.1 / self.rig.sample_time
+        for contact in self.virtual.contact if self.virtual is not None else ():
+            if isinstance(contact, Sine) and contact.frequency_hz[1] > highest:
+                raise ValueError(
+                    f"virtual.contact: frequency_hz {contact.frequency_hz[1]:g} Hz is above a "
+                    f"tenth of the loop's rate, {highest:g} Hz: lower it"
+                )
         return self
 
     def resolved(self) -> str:

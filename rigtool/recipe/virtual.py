@@ -6,7 +6,9 @@ throughout; temperatures in degC.
 
 from __future__ import annotations
 
-from pydantic import Field
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from rigtool.recipe.base import Section
 
@@ -130,6 +132,140 @@ class VirtualInstrument(Section):
     drift_time: float = Field(gt=0, description="its correlation time, s")
 
 
+def _pair(value: object) -> object:
+    """Take one number as a range without width."""
+    return (value, value) if isinstance(value, int | float) else value
+
+
+def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError(f"runs from {ends[0]:g} down to {ends[1]:g}: swap the two ends")
+    return ends
+
+
+_Between = (BeforeValidator(_pair), AfterValidator(_ascending))
+Seconds = Annotated[tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], *_Between]
+HighestForce = Annotated[float, Field(ge=-1000, le=1000)]
+Newtons = Annotated[tuple[HighestForce, HighestForce], *_Between]
+Frequency = Annotated[float, Field(gt=0, le=1000)]
+Hertz = Annotated[tuple[Frequency, Frequency], *_Between]
+Positive = Annotated[float, Field(gt=0)]
+PositiveRange = Annotated[tuple[Positive, Positive], *_Between]
+
+
+class Contact(Section):
+    """When something touches the output: at given times, or drawn from the seed.
+
+    Times count from the start of each motion that is open to contacts. A number, or the two ends
+    of a range from which each contact draws its own value. Forces act at the end of the grasper,
+    or at the radius of the pulley; positive ones resist positive motion.
+    """
+
+    at: tuple[Annotated[float, Field(ge=0)], ...] = Field((), description="s after the start")
+    rate_per_min: float | None = Field(
+        None, gt=0, le=600, description="drawn instead of `at`: contacts a minute without contact"
+    )
+    duration: Seconds | None = Field(None, description="s; until the motion ends where not given")
+
+    @model_validator(mode="after")
+    def _has_its_times(self) -> Self:
+        if bool(self.at) == (self.rate_per_min is not None):
+            raise ValueError("needs either `at`, the times, or `rate_per_min`, to draw them")
+        if self.rate_per_min is not None and self.duration is None:
+            raise ValueError("a contact that is drawn with `rate_per_min` needs a `duration`")
+        return self
+
+
+class Eased(Contact):
+    """A contact that comes and goes within a time of its own."""
+
+    rise_time: float = Field(0.05, ge=0, description="to the full force, and from it, s")
+
+    @model_validator(mode="after")
+    def _reaches_full_force(self) -> Self:
+        if self.duration is not None and self.duration[0] < 2 * self.rise_time:
+            raise ValueError(
+                f"duration {self.duration[0]:g} s is shorter than twice the rise_time of "
+                f"{self.rise_time:g} s, so that the force would not be reached"
+            )
+        return self
+
+
+class Pulse(Eased):
+    """A force that rises linearly, stays, and falls linearly."""
+
+    kind: Literal["pulse"]
+    force: Newtons = Field(description="N")
+
+
+class Mass(Eased):
+    """A mass that is hung on, at the speed of the output, and taken off."""
+
+    kind: Literal["mass"]
+    force: Annotated[
+        tuple[Annotated[float, Field(gt=0, le=1000)], Annotated[float, Field(gt=0, le=1000)]],
+        *_Between,
+    ] = Field(description="weight, N")
+
+
+class Sine(Contact):
+    """A force that swings around zero, beginning there."""
+
+    kind: Literal["sine"]
+    force: Newtons = Field(description="amplitude, N")
+    frequency_hz: Hertz = Field(description="Hz")
+
+
+class Ramp(Contact):
+    """A force that rises linearly from zero, and lets go at once."""
+
+    kind: Literal["ramp"]
+    force: Newtons = Field(description="at the end, N")
+    duration: Seconds = Field(description="of the rise, s")
+
+
+class Tissue(Contact):
+    """Spring and damper from an angle of the output on; tissue pushes, and never pulls."""
+
+    kind: Literal["tissue"]
+    angle_deg: float = Field(ge=-3600, le=3600, description="of the output, where it begins, deg")
+    stiffness: PositiveRange = Field(description="at the output, N m/rad")
+    damping: float = Field(0.0, ge=0, le=10, description="at the output, N m s/rad")
+
+
+AnyContact = Annotated[Pulse | Mass | Sine | Ramp | Tissue, Field(discriminator="kind")]
+
+
+class Hand(Section):
+    """Somebody else who moves the rig while it is observed: drawn free motion.
+
+    Each stretch of time has its pace, or is a pause; the direction changes as a sum of sines does.
+    """
+
+    moves: Literal["motor", "output"] = Field(
+        "motor",
+        description="motor: another controller moves it and makes its current; output: a hand "
+        "moves the output, which is a force there, and the motor has no current",
+    )
+    angle_deg: tuple[float, float] = Field((0.0, 180.0), description="range at the output, deg")
+    speed_rev_per_s: PositiveRange = Field(
+        (0.1, 2.0), description="each stretch draws its highest, of the motor, rev/s"
+    )
+    stretch: Seconds = Field((1.0, 8.0), description="how long a pace lasts, s")
+    pause_share: float = Field(0.3, ge=0, lt=1, description="part of the stretches that rest")
+    stiffness: float = Field(2.0, gt=0, le=1000, description="of the hand's grip, N m/rad")
+    damping: float = Field(0.02, ge=0, le=10, description="of the hand's grip, N m s/rad")
+
+    @model_validator(mode="after")
+    def _has_room(self) -> Self:
+        low, high = self.angle_deg
+        if not high - low >= 1.0:
+            raise ValueError(
+                f"angle_deg leaves {high - low:g} deg to move in, at least 1 is needed"
+            )
+        return self
+
+
 class Virtual(Section):
     """The simulated rig."""
 
@@ -142,3 +278,5 @@ class Virtual(Section):
     arm: Arm
     eccentricity: Eccentricity = Eccentricity()
     instrument: VirtualInstrument
+    contact: tuple[AnyContact, ...] = ()
+    hand: Hand = Hand()

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
-from rigtool.rigs.motion import Motion, OpenLoop
+from rigtool.rigs.motion import Motion, Observe, OpenLoop
 
 Block = dict[str, NDArray[np.float64]]
 """Equal-length arrays by channel name, `time` among them."""
@@ -33,6 +33,7 @@ CHANNELS = {
     "force": ("N", "f4", "force gauge at the end of the arm"),
     "rotor_angle": ("rad", "f4", "angle of the shaft in the arm's clamp"),
     "deflection": ("m", "f8", "of the motor on its leaf springs, by a micrometer"),
+    "reference_torque": ("N m", "f8", "what truly acts on the output from outside; judges only"),
 }
 """Unit, type in the file and meaning of each channel a rig may offer."""
 
@@ -40,6 +41,7 @@ CHANNELS = {
 NEEDS = {
     "closed_loop": "follow a set point of position",
     "open_loop": "follow a current with the position loop open",
+    "observe": "record while somebody else moves it",
     "feedforward": "add a torque that is computed from the set point",
     "table": "add a learned table",
     "signal": "add a torque signal sample by sample",
@@ -94,14 +96,26 @@ class Task:
     """One motion that is recorded.
 
     Each recorded sample is the mean of `record_every` samples of the loop. An open-loop task ends
-    early once the shaft has turned by `stop_angle` rad, where that is given.
+    early once the shaft has turned by `stop_angle` rad, where that is given. Where it is `touched`,
+    whatever is at the output may touch it meanwhile, unknown to the program, and a rig that knows
+    what truly acted records it as `reference_torque`: the torque on the output [N m] of all that
+    hangs on it or touches it, positive where it resists positive motion, with the inertia of what
+    hangs there.
     """
 
-    motion: Motion | OpenLoop
+    motion: Motion | OpenLoop | Observe
     feedforward: Feedforward = Feedforward()
     load: Load = Load()
     record_every: int = 1
     stop_angle: float | None = None
+    touched: bool = False
+
+    @property
+    def start(self) -> float | None:
+        """Position at which the motion starts, rad; None where from wherever the rotor is."""
+        if isinstance(self.motion, OpenLoop | Observe):
+            return None
+        return self.motion.start
 
 
 class Rig(Protocol):

@@ -177,3 +177,14 @@ class CurrentRamp:
 
 
 OpenLoop = CurrentSteps | CurrentRamp
+
+
+@dataclass(frozen=True)
+class Observe:
+    """Nothing is sent that moves: somebody else moves the rig for `duration` s, or nobody does.
+
+    Signals are recorded as far as they can be read without taking part: time, encoder, current,
+    the current set point where the amplifier shows it, temperature; no set point of position.
+    """
+
+    duration: float

@@ -9,7 +9,7 @@ import numpy as np
 
 from rigtool.errors import RecipeError, UsageError
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.suspension.springs import (
     LeafSprings,
     SpringCurve,
@@ -23,9 +23,6 @@ from rigtool.recipe.rig import Suspension
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
-
-COMMAND = "suspension"
-BARE_MOTOR = True
 
 READING_TIME = 0.1
 """How long each reading lasts, s."""
@@ -174,3 +171,12 @@ def _torque_table(springs: Suspension, stiffness: float, speeds: Sequence[float]
         "inertia",
         "Torque of pulleys out of centre (Fig. 75)",
     )
+
+
+PROCEDURE = Procedure(
+    "suspension",
+    recordings,
+    measure,
+    analyse,
+    bare_motor=True,
+)

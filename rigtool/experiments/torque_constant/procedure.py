@@ -9,7 +9,7 @@ import numpy as np
 
 from rigtool.errors import RecipeError
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_constant.staircase import Plateaus, find_plateaus
 from rigtool.experiments.torque_constant.temperature_fit import (
     SAME_TEMPERATURE,
@@ -22,8 +22,6 @@ from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
 
-COMMAND = "calibrate-kt"
-BARE_MOTOR = True
 STAIRCASE = "staircase"
 
 
@@ -205,3 +203,12 @@ def _extrapolation(found: Calibration, range_degc: tuple[float, float]) -> list[
         return []
     listed = ", ".join(f"{t:g}" for t in dict.fromkeys(outside))
     return [f"extrapolated to {listed} degC from {low:.3g} to {high:.3g} degC along the line"]
+
+
+PROCEDURE = Procedure(
+    "calibrate-kt",
+    recordings,
+    measure,
+    analyse,
+    bare_motor=True,
+)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Task
-from rigtool.rigs.motion import OpenLoop
+from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.between import ROOM, Between, usual_time
@@ -173,9 +173,8 @@ class HostedRig(SerialRig):
     # -- motions
 
     def _execute(self, task: Task) -> Generator[Block, None, None]:
-        motion = task.motion
-        if not isinstance(motion, OpenLoop) and motion.start is not None:
-            approach = safety.slow_move(motion.start - self._position(), self._limits)
+        if task.start is not None:
+            approach = safety.slow_move(task.start - self._position(), self._limits)
             for _ in self._run(Task(approach, load=task.load)):
                 pass
         yield from self._run(task)
@@ -240,8 +239,8 @@ class _Loop:
         last = self._drive.read()
         begin = self._origin = last.position
         motion = task.motion
-        if not isinstance(motion, OpenLoop) and motion.start is not None:
-            self._origin = motion.start
+        if task.start is not None:
+            self._origin = task.start
         self._drive.enable("current" if self._open_loop else self._rig.mode)
         block = max(1, round(BLOCK_TIME / dt / task.record_every)) * task.record_every
         self._start = start = self._line.now()
@@ -287,7 +286,7 @@ class _Loop:
     def _motion_at(self, *moments: float) -> tuple[Array, Array, Array]:
         """Return position on the drive's zero, speed and acceleration at times of the line."""
         motion = self._task.motion
-        assert not isinstance(motion, OpenLoop)
+        assert not isinstance(motion, OpenLoop | Observe)
         time = np.clip(np.array(moments) - self._start, 0.0, motion.duration)
         position, speed, acceleration = motion.setpoint(time)
         return position + self._origin, speed, acceleration

@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from scipy import constants
 
 from rigtool.errors import HardwareError
+from rigtool.interrupts import held
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
+from rigtool.rigs.motion import Observe
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
@@ -133,7 +135,7 @@ class SerialRig(Rig, ABC):
     ) -> None:
         """Stop, switch off, restore, let go. A failure here is reported, and hides no error."""
         problems = []
-        with safety.uninterrupted():
+        with held():
             if self._running is not None:
                 self._running.close()
             for what, act in (("stop", self._halt), ("restore its settings", self._restore)):
@@ -161,6 +163,8 @@ class SerialRig(Rig, ABC):
 
     def lacks(self, need: str) -> str | None:
         """Return why a need or channel is not offered; None where it is."""
+        if need == "observe":
+            return "rigtool has to move the motor of a rig on a line itself"
         if need == "force" and isinstance(self._gauges.get(need), OperatorGauge):
             return (
                 "an operator reads once a motion, and the force changes with every step of "
@@ -236,6 +240,8 @@ class SerialRig(Rig, ABC):
 
         Raises `HardwareError` where the motion is beyond a limit, or something goes wrong.
         """
+        if isinstance(task.motion, Observe):
+            raise HardwareError(f"{self.line.port}: {self.lacks('observe')}: it cannot be observed")
         self._require_permission(task)
         self._set_load(task.load)
         on_lines = any(not isinstance(gauge, OperatorGauge) for gauge in self._gauges.values())
@@ -282,7 +288,7 @@ class SerialRig(Rig, ABC):
 
         Whatever thread has the line lets go of it first.
         """
-        with safety.uninterrupted(), contextlib.suppress(HardwareError):
+        with held(), contextlib.suppress(HardwareError):
             if self._running is not None:
                 self._running.close()
             self._halt()
@@ -364,7 +370,7 @@ def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) 
             yield item
     finally:
         stop.set()
-        with safety.uninterrupted():
+        with held():
             thread.join()
 
 

@@ -1,12 +1,8 @@
-"""Limits: checked before a motion is sent, watched while it runs; and switching off undisturbed."""
+"""Limits: checked before a motion is sent, watched while it runs."""
 
 from __future__ import annotations
 
-import contextlib
 import math
-import signal
-import threading
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +11,7 @@ from numpy.typing import NDArray
 from rigtool.errors import RecipeError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.base import Block, Feedforward, Task
-from rigtool.rigs.motion import Move, OpenLoop
+from rigtool.rigs.motion import Move, Observe, OpenLoop
 
 Array = NDArray[np.float64]
 
@@ -79,6 +75,8 @@ class Extremes:
 def extremes(task: Task, origin: float, sample_time: float, torque_constant: float) -> Extremes:
     """Evaluate a task at every sample of the loop; `origin` [rad] is where the shaft is."""
     motion = task.motion
+    if isinstance(motion, Observe):  # where somebody else moves it is not known
+        return Extremes(motion.duration, (math.nan, math.nan), 0.0, 0.0, 0.0, math.nan)
     total = max(1, round(motion.duration / sample_time))
     low, high, top_speed, top_acceleration, top_current = math.inf, -math.inf, 0.0, 0.0, 0.0
     end = origin
@@ -290,29 +288,6 @@ def _beyond(name: str, value: float, limit: float, unit: str) -> str:
         f"{name} reached {value:.4g} {unit}, beyond the limit of {limit:.4g} {unit} "
         f"(serial.limits): the motor was stopped and switched off"
     )
-
-
-@contextlib.contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Switch off undisturbed: a second Ctrl-C or SIGTERM waits until the block is left."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    waiting: list[int] = []
-    before = {
-        getattr(signal, name): signal.signal(
-            getattr(signal, name), lambda number, frame: waiting.append(number)
-        )
-        for name in names
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    for number in waiting[:1]:
-        signal.raise_signal(number)
 
 
 def slow_move(angle: float, limits: Limits) -> Move:

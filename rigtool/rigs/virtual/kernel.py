@@ -8,6 +8,14 @@ the torque level*z, after Dahl (1968) and Canudas de Wit et al., IEEE TAC 40(3) 
 level follows Stribeck. Pre-sliding, breakaway and reversal come from it. Integration is
 semi-implicit Euler at the sample time of the loop; the bristles implicit, which keeps them stable
 at any speed. SI units; temperatures in degC.
+
+What touches the output (grasper, or pulley without an instrument) acts on its equation of motion:
+
+    M = L + F + W sin(thg) + k max(0, thg - th0) + c wg + kh (thg - thh) + ch (wg - wh) + I dwg/dt
+
+with the recipe's hanging load L, a force F, hung masses of weight W r and inertia I (the load's
+included), tissue (k, c from th0 on, never pulling) and the grip of a hand (kh, ch) that is at thh.
+M is the torque on the output, `reference_torque`. Springs and dampers are implicit, thus stable.
 """
 
 from __future__ import annotations
@@ -109,12 +117,20 @@ PARAMETERS = np.dtype(
             "load_stroke_noise",
             "drift_decay",
             "drift_gain",
+            "load_inertia",
+            "inertia_per_weight",
+            "grip_stiffness",
+            "grip_damping",
         )
     ]
 )
 
 # Columns of the map by rotor angle, and of the map by grasper angle
 OFFSET_RIPPLE, GAIN_RIPPLE, SATURATION_RIPPLE, COGGING, VISCOUS_MODULATION = range(5)
+
+# Columns of what touches the output, and of each tissue
+FORCE_TORQUE, WEIGHT_MOMENT, HAND_ANGLE, HAND_SPEED = range(4)
+BEGIN, END, TISSUE_ANGLE, TISSUE_STIFFNESS, TISSUE_DAMPING = range(5)
 
 # Columns of what a run returns
 ENCODER, CURRENT_SETPOINT, CURRENT, ARM_TORQUE, TEMPERATURE = range(5)
@@ -158,6 +174,47 @@ def _tick(s: Record, p: Record, square_current: float, normals: Array, tick: int
 
 
 @njit(cache=True)
+def _touched(
+    p: Record,
+    touch: Array,
+    tissues: Array,
+    time: float,
+    angle: float,
+    speed: float,
+    lever: float,
+    driving: float,
+    load: float,
+    inertia: float,
+) -> tuple[float, float]:
+    """Return the output's speed one step later and the torque that acted on it from outside.
+
+    `lever` is the sine of the angle at which weights hang, `driving` the rig's own torque on the
+    output, `load` that of the recipe's load, `inertia` the rig's with that load.
+    """
+    weight = touch[WEIGHT_MOMENT]
+    hung = weight * p.inertia_per_weight
+    total = inertia + hung
+    outside = load + touch[FORCE_TORQUE] + weight * lever
+    grip = p.grip_stiffness * (angle - touch[HAND_ANGLE]) - p.grip_damping * touch[HAND_SPEED]
+    per_speed = p.grip_damping + p.dt * p.grip_stiffness
+    push = yielding = 0.0
+    for j in range(tissues.shape[0]):
+        tissue = tissues[j]
+        depth = angle - tissue[TISSUE_ANGLE]
+        if tissue[BEGIN] <= time < tissue[END] and depth > 0.0:
+            push += tissue[TISSUE_STIFFNESS] * depth
+            yielding += tissue[TISSUE_DAMPING] + p.dt * tissue[TISSUE_STIFFNESS]
+    free = speed + p.dt * (driving - outside - grip) / total
+    after = (free - p.dt * push / total) / (1.0 + p.dt * (per_speed + yielding) / total)
+    if push + yielding * after < 0.0:  # tissue lets go
+        push = yielding = 0.0
+        after = free / (1.0 + p.dt * per_speed / total)
+    outside += grip + push + (per_speed + yielding) * after
+    outside += (p.load_inertia + hung) * (after - speed) / p.dt
+    return after, outside
+
+
+@njit(cache=True)
 def run(
     parameters: NDArray[np.void],
     state: NDArray[np.void],
@@ -173,11 +230,19 @@ def run(
     stop_angle: float,
     record_every: int,
     out: Array,
+    touch: Array | None,
+    tissues: Array,
+    touch_time: float,
+    reference: Array,
 ) -> int:
     """Simulate `len(setpoint)` samples and return how many were done.
 
     `setpoint` is the position set point [rad] in closed loop, the current [A] in open loop;
     `feedforward` [A] is added in closed loop. `out` (n // record_every, 5) receives means.
+    `touch` (n, 4) holds what touches the output at each sample, `tissues` (k, 5) what it runs
+    into, `touch_time` [s] the time of the first sample on the clock of both; `reference`
+    (n // record_every,) receives the torque on the output [N m]. Without `touch` (None) nothing
+    does, and the compiled step knows nothing of it.
     """
     p = parameters[0]
     s = state[0]
@@ -195,6 +260,7 @@ def run(
     sums = np.zeros(4)
     square_current = 0.0
     strokes = 0
+    outside_sum = 0.0
     angle, speed, bristle = s.angle, s.speed, s.bristle
     current, ripple = s.current, s.ripple
     grasper_angle, grasper_speed = s.grasper_angle, s.grasper_speed
@@ -245,7 +311,9 @@ def run(
             + level * p.presliding_damping * (bristle - before) / dt
             + p.viscous * (1.0 + modulation) * speed
         )
-        torque = torque_constant * (current + ripple) + cogging - friction - p.load_torque
+        torque = torque_constant * (current + ripple) + cogging - friction
+        if touch is None or instrument:
+            torque -= p.load_torque
         arm_torque = 0.0
         if clamped:
             arm_torque = p.arm_stiffness * (angle - p.clamp_angle) + p.arm_damping * speed
@@ -278,11 +346,41 @@ def run(
             )
             torque -= twist / p.torque_factor + level * z + p.housing_viscous * speed
             s.tip_bristle = _bristle(s.tip_bristle, grasper_speed, dt, p.tip_presliding_angle)
-            grasper_torque = twist - p.tip_friction * s.tip_bristle - p.load_moment * sine
-            grasper_speed += dt * grasper_torque / p.grasper_inertia
+            if touch is None:
+                grasper_torque = twist - p.tip_friction * s.tip_bristle - p.load_moment * sine
+                grasper_speed += dt * grasper_torque / p.grasper_inertia
+            else:
+                grasper_speed, outside = _touched(
+                    p,
+                    touch[k],
+                    tissues,
+                    touch_time + k * dt,
+                    grasper_angle,
+                    grasper_speed,
+                    sine,
+                    twist - p.tip_friction * s.tip_bristle,
+                    p.load_moment * sine,
+                    p.grasper_inertia,
+                )
+                outside_sum += outside
             grasper_angle += dt * grasper_speed
         # Motion
-        speed += dt * torque / p.inertia
+        if touch is None or instrument:
+            speed += dt * torque / p.inertia
+        else:
+            speed, outside = _touched(
+                p,
+                touch[k],
+                tissues,
+                touch_time + k * dt,
+                angle,
+                speed,
+                1.0,
+                torque,
+                p.load_torque,
+                p.inertia,
+            )
+            outside_sum += outside
         angle += dt * speed
         # Record and keep the slow clock
         sums[0] += encoder
@@ -295,6 +393,9 @@ def run(
                 out[row, j] = sums[j] / record_every
                 sums[j] = 0.0
             out[row, TEMPERATURE] = s.housing_degc
+            if touch is not None:
+                reference[row] = outside_sum / record_every
+                outside_sum = 0.0
         if (k + 1) % TICK == 0:
             _tick(s, p, square_current / TICK, normals, k // TICK)
             square_current = 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +14,22 @@ from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.recipe import Recipe
 from rigtool.recipe.virtual import Virtual
-from rigtool.rigs.base import Block, Load, Rig, Task
-from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, OpenLoop
-from rigtool.rigs.virtual import kernel
+from rigtool.rigs.base import Block, Feedforward, Load, Rig, Task
+from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, Observe, OpenLoop
+from rigtool.rigs.virtual import contacts, hand, kernel
+from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
 
 Array = NDArray[np.float64]
 
 BLOCK = 16384
 """Samples simulated at a time, about: what fits a processor's cache."""
+
+OBSERVED = ("time", "encoder", "current_setpoint", "current", "temperature", "reference_torque")
+"""Channels that can be read without taking part in a motion."""
+
+CONTACTS, HAND = 0xC047AC7, 0x4A4D
+"""Streams of the seed for what is drawn besides the bench's own noise."""
 
 GRAVITY = 9.81
 """Of the simulated weights, m/s2: it enters their inertia, and with it every digit of old runs."""
@@ -109,10 +117,51 @@ class VirtualRig(Rig):
     # -- tasks
 
     def perform(self, task: Task) -> Iterator[Block]:
-        """Run a task and yield its signals in blocks; moves to the motion's start first."""
-        if not isinstance(task.motion, OpenLoop) and task.motion.start is not None:
-            self.move_by(task.motion.start - self._closed_loop_setpoint())
+        """Run a task and yield its signals in blocks; moves to the motion's start first.
+
+        A task that observes has the motion of the recipe's [virtual.hand]: another controller's,
+        with the loop of [rig.controller], or that of a hand at the output.
+        """
+        if isinstance(task.motion, Observe):
+            yield from self._observe(task)
+            return
+        if task.start is not None:
+            self.move_by(task.start - self._closed_loop_setpoint())
         yield from self._run(task)
+
+    def _observe(self, task: Task) -> Iterator[Block]:
+        """Let somebody else move, and yield what can be read meanwhile."""
+        rng = np.random.default_rng([self._virtual.seed, self._stream, self._tasks, HAND])
+        ratio, duration = self._rig.angle_ratio, task.motion.duration
+        motion = hand.draw(self._virtual.hand, ratio, duration, rng)
+        if self._virtual.hand.moves == "motor":
+            inertia = self._rig.nominal_inertia
+            moved = replace(task, motion=motion, feedforward=Feedforward(inertia))
+            blocks = self.perform(moved)
+        else:
+            for _ in self._run(
+                *self._by_hand(replace(task, touched=False), self._approach(motion))
+            ):
+                pass
+            blocks = self._run(*self._by_hand(task, motion))
+        for block in blocks:
+            yield {name: block[name] for name in OBSERVED if name in block}
+
+    def _approach(self, motion: Motion) -> Move:
+        """Return the way of the hand to where its motion starts."""
+        assert motion.start is not None
+        angle = motion.start - self._output_angle() * self._rig.angle_ratio
+        return Move(angle, SETTLE_TIME + abs(angle) / MOVE_SPEED)
+
+    def _by_hand(self, task: Task, motion: Motion) -> tuple[Task, Motion]:
+        """Return a task for the motor, which has no current, and the motion of the hand."""
+        idle = CurrentSteps((0.0,), motion.duration)
+        return replace(task, motion=idle, feedforward=Feedforward()), motion
+
+    def _output_angle(self) -> float:
+        """Return the true angle of grasper or pulley, rad."""
+        name = "grasper_angle" if self._rig.attachment == "instrument" else "angle"
+        return float(self._state[name][0])
 
     def _closed_loop_setpoint(self) -> float:
         if self._setpoint is None:  # close the loop where the rotor is
@@ -120,18 +169,25 @@ class VirtualRig(Rig):
             self._setpoint = self.position
         return self._setpoint
 
-    def _run(self, task: Task) -> Iterator[Block]:
+    def _run(self, task: Task, grip: Motion | None = None) -> Iterator[Block]:
+        """Run a task; `grip` is the motion, on the motor's scale, of a hand at the output."""
         self._tasks += 1
-        rng = np.random.default_rng([self._virtual.seed, self._stream, self._tasks])
+        stream = [self._virtual.seed, self._stream, self._tasks]
+        rng = np.random.default_rng(stream)
         dt, every, motion = self._rig.sample_time, task.record_every, task.motion
+        assert not isinstance(motion, Observe)
         origin = 0.0
         closed_loop = not isinstance(motion, OpenLoop)
-        if isinstance(motion, OpenLoop):
-            self._setpoint = None
-        else:
+        if closed_loop:
             here = self._closed_loop_setpoint()
-            origin = here if motion.start is None else motion.start
+            origin = here if task.start is None else task.start
+        else:
+            self._setpoint = None
         parameters = self._parameters(task.load)
+        if grip is not None:
+            parameters["grip_stiffness"] = self._virtual.hand.stiffness
+            parameters["grip_damping"] = self._virtual.hand.damping
+        outside = self._outside(task, grip, [*stream, CONTACTS])
         total = round(motion.duration / dt)
         block = kernel.TICK * every * max(1, BLOCK // (kernel.TICK * every))
         for first in range(0, total, block):
@@ -140,6 +196,7 @@ class VirtualRig(Rig):
             signals = self._setpoints(motion, task, time, origin)
             signals["signal_current"] = self._signal(task, steps)
             out = np.zeros((len(time) // every, 5))
+            reference = np.zeros(len(out))
             done = kernel.run(
                 parameters,
                 self._state,
@@ -157,13 +214,33 @@ class VirtualRig(Rig):
                 task.stop_angle or 0.0,
                 every,
                 out,
+                None if outside is None else outside.at(time),
+                np.zeros((0, 5)) if outside is None else outside.tissues(),
+                float(time[0]),
+                reference,
             )
             if closed_loop:
                 self._setpoint = float(signals["position_setpoint"][-1])
-            yield self._recorded(signals, out, done, every, task.load, rng)
+            recorded = self._recorded(signals, out, done, every, task.load, rng)
+            if outside is not None:
+                recorded["reference_torque"] = reference[: done // every]
+            yield recorded
             self._time += done * dt
             if done < len(time):
                 return
+
+    def _outside(self, task: Task, grip: Motion | None, seed: list[int]) -> Outside | None:
+        """Return what acts on the output during a task; None where nothing may."""
+        if not task.touched and grip is None:
+            return None
+        ratio = self._rig.angle_ratio
+        acting = self._virtual.contact if task.touched else ()
+        touches = contacts.draw(acting, task.motion.duration, seed)
+        held = None
+        if grip is not None:
+            here = self._output_angle() * ratio
+            held = Grip(grip, here if grip.start is None else grip.start, ratio)
+        return Outside(touches, self._rig.load_arm, held)
 
     def _setpoints(
         self, motion: Motion | OpenLoop, task: Task, time: Array, origin: float
@@ -316,6 +393,8 @@ class VirtualRig(Rig):
             "load_stroke_noise": v.instrument.load_stroke_noise,
             "drift_decay": drift_decay,
             "drift_gain": v.instrument.drift * math.sqrt(1 - drift_decay**2),
+            "load_inertia": mass * rig.load_arm**2,
+            "inertia_per_weight": rig.load_arm / GRAVITY,
         }
         for name, value in values.items():
             p[name] = value

@@ -9,7 +9,7 @@ import pytest
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.experiments.dry_run import rehearse, require_offered
-from rigtool.experiments.friction import procedure as stribeck
+from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.rigs import NEEDS, Feedforward, Load, Task
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
@@ -241,7 +241,7 @@ def test_stribeck_is_refused_before_it_measures(feedforward, person, radial_forc
 
     someone = Operator(ask=lambda question: "", say=lambda text: None, present=person)
     recipe = serial_recipe("/dev/none", f"stribeck.radial_force={radial_force}", driver="odrive")
-    plan = rehearse(stribeck, recipe, 0.045, {"kt": None})
+    plan = rehearse(STRIBECK, recipe, 0.045, {"kt": None})
     attendant = replace(someone, yes=True)
     make = lambda line, recipe: Drive(line)  # noqa: E731
     with (

@@ -1,8 +1,6 @@
 """Limits: what a motion will ask, and what a running one measures."""
 
 import math
-import os
-import signal
 
 import numpy as np
 import pytest
@@ -277,24 +275,6 @@ def test_an_encoder_that_jumps_is_a_problem_that_names_it(period, jump):
     assert "speed reached" in found
     if period < 0.01:
         assert "a position may also have jumped" in found
-
-
-def test_second_interrupt_waits_until_the_motor_is_off():
-    done = []
-
-    def switch_off():
-        with safety.uninterrupted():
-            os.kill(os.getpid(), signal.SIGINT)
-            done.append("off")
-        done.append("never")
-
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            switch_off()
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert done == ["off"]
 
 
 # -- the operator

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import Block, Feedforward, Load, Task
-from rigtool.rigs.motion import Move, OpenLoop
+from rigtool.rigs.motion import Move
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.emulators.target_log import TargetLog
 from rigtool.rigs.serial.frames import Frame, Splitter, encode
@@ -254,8 +254,8 @@ class TargetEmulator(Emulator):
                 f"the motion lasts {task.motion.duration:g} s, the limit is "
                 f"{self._limits.duration:g} s"
             )
-        if not isinstance(task.motion, OpenLoop) and task.motion.start is not None:
-            self._require_within(task.motion.start)
+        if task.start is not None:
+            self._require_within(task.start)
         log = TargetLog(mask, keeps=self._keeps_log or not streams, streams=bool(streams))
         dt = link.RigSetup.unpack(self._objects[Slot.RIG]).sample_time
         samples = round(task.motion.duration / dt) // every
@@ -285,7 +285,10 @@ class TargetEmulator(Emulator):
             signal if signal.size else None,
         )
         load = link.unpack_load(objects[Slot.LOAD]) if Slot.LOAD in objects else Load()
-        return Task(link.unpack_motion(objects[Slot.MOTION]), added, load, every, stop_angle)
+        virtual = self._recipe.virtual
+        touched = virtual is not None and bool(virtual.contact)
+        motion = link.unpack_motion(objects[Slot.MOTION])
+        return Task(motion, added, load, every, stop_angle, touched)
 
     def _start(self, payload: bytes) -> bytes:
         if self.state is not State.ARMED:

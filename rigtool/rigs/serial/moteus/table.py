@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial import safety
+from rigtool.interrupts import held
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.moteus.drive import Moteus
 from rigtool.rigs.serial.moteus.registers import MODE, POSITION, STOPPED, TIMED_OUT
@@ -92,7 +92,7 @@ class MoteusTable:
             self._keep()
             self._require(table)
         except BaseException as error:
-            with safety.uninterrupted():
+            with held():
                 error.add_note(self._bring_back(before))
             raise
 

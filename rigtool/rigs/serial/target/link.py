@@ -23,6 +23,7 @@ from rigtool.rigs.motion import (
     CurrentSteps,
     Motion,
     Move,
+    Observe,
     OpenLoop,
     SpeedProfile,
     Triangle,
@@ -327,7 +328,7 @@ def unpack_table(data: bytes) -> LookupTable | None:
     return LookupTable(position, speed, torque.reshape(m, n), low_speed, amplitude)
 
 
-def pack_motion(motion: Motion | OpenLoop) -> bytes:
+def pack_motion(motion: Motion | OpenLoop | Observe) -> bytes:
     """Return the object of slot MOTION: a byte for its kind, then its numbers.
 
     Raises `TypeError` for a motion that the link does not know.

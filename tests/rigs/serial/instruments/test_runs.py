@@ -11,12 +11,12 @@ import pytest
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import HardwareError
 from rigtool.experiments import session
-from rigtool.experiments.force import procedure as measure_force
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import tables_of
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.session import run_command
-from rigtool.experiments.torque_constant import procedure as calibrate_kt
+from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Load, Task
 from rigtool.rigs.motion import CurrentSteps
@@ -61,13 +61,13 @@ def device(monkeypatch):
     return device
 
 
-def run(module, port, more, output, monkeypatch, ask, inputs=None, **more_of_it):
+def run(procedure, port, more, output, monkeypatch, ask, inputs=None, **more_of_it):
     said, driver = more_of_it.get("say", lambda text: None), more_of_it.get("driver", "odrive")
     person = Operator(ask=ask, say=said, present=True)
     monkeypatch.setattr(session, "Operator", lambda **asked: replace(person, **asked))
     settings = overrides(port, "serial.watchdog=2", *more, driver=driver, sample_time=0.01)
     options = CommonOptions(overrides=settings, yes=True, spy=more_of_it.get("spy"))
-    return run_command(module, [str(RECIPE)], str(output), options=options, inputs=inputs or {})
+    return run_command(procedure, [str(RECIPE)], str(output), options=options, inputs=inputs or {})
 
 
 def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
@@ -103,7 +103,7 @@ def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
             "serial.temperature.driver=operator",
         )
         output = tmp_path / "kt.h5"
-        found = run(calibrate_kt, server.port, more, output, monkeypatch, person(), spy=spy)
+        found = run(CALIBRATE_KT, server.port, more, output, monkeypatch, person(), spy=spy)
     assert found.results["torque_constant_mean"].value == pytest.approx(0.045, rel=5e-3)
     assert asked[0] == "Bring the motor to 21 degC and wait until it has it throughout, " + (
         "then press Enter:"
@@ -119,7 +119,7 @@ def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
     assert force["missing_samples"] == 0
     assert line["instruments"]["temperature"]["driver"] == "operator"
     output = tmp_path / "again.h5"  # the same, without the bench
-    run(calibrate_kt, spy, more, output, monkeypatch, person(), driver="replay")
+    run(CALIBRATE_KT, spy, more, output, monkeypatch, person(), driver="replay")
     with open_run(tmp_path / "kt.h5") as first, open_run(output) as again:
         assert again.content_sha256 == first.content_sha256
         there, here = (json.loads(stored.provenance["line"]) for stored in (first, again))
@@ -174,7 +174,7 @@ def test_force_with_loads_that_the_operator_hangs_on(device, tmp_path, monkeypat
         inputs = {"kt": kt, "tables": tables}
         output = tmp_path / "f.h5"
         found = run(
-            measure_force, server.port, more, output, monkeypatch, ask, inputs, say=said.append
+            MEASURE_FORCE, server.port, more, output, monkeypatch, ask, inputs, say=said.append
         )
     assert f"temperature is read: sends numbers on {beside.port}" in said[0]
     assert "serial.force is left alone: nothing of it is recorded" in said[0]

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.errors import HardwareError
-from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
@@ -416,7 +416,7 @@ def test_recipe_says_what_it_would_do(tmp_path, capsys, command):
 
 def test_recipe_has_a_loop_that_can_be_learned_with():
     recipe, _ = load_recipe(MOTEUS_R4)
-    loop = design(recipe).learning
+    loop = design_filters(recipe).learning
     # the loop follows cogging, as often a turn as 12 slots and 14 poles meet
     cogging = 84 * np.array(recipe.ilc_learn.turning.speeds_rev_per_s)
     assert np.abs(loop.loop_response(cogging)).min() > 0.5
