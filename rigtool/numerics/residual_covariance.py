@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-FEWEST = 4
+MIN_COEFFICIENTS = 4
 """Coefficients, whatever the correlation: fewer make an uncertainty a mere guess."""
 
 
@@ -32,7 +32,7 @@ def long_run_covariance(design: Array, residual: Array, independent: float) -> t
     count = len(residual)
     # The published rule, 0.4 n^(2/3), is for a correlation of 0.7 from sample to sample, where n
     # samples are worth 0.18 n: 1.3 n_i^(2/3). A little less, as n_i is itself estimated.
-    lowest = int(min(max(independent ** (2 / 3), FEWEST), count - 1))
+    lowest = int(min(max(independent ** (2 / 3), MIN_COEFFICIENTS), count - 1))
     moments = design * residual[:, None]
     # scipy's type II is twice the sum of the definition above
     coefficients = dct(moments, type=2, axis=0)[1 : lowest + 1] / 2

@@ -31,16 +31,16 @@ REACH = 6.0
 CUTOFF = math.sqrt(math.log(2)) / (2 * math.pi)
 """Frequency of 3 dB times the standard deviation."""
 
-IRREGULAR = 0.01
+IRREGULAR_INTERVAL = 0.01
 """Intervals that differ from the median by more than this part make a time axis irregular."""
 
-GAP = 5.0
+GAP_INTERVALS = 5.0
 """Intervals longer than this many medians are gaps, in which nothing is known."""
 
-STRETCHED = 10.0
+MAX_STRETCH = 10.0
 """An even time axis may have this many times the samples of the irregular one."""
 
-ON_THE_GRID = 0.01
+COUNT_TOLERANCE = 0.01
 """Steps of an encoder are whole multiples of a count but for this part of it."""
 
 
@@ -117,7 +117,7 @@ def position_noise(position: Array, step: float) -> float:
         return white
     count = float(moving.min())
     multiple = moving / count
-    if np.mean(np.abs(multiple - np.round(multiple)) < ON_THE_GRID) < 0.99:
+    if np.mean(np.abs(multiple - np.round(multiple)) < COUNT_TOLERANCE) < 0.99:
         return white
     speed = float(steps.mean()) / step
     return max(white, count**2 / 12 * max(step, count / speed))
@@ -132,14 +132,14 @@ def resample(time: Array, *signals: Array) -> tuple[float, NDArray[np.bool_], tu
     """
     step = require_rising(time)
     intervals = np.diff(time)
-    if np.max(np.abs(intervals - step)) <= IRREGULAR * step:
+    if np.max(np.abs(intervals - step)) <= IRREGULAR_INTERVAL * step:
         return float(np.mean(intervals)), np.ones(len(time), dtype=bool), signals
-    if time[-1] - time[0] > STRETCHED * step * len(time):
+    if time[-1] - time[0] > MAX_STRETCH * step * len(time):
         raise InsufficientDataError(
             f"the time axis has gaps up to {intervals.max():.3g} s, usual is {step:.3g} s: less "
-            f"than one part in {STRETCHED:g} of the time is recorded; import the parts on their own"
+            f"than one part in {MAX_STRETCH:g} of the time is recorded; import the parts one by one"
         )
     even = np.arange(time[0], time[-1], step)
     place = np.clip(np.searchsorted(time, even, side="right") - 1, 0, len(intervals) - 1)
-    known = intervals[place] <= GAP * step
+    known = intervals[place] <= GAP_INTERVALS * step
     return step, known, tuple(np.interp(even, time, signal) for signal in signals)

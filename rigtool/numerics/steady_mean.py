@@ -23,10 +23,10 @@ from rigtool.errors import InsufficientDataError
 
 Array = NDArray[np.float64]
 
-LOWEST = 6
+LOWEST_FREQUENCIES = 6
 """Lowest frequencies, half periods of the series, whose power stands for that at zero."""
 
-FEWEST = 3
+MIN_READINGS = 3
 """Readings without which there is no scatter to judge."""
 
 
@@ -53,11 +53,11 @@ def steady_u(values: Array) -> tuple[Any, float]:
     from scipy.fft import dct
 
     count = len(values)
-    if count < FEWEST:
+    if count < MIN_READINGS:
         raise InsufficientDataError(
-            f"{count} cycles show no scatter, {FEWEST} are needed: measure more cycles"
+            f"{count} cycles show no scatter, {MIN_READINGS} are needed: measure more cycles"
         )
-    lowest = min(LOWEST, count - 1)
+    lowest = min(LOWEST_FREQUENCIES, count - 1)
     waves = dct(values - values.mean(axis=0), norm="ortho", axis=0)[1 : lowest + 1]
     power = np.mean(waves**2, axis=0)
     return np.sqrt(power * np.sum(weights(count) ** 2)), float(lowest)

@@ -11,7 +11,7 @@ from rigtool.errors import InsufficientDataError
 
 Array = NDArray[np.float64]
 
-BATCH = 16
+BATCH_SEGMENTS = 16
 """Segments that are transformed together."""
 
 
@@ -38,8 +38,8 @@ class Welch:
         self._power = np.zeros(segment // 2 + 1)
         self._count = 0
         # Used again and again: new memory for each would take longer than the transform.
-        self._centred = np.empty((BATCH, segment))
-        self._spectra = np.empty((BATCH, segment // 2 + 1), dtype=np.complex128)
+        self._centred = np.empty((BATCH_SEGMENTS, segment))
+        self._spectra = np.empty((BATCH_SEGMENTS, segment // 2 + 1), dtype=np.complex128)
 
     def add(self, signal: Array) -> None:
         """Take the next samples (n,)."""
@@ -49,8 +49,8 @@ class Welch:
         if signal.size >= self._segment:
             windows = np.lib.stride_tricks.sliding_window_view(signal, self._segment)[::step]
             count = len(windows)
-            for first in range(0, count, BATCH):
-                self._add_segments(windows[first : first + BATCH])
+            for first in range(0, count, BATCH_SEGMENTS):
+                self._add_segments(windows[first : first + BATCH_SEGMENTS])
         self._waiting = signal[count * step :].copy()
 
     def _add_segments(self, segments: Array) -> None:

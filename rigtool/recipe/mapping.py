@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from rigtool.errors import RecipeError
 from rigtool.recipe.base import Section
-from rigtool.recipe.load import describe_mistakes
+from rigtool.recipe.load import parse_toml, read_document, validate
 
 MAPPING_VERSION = 1
 
@@ -267,12 +266,7 @@ class Mapping(Section):
 
 def load_mapping(path: str | Path) -> tuple[Mapping, str]:
     """Read a mapping file and return it with its text; `RecipeError` with every mistake's line."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise RecipeError(f"{path}: no such mapping; recipes/import holds examples") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecipeError(f"{path}: cannot be read as a mapping: {error}") from None
+    text = read_document(path, "mapping", "recipes/import")
     return parse_mapping(text, str(path)), text
 
 
@@ -281,16 +275,10 @@ def parse_mapping(text: str, name: str = "mapping") -> Mapping:
 
     Raises `RecipeError` with every mistake and its line.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RecipeError(f"{name}: is not valid TOML: {error}") from None
+    data = parse_toml(text, name)
     if data.get("mapping") != MAPPING_VERSION:
         raise RecipeError(
             f"{name}: is TOML but not a mapping of this rigtool: it needs "
             f"`mapping = {MAPPING_VERSION}` at its top"
         )
-    try:
-        return Mapping.model_validate(data)
-    except ValidationError as error:
-        raise RecipeError(describe_mistakes(error, text, name, "mapping")) from None
+    return validate(Mapping, data, text, name, "mapping")

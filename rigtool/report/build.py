@@ -19,7 +19,7 @@ from rigtool.runfile.provenance import file_sha256
 if TYPE_CHECKING:
     from rigtool.runfile import Run
 
-ORDER = (
+COMMAND_ORDER = (
     "calibrate-kt",
     "stribeck",
     "fft-ripple",
@@ -95,7 +95,9 @@ def _labels(runs: Sequence[Run]) -> list[tuple[str, Run]]:
             raise UsageError(f"{path}: is given twice: give each run file once")
 
     def key(run: Run) -> tuple[int, str, str, str]:
-        place = ORDER.index(run.command) if run.command in ORDER else len(ORDER)
+        place = (
+            COMMAND_ORDER.index(run.command) if run.command in COMMAND_ORDER else len(COMMAND_ORDER)
+        )
         return place, run.command, run.path.stem, run.content_sha256
 
     taken: dict[str, int] = {}

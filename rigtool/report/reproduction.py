@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.quantity import Quantity, display_unit, format_number
 from rigtool.report.figures import PLOTS, style, turns
+from rigtool.report.page import render
 from rigtool.report.published import published_entry
 from rigtool.report.reproduction_values import Runs, evaluate, low_current_refusal
 
@@ -38,12 +39,12 @@ if TYPE_CHECKING:
 LARGEST_SVG = 150_000
 """Bytes: a larger picture is written as PNG."""
 
-UNBROKEN = "\N{NO-BREAK SPACE}"
+NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 
-WITH_CALIBRATION = {
-    43: turns.before_learning,
-    45: turns.after_learning,
-    68: turns.faulty_amplifier,
+DRAWN_FROM_SIGNALS = {
+    43: turns.draw_before_learning,
+    45: turns.draw_after_learning,
+    68: turns.draw_faulty_amplifier,
 }
 """Figures that are drawn from signals, for which the calibration is needed."""
 
@@ -63,7 +64,7 @@ UNITS = {
 
 
 @dataclass(frozen=True)
-class Judged:
+class ComparedNumber:
     """One number beside the thesis, as text: `holds` is None where nothing is to be judged."""
 
     name: str
@@ -86,7 +87,7 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Shown:
+class PageRow:
     """One row of the page. `picture` is a file name and its bytes, None for a table."""
 
     name: str
@@ -94,7 +95,7 @@ class Shown:
     lines: tuple[str, ...]
     picture: tuple[str, bytes] | None
     text: tuple[tuple[str, ...], ...]
-    numbers: tuple[Judged, ...]
+    numbers: tuple[ComparedNumber, ...]
     remarks: tuple[str, ...]
 
     @property
@@ -175,7 +176,7 @@ def _allowed(number: Mapping[str, Any], published: float) -> float:
 # -- making the rows
 
 
-def make_rows(runs: Runs) -> tuple[list[Shown], dict[str, Any]]:
+def make_rows(runs: Runs) -> tuple[list[PageRow], dict[str, Any]]:
     """Return all rows of the page, and the numbers that the tests look at.
 
     Raises `UsageError` where a run is missing.
@@ -195,7 +196,7 @@ def make_rows(runs: Runs) -> tuple[list[Shown], dict[str, Any]]:
     return shown, stored
 
 
-def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]:
+def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[PageRow, dict[str, Any]]:
     """Return one row, and its numbers by name: `value`, `u`, `unit` (SI), `reason` without u."""
     run, numbers, stored = runs[row["run"]], [], {}
     for number in row["numbers"]:
@@ -204,7 +205,7 @@ def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]
             found = replace(found, value=found.value / 100, unit="1")
         if number.get("u") is not None:
             found = replace(found, u=evaluate(number["u"], runs, row["run"]).value, reason=None)
-        numbers.append(_judged(number, found))
+        numbers.append(_compared(number, found))
         stored[number["name"]] = {
             "value": found.value,
             "u": found.u,
@@ -224,7 +225,7 @@ def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]
     used = [run, *(runs[name] for name in row.get("also", ()))]
     lines = (*(command_line(one) for one in used), *row.get("lines", ()))
     name = row_name(row)
-    return Shown(name, heading, lines, picture, text, tuple(numbers), tuple(remarks)), stored
+    return PageRow(name, heading, lines, picture, text, tuple(numbers), tuple(remarks)), stored
 
 
 def command_line(run: Run) -> str:
@@ -249,8 +250,8 @@ def _picture(number: int, run: Run, kt: Run) -> tuple[str, bytes]:
 
 
 def _draw(number: int, run: Run, kt: Run) -> Figure:
-    if number in WITH_CALIBRATION:
-        return WITH_CALIBRATION[number](run, kt)
+    if number in DRAWN_FROM_SIGNALS:
+        return DRAWN_FROM_SIGNALS[number](run, kt)
     if not PLOTS[number].fits(run):
         raise UsageError(
             f"{run.path}: lacks the tables of Fig. {number}: give the run that it needs"
@@ -258,7 +259,7 @@ def _draw(number: int, run: Run, kt: Run) -> Figure:
     return PLOTS[number].draw(run)
 
 
-def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:
+def _compared(number: Mapping[str, Any], found: Quantity) -> ComparedNumber:
     published, section = published_of(number)
     factor, unit = display_unit(found.unit)
     if "unit" in number:
@@ -267,12 +268,12 @@ def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:
     said = number.get("says")
     stated = "–" if published is None else f"{published * factor:.4g}".replace("e-0", "e-")
     tolerance = "–" if published is None else _tolerance(number, factor, stated)
-    return Judged(
+    return ComparedNumber(
         name=number["name"],
         published=f"“{said}”" if said else stated,
         section=section,
         ours=format_number(found.value * factor, u),
-        unit="" if unit == "1" else unit.replace(" ", UNBROKEN),
+        unit="" if unit == "1" else unit.replace(" ", NO_BREAK_SPACE),
         tolerance=tolerance,
         holds=holds(number, found.value),
         met=number.get("met", True),
@@ -281,10 +282,10 @@ def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:
 
 def _tolerance(number: Mapping[str, Any], factor: float, stated: str) -> str:
     if "rule" in number:
-        return f"{number['rule']}{UNBROKEN}{stated}"
+        return f"{number['rule']}{NO_BREAK_SPACE}{stated}"
     if "within" in number:
         return f"±{_allowed(number, 0.0) * factor:.3g}"
-    return f"±{100 * number['tolerance']:.3g}{UNBROKEN}%" if number["tolerance"] else "equal"
+    return f"±{100 * number['tolerance']:.3g}{NO_BREAK_SPACE}%" if number["tolerance"] else "equal"
 
 
 # -- the page
@@ -300,27 +301,27 @@ INTRODUCTION = (
     "the rms, peak or span of a curve."
 )
 
-NOTES = "How the thesis was read where it is silent: [notes](thesis-notes.md)."
+NOTES_LINK = "How the thesis was read where it is silent: [notes](thesis-notes.md)."
 
 
-def markdown(shown: Sequence[Shown]) -> str:
+def markdown(shown: Sequence[PageRow]) -> str:
     """Return the page as Markdown, with pictures beside it in `reproduction/`."""
-    parts = ["# The thesis, figure by figure", INTRODUCTION, _summary(shown), NOTES]
+    parts = ["# The thesis, figure by figure", INTRODUCTION, _summary(shown), NOTES_LINK]
     for row in shown:
         parts += [f"## {row.heading}", "```sh\n" + "\n".join(row.lines) + "\n```"]
         if row.picture is not None:
             parts.append(f"![{row.heading}](reproduction/{row.picture[0]})")
         if row.text:
             parts.append(_markdown_table(row.text))
-        parts.append(_markdown_table([HEAD, *_number_cells(row)]))
+        parts.append(_markdown_table([TABLE_HEAD, *_number_cells(row)]))
         parts += row.remarks
     return "\n\n".join(parts) + "\n"
 
 
-HEAD = ("", "thesis", "section", "rigtool", "unit", "tolerance", "holds")
+TABLE_HEAD = ("", "thesis", "section", "rigtool", "unit", "tolerance", "holds")
 
 
-def _number_cells(row: Shown) -> list[tuple[str, ...]]:
+def _number_cells(row: PageRow) -> list[tuple[str, ...]]:
     return [
         (n.name, n.published, n.section, n.ours, n.unit, n.tolerance, n.verdict)
         for n in row.numbers
@@ -334,7 +335,7 @@ def _markdown_table(lines: Sequence[Sequence[str]]) -> str:
     )
 
 
-def _summary(shown: Sequence[Shown]) -> str:
+def _summary(shown: Sequence[PageRow]) -> str:
     judged = [n for row in shown for n in row.numbers if n.holds is not None]
     good = sum(bool(number.holds) for number in judged)
     missed = sum(not number.met for number in judged)
@@ -344,25 +345,21 @@ def _summary(shown: Sequence[Shown]) -> str:
     )
 
 
-def html(shown: Sequence[Shown]) -> str:
+def html(shown: Sequence[PageRow]) -> str:
     """Return the page as one HTML file with all pictures in it."""
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    source = files("rigtool.report").joinpath("reproduction.html").read_text("utf-8")
-    template = environment.from_string(source)
-    return template.render(
+    return render(
+        "reproduction.html",
         rows=shown,
-        head=HEAD,
+        head=TABLE_HEAD,
         cells=_number_cells,
         introduction=INTRODUCTION,
         summary=_summary(shown),
     )
 
 
-def write(shown: Sequence[Shown], stored: Mapping[str, Any], docs: Path, page: Path | None) -> None:
+def write(
+    shown: Sequence[PageRow], stored: Mapping[str, Any], docs: Path, page: Path | None
+) -> None:
     """Write the Markdown page with its folder into `docs`, and the HTML file."""
     folder = docs / "reproduction"
     shutil.rmtree(folder, ignore_errors=True)

@@ -19,7 +19,7 @@ import h5py
 
 from rigtool.errors import RigtoolError
 
-_FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
+_DISK_IS_FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
 _ERRNO = re.compile(r"errno = (\d+)")
 
 
@@ -101,7 +101,7 @@ def sync_folder(path: Path) -> None:
 def _reason(error: OSError | RuntimeError) -> str:
     match = _ERRNO.search(str(error))
     code = int(match[1]) if match else getattr(error, "errno", None)
-    if code in _FULL:
+    if code in _DISK_IS_FULL:
         return "the disk is full (or a quota is reached): free some space, or write elsewhere"
     if code:
         return f"{os.strerror(code)}: check the folder and its permissions"

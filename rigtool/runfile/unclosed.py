@@ -21,7 +21,7 @@ import h5py
 
 from rigtool.errors import RunFileError
 
-SIZE = 48
+SUPERBLOCK_SIZE = 48
 VERSION, ADDRESS_SIZE, FLAGS, END, CHECKSUM = 8, 9, 11, 28, 44
 
 _MASK = 0xFFFFFFFF
@@ -68,8 +68,8 @@ def open_unclosed(path: Path) -> h5py.File:
     Raises `RunFileError` where it is not what a writer of run files leaves.
     """
     with path.open("rb") as stream:
-        start = bytearray(stream.read(SIZE))
-    if len(start) < SIZE or start[VERSION] != 3 or start[ADDRESS_SIZE] != 8:
+        start = bytearray(stream.read(SUPERBLOCK_SIZE))
+    if len(start) < SUPERBLOCK_SIZE or start[VERSION] != 3 or start[ADDRESS_SIZE] != 8:
         raise RunFileError(f"{path}: has no superblock as a run file has it: nothing to recover")
     if checksum(bytes(start[:CHECKSUM])) != int.from_bytes(start[CHECKSUM:], "little"):
         raise RunFileError(f"{path}: its superblock is damaged: nothing to recover")

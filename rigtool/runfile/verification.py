@@ -18,7 +18,7 @@ _BLOCK = 16 * schema.CHUNK
 
 
 @dataclass(frozen=True)
-class Link:
+class ChainLink:
     """One file of a chain: how far from the file asked about, and what is wrong with it."""
 
     path: Path
@@ -28,7 +28,7 @@ class Link:
     remark: str | None = None
 
 
-def verify(path: str | os.PathLike[str]) -> list[Link]:
+def verify(path: str | os.PathLike[str]) -> list[ChainLink]:
     """Check a run file and, through its inputs, all that it was made from.
 
     A file is whole if its hashes fit its content and the samples of each signal fit theirs. A link
@@ -44,11 +44,11 @@ def _follow(
     expected: dict[str, Any] | None,
     beside: Path | None,
     followed: set[Path],
-) -> Iterator[Link]:
+) -> Iterator[ChainLink]:
     command = "" if expected is None else expected["command"]
     found = _find(path, beside)
     if found is None:
-        yield Link(path, depth, command, "is not there, nor beside the file made from it")
+        yield ChainLink(path, depth, command, "is not there, nor beside the file made from it")
         return
     try:
         with open_run(found) as run:
@@ -56,10 +56,10 @@ def _follow(
             remark = None
             if problem is None and expected is not None:
                 problem, remark = _compare(found, run, expected)
-            yield Link(found, depth, run.command, problem, remark)
+            yield ChainLink(found, depth, run.command, problem, remark)
             inputs, origin = run.provenance["inputs"], run.provenance
     except RigtoolError as error:
-        yield Link(found, depth, command, str(error).removeprefix(f"{found}: "))
+        yield ChainLink(found, depth, command, str(error).removeprefix(f"{found}: "))
         return
     # Most runs share a calibration: what it was made from is told once. Nor can a file that names
     # itself lead round in circles.
@@ -78,14 +78,14 @@ def _find(path: Path, beside: Path | None) -> Path | None:
     return next((place for place in places if place.exists()), path if beside is None else None)
 
 
-def _source(path: Path, beside: Path, depth: int, sha256: str) -> Link:
+def _source(path: Path, beside: Path, depth: int, sha256: str) -> ChainLink:
     """Return the link to a file that was imported. The imported run is whole without it."""
     found = _find(path, beside)
     if found is None:
-        return Link(path, depth, "source", remark="is not there any more")
+        return ChainLink(path, depth, "source", remark="is not there any more")
     if provenance.file_sha256(found) != sha256:
-        return Link(found, depth, "source", "is another file than the one that was imported")
-    return Link(found, depth, "source")
+        return ChainLink(found, depth, "source", "is another file than the one that was imported")
+    return ChainLink(found, depth, "source")
 
 
 def _damage(run: Run) -> str | None:

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
     from rigtool.runfile import Run, Table
 
-POINTS = 175
+MAX_POINTS = 175
 """Of each cycle where all of them are drawn."""
 
 PROBABILITIES = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 
 
 @plot(58, "measure-force", "Feed-forward signal at the measuring speed", "feedforward")
-def feedforward(run: Run, table: Table) -> Figure:
+def draw_feedforward(run: Run, table: Table) -> Figure:
     """Fig. 58: feed-forward from the learned table over one up-and-down."""
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
     position = counts(run, table, "position")
@@ -45,12 +45,12 @@ def feedforward(run: Run, table: Table) -> Figure:
 
 
 @plot(59, "measure-force", "Variation over the cycles without load", "cycles_no_load")
-def variation(run: Run, table: Table) -> Figure:
+def draw_variation(run: Run, table: Table) -> Figure:
     """Fig. 59: what remains without load, all cycles in one plot."""
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
     position, torque = counts(run, table, "position"), MILLI * table["torque"]
     # Low-passed at 5 Hz, they have nothing between these points.
-    drawn = thin(POINTS, position, torque)
+    drawn = thin(MAX_POINTS, position, torque)
     axes.plot(drawn[0], drawn[1].T, color=style.BLUE, linewidth=0.6, alpha=0.5)
     cycle_axis(axes, position[-1] / 2)
     straight = _straight(run, axes, position)
@@ -61,7 +61,7 @@ def variation(run: Run, table: Table) -> Figure:
 @plot(
     60, "measure-force", "Normal probability plot of the readings without load", "probability_plot"
 )
-def probability_plot(run: Run, table: Table) -> Figure:
+def draw_probability_plot(run: Run, table: Table) -> Figure:
     """Fig. 60: normal probability plot of the readings without load."""
     quantile, value = table["quantile"], MILLI * table["value"]
     figure, axes = style.one_panel("torque without load [mN m]", "probability")
@@ -78,7 +78,7 @@ def probability_plot(run: Run, table: Table) -> Figure:
 
 
 @plot(61, "measure-force", "Feed-forward and remaining disturbance of one cycle", "feedforward")
-def remaining(run: Run, table: Table) -> Figure:
+def draw_remaining(run: Run, table: Table) -> Figure:
     """Fig. 61: feed-forward (blue) and remaining disturbance (green) of one cycle."""
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
     position = counts(run, table, "position")
@@ -91,7 +91,7 @@ def remaining(run: Run, table: Table) -> Figure:
 
 
 @plot(62, "measure-force", "High torque: the peak is shifted", "shift")
-def shift(run: Run, table: Table) -> Figure:
+def draw_shift(run: Run, table: Table) -> Figure:
     """Fig. 62: a high load; its peak comes late because the instrument is soft."""
     figure, axes, middle = _lifted(run, table)
     if "peak_shift_counts" in run.results:
@@ -104,7 +104,7 @@ def shift(run: Run, table: Table) -> Figure:
 
 
 @plot(63, "measure-force", "Lifting and lowering a mass", "hysteresis")
-def lifting_lowering(run: Run, table: Table) -> Figure:
+def draw_lifting_lowering(run: Run, table: Table) -> Figure:
     """Fig. 63: a mass lifted and lowered; the difference is friction that grows with load."""
     figure, axes, middle = _lifted(run, table)
     for name, x in (("lifting_torque", middle), ("lowering_torque", 3 * middle)):

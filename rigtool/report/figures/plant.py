@@ -29,7 +29,7 @@ HEIGHT = 4.6
     "frequency_response",
     "fit",
 )
-def measured_plant(run: Run, measured: Table, fit: Table) -> Figure:
+def draw_measured_plant(run: Run, measured: Table, fit: Table) -> Figure:
     """Fig. 35: measured response of the plant with its uncertainty, and the mass line."""
     figure, magnitude, phase = _bode()
     _measured(measured, magnitude, phase)
@@ -53,7 +53,7 @@ def measured_plant(run: Run, measured: Table, fit: Table) -> Figure:
     "frequency_response",
     "fit",
 )
-def fitted_plant(run: Run, measured: Table, fit: Table) -> Figure:
+def draw_fitted_plant(run: Run, measured: Table, fit: Table) -> Figure:
     """Fig. 39: simulated (the fit) and measured response of the plant."""
     figure, magnitude, phase = _bode()
     _measured(measured, magnitude, phase)
@@ -71,7 +71,7 @@ def fitted_plant(run: Run, measured: Table, fit: Table) -> Figure:
     "frequency_response",
     "sensitivities",
 )
-def open_loop(run: Run, measured: Table, sensitivities: Table) -> Figure:
+def draw_open_loop(run: Run, measured: Table, sensitivities: Table) -> Figure:
     """Fig. 76: controller times plant, and what it makes of the loop."""
     figure, magnitude, phase = _bode()
     table = _within(measured, sensitivities)
@@ -88,7 +88,7 @@ def open_loop(run: Run, measured: Table, sensitivities: Table) -> Figure:
 
 
 @plot(40, "ilc-learn", "Complementary sensitivity T and learning filter L, its inverse", "transfer")
-def learning_filter(run: Run, whole: Table) -> Figure:
+def draw_learning_filter(run: Run, whole: Table) -> Figure:
     """Fig. 40, right: T and the learning filter L, with and without its phase advance."""
     figure, magnitude, phase = _bode()
     # Close to half the sampling rate T goes to zero: nothing to see.
@@ -104,7 +104,7 @@ def learning_filter(run: Run, whole: Table) -> Figure:
 
 
 @plot(41, "ilc-learn", "Convergence criterion", "convergence")
-def convergence(run: Run, whole: Table) -> Figure:
+def draw_convergence(run: Run, whole: Table) -> Figure:
     """Fig. 41: the convergence criterion; dashed: its bound over the plant's uncertainty."""
     figure, axes = style.one_panel(FREQUENCY, "|Q (1 − p L T)| [dB]")
     table = _positive(whole)

@@ -26,7 +26,7 @@ BLACK = "#000000"
 GREY = "#767676"
 BAND = "#EFEFEF"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, SKY, BLACK)
-SHADES = "cividis"
+COLOUR_MAP = "cividis"
 
 WIDTH = 6.3
 """Inches: the text width of an A4 page."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-POINTS = 4000
+MAX_POINTS = 4000
 """Of a curve over the sweep: more than its picture has columns."""
 
 SPEED = "motor speed [rev/s]"
@@ -29,7 +29,7 @@ CONTROLLER = "controller"
 
 
 @plot(42, "ilc-learn", "Amplitude and phase tables by speed", "tuning")
-def tuning(run: Run, table: Table) -> Figure:
+def draw_tuning(run: Run, table: Table) -> Figure:
     """Fig. 42: amplitude and phase tables, with twice their standard uncertainty."""
     speed = _rev_per_s(table["speed"])
     figure, axes = style.panels(2, SPEED, ["amplitude [1]", "shift [deg]"], 4.2)
@@ -52,7 +52,7 @@ def tuning(run: Run, table: Table) -> Figure:
     "iterations",
     implementations=("A", "standard"),
 )
-def iterations(run: Run, table: Table) -> Figure:
+def draw_iterations(run: Run, table: Table) -> Figure:
     """Fig. 44: amplitude of what repeats and of what does not, run by run."""
     unit = table.columns["rms"].unit
     figure, axes = style.one_panel("learning runs made before [1]", f"rms [m{unit}]")
@@ -108,7 +108,7 @@ for number, implementation, variant, feedforward, title in (
 
 def _envelope(speed: Array, torque: Array) -> tuple[Array, Array]:
     """Return the lowest and the highest torque of each stretch of a curve (n,), one by one."""
-    width = max(1, 2 * len(speed) // POINTS)
+    width = max(1, 2 * len(speed) // MAX_POINTS)
     used = len(speed) - len(speed) % width
     places, stretches = speed[:used:width], torque[:used].reshape(-1, width)
     ends = np.stack([stretches.min(axis=1), stretches.max(axis=1)], axis=1)

@@ -19,7 +19,7 @@ from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import FileLayout
 from rigtool.runfile.importers.raw import (
     Array,
-    Column,
+    ColumnKey,
     Raw,
     missing_column,
     read_bytes,
@@ -47,7 +47,7 @@ class Lines:
         return Lines(self.text[count:], self.number[count:], self.whole)
 
 
-def read_text(path: Path, layout: FileLayout, columns: Sequence[Column], skip_bad: bool) -> Raw:
+def read_text(path: Path, layout: FileLayout, columns: Sequence[ColumnKey], skip_bad: bool) -> Raw:
     """Read columns of a text file as numbers.
 
     Raises `RunFileError` for a missing column, and, unless `skip_bad`, for lines that are cut
@@ -69,7 +69,7 @@ def read_numbers(
     path: Path,
     lines: Lines,
     layout: FileLayout,
-    columns: Sequence[Column],
+    columns: Sequence[ColumnKey],
     names: Sequence[str],
     skip_bad: bool,
 ) -> Raw:
@@ -141,7 +141,7 @@ def _field_counts(lines: Sequence[str], delimiter: str | None) -> list[int]:
     return [line.count(delimiter) + 1 for line in lines]
 
 
-def _index(path: Path, column: Column, names: Sequence[str], count: int) -> int:
+def _index(path: Path, column: ColumnKey, names: Sequence[str], count: int) -> int:
     if isinstance(column, str):
         if column not in names:
             raise missing_column(path, column, names, count)
