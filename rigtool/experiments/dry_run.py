@@ -15,10 +15,11 @@ from rigtool.errors import HardwareError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.recipe import Recipe
-from rigtool.recipe.serial import WITHOUT_GAUGES, WITHOUT_WATCHDOG, Serial
+from rigtool.recipe.serial import Serial
 from rigtool.rigs import NEEDS, Block, Rig, Task
 from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.serial import safety
+from rigtool.rigs.serial.drivers import REPLAY, driver
 from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
 
@@ -181,7 +182,9 @@ def dry_run(
     notes = [str(plan)]
     if recipe.rig.source == "serial" and recipe.serial is not None:
         plan.check(recipe.serial.limits)
-        _require_gauges(plan, recipe.serial, procedure.command)
+        found = None if recipe.serial.driver == REPLAY else driver(recipe.serial.driver)
+        if found is not None and found.make_drive is not None:
+            _require_gauges(plan, recipe.serial, procedure.command)
         low, high = recipe.serial.limits.position
         limits = recipe.serial.limits
         notes.append(
@@ -189,7 +192,7 @@ def dry_run(
             f"rad (counted from where the shaft is), {limits.duration:g} s a motion"
         )
         notes.append("Whether the drive offers all that is asked when it is connected")
-        if recipe.serial.driver in WITHOUT_WATCHDOG:
+        if found is not None and not found.has_watchdog:
             notes.append(
                 "This drive has no watchdog: where computer or cable fail it goes on as it was "
                 "told last. It runs only with serial.emergency_stop = true; try that stop first"
@@ -198,10 +201,9 @@ def dry_run(
 
 
 def _require_gauges(plan: Plan, settings: Serial, command: str) -> None:
-    """Raise `HardwareError` for a gauge that no drive has and the recipe does not name."""
+    """Raise `HardwareError` for a gauge that the recipe does not name: no drive has one."""
     for need in ("force", "deflection"):
-        named = getattr(settings, need) is not None
-        if need in plan.needs and not named and settings.driver in WITHOUT_GAUGES:
+        if need in plan.needs and getattr(settings, need) is None:
             raise HardwareError(
                 f"{command} cannot run on this rig: it records {need}: a {settings.driver} does "
                 f"not measure it: add [serial.{need}]"

@@ -24,7 +24,7 @@ LOWEST_HZ = 0.5
 """Lower end of the band in which the controller's gain counts: slower than any motion."""
 
 
-def require_health(
+def require_loop_health(
     recipe: Recipe,
     *,
     largest_current: float,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,7 @@ from rigtool.experiments.deploy.stored_export import in_unit
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.recipe import Recipe
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.drivers import driver_module
+from rigtool.rigs.serial.drivers import REPLAY, driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.table_store import DriveTable, EncoderZero, TableStore
 from rigtool.runfile import Run
@@ -61,17 +62,17 @@ def deploy(
     `HardwareError` for a drive that keeps no table, or where storing fails: then the table that
     was there is back.
     """
-    module = _module(recipe)
+    make_table_store, usual_baud_rate = _store_of(recipe)
     assert recipe.serial is not None
     turn, remarks = _map(tables, recipe, speed, kt)
     remarks.append(_told_ripple(tables, turn.speed))
     remarks = [*remarks, *_origin_remarks(tables, recipe)]
     settings = recipe.serial
-    baud_rate = settings.baud_rate or module.BAUD_RATE
+    baud_rate = settings.baud_rate or usual_baud_rate
     with Line(
         settings.port, baud_rate, timeout=TIMEOUT, spy=operator.spy, driver=settings.driver
     ) as line:
-        store: TableStore = module.make_table_store(line, recipe)
+        store = make_table_store(line, recipe)
         identity = store.connect()
         _require_same_drive(tables, identity)
         zero = store.zero()
@@ -99,23 +100,23 @@ def deploy(
     return Deployed((*plan, done), tuple(remarks))
 
 
-def _module(recipe: Recipe) -> Any:
-    """Return the driver of a drive that keeps a table."""
+def _store_of(recipe: Recipe) -> tuple[Callable[[Line, Recipe], TableStore], int]:
+    """Return what makes the table store of the recipe's drive, and the usual baud rate, bit/s."""
     if recipe.rig.source != "serial" or recipe.serial is None:
         raise UsageError(
             f"the rig {recipe.rig.name} is {recipe.rig.source}: a table is stored in a drive; give "
             "a recipe with rig.source = serial"
         )
     name = recipe.serial.driver
-    if name == "replay":
+    if name == REPLAY:
         raise UsageError("serial.driver is replay: a record has no memory to store a table in")
-    module = driver_module(name)
-    if not hasattr(module, "make_table_store"):
+    found = driver(name)
+    if found.make_table_store is None:
         raise HardwareError(
             f"{name} keeps no table that can be stored over its line: rigtool adds a learned table "
             "as feed-forward while it runs; to use it elsewhere, export it"
         )
-    return module
+    return found.make_table_store, found.baud_rates[0]
 
 
 def _map(

@@ -12,6 +12,7 @@ from rigtool.experiments.deploy.c_header import header
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.stored_table import learned_table_from
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.runfile import Run
 from rigtool.runfile.export import write_new
 
@@ -105,8 +106,7 @@ def in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | Non
             f"--kt is missing: {wanted} takes {needed}, the table holds {learned.unit}; give a run "
             "of calibrate-kt of the motor"
         )
-    kt.require_command("calibrate-kt")
-    constant = kt.result("torque_constant_mean").value
+    constant = torque_per_ampere(kt).value
     return turn.scaled(1 / constant if needed == "A" else constant)
 
 

@@ -27,7 +27,11 @@ from rigtool.experiments.ripple.orders import (
     spectrum,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
-from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.experiments.torque_per_ampere import (
+    mean_constant_note,
+    torque_per_ampere,
+    with_constant,
+)
 from rigtool.numerics.welch import Welch
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -124,8 +128,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: fft-ripple takes one, with all its recordings")
-    constant = torque_per_ampere(kt).value
-    run = runs[0]
+    per_ampere = torque_per_ampere(kt)
+    constant, run = per_ampere.value, runs[0]
     speeds = sorted(run.recordings_named("speed_"), key=lambda r: r.condition("speed"))
     if not speeds:
         raise RunFileError(
@@ -155,7 +159,10 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     if comparisons:
         tables["power_comparison"] = _comparison_table(comparisons)
     results = {**_ripple_results(by_speed), **_comparison_results(comparisons)}
+    for name in ("repeatable_rms", "non_repeatable_rms"):
+        results[name] = with_constant(results[name], per_ampere)
     notes = [
+        mean_constant_note(per_ampere),
         *_told(speeds, by_speed, "speed", "rad/s"),
         *_told(torques, by_torque, "torque", "N m"),
         *remark(runs, constant),

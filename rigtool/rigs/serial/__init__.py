@@ -9,8 +9,8 @@ host. The `target` runs whole motions by itself and has a rig of its own.
 
 Writing a driver
 ----------------
-A driver is one module, named in `drivers.MODULES`, with `BAUD_RATE`, `probe(line)` and
-`make_drive(line, recipe)`; its class fulfils `drive.Drive`. The order of calls is
+A driver is a `drivers.Driver`, found in a module of `drivers.MODULES` or by an entry point; its
+`make_drive` returns a `drive.Drive`. The order of calls is
 
     connect, abilities, configure            nothing moves; `read` at any time from here on
     enable(mode), step, step, ..., halt      once for each motion
@@ -48,8 +48,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rigtool.errors import HardwareError
-
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
     from rigtool.rigs.operator import Operator
@@ -63,36 +61,27 @@ def open_serial_rig(
 ) -> SerialRig:
     """Return the rig of a recipe's [serial], not connected yet: use it as a context manager.
 
-    Raises `HardwareError` for a driver that is none.
+    Raises `RecipeError` for an unknown driver.
     """
-    from rigtool.rigs.serial.drivers import driver_module
+    from rigtool.rigs.serial.drivers import driver
     from rigtool.rigs.serial.hosted import HostedRig
 
     recipe = _as_recorded(recipe)
     assert recipe.serial is not None
-    module = driver_module(recipe.serial.driver)
-    if hasattr(module, "make_rig"):
-        rig: SerialRig = module.make_rig(recipe, torque_constant, use, operator)
-        return rig
-    if not hasattr(module, "make_drive"):
-        raise HardwareError(f"{module.__name__} is no driver: it has no make_drive")
-    return HostedRig(
-        recipe,
-        torque_constant,
-        use,
-        operator,
-        make_drive=module.make_drive,
-        baud_rate=module.BAUD_RATE,
-    )
+    found = driver(recipe.serial.driver)
+    if found.make_rig is not None:
+        return found.make_rig(recipe, torque_constant, use, operator)
+    return HostedRig(recipe, torque_constant, use, operator, found)
 
 
 def _as_recorded(recipe: Recipe) -> Recipe:
     """Return a recipe whose driver is the one of the record, where it plays one back."""
+    from rigtool.rigs.serial.drivers import REPLAY as REPLAY_DRIVER
     from rigtool.rigs.serial.line import REPLAY
     from rigtool.rigs.serial.spy import read_spy
 
     assert recipe.serial is not None
-    if recipe.serial.driver != "replay":
+    if recipe.serial.driver != REPLAY_DRIVER:
         return recipe
     path = recipe.serial.port.removeprefix(REPLAY)
     driver, _ = read_spy(path)

@@ -28,6 +28,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.between import ROOM, Between, usual_time
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
 from rigtool.rigs.serial.ticks import Clock
@@ -60,7 +61,7 @@ COLUMNS = (
 
 
 class HostedRig(SerialRig):
-    """A rig behind a `Drive`; `make_drive(line, recipe)` is the driver's `make_drive`."""
+    """A rig behind the `Drive` that a driver makes; the host runs the loop."""
 
     def __init__(
         self,
@@ -68,13 +69,10 @@ class HostedRig(SerialRig):
         torque_constant: float,
         use: str,
         operator: Operator,
-        *,
-        make_drive: Callable[[Line, Recipe], Drive],
-        baud_rate: int,
+        driver: Driver,
     ) -> None:
         super().__init__(recipe, torque_constant, use, operator)
-        self._make_drive = make_drive
-        self._baud_rate = self._settings.baud_rate or baud_rate
+        self._driver = driver
         self._drive: Drive | None = None
         self._configured = False
         self._ticks = self._late = 0
@@ -90,7 +88,7 @@ class HostedRig(SerialRig):
     def _open_line(self) -> Line:
         return Line(
             self._settings.port,
-            self._baud_rate,
+            self._settings.baud_rate or self._driver.baud_rates[0],
             timeout=self._settings.watchdog / 5,
             spy=self._operator.spy,
             driver=self._settings.driver,
@@ -98,7 +96,8 @@ class HostedRig(SerialRig):
 
     def _connect(self) -> str:
         if self._drive is None:  # after a power cycle it still knows what to restore
-            self._drive = self._make_drive(self.line, self._recipe)
+            assert self._driver.make_drive is not None, "a driver makes a drive or a rig"
+            self._drive = self._driver.make_drive(self.line, self._recipe)
         identity = self._drive.connect()
         self._configured = True
         for gap in self._drive.configure(self._limits, self._settings.watchdog):

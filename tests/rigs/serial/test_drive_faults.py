@@ -83,9 +83,7 @@ def rig_of(name, port, *more):
     driver = module.__name__.split(".")[3]
     recipe = serial_recipe(port, "serial.watchdog=1.5", *more, driver=driver, sample_time=period)
     operator = Operator(say=lambda text: None, present=False, yes=True)
-    return PatientRig(
-        recipe, 0.045, "test", operator, make_drive=module.make_drive, baud_rate=module.BAUD_RATE
-    )
+    return PatientRig(recipe, 0.045, "test", operator, module.DRIVER)
 
 
 def recorded(rig, task, got):

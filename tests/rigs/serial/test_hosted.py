@@ -31,7 +31,8 @@ BRIEF = Task(SpeedProfile((0.0, 0.05, 0.1), (0.0, 1.0, 0.0)))
 def toy_rig(port, *more, operator=None, make_drive=toy.make_drive):
     recipe = serial_recipe(port, *more, driver="odrive", sample_time=PERIOD)
     operator = operator or Operator(say=lambda text: None, present=False, yes=True)
-    return HostedRig(recipe, 0.045, "test", operator, make_drive=make_drive, baud_rate=115200)
+    driver = replace(toy.DRIVER, make_drive=make_drive)
+    return HostedRig(recipe, 0.045, "test", operator, driver)
 
 
 def perform(rig, task):

@@ -18,6 +18,7 @@ from rigtool.rigs import Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.moteus import driver as moteus
@@ -57,7 +58,7 @@ def emulated(monkeypatch, name, period, *more, make_drive=None, **world):
     recipe = serial_recipe("none", *more, driver=driver, sample_time=period)
     operator = Operator(say=lambda text: None, present=False, yes=True)
     make_drive = make_drive or usual
-    rig = HostedRig(recipe, CONSTANT, "test", operator, make_drive=make_drive, baud_rate=115200)
+    rig = HostedRig(recipe, CONSTANT, "test", operator, Driver(toy.probe, (115200,), make_drive))
     return world, device, rig
 
 

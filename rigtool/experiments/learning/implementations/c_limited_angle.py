@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.controller_torque import CHANNELS
 from rigtool.experiments.learning.convergence import Cycles, LearningRun, learning_run
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import runs as iterations
@@ -75,7 +76,7 @@ def specs(
     recipe: Recipe, kind: str, speeds_rev_per_s: Iterable[float], moves: int
 ) -> list[RecordingSpec]:
     """Return recordings of moves to and fro at these speeds of the output, rev/s."""
-    recorded = channels(*common.CHANNELS)
+    recorded = channels(*CHANNELS)
     ratio = recipe.rig.angle_ratio
     return [
         RecordingSpec(
@@ -333,10 +334,10 @@ def _moves(
     recording: Recording, recipe: Recipe, torque_constant: float, moves: int
 ) -> tuple[Moves, Array]:
     """Cut a recording into moves of the controller's torque; return what the table added, too."""
-    found = common.signals(recording, recipe, torque_constant)
+    found = common.signals(recording, recipe)
     try:
-        cut = cut_moves(found.time, found.setpoint, found.controller, moves)
-        table = cut_moves(found.time, found.setpoint, found.learned, moves=1)
+        cut = cut_moves(found.time, found.setpoint, torque_constant * found.controller, moves)
+        table = cut_moves(found.time, found.setpoint, torque_constant * found.learned, moves=1)
     except InsufficientDataError as error:
         raise InsufficientDataError(f"recording {recording.name}: {error}") from None
     return cut, table.torque[0]

@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
+from rigtool.experiments.controller_torque import loop_signals, naming
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
+from rigtool.experiments.load_disturbance.cycles import LoadedCycles
 from rigtool.experiments.load_disturbance.fit import learn, relearned
-from rigtool.experiments.load_disturbance.model import Comparison, Disturbance
+from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
 from rigtool.experiments.load_disturbance.reading import read_load
 from rigtool.experiments.load_disturbance.stored import (
     Grid,
@@ -107,12 +109,12 @@ def _require_instrument(recipe: Recipe) -> None:
 
 
 def _learn_loads(run: Run, recipe: Recipe, kt: Run) -> Outcome:
-    comparisons, moments = _compared(run, recipe, kt)
-    disturbance = learn(comparisons, moments)
-    grid = grid_of(disturbance, comparisons, recipe)
+    pairs, moments = _pairs(run, recipe, kt)
+    disturbance = learn(pairs, moments)
+    grid = grid_of(disturbance, pairs, recipe)
     return Outcome(
         {
-            **_tendon_results(disturbance, comparisons, moments),
+            **_tendon_results(disturbance, pairs, moments),
             "load_friction_coefficient": _friction_coefficient(grid, recipe),
             "learned_torque": Quantity(
                 disturbance.torque, "N m", reason="a bound of what was learned, not measured"
@@ -124,9 +126,9 @@ def _learn_loads(run: Run, recipe: Recipe, kt: Run) -> Outcome:
         {
             **grid_tables(grid, recipe),
             **model_tables(disturbance),
-            "left_out": _left_out(disturbance, comparisons, moments, recipe),
+            "left_out": _left_out(disturbance, pairs, moments, recipe),
         },
-        _notes(disturbance, comparisons, recipe),
+        _notes(disturbance, pairs, recipe),
     )
 
 
@@ -136,30 +138,36 @@ def _temperature(run: Run) -> float:
     return float(np.mean([np.mean(recording.read("temperature")) for recording in recorded]))
 
 
-def _compared(run: Run, recipe: Recipe, kt: Run) -> tuple[list[Comparison], list[float]]:
+def _pairs(run: Run, recipe: Recipe, kt: Run) -> tuple[list[LoadedPair], list[float]]:
     """Return each load beside the same motion without, and its moment, N m."""
     recorded = run.recordings_named(f"{LOADED}_")
     by_speed: dict[float, list[Recording]] = {}
     for recording in recorded:
         by_speed.setdefault(recording.condition("speed"), []).append(recording)
-    comparisons, moments = [], []
+    pairs, moments = [], []
     margin = math.radians(recipe.measure_force.turn_angle)
     for speed, group in by_speed.items():
-        cycles = {r.name: cycles_of(r, recipe, kt, speed) for r in group}
+        cycles = {r.name: _cycles(r, recipe, kt, speed) for r in group}
         unloaded = [cycles[r.name] for r in group if r.condition("force") == 0]
         loaded = [r for r in group if r.condition("force") > 0]
         if loaded and not unloaded:
             raise RunFileError(
                 f"{run.path}: nothing was recorded without load at {speed:.4g} rad/s: learn again"
             )
-        comparisons += [Comparison.of(cycles[r.name], unloaded, margin) for r in loaded]
+        pairs += [LoadedPair.of(cycles[r.name], unloaded, margin) for r in loaded]
         moments += [r.condition("force") * recipe.rig.load_arm for r in loaded]
     if len(set(moments)) < 2:
         raise RunFileError(
             f"{run.path}: holds {len(set(moments))} known loads, 2 are needed: give the run file "
             "in which ilc-learn --implementation D recorded its signals"
         )
-    return comparisons, moments
+    return pairs, moments
+
+
+def _cycles(recording: Recording, recipe: Recipe, kt: Run, speed: float) -> LoadedCycles:
+    with naming(recording):
+        signals = loop_signals(recording, recipe)
+    return cycles_of(recording, signals, recipe, kt, speed)
 
 
 def _friction_coefficient(grid: Grid, recipe: Recipe) -> Quantity:
@@ -174,7 +182,7 @@ def _friction_coefficient(grid: Grid, recipe: Recipe) -> Quantity:
 
 
 def _tendon_results(
-    disturbance: Disturbance, comparisons: list[Comparison], moments: list[float]
+    disturbance: Disturbance, pairs: list[LoadedPair], moments: list[float]
 ) -> dict[str, Quantity]:
     """Return the tendon's parameters, its stiffness also by the slowest and fastest speed alone.
 
@@ -183,15 +191,15 @@ def _tendon_results(
     results, speeds = tendon_results(disturbance), disturbance.speeds
     if len(speeds) > 1:
         for name, speed in (("shift", speeds[0]), ("resonance", speeds[-1])):
-            own = [i for i, each in enumerate(comparisons) if each.loaded.speed == speed]
-            alone = learn([comparisons[i] for i in own], [moments[i] for i in own])
+            own = [i for i, each in enumerate(pairs) if each.loaded.speed == speed]
+            alone = learn([pairs[i] for i in own], [moments[i] for i in own])
             results[f"tendon_stiffness_{name}"] = tendon_results(alone)["tendon_stiffness"]
     return results
 
 
 def _left_out(
     disturbance: Disturbance,
-    comparisons: list[Comparison],
+    pairs: list[LoadedPair],
     moments: list[float],
     recipe: Recipe,
 ) -> Table:
@@ -201,15 +209,13 @@ def _left_out(
     error, u = np.full((2, len(speeds), len(loads)), math.nan)
     for column, moment in enumerate(loads):
         others = [i for i, m in enumerate(moments) if m != moment]
-        less = relearned(
-            disturbance, [comparisons[i] for i in others], [moments[i] for i in others]
-        )
-        for comparison, there in zip(comparisons, moments, strict=True):
+        less = relearned(disturbance, [pairs[i] for i in others], [moments[i] for i in others])
+        for pair, there in zip(pairs, moments, strict=True):
             if there != moment:
                 continue
-            row = speeds.index(comparison.loaded.speed)
+            row = speeds.index(pair.loaded.speed)
             try:
-                found = read_load(less, comparison, angle)
+                found = read_load(less, pair, angle)
             except InsufficientDataError:
                 continue
             error[row, column] = 100 * (found.moment / moment - 1)
@@ -228,9 +234,7 @@ def _left_out(
     )
 
 
-def _notes(
-    disturbance: Disturbance, comparisons: list[Comparison], recipe: Recipe
-) -> tuple[str, ...]:
+def _notes(disturbance: Disturbance, pairs: list[LoadedPair], recipe: Recipe) -> tuple[str, ...]:
     ratio = 2 * math.pi * recipe.rig.angle_ratio
     slow, fast = disturbance.speeds[0] / ratio, disturbance.speeds[-1] / ratio
     return (

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rigtool.control.position_loop import TransferFunction
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.controller_torque import CHANNELS, SIGNAL, TABLE
 from rigtool.experiments.learning.convergence import Cycles, LearningRun, learning_run
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import runs as iterations
@@ -35,8 +36,6 @@ from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Ta
 
 Array = NDArray[np.float64]
 
-ADDED = "signal_current"
-
 RUN_IN = 1
 """Moves that are made first and left out."""
 
@@ -47,7 +46,7 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """List the learning runs, and one with the final signal."""
     most = iterations.runs_at_most(recipe)
     kinds = [*(iterations.kind_of(updates) for updates in range(most)), "validate"]
-    names = [ADDED if name == "table_current" else name for name in common.CHANNELS]
+    names = [SIGNAL if name == TABLE else name for name in CHANNELS]
     motion = move(recipe)
     conditions = {
         "speed": (motion.speed, "rad/s"),
@@ -198,7 +197,7 @@ def _cut(
     recording: Recording, recipe: Recipe, torque_constant: float, controller: TransferFunction
 ) -> _Moves:
     """Cut a recording into moves of a whole number of samples."""
-    found = common.signals(recording, recipe, torque_constant, ADDED)
+    found = common.signals(recording, recipe)
     count, moves = (int(recording.condition(name)) for name in ("samples", "moves"))
     if len(found.time) < (moves + RUN_IN) * count:
         raise InsufficientDataError(
@@ -207,7 +206,7 @@ def _cut(
         )
     used = slice(RUN_IN * count, (RUN_IN + moves) * count)
     error = (found.setpoint - found.rotor)[used].reshape(moves, count)
-    before = found.learned[used].reshape(moves, count).mean(axis=0)
+    before = (torque_constant * found.learned)[used].reshape(moves, count).mean(axis=0)
     period = count * recipe.rig.sample_time
     torque = _through(error, period, controller)
     everything = np.ones(count, dtype=np.bool_)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.controller_torque import CHANNELS
 from rigtool.experiments.learning.convergence import Cycles, LearningRun, learning_run
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import signals as common
@@ -92,7 +93,7 @@ def _steady(recipe: Recipe, name: str, speed: float) -> RecordingSpec:
     turns = revolutions(recipe, speed)
     return RecordingSpec(
         name,
-        channels(*common.CHANNELS),
+        channels(*CHANNELS),
         {
             "speed": (TURN * speed, "rad/s"),
             "revolutions": (float(turns), "1"),
@@ -115,9 +116,7 @@ def sweep_specs(recipe: Recipe) -> list[RecordingSpec]:
         "steady_until": (start + turning.sweep_time, "s"),
     }
     return [
-        RecordingSpec(
-            f"sweep_{variant}", channels(*common.CHANNELS), conditions, turning.record_every
-        )
+        RecordingSpec(f"sweep_{variant}", channels(*CHANNELS), conditions, turning.record_every)
         for variant in SWEEPS
     ]
 
@@ -190,16 +189,17 @@ class Turned:
 
 def turned(recording: Recording, recipe: Recipe, torque_constant: float) -> Turned:
     """Cut a recording into its turns; `InsufficientDataError` names it where that fails."""
-    found = common.signals(recording, recipe, torque_constant)
+    found = common.signals(recording, recipe)
     used = _steady_part(recording, found.time)
     speed = recording.condition("speed")
     count = revolutions(recipe, speed / TURN)
     time, setpoint = found.time[used], found.setpoint[used]
     try:
-        cut = cut_turns(time, setpoint, found.controller[used], count)
+        cut = cut_turns(time, setpoint, torque_constant * found.controller[used], count)
         # The table is the same in each turn: the last one tells it.
         last = slice(-(len(time) // count) - SPARE, None)
-        table = cut_turns(time[last], setpoint[last], found.learned[used][last], 1).torque[0]
+        learned = torque_constant * found.learned[used][last]
+        table = cut_turns(time[last], setpoint[last], learned, 1).torque[0]
     except InsufficientDataError as error:
         raise InsufficientDataError(f"recording {recording.name}: {error}") from None
     everything = np.ones(table.size, dtype=np.bool_)
@@ -336,10 +336,10 @@ def sweep(run: Run, recipe: Recipe, torque_constant: float, learning: Learning) 
     torque = {}
     for variant in SWEEPS:
         recording = recorded[f"sweep_{variant}"]
-        found = common.signals(recording, recipe, torque_constant)
+        found = common.signals(recording, recipe)
         used = _steady_part(recording, found.time)
         # Q takes the recording for one period: it begins and ends at rest.
         period = float(found.time[-1] - found.time[0]) * len(found.time) / (len(found.time) - 1)
-        torque[variant] = learning.smoothed(found.controller, period)[used]
+        torque[variant] = learning.smoothed(torque_constant * found.controller, period)[used]
     speed = np.gradient(found.setpoint, found.time)[used]
-    return Sweep(found.time[used], speed, torque, found.learned[used])
+    return Sweep(found.time[used], speed, torque, torque_constant * found.learned[used])

@@ -10,6 +10,7 @@ from __future__ import annotations
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.rigs.serial.drive import Drive
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
 from rigtool.rigs.serial.maxon.des import DesDrive, read_status
 from rigtool.rigs.serial.maxon.epos import Epos2Drive, Epos4Drive, EposDrive
@@ -24,10 +25,8 @@ from rigtool.rigs.serial.maxon.frames import (
 from rigtool.rigs.serial.maxon.guard import Guard
 from rigtool.rigs.serial.maxon.objects import DEVICE_TYPE, EPOS2_ACCESS, EPOS4_ACCESS, Objects
 
-BAUD_RATE = 115200
-"""The usual one of EPOS; a DES has 38400."""
-
 BAUD_RATES = (115200, 38400)
+"""Of an EPOS and of a DES, as they are delivered, bit/s."""
 
 SILENCE, SHORTEST_SILENCE = 2.0, 1.0
 """Multiple of `serial.watchdog`, and time [s], after which the guard hears too little: the host
@@ -65,7 +64,7 @@ def make_drive(line: Line, recipe: Recipe) -> Drive:
     drive = drive_on(line, node, recipe.rig.encoder_counts)
     if not line.replays:
         silence = max(SHORTEST_SILENCE, SILENCE * settings.watchdog)
-        drive.guard = Guard(settings.port, settings.baud_rate or BAUD_RATE, node, silence)
+        drive.guard = Guard(settings.port, settings.baud_rate or BAUD_RATES[0], node, silence)
     return drive
 
 
@@ -117,3 +116,6 @@ def _introduced(line: Line, ready: bytes, node: int) -> Objects | LockStepFrames
     objects = Objects(DleFrames(line), EPOS4_ACCESS, node)
     objects.read(DEVICE_TYPE, retries=0)
     return objects
+
+
+DRIVER = Driver(probe, BAUD_RATES, make_drive, has_watchdog=False)

@@ -6,13 +6,12 @@ import contextlib
 
 from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.moteus.drive import Moteus, read_identity
 from rigtool.rigs.serial.moteus.link import Link
 from rigtool.rigs.serial.moteus.table import MoteusTable
 from rigtool.rigs.serial.table_store import TableStore
-
-BAUD_RATE = 921600
 
 USUAL_NODE = 1
 """Address that a drive leaves the factory with; 0, the default of the recipe, stands for it."""
@@ -40,3 +39,6 @@ def make_drive(line: Line, recipe: Recipe) -> Moteus:
 def make_table_store(line: Line, recipe: Recipe) -> TableStore:
     """Return the table in the drive that a recipe's [serial] names, not connected yet."""
     return MoteusTable(make_drive(line, recipe))
+
+
+DRIVER = Driver(probe, (921600,), make_drive, make_table_store=make_table_store)

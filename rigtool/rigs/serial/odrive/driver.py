@@ -18,6 +18,7 @@ from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line
 from rigtool.rigs.serial.odrive.settings import Settings, as_said
 from rigtool.rigs.serial.odrive.text import (
@@ -29,8 +30,6 @@ from rigtool.rigs.serial.odrive.text import (
     identify,
     number,
 )
-
-BAUD_RATE = 115200
 
 TURN = 2 * math.pi
 
@@ -60,17 +59,6 @@ CORRECTED = 0.3
 
 TEMPERATURE_EVERY = 50
 """Samples for which one reading of the thermistor holds."""
-
-
-def probe(line: Line) -> str | None:
-    """Return who answers; asks only."""
-    return str(identify(line, retries=0))
-
-
-def make_drive(line: Line, recipe: Recipe) -> ODrive:
-    """Return the drive that a recipe names, not connected yet."""
-    assert recipe.serial is not None
-    return ODrive(line, recipe.serial.node, recipe.rig.sample_time)
 
 
 class ODrive:
@@ -394,3 +382,17 @@ def _state(replies: list[str]) -> int:
 
 def _numbers(replies: list[str]) -> list[float]:
     return [number(word) for reply in replies for word in reply.split()]
+
+
+def probe(line: Line) -> str | None:
+    """Return the identity of the ODrive that answers."""
+    return str(identify(line, retries=0))
+
+
+def make_drive(line: Line, recipe: Recipe) -> ODrive:
+    """Return the drive that a recipe names, not connected yet."""
+    assert recipe.serial is not None
+    return ODrive(line, recipe.serial.node, recipe.rig.sample_time)
+
+
+DRIVER = Driver(probe, (115200,), make_drive)

@@ -21,6 +21,7 @@ from rigtool.recipe import Recipe
 from rigtool.rigs.base import CHANNELS, Block, Load, Task
 from rigtool.rigs.motion import Move
 from rigtool.rigs.operator import Operator
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
 from rigtool.rigs.serial.safety import Watch, speed_of_moves
@@ -64,11 +65,6 @@ def probe(line: Line) -> str | None:
     A HELLO ends a session that another host has: ports are opened exclusively, so there is none.
     """
     return _describe(Talk(line, timeout=line.timeout, retries=1).hello())
-
-
-def make_rig(recipe: Recipe, torque_constant: float, use: str, operator: Operator) -> TargetRig:
-    """Return the rig, not connected yet."""
-    return TargetRig(recipe, torque_constant, use, operator)
 
 
 class TargetRig(SerialRig):
@@ -389,3 +385,6 @@ def _describe(hello: link.Hello) -> str:
         f"{hello.name}, link version {hello.version}, {1 / hello.sample_time:g} Hz, log of "
         f"{hello.log_bytes / 2**20:.3g} MiB"
     )
+
+
+DRIVER = Driver(probe, (BAUD_RATE,), make_rig=TargetRig)

@@ -9,6 +9,7 @@ import pytest
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.force import procedure as measure_force
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
+from rigtool.experiments.force.results import COLUMNS, LoadRow
 from rigtool.experiments.force.results_corrected import load_outcome
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.load_disturbance.stored import (
@@ -151,13 +152,15 @@ def test_a_load_beyond_the_learned_ones_has_no_value(rig):
 
 def test_a_reading_beyond_the_friction_that_was_learned_has_no_value(rig):
     thesis = rig(at(1))
-    found = load_outcome(thesis, np.array([0.0, 1e-4, math.nan]), thesis)
+    table = thesis.tables["loads"]
+    rows = [LoadRow(*(float(table[name][i]) for name in COLUMNS)) for i in range(3)]
+    found = load_outcome(thesis, rows, np.array([0.0, 1e-4, math.nan]), rows)
     loads = found.tables["loads"]
     assert np.isfinite(loads["mean_torque"]).tolist() == [True, True, False]
     assert np.isfinite(loads["applied_torque"]).all()
     assert found.results["loads_outside"].value == 1
     with pytest.raises(InsufficientDataError, match="beyond those that friction was learned with"):
-        load_outcome(thesis, np.array([0.0, math.nan, math.nan]), thesis)
+        load_outcome(thesis, rows, np.array([0.0, math.nan, math.nan]), rows)
 
 
 def test_a_speed_beyond_the_learned_ones_is_refused_before_it_moves(rig):

@@ -79,9 +79,7 @@ class PatientRig(HostedRig):
 def maxon_rig(port, *more, operator=None):
     recipe = serial_recipe(port, "serial.watchdog=1.5", *more, driver="maxon", sample_time=PERIOD)
     operator = operator or Operator(say=lambda text: None, present=False, yes=True)
-    return PatientRig(
-        recipe, 0.045, "test", operator, make_drive=maxon.make_drive, baud_rate=maxon.BAUD_RATE
-    )
+    return PatientRig(recipe, 0.045, "test", operator, maxon.DRIVER)
 
 
 def perform(rig, task):

@@ -44,8 +44,7 @@ def moteus_rig(port, *more, operator=None):
         0.045,
         "test",
         operator or replace(QUIET, yes=True),
-        make_drive=moteus.make_drive,
-        baud_rate=moteus.BAUD_RATE,
+        moteus.DRIVER,
     )
 
 

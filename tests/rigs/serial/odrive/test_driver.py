@@ -49,8 +49,7 @@ def odrive_rig(port, *more, operator=None, kt=KT):
         kt,
         "test",
         operator or replace(QUIET, yes=True),
-        make_drive=odrive.make_drive,
-        baud_rate=odrive.BAUD_RATE,
+        odrive.DRIVER,
     )
 
 
