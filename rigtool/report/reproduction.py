@@ -1,10 +1,9 @@
-"""The page that lays rigtool beside the thesis, figure by figure: `make thesis`.
+"""The page that compares rigtool with the thesis, figure by figure: `make thesis`.
 
     python -m rigtool.report.reproduction RUN.h5... --docs docs --html page.html
 
-reads `reproduction.toml`, which says what is shown; a run is called by the stem of its file.
-Written are docs/reproduction.md, docs/reproduction/ with the pictures and numbers.json, and one
-HTML file.
+`reproduction.toml` lists the rows of the page; it names a run by the stem of its file. Output is
+docs/reproduction.md, docs/reproduction/ with the pictures and numbers.json, and one HTML file.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from rigtool.runfile import Run
 
 LARGEST_SVG = 150_000
-"""Bytes: a larger picture is written as PNG."""
+"""Bytes above which a picture is written as PNG."""
 
 NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 
@@ -46,7 +45,7 @@ DRAWN_FROM_SIGNALS = {
     45: turns.draw_after_learning,
     68: turns.draw_faulty_amplifier,
 }
-"""Figures that are drawn from signals, for which the calibration is needed."""
+"""Figures drawn from signals, which need the calibration."""
 
 UNITS = {
     "mA": 1e3,
@@ -65,7 +64,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class ComparedNumber:
-    """One number beside the thesis, as text: `holds` is None where nothing is to be judged."""
+    """A number beside that of the thesis, as text; `holds` is None where there is no criterion."""
 
     name: str
     published: str
@@ -78,7 +77,7 @@ class ComparedNumber:
 
     @property
     def verdict(self) -> str:
-        """What the page says of the tolerance; a requirement may be missed by both rigs."""
+        """The last cell of the row; both rigs may miss a requirement."""
         if self.holds is None:
             return "–"
         if not self.met:
@@ -88,7 +87,7 @@ class ComparedNumber:
 
 @dataclass(frozen=True)
 class PageRow:
-    """One row of the page. `picture` is a file name and its bytes, None for a table."""
+    """One row of the page; `picture` is a file name and its bytes, None for a table."""
 
     name: str
     heading: str
@@ -100,7 +99,7 @@ class PageRow:
 
     @property
     def data_uri(self) -> str:
-        """The picture as an address that holds it."""
+        """The picture as a data URI."""
         if self.picture is None:
             return ""
         name, data = self.picture
@@ -110,7 +109,7 @@ class PageRow:
 
 @cache
 def rows() -> tuple[dict[str, Any], ...]:
-    """Return the rows of `reproduction.toml`, each number with its own name, path and place."""
+    """Return the rows of `reproduction.toml`, with a number for each load of Tables 8 and 9."""
     text = files("rigtool.report").joinpath("reproduction.toml").read_text("utf-8")
     return tuple(
         row | {"numbers": [n for number in row["numbers"] for n in _by_load(number)]}
@@ -141,7 +140,7 @@ def row_name(row: Mapping[str, Any]) -> str:
 
 
 def published_of(number: Mapping[str, Any]) -> tuple[float | None, str]:
-    """Return the published value of a number, SI, and its section; None where it is in words."""
+    """Return the published value of a number, SI, and its section; None where only words exist."""
     path = number.get("published")
     if path is None:
         return number.get("limit"), ""
@@ -154,9 +153,9 @@ def published_of(number: Mapping[str, Any]) -> tuple[float | None, str]:
 
 
 def holds(number: Mapping[str, Any], value: float) -> bool | None:
-    """Say whether a value, SI, is as the row demands; None where it demands nothing.
+    """Return whether a value, SI, meets the criterion of its row; None without a criterion.
 
-    True for a requirement that neither rig meets means that it is not met here either.
+    For a requirement that the thesis's rig does not meet, True means: not met here either.
     """
     published, _ = published_of(number)
     if published is None:
@@ -177,7 +176,7 @@ def _allowed(number: Mapping[str, Any], published: float) -> float:
 
 
 def make_rows(runs: Runs) -> tuple[list[PageRow], dict[str, Any]]:
-    """Return all rows of the page, and the numbers that the tests look at.
+    """Return all rows of the page, and the numbers that the tests compare.
 
     Raises `UsageError` where a run is missing.
     """
@@ -217,7 +216,7 @@ def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[PageRow, dict[str, Any
         picture = _picture(row["figure"], run, runs["kt"])
     remarks = [row["differs"]] if "differs" in row else []
     if row.get("refusal"):
-        remarks.insert(0, f"stribeck says: “{low_current_refusal(runs, row['run'])}”")
+        remarks.insert(0, f"stribeck reports: “{low_current_refusal(runs, row['run'])}”")
     text: tuple[tuple[str, ...], ...] = ()
     if "text" in row:
         entry = published_entry(row["text"])
@@ -229,13 +228,13 @@ def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[PageRow, dict[str, Any
 
 
 def command_line(run: Run) -> str:
-    """Return the line that made a run, as a user types it in a folder of his own."""
+    """Return the command line that made a run, without folders."""
     words = [word for word in run.provenance["argv"] if word != "--overwrite"]
     return shlex.join(Path(word).name if word.endswith(".h5") else word for word in words)
 
 
 def title(row: Mapping[str, Any]) -> str:
-    """Return the heading of a row, from the report's figures where the row has none of its own."""
+    """Return the heading of a row: its own, or that of the report's figure."""
     if "table" in row:
         return f"Table {row['table']}. {row['title']}"
     return f"Fig. {row['figure']}. {row.get('title') or PLOTS[row['figure']].title}"
@@ -293,19 +292,19 @@ def _tolerance(number: Mapping[str, Any], factor: float, stated: str) -> str:
 INTRODUCTION = (
     "Every figure with data in chapters 7 and 8 and in the appendices of E. Briaire, Friction "
     "measurement and compensation on a laparoscopic instrument of a medical robot, TU Eindhoven, "
-    "2006, and its Tables 5 to 9: made again on the virtual rig by make thesis, in the same axes "
-    "and units. Each row has the command that makes it, what the thesis states beside what rigtool "
-    "finds, with its standard uncertainty in brackets where it has one, the tolerance, and whether "
-    "it holds. Words in quotation marks are the thesis's where it gives no number; a dash is where "
-    "it says nothing. A number without brackets has no uncertainty of its own: it is a setting, or "
-    "the rms, peak or span of a curve."
+    "2006, and its Tables 5 to 9, reproduced on the virtual rig by make thesis, with the same axes "
+    "and units. Each row shows its command, the value of the thesis, the value that rigtool finds, "
+    "with its standard uncertainty in brackets, the tolerance, and whether the value is within it. "
+    "Quotation marks: words of the thesis, where it gives no number. A dash: the thesis states "
+    "nothing. A number without brackets has no uncertainty of its own: it is a setting, or the "
+    "rms, peak or span of a curve."
 )
 
-NOTES_LINK = "How the thesis was read where it is silent: [notes](thesis-notes.md)."
+NOTES_LINK = "Assumptions where the thesis is silent: [notes](thesis-notes.md)."
 
 
 def markdown(shown: Sequence[PageRow]) -> str:
-    """Return the page as Markdown, with pictures beside it in `reproduction/`."""
+    """Return the page as Markdown; its pictures are in `reproduction/`."""
     parts = ["# The thesis, figure by figure", INTRODUCTION, _summary(shown), NOTES_LINK]
     for row in shown:
         parts += [f"## {row.heading}", "```sh\n" + "\n".join(row.lines) + "\n```"]
@@ -340,7 +339,7 @@ def _summary(shown: Sequence[PageRow]) -> str:
     good = sum(bool(number.holds) for number in judged)
     missed = sum(not number.met for number in judged)
     return (
-        f"{len(shown)} rows, {len(judged)} numbers to judge: {good} are as stated, among them "
+        f"{len(shown)} rows, {len(judged)} numbers with a criterion: {good} agree, among them "
         f"{missed} requirements that the thesis's rig does not meet either."
     )
 

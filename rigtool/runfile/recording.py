@@ -57,7 +57,7 @@ class Recording:
         return {channel.name: channel.unit for channel in self.channels}
 
     def has(self, channel: str) -> bool:
-        """Say whether a channel was recorded."""
+        """Return whether a channel was recorded."""
         return any(item.name == channel for item in self.channels)
 
     def read(self, channel: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:

@@ -63,7 +63,7 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
 
 
 def is_name(name: str) -> bool:
-    """Say whether a name can stand for a recording, channel, table, column or result."""
+    """Return whether a name can stand for a recording, channel, table, column or result."""
     return _NAME.fullmatch(name) is not None
 
 

@@ -98,7 +98,7 @@ def root_text(file: h5py.File, name: str) -> str | None:
 
 
 def is_signal(path: str) -> bool:
-    """Say whether the dataset of this path holds samples of a recording."""
+    """Return whether the dataset of this path holds samples of a recording."""
     parts = path.split("/")
     return len(parts) == 5 and parts[1:3] == [schema.ENTRY, schema.RECORDINGS]
 

@@ -1,4 +1,4 @@
-"""The thesis's figures, drawn from the tables of run files: same axes, same units."""
+"""Figures of the thesis, drawn from tables of run files with the same axes and units."""
 
 from __future__ import annotations
 

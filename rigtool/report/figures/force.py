@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rigtool.runfile import Run, Table
 
 MAX_POINTS = 175
-"""Of each cycle where all of them are drawn."""
+"""Points of each cycle where all cycles are drawn."""
 
 PROBABILITIES = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 
@@ -46,10 +46,10 @@ def draw_feedforward(run: Run, table: Table) -> Figure:
 
 @plot(59, "measure-force", "Variation over the cycles without load", "cycles_no_load")
 def draw_variation(run: Run, table: Table) -> Figure:
-    """Fig. 59: what remains without load, all cycles in one plot."""
+    """Fig. 59: the torque that remains without load, all cycles in one plot."""
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
     position, torque = counts(run, table, "position"), MILLI * table["torque"]
-    # Low-passed at 5 Hz, they have nothing between these points.
+    # After the low-pass at 5 Hz there is no detail between these points.
     drawn = thin(MAX_POINTS, position, torque)
     axes.plot(drawn[0], drawn[1].T, color=style.BLUE, linewidth=0.6, alpha=0.5)
     cycle_axis(axes, position[-1] / 2)
@@ -66,7 +66,7 @@ def draw_probability_plot(run: Run, table: Table) -> Figure:
     quantile, value = table["quantile"], MILLI * table["value"]
     figure, axes = style.one_panel("torque without load [mN m]", "probability")
     axes.plot(value, quantile, "+", color=style.BLUE, label="readings")
-    # The line through the quartiles, as probability plots usually have it.
+    # The customary line of probability plots, through the quartiles.
     lower, upper = np.interp([0.25, 0.75], np.linspace(0, 1, value.size), value)
     quartile = 0.6744897501960817
     ends = np.array([quantile[0], quantile[-1]])
@@ -92,7 +92,7 @@ def draw_remaining(run: Run, table: Table) -> Figure:
 
 @plot(62, "measure-force", "High torque: the peak is shifted", "shift")
 def draw_shift(run: Run, table: Table) -> Figure:
-    """Fig. 62: a high load; its peak comes late because the instrument is soft."""
+    """Fig. 62: a high load, whose peak is late because the instrument is compliant."""
     figure, axes, middle = _lifted(run, table)
     if "peak_shift_counts" in run.results:
         late = run.results["peak_shift_counts"].value
@@ -117,7 +117,7 @@ def draw_lifting_lowering(run: Run, table: Table) -> Figure:
 
 
 def _lifted(run: Run, table: Table) -> tuple[Figure, Axes, float]:
-    """Draw a load lifted and lowered; return the middle of the stroke, quad counts, as well."""
+    """Draw a load lifted and lowered; also return the middle of the stroke, quad counts."""
     stroke = counts(run, table, "position")
     end = float(stroke[-1])
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
@@ -139,9 +139,9 @@ def _lifted(run: Run, table: Table) -> tuple[Figure, Axes, float]:
 
 
 def _straight(run: Run, axes: Axes, position: Array) -> NDArray[np.bool_]:
-    """Say where the motion has constant speed, (n,); the rest, where it turns, gets a grey band.
+    """Return where the motion has constant speed, (n,); draw grey bands where it reverses.
 
-    The reversal of friction and acceleration fills the bands; it is not what the figures show.
+    In the bands, friction reverses and inertia acts; the figures do not show these.
     """
     if run.recipe is None:
         return np.ones(position.size, dtype=bool)

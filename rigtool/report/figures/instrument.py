@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from rigtool.runfile import Run, Table
 
 RUNS_OVER_TIME = 3
-"""Runs in the figures over time: of the lowest, the middle and the highest load."""
+"""Number of runs in the figure over time, from the lowest to the highest load."""
 
 LEFT_OUT_AT_ENDS = 1.0
-"""Left out at the ends, s."""
+"""Time left out at both ends of a run, s."""
 
 
 @plot(
@@ -88,7 +88,7 @@ def draw_hysteresis(run: Run, series: Table, levels: Table) -> Figure:
     "levels",
 )
 def draw_error_by_level(run: Run, series: Table, levels: Table) -> Figure:
-    """Errors of single samples by the torque of their run, strokes against and with the load."""
+    """Errors of single samples over the torque of their run, against and with the load."""
     time, speed = series["time"], series["speed"]
     middle = (time > LEFT_OUT_AT_ENDS) & (time < time[-1] - LEFT_OUT_AT_ENDS)
     error = MILLI * (series["torque"] - series["reference"])

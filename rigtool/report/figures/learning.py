@@ -1,4 +1,4 @@
-"""Figures 50 and 56: the learned table, and what it leaves [7.2.4.2]."""
+"""Figures 50 and 56: the learned table and the remaining disturbance [7.2.4.2]."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def draw_residual(run: Run, table: Table) -> Figure:
 
 
 def _stroke(run: Run) -> tuple[float, float]:
-    """Return motor angle per output angle, and the end of a stroke in quad counts."""
+    """Return the motor angle per output angle, and the end of a stroke in quad counts."""
     if run.recipe is None:
         raise RunFileError(f"{run.path}: holds no recipe, so its stroke is unknown: learn again")
     rig = run.recipe.rig

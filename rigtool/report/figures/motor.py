@@ -47,7 +47,7 @@ def draw_motor_constant(run: Run, table: Table) -> Figure:
 
 @plot(22, "stribeck", "Static friction: one slow ramp of torque", "breakaway_ramp")
 def draw_breakaway(run: Run, table: Table) -> Figure:
-    """Fig. 22: one slow ramp of torque and where the rotor goes meanwhile."""
+    """Fig. 22: one slow ramp of torque, and the rotor position during it."""
     labels = ["torque [mN m]", "rotor position [quad counts]"]
     figure, (torque, position) = style.panels(2, "time [s]", labels, 4.2)
     torque.plot(table["time"], MILLI * table["torque"], color=style.BLUE)

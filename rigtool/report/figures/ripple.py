@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 MAX_POINTS = 1000
 MAX_SPECTRA = 4
-"""Speeds whose spectra are shown."""
+"""Most speeds whose spectra are shown."""
 
 
 @plot(23, "fft-ripple", "Ripple after power off and on", "power_waveforms")
@@ -35,7 +35,7 @@ def draw_power_cycles(run: Run, table: Table) -> Figure:
 
 @plot(24, "fft-ripple", "Ripple of single revolutions", "revolutions")
 def draw_revolutions(run: Run, table: Table) -> Figure:
-    """Fig. 24: many revolutions in one plot, to show how well the ripple repeats."""
+    """Fig. 24: many revolutions in one plot; their spread shows how well the ripple repeats."""
     figure, axes = style.one_panel(COUNTS, TORQUE)
     position, waves = _waveforms(run, table)
     axes.plot(position, waves.T, color=style.BLUE, linewidth=0.6, alpha=0.6)
@@ -125,7 +125,7 @@ def draw_psd_by_speed(run: Run, table: Table) -> Figure:
 
 
 def _waveforms(run: Run, table: Table) -> tuple[Array, Array]:
-    """Return positions in counts and waveforms in mN m with their means taken off."""
+    """Return positions in counts, and waveforms in mN m less their means."""
     position, waves = thin(MAX_POINTS, counts(run, table, "position"), MILLI * table[table.signal])
     return position, waves - waves.mean(axis=-1, keepdims=True)
 
@@ -143,7 +143,7 @@ def _bars(axes: Axes, order: Array, amplitude: Array, orders: int = 8) -> None:
 
 
 def _scale_bar(axes: Axes, step: float) -> None:
-    """Mark how many mN m the distance between two curves is."""
+    """Draw a scale bar of torque beside the curves."""
     length = float(f"{step:.1g}")
     right = axes.get_xlim()[1] * 1.015
     axes.plot([right, right], [0, length], color=style.BLACK, linewidth=2, clip_on=False)

@@ -1,4 +1,4 @@
-"""Figures 42 to 48, 51, 52 and 54: learning run by run, and what remains at any speed [7.2.4.2]."""
+"""Figures 42 to 48, 51, 52, 54: learning run by run, and the remains over speed [7.2.4.2]."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MAX_POINTS = 4000
-"""Of a curve over the sweep: more than its picture has columns."""
+"""Points of a curve over the sweep: more than its picture has columns."""
 
 SPEED = "motor speed [rev/s]"
 FROM_TABLE = "feed-forward from the table"
@@ -53,7 +53,7 @@ def draw_tuning(run: Run, table: Table) -> Figure:
     implementations=("A", "standard"),
 )
 def draw_iterations(run: Run, table: Table) -> Figure:
-    """Fig. 44: amplitude of what repeats and of what does not, run by run."""
+    """Fig. 44: amplitudes of the repeating and the non-repeating part, run by run."""
     unit = table.columns["rms"].unit
     figure, axes = style.one_panel("learning runs made before [1]", f"rms [m{unit}]")
     axes.errorbar(
@@ -107,7 +107,7 @@ for number, implementation, variant, feedforward, title in (
 
 
 def _envelope(speed: Array, torque: Array) -> tuple[Array, Array]:
-    """Return the lowest and the highest torque of each stretch of a curve (n,), one by one."""
+    """Return the lowest and the highest torque of each section of a curve (n,), in turn."""
     width = max(1, 2 * len(speed) // MAX_POINTS)
     used = len(speed) - len(speed) % width
     places, stretches = speed[:used:width], torque[:used].reshape(-1, width)

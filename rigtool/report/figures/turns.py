@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from rigtool.runfile import Run
 
 MAX_POINTS = 200
-"""Of a curve over one turn, in which Q leaves no more than twenty orders."""
+"""Points of a curve over one turn, in which Q passes at most twenty orders."""
 
 MIN_HOLD_SAMPLES = 1000
-"""A speed with fewer of them is one that the shaft passes, no hold."""
+"""A speed with fewer samples is a transition, not a hold."""
 
 BAR_PERCENTILES = (0.5, 99.5)
-"""Percentiles of the samples of a hold between which its bar is drawn."""
+"""Percentiles of the samples of a hold at the ends of its bar."""
 
 
 def draw_before_learning(run: Run, kt: Run) -> Figure:
@@ -43,7 +43,7 @@ def draw_before_learning(run: Run, kt: Run) -> Figure:
 
 
 def draw_after_learning(run: Run, kt: Run) -> Figure:
-    """Fig. 45: what the first learning run leaves, on the scale of Fig. 43."""
+    """Fig. 45: the disturbance after the first learning run, on the scale of Fig. 43."""
     counts, turns = _turns(run, kt, "iterate_01_000")
     _, before = _turns(run, kt, "learn_000")
     figure, axes = style.one_panel(COUNTS, TORQUE)
@@ -56,7 +56,7 @@ def draw_after_learning(run: Run, kt: Run) -> Figure:
 def draw_faulty_amplifier(run: Run, kt: Run) -> Figure:
     """Fig. 68: torque against speed with an amplifier that is not linear at low current.
 
-    Only constant speeds: no sweep is made once the amplifier is found out.
+    Constant speeds only: the fault of the amplifier is detected before a sweep.
     """
     from rigtool.experiments.torque_per_ampere import torque_per_ampere
 
@@ -87,7 +87,7 @@ def draw_faulty_amplifier(run: Run, kt: Run) -> Figure:
 def _turns(run: Run, kt: Run, name: str) -> tuple[Array, Array]:
     """Return quad counts (n,) and the controller's torque by turn, (turns, n), mN m.
 
-    It is filtered with Q, as it is learned, and without its mean, which is friction.
+    The torque is filtered with Q, as for learning; its mean, which is friction, is subtracted.
     """
     from rigtool.errors import RunFileError
     from rigtool.experiments.learning.implementations.a_one_speed import narrowed

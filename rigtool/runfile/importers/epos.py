@@ -38,7 +38,7 @@ _NAME = re.compile(r"[^a-z0-9]+")
 
 
 def is_epos(path: Path) -> bool:
-    """Say whether a file is such an export, from its first lines."""
+    """Return whether a file is such an export, from its first lines."""
     try:
         with path.open("rb") as stream:
             start = stream.read(4096)
