@@ -1,4 +1,4 @@
-"""Reading a recipe: all mistakes at once, each with its line."""
+"""Reading recipes; all mistakes are reported at once, each with its line."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RECIPE_VERSION = 1
 
 
 class Recipe(Section):
-    """A whole recipe: the rig, what the virtual one is made of, and the commands' settings."""
+    """A recipe: the rig, parameters of the virtual rig, and settings of the commands."""
 
     recipe: int
     rig: RigDescription
@@ -193,7 +193,7 @@ def _describe_mistakes(
             message = "is not a key that this table knows; remove it or correct its spelling"
         elif item["type"] == "missing":
             message = "is missing; add it"
-        elif not path:  # tables that do not go together: the whole recipe is what was got
+        elif not path:  # tables contradict each other: the mistake concerns the whole recipe
             dotted = kind
         else:
             message = f"{message}, got {item['input']!r}"
@@ -205,7 +205,7 @@ def _describe_mistakes(
 
 
 def _where(name: str, path: tuple[str, ...], lines: dict[tuple[str, ...], int]) -> str:
-    # A missing key has no line: name the line of the closest table that holds it.
+    # A missing key has no line: name the line of the closest table around it.
     while path and path not in lines:
         path = path[:-1]
     return f"{name}:{lines[path]}" if path in lines else name

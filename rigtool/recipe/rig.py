@@ -1,7 +1,7 @@
-"""What the person at the bench knows of the rig: parts, data sheets, gains, geometry.
+"""Properties of the rig known at the bench: parts, data sheets, gains, geometry.
 
-Everything here may be used by an analysis. What only the virtual rig knows is in
-`rigtool.recipe.virtual`, and no analysis reads that.
+An analysis may use all of them. `rigtool.recipe.virtual` holds the parameters that only the virtual
+rig knows; no analysis reads those.
 """
 
 from __future__ import annotations

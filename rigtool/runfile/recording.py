@@ -1,6 +1,6 @@
 """A recording of an open run file: its signals are read on demand, and checked when they are read.
 
-Checksums of samples (fletcher32) are verified by HDF5; whatever is wrong becomes a `RunFileError`.
+Checksums of samples (fletcher32) are verified by HDF5; any fault raises `RunFileError`.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class Recording:
         """Return the value of a condition, in its unit; `RunFileError` where it is missing."""
         if name not in self.conditions:
             raise RunFileError(
-                f"{self._path}: recording {self.name!r} does not say its {name!r}, only "
+                f"{self._path}: recording {self.name!r} has no condition {name!r}, only "
                 f"{', '.join(self.conditions) or 'nothing'}; record it again with this version"
             )
         return self.conditions[name].value

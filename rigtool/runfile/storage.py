@@ -32,7 +32,7 @@ def storage_errors(path: Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise RigtoolError(f"{path}: cannot be written: {_reason(error)}") from error
-    except RuntimeError as error:  # h5py's other way to say that a write failed
+    except RuntimeError as error:  # h5py's other report of a failed write
         if _ERRNO.search(str(error)) is None:
             raise
         raise RigtoolError(f"{path}: cannot be written: {_reason(error)}") from error
@@ -61,7 +61,7 @@ def lock(handle: int) -> None:
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether another program is writing a file; False on systems that cannot tell."""
+    """Return whether another program is writing a file; False on systems without such locks."""
     with path.open("r+b") as stream:
         return not _lock(stream.fileno())
 

@@ -1,4 +1,4 @@
-"""Following a run back to the raw runs it was made from, and checking every hash on the way."""
+"""Checking every hash of a run and of all runs that it was made from."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BLOCK = 16 * schema.CHUNK
 
 @dataclass(frozen=True)
 class ChainLink:
-    """One file of a chain: how far from the file asked about, and what is wrong with it."""
+    """One file of a chain: its distance from the first file, and its problem if it has one."""
 
     path: Path
     depth: int
@@ -29,7 +29,7 @@ class ChainLink:
 
 
 def verify(path: str | os.PathLike[str]) -> list[ChainLink]:
-    """Check a run file and, through its inputs, all that it was made from.
+    """Check a run file and, through its inputs, everything that it was made from.
 
     A file is whole if its hashes fit its content and the samples of each signal fit theirs. A link
     holds if the input is still there (where it was, or beside the file) with the bytes it had; an
@@ -61,8 +61,8 @@ def _follow(
     except RigtoolError as error:
         yield ChainLink(found, depth, command, str(error).removeprefix(f"{found}: "))
         return
-    # Most runs share a calibration: what it was made from is told once. Nor can a file that names
-    # itself lead round in circles.
+    # Most runs share a calibration, whose inputs are listed once. This also ends the loop of a
+    # file that names itself.
     if found.resolve() in followed:
         return
     followed.add(found.resolve())

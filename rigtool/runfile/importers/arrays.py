@@ -115,7 +115,7 @@ def _load_mat(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what scipy doubts is judged by what is needed of it
+        warnings.simplefilter("ignore")  # the checks below decide what is usable
         contents = loadmat(str(path), simplify_cells=True)
     return _flat("", {name: value for name, value in contents.items() if name[:2] != "__"})
 
@@ -125,7 +125,7 @@ def _load_hdf5(path: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
 
     def take(name: str, node: h5py.Group | h5py.Dataset) -> None:
-        # visititems goes along hard links only: it stays in this file and ends.
+        # visititems follows hard links only: it stays in this file and ends.
         if isinstance(node, h5py.Dataset) and not name.startswith("#") and not node.external:
             require_size(path, max(1, node.size * node.dtype.itemsize))
             if not node.is_virtual and node.dtype.kind in "iufb":

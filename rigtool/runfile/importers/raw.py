@@ -19,19 +19,19 @@ ColumnKey = int | str
 """A column by its number from 1, or by its name."""
 
 MAX_BYTES = 2**31
-"""Bytes of a source file, uncompressed: a file that claims more is refused."""
+"""Most bytes of a source file, uncompressed."""
 
 LISTED_LINES = 5
-"""Bad lines that a message lists."""
+"""Most bad lines that a message lists."""
 
 
 @dataclass(frozen=True, eq=False)
 class Raw:
     """Columns (n,) of a file, the numbers of their lines, and what was left out.
 
-    `place` (n,) counts samples from 0 as the file has them: where samples were left out it has
-    gaps. `line` (n,) are line numbers from 1 in text, sample numbers from 1 elsewhere; `what` says
-    which. `left_out` maps the number of each line left out to why.
+    `place` (n,) counts the samples of the file from 0, with gaps for samples that were left out.
+    `line` (n,) holds line numbers from 1 in text, sample numbers from 1 elsewhere; `what` names
+    either. `left_out` maps the number of each line left out to the reason.
     """
 
     columns: dict[ColumnKey, Array]

@@ -1,7 +1,8 @@
-"""Delimited text, also gzipped: fast by numpy; line by line only to find what is wrong.
+"""Delimited text, also gzipped: parsed by numpy, and line by line only to locate errors.
 
-Every line is held to the number of fields that most lines have: a line that was cut short is found
-even where the columns that are read are still there.
+Every line must have the number of fields that most lines have. A line that was cut short is thus
+found even if it still holds the columns that are read. pandas reports neither its line number among
+comments nor an exact value without its slower parser.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ def read_numbers(
 
 
 def decode(data: bytes) -> str:
-    """Return text: UTF-16 where it says so, else UTF-8, else Latin-1, which fits any bytes."""
+    """Return text: UTF-16 with a byte order mark, else UTF-8 or, for any other bytes, Latin-1."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", "replace")
     try:
@@ -123,13 +124,13 @@ def split_lines(text: str, comment: str | None) -> Lines:
     if comment is not None and comment in text:
         everything = [line.partition(comment)[0] for line in everything]
     numbered = [(line, number) for number, line in enumerate(everything, 1) if line.strip()]
-    # A file that ends within a comment has lost no number.
+    # A file that ends within a comment lacks no number.
     whole = whole or not numbered or numbered[-1][1] < len(everything)
     return Lines([line for line, _ in numbered], [number for _, number in numbered], whole)
 
 
 def split_fields(line: str, delimiter: str) -> list[str]:
-    """Return the fields of one line, quotes and spaces around them taken off."""
+    """Return the fields of one line without surrounding quotes and spaces."""
     if delimiter == WHITESPACE:
         return line.split()
     return [field.strip() for field in next(csv.reader([line], delimiter=delimiter))]
