@@ -1,4 +1,4 @@
-"""Standard uncertainty of any statistic of repeated measurements, by leaving each out in turn.
+"""Standard uncertainty of a statistic of repeated measurements, by leaving out each in turn.
 
     u^2 = (n - 1)/n sum over i of (s_i - mean of s)^2,  s_i the statistic without repeat i
 

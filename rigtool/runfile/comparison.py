@@ -1,4 +1,4 @@
-"""Two runs side by side: results, tables and signals, within tolerances."""
+"""Differences between two runs in results, tables and signals, beyond tolerances."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Tolerance:
     absolute: float = 0.0
 
     def beyond(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Say where values (n,) do not agree; NaN agrees with NaN."""
+        """Return where values (n,) do not agree; NaN agrees with NaN."""
         with np.errstate(invalid="ignore", over="ignore"):
             limit = self.absolute + self.relative * np.maximum(np.abs(a), np.abs(b))
             apart = ~(np.abs(a - b) <= limit) & (a != b)
@@ -112,7 +112,7 @@ def _recordings(
 
 
 class _Worst:
-    """How many values differ, and by how much at most, block by block."""
+    """Number of values that differ and their largest difference, block by block."""
 
     def __init__(self, tolerance: Tolerance) -> None:
         self._tolerance = tolerance

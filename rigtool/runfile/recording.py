@@ -1,6 +1,6 @@
 """A recording of an open run file: its signals are read on demand, and checked when they are read.
 
-Checksums of samples (fletcher32) are verified by HDF5; whatever is wrong becomes a `RunFileError`.
+Checksums of samples (fletcher32) are verified by HDF5; any fault raises `RunFileError`.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Recording:
         return {channel.name: channel.unit for channel in self.channels}
 
     def has(self, channel: str) -> bool:
-        """Say whether a channel was recorded."""
+        """Return whether a channel was recorded."""
         return any(item.name == channel for item in self.channels)
 
     def read(self, channel: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
@@ -121,7 +121,7 @@ class Recording:
         """Return the value of a condition, in its unit; `RunFileError` where it is missing."""
         if name not in self.conditions:
             raise RunFileError(
-                f"{self._path}: recording {self.name!r} does not say its {name!r}, only "
+                f"{self._path}: recording {self.name!r} has no condition {name!r}, only "
                 f"{', '.join(self.conditions) or 'nothing'}; record it again with this version"
             )
         return self.conditions[name].value

@@ -82,7 +82,7 @@ def test_one_bad_file_of_a_folder_and_nothing_is_written(folder, capsys, there):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["in/a.csv", "-o", "a.h5"], 3, "does not say itself what its columns mean"),
+        (["in/a.csv", "-o", "a.h5"], 3, "does not state the meaning of its columns"),
         (["in/c.csv", "-o", "a.h5"], 3, "no such file or folder"),
         (["in", "-o", "a.h5", "--map", "map.toml"], 2, "give a folder for them"),
         (["in/a.csv", "-o", "in", "--map", "map.toml"], 2, "is a folder"),
@@ -105,7 +105,7 @@ def test_conditions_are_taken_from_the_name(folder, capsys):
     arguments = ("import", source, "--map", folder / "map.toml", "-o", folder / "a.h5")
     code, _, err = call(capsys, *arguments)
     assert code == 0
-    assert "its name does not tell the condition 'load'" in err
+    assert "its name does not state the condition 'load'" in err
     source = source.rename(folder / "load12.csv")
     assert call(capsys, "import", source, *arguments[2:], "--overwrite")[0] == 0
     with open_run(folder / "a.h5") as run:

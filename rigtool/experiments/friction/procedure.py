@@ -21,7 +21,8 @@ from rigtool.experiments.friction.procedure_analysis import (
 )
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
-from rigtool.recipe import Recipe, Stribeck
+from rigtool.recipe import Recipe
+from rigtool.recipe.commands import Stribeck
 from rigtool.rigs import Feedforward, Load, Rig, Task
 from rigtool.rigs.motion import CurrentRamp, SpeedProfile
 from rigtool.runfile import RecordingSpec, Run, RunWriter

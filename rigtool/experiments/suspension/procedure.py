@@ -19,7 +19,7 @@ from rigtool.experiments.suspension.springs import (
 )
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
-from rigtool.recipe.rig import Suspension
+from rigtool.recipe.rig import MotorSuspension
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
@@ -89,7 +89,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
     )
 
 
-def _described(recipe: Recipe) -> Suspension:
+def _described(recipe: Recipe) -> MotorSuspension:
     if recipe.rig.suspension is None:
         raise RecipeError(
             "the recipe has no table [rig.suspension] with the dimensions of the leaf springs: "
@@ -98,7 +98,7 @@ def _described(recipe: Recipe) -> Suspension:
     return recipe.rig.suspension
 
 
-def _stiffness(springs: Suspension, curve: SpringCurve) -> dict[str, Quantity]:
+def _stiffness(springs: MotorSuspension, curve: SpringCurve) -> dict[str, Quantity]:
     computed = LeafSprings(
         springs.elasticity, springs.length, springs.width, springs.thickness
     ).stiffness
@@ -128,7 +128,7 @@ def _stiffness(springs: Suspension, curve: SpringCurve) -> dict[str, Quantity]:
 
 
 def _torques(
-    springs: Suspension, curve: SpringCurve, speeds: Sequence[float]
+    springs: MotorSuspension, curve: SpringCurve, speeds: Sequence[float]
 ) -> dict[str, Quantity]:
     """Return the largest torque of the springs, and of the mass at the lowest and highest speed."""
     reason = "how uncertain the eccentricities are is not known"
@@ -151,7 +151,7 @@ def _torques(
     }
 
 
-def _torque_table(springs: Suspension, stiffness: float, speeds: Sequence[float]) -> Table:
+def _torque_table(springs: MotorSuspension, stiffness: float, speeds: Sequence[float]) -> Table:
     angle = np.linspace(0, 2 * math.pi, ANGLES)
     eccentricity = springs.motor_eccentricity + springs.tool_eccentricity
     torques = [

@@ -17,7 +17,8 @@ from rigtool.experiments.torque_constant.temperature_fit import (
     calibrate,
 )
 from rigtool.quantity import Quantity
-from rigtool.recipe import CalibrateKt, Recipe
+from rigtool.recipe import Recipe
+from rigtool.recipe.commands import CalibrateKt
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RecipeError
-from rigtool.recipe.serial import Instrument
+from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.line import Line
@@ -60,7 +60,7 @@ class Gauge(Protocol):
 class OperatorGauge(Gauge):
     """An instrument that the operator reads once for each recording."""
 
-    def __init__(self, channel: str, settings: Instrument, operator: Operator) -> None:
+    def __init__(self, channel: str, settings: MeasuringInstrument, operator: Operator) -> None:
         self._channel, self._settings, self._operator = channel, settings, operator
         self._value = math.nan
 
@@ -110,7 +110,7 @@ def instrument_module(name: str) -> ModuleType:
 
 def open_gauge(
     channel: str,
-    settings: Instrument,
+    settings: MeasuringInstrument,
     operator: Operator,
     beside: Callable[[], Line | None] = lambda: None,
 ) -> Gauge:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import HardwareError
-from rigtool.recipe.serial import Instrument
+from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.serial.instruments.readings import UNSTABLE, Reader, Reading
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
@@ -65,7 +65,7 @@ class LineGauge:
     def __init__(
         self,
         channel: str,
-        settings: Instrument,
+        settings: MeasuringInstrument,
         make_reader: Callable[[Line, str], Reader],
         *,
         baud_rate: int,
