@@ -57,7 +57,8 @@ class Talk:
             deadline = time.monotonic() + self.timeout
             while True:
                 damaged = self.damaged
-                for frame in self._frames(max(0.0, deadline - time.monotonic())):
+                heard = self._hear(max(0.0, deadline - time.monotonic()))
+                for frame in self._frames():
                     if frame.kind == link.SAMPLES:
                         self._take_samples(frame)
                     elif frame.sequence != sequence:
@@ -68,7 +69,7 @@ class Talk:
                         return frame.payload
                 if self.damaged > damaged and not self.streaming:
                     raise DamagedReply(f"a frame came damaged while {kind.name} waited")
-                if time.monotonic() >= deadline:
+                if not heard or time.monotonic() >= deadline:
                     raise LineTimeout(f"no reply to {kind.name} within {self.timeout:g} s")
 
         return self._line.exchange(
@@ -77,14 +78,21 @@ class Talk:
 
     def listen(self, timeout: float) -> None:
         """Take the samples that come within this time, s."""
-        for frame in self._frames(timeout):
+        self._hear(timeout)
+        for frame in self._frames():
             if frame.kind == link.SAMPLES:
                 self._take_samples(frame)
 
-    def _frames(self, timeout: float) -> Iterator[Frame]:
-        """Yield what has come; frames that are not taken wait for the next call."""
-        if not self._waiting:
-            self._waiting = self._splitter.feed(self._line.read_some(timeout))
+    def _hear(self, timeout: float) -> bool:
+        """Read, unless frames wait already; return whether anything came within the time, s."""
+        if self._waiting:
+            return True
+        data = self._line.read_some(timeout)
+        self._waiting = self._splitter.feed(data)
+        return bool(data)
+
+    def _frames(self) -> Iterator[Frame]:
+        """Yield frames that have come; those that are not taken wait for the next call."""
         while self._waiting:
             yield self._waiting.pop(0)
 

@@ -22,6 +22,7 @@ from tests.rigs.serial.test_target_faults import wait_until
 ROOT = Path(__file__).parents[3]
 KT = ROOT / "tests" / "fixtures" / "kt.h5"
 RIGTOOL = str(Path(sys.executable).with_name("rigtool"))
+pytestmark = pytest.mark.real_time
 SLOW = Task(SpeedProfile((0.0, 0.1, 5.0), (0.0, 4.0, 4.0)))
 
 

@@ -2,11 +2,11 @@
 
 import contextlib
 import json
-import os
 import threading
 import time
 
 import pytest
+import serial
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs import Feedforward, Task, open_rig
@@ -188,13 +188,13 @@ def test_another_program_that_reads_along_costs_retries_only(expected):
 
 def steal(port, seconds):
     """Read from a port without asking whose it is, with pauses."""
-    descriptor = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    other = serial.serial_for_url(port, timeout=3e-4)
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        with contextlib.suppress(BlockingIOError):
-            os.read(descriptor, 100)
+        with contextlib.suppress(serial.SerialException):
+            other.read(100)
         time.sleep(0.001)
-    os.close(descriptor)
+    other.close()
 
 
 def test_recipe_of_another_loop_is_refused():
