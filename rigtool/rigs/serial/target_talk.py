@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 
@@ -15,7 +16,7 @@ TIMEOUT = 0.5
 """Longest wait for a reply, s."""
 
 RETRIES = 8
-"""Times that a request is sent again."""
+"""Times that a request is sent again; as much oftener as `Talk.timeout` is shortened later."""
 
 
 class Refused(HardwareError):
@@ -30,8 +31,9 @@ class Talk:
     """Requests and replies on a line; streamed samples that come between go to `samples`."""
 
     def __init__(self, line: Line, *, timeout: float | None = None, retries: int = RETRIES) -> None:
-        self._line, self._retries = line, retries
+        self._line = line
         self.timeout = TIMEOUT if timeout is None else timeout
+        self._patience = retries * self.timeout
         self.streaming = False  # then a damaged frame need not be the reply
         self._splitter = Splitter()
         self._waiting: list[Frame] = []
@@ -73,7 +75,10 @@ class Talk:
                     raise LineTimeout(f"no reply to {kind.name} within {self.timeout:g} s")
 
         return self._line.exchange(
-            encode(Frame(kind, sequence, payload)), receive, retries=self._retries, settle=False
+            encode(Frame(kind, sequence, payload)),
+            receive,
+            retries=math.ceil(self._patience / self.timeout),
+            settle=False,
         )
 
     def listen(self, timeout: float) -> None:

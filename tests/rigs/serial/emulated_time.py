@@ -50,13 +50,13 @@ class Task:
 class World:
     """The time [s] with the threads and devices in it.
 
-    `delay` [s] is that of wires, each way; `stalls` maps times since the begin to how long the host
+    `delay` [s] is that of wires, each way, `rate` what they carry, byte/s; `stalls` maps times since the begin to how long the host
     is held up where it sleeps then, s.
     """
 
     def __init__(self):
         self.begin = self.now = 1000.0
-        self.delay = 1e-4
+        self.delay, self.rate = 1e-4, math.inf
         self.stalls = {}
         self.servers, self.ports = [], {}
         self._ended = False
@@ -240,6 +240,10 @@ class Queue:
 # -- lines
 
 
+BUFFER = 4096
+"""Bytes that the ports of a line of limited rate hold."""
+
+
 class Wire:
     """Bytes under way in both directions, each with the time of its arrival."""
 
@@ -250,7 +254,13 @@ class Wire:
         self.cut = False
 
     def send(self, way, data):
-        way.append((self.world.now + self.world.delay, bytes(data)))
+        begin = max([self.world.now + self.world.delay, *(moment for moment, _ in way[-1:])])
+        way.append((begin + len(data) / self.world.rate, bytes(data)))
+
+    def room(self, way):
+        """Return how many bytes are taken now, as by the buffer of a port."""
+        under_way = sum(len(data) for _, data in way)
+        return sys.maxsize if self.world.rate == math.inf else max(0, BUFFER - under_way)
 
     def arrived(self, way):
         return sum(len(data) for moment, data in way if moment <= self.world.now)
@@ -358,8 +368,10 @@ def server_kind(world, name):
             return self._wire.take(self._wire.to_device, server.CHUNK)
 
         def _write(self, data):
-            self._wire.send(self._wire.to_host, data)
-            return len(data)
+            taken = data[: self._wire.room(self._wire.to_host)]
+            if taken:
+                self._wire.send(self._wire.to_host, taken)
+            return len(taken)
 
         def _close(self):
             self._wire.cut = True

@@ -17,6 +17,7 @@ from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.line import LineLost
 from rigtool.rigs.serial.target_link import State
+from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.test_target import KT, assert_same, blocks_of, target_rig, virtual
 
 MOTION = Task(Triangle(0.1, 1.1, 6.0, 0.2, cycles=3), Feedforward(1.5e-5), record_every=2)
@@ -87,6 +88,20 @@ def test_pulled_cable_ends_at_once(log):
     assert "cable pulled" in str(error)
     assert "watchdog stops it after 5 s" in "".join(error.__notes__)
     assert time.monotonic() - start < 2
+
+
+def test_answers_come_between_streamed_samples_on_a_line_that_is_slower_than_the_target(world):
+    """With the watchdog of a recipe that says none."""
+    world.rate = 5e5
+    motion = Task(SpeedProfile((0.0, 1.0, 15.0), (0.0, 3.0, 3.0)), record_every=2)
+    recipe = serial_recipe("none", "serial.log=stream").serial
+    with (
+        serve(TargetEmulator(virtual())) as server,
+        target_rig(server.port, "serial.log=stream", f"serial.watchdog={recipe.watchdog}") as rig,
+    ):
+        assert len(blocks_of(rig, motion)["time"]) == 60000
+        facts = json.loads(rig.report())
+    assert facts["retries"] == facts["missing_samples"] == 0
 
 
 def test_silence_for_good_is_given_up(monkeypatch):

@@ -19,8 +19,11 @@ TICK = 0.002
 
 CHUNK = 65536
 
-BACKLOG = 1 << 18
-"""Bytes that wait to be sent at which a device that sends unasked is held up."""
+BACKLOG = 1 << 14
+"""Bytes that wait to be sent at which a device that sends unasked is held up.
+
+An answer waits behind them: few enough that it comes in time on any line that carries the stream.
+"""
 
 PATIENCE = 1.0
 """Time after which bytes that nobody reads are dropped, s."""
