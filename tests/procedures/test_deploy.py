@@ -26,6 +26,7 @@ from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
 
+pytestmark = pytest.mark.usefixtures("world")
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 SPEED = 4 * math.pi
 SERIAL = "000030000000004200005a17"

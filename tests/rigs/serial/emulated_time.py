@@ -50,8 +50,8 @@ class Task:
 class World:
     """The time [s] with the threads and devices in it.
 
-    `delay` [s] is that of wires, each way, `rate` what they carry, byte/s; `stalls` maps times since the begin to how long the host
-    is held up where it sleeps then, s.
+    `delay` [s] is that of wires, each way, `rate` what they carry, byte/s; `stalls` maps times
+    since the begin to how long the host is held up where it sleeps then, s.
     """
 
     def __init__(self):

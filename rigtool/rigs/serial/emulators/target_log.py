@@ -52,7 +52,7 @@ class TargetLog:
         """Return the next frames with what was recorded, up to sample `visible`."""
         if not self._streams:
             return b""
-        out = []
+        out: list[bytes] = []
         while self._sent < visible and len(out) < AT_ONCE:
             count = min(STREAMED, visible - self._sent)
             payload = link.FIRST.pack(self._sent) + self.read(self._sent, count)
