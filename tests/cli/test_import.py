@@ -1,7 +1,6 @@
 """`rigtool import`, as a user types it; the public data sets where they are at hand."""
 
 import os
-import time
 from pathlib import Path
 
 import numpy as np
@@ -115,10 +114,8 @@ def test_conditions_are_taken_from_the_name(folder, capsys):
 @needs_data
 def test_instruments_of_the_mis_tool_set(tmp_path, capsys):
     source = DATA / "mis-tool" / "Tool_4_Maryland_L_4"
-    start = time.perf_counter()
     arguments = ("import", source, "--map", MAPPINGS / "mis-tool.toml", "-o", tmp_path / "tool4")
     assert call(capsys, *arguments)[0] == 0
-    assert time.perf_counter() - start < 30
     names = [f"{frequency}{load}.h5" for frequency in range(5) for load in range(10)]
     assert sorted(os.listdir(tmp_path / "tool4")) == names
     with open_run(tmp_path / "tool4" / "49.h5") as run:

@@ -64,8 +64,8 @@ SHORT = {
 }
 
 
-@pytest.fixture(scope="module")
-def port():
+@pytest.fixture
+def port(world):
     with serve(TargetEmulator(load_recipe(RECIPE)[0])) as server:
         yield server.port
         assert server.error is None

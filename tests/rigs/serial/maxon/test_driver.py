@@ -48,7 +48,7 @@ def short_blocks(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def no_guard(monkeypatch):
-    """Start no process beside each of these tests; test_maxon_guard.py has those about it."""
+    """Start no process beside each of these tests; test_guard.py has those about it."""
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
     monkeypatch.setattr(maxon_guard.Guard, "_send", lambda guard, word: None)
 
