@@ -1,22 +1,22 @@
-"""From what was asked of the amplifier to torque: the one conversion that all commands use."""
+"""Torque for each ampere of current set point: the one conversion that all commands use.
+
+torque = torque_constant_mean * amplifier_gain * current set point [7.1.1]
+"""
 
 from __future__ import annotations
 
 import math
 
+from rigtool.experiments.torque_constant.temperature_fit import REFERENCE_DEGC
 from rigtool.quantity import Quantity
 from rigtool.runfile import Run
-
-REFERENCE_DEGC = 20.0
-"""Temperature at which `torque_constant` is stated [7.1.1]."""
 
 
 def torque_per_ampere(kt: Run) -> Quantity:
     """Return the torque for each ampere of set point, N m/A, from a run of calibrate-kt.
 
-    The torque constant holds for the current as measured; the amplifier delivers `amplifier_gain`
-    of what it is asked for: torque = torque_constant_mean * amplifier_gain * set point [7.1.1].
-    Raises `RunFileError` where `kt` is no calibration.
+    The torque constant holds for the measured current, which is `amplifier_gain` times the set
+    point. Raises `RunFileError` where `kt` is no calibration.
     """
     kt.require_command("calibrate-kt")
     mean, gain = kt.result("torque_constant_mean"), kt.result("amplifier_gain")
@@ -26,7 +26,7 @@ def torque_per_ampere(kt: Run) -> Quantity:
 
 
 def torque_per_ampere_at(kt: Run, temperature_degc: float) -> Quantity:
-    """Return `torque_per_ampere` at a motor temperature, where the calibration tells its slope."""
+    """Return `torque_per_ampere` at a motor temperature, or its mean without a known slope."""
     names = ("torque_constant", "torque_constant_temperature_coefficient", "amplifier_gain")
     mean = torque_per_ampere(kt)
     if not all(name in kt.results for name in names):

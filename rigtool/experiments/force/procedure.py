@@ -25,7 +25,7 @@ from rigtool.experiments.force.results_method import (
     unsteady_torque,
 )
 from rigtool.experiments.learning.stored_table import feedforward_from, require_same_rig
-from rigtool.experiments.loop_health import require_health
+from rigtool.experiments.loop_tracking import require_tracking
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
@@ -231,7 +231,7 @@ def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
         asked -= table
         controlled = max(controlled, _largest(asked))
         collected.add(encoder, asked, table, feedforward)
-    require_health(
+    require_tracking(
         recipe, largest_current=largest, largest_controller=controlled, distance=farthest
     )
     signals = collected.finish()

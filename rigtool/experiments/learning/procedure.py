@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from rigtool.errors import UsageError
-from rigtool.experiments.between_set_points import remark
+from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
 from rigtool.experiments.learning.implementations import b_all_speeds as all_speeds
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
@@ -144,7 +144,9 @@ def analyse(
 ) -> Outcome:
     """Learn from the stored signals, and say what remained."""
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
-    return replace(outcome, notes=(*outcome.notes, *remark(runs, torque_per_ampere(kt).value)))
+    return replace(
+        outcome, notes=(*outcome.notes, *unsampled_note(runs, torque_per_ampere(kt).value))
+    )
 
 
 PROCEDURE = Procedure(

@@ -9,7 +9,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.load_disturbance.cycles import Drive, LoadedCycles, loaded_cycles
-from rigtool.experiments.loop_health import require_health
+from rigtool.experiments.loop_tracking import require_tracking
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
@@ -51,7 +51,7 @@ def cycles_of(recording: Recording, recipe: Recipe, kt: Run, speed: float) -> Lo
     asked = signals["current_setpoint"]
     constant = torque_per_ampere_at(kt, float(np.mean(signals["temperature"]))).value
     try:
-        require_health(
+        require_tracking(
             recipe,
             largest_current=float(np.abs(asked).max()),
             largest_controller=float(np.abs(asked - signals["feedforward_current"] - table).max()),

@@ -16,7 +16,7 @@ Lines = NDArray[np.intp]
 ComplexArray = NDArray[np.complex128]
 
 DRAWS = 200
-"""Sets of phases that are tried; the one with the lowest peak is kept."""
+"""Number of sets of phases to try; the one with the lowest peak is kept."""
 
 
 def quasi_log_lines(low: int, high: int, count: int) -> Lines:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning.stored_table import feedforward
-from rigtool.experiments.loop_health import require_health
+from rigtool.experiments.loop_tracking import require_tracking
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
@@ -53,7 +53,7 @@ def signals(
     learned = recording.read(added)
     controller = asked - recording.read("feedforward_current") - learned
     try:
-        require_health(
+        require_tracking(
             recipe,
             largest_current=float(np.abs(asked).max(initial=0)),
             largest_controller=float(np.abs(controller).max(initial=0)),

@@ -10,14 +10,14 @@ from scipy.signal import sosfreqz
 
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.loop_health import UNEXPLAINED_DISTANCE, require_health, smallest_gain
+from rigtool.experiments.loop_tracking import UNEXPLAINED_DISTANCE, require_tracking, smallest_gain
 from rigtool.recipe import load_recipe
 
 RECIPE = load_recipe(Path(__file__).parents[2] / "recipes" / "briaire-2006.toml", ())[0]
 
 
 def look(current=1.0, controller=0.5, distance=0.0):
-    require_health(
+    require_tracking(
         RECIPE, largest_current=current, largest_controller=controller, distance=distance
     )
 
