@@ -15,12 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.runfile import Recording, Run
-
-Array = NDArray[np.float64]
 
 SIGNIFICANT = 3.0
 """Multiple of its standard uncertainty from which on a difference is reported."""

@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.arrays import Array
 from rigtool.runfile import Recording, Run
-
-Array = NDArray[np.float64]
 
 RECORDING = "imported"
 """Name of the one recording of an imported run."""

@@ -15,13 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.turn_mean import TurnMean, group_angles, mean_over_turn
-
-Array = NDArray[np.float64]
 
 RAMP_END_DROP = 0.02
 """A ramp ends where the torque falls by this part of its highest value between two samples."""

@@ -16,13 +16,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.settling import settled_from
-
-Array = NDArray[np.float64]
 
 STEADY_ACCELERATION = 1e-3
 """Acceleration in a hold, relative to the highest speed, stays below this, 1/s."""
@@ -62,7 +61,7 @@ class Holds:
     shaking: Array
     settled: Array
 
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> Holds:
+    def __getitem__(self, chosen: Mask) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.friction.holds import find_holds, pool
@@ -32,8 +31,6 @@ from rigtool.experiments.imported import (
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.runfile import Recording, Run
-
-Array = NDArray[np.float64]
 
 SPEED_PARTS = 10
 """Number of parts of a recording whose mean speeds are compared."""

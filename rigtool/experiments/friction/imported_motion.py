@@ -6,16 +6,14 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
 from rigtool.experiments.friction.results import DIRECTIONS, NOT_SEPARATED, Findings
 from rigtool.experiments.friction.stribeck_fit import separate_offset
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
-
-Array = NDArray[np.float64]
 
 NEGATIVE_INERTIA = -3.0
 """An inertia below this multiple of its uncertainty is negative, which is impossible."""

@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction.model_doubt import TIME_PARTS, curvature, own_part, structure
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.numerics.smoothing import CUTOFF
-
-Array = NDArray[np.float64]
 
 DYNAMICS_PARAMETERS = ("inertia", "viscous", "coulomb", "offset")
 

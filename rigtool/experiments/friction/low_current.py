@@ -8,12 +8,10 @@ friction takes; those of the IDM640 in Appendix C were not.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.checks import require_signals
-
-Array = NDArray[np.float64]
 
 SETPOINT_BINS = 60
 """Number of bins of set point."""

@@ -24,9 +24,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import long_run_covariance
-
-Array = NDArray[np.float64]
 
 RANGES = 24
 """Ranges of the quantity over which residuals are averaged, with as many samples each."""

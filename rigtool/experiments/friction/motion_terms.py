@@ -13,9 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.smoothing import (
     CUTOFF,
@@ -24,8 +25,6 @@ from rigtool.numerics.smoothing import (
     position_noise,
     resample,
 )
-
-Array = NDArray[np.float64]
 
 NARROWEST = 2.0
 """Smallest standard deviation of the kernel, in samples."""
@@ -71,7 +70,7 @@ class SmoothedMotion:
     design: Array
     torque: Array
     position: Array
-    used: NDArray[np.bool_]
+    used: Mask
     spacing: float
     noise: tuple[float, float]
     cutoff: float

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.between_set_points import (
@@ -44,10 +43,9 @@ from rigtool.experiments.friction.stribeck_fit import (
 )
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run, Table
-
-Array = NDArray[np.float64]
 
 NOTED_SHARE = 0.1
 """Part of its limit above which unsampled torque is worth a note."""

@@ -6,17 +6,15 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.friction.breakaway import Breakaway, Ramp
 from rigtool.experiments.friction.holds import Holds
 from rigtool.experiments.friction.stribeck_fit import DirectionFit, Offset
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
-
-Array = NDArray[np.float64]
 
 Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""

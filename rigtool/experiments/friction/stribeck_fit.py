@@ -16,13 +16,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.minimum import minimum
-
-Array = NDArray[np.float64]
 
 HOLD_REPEAT_TOLERANCE = 5e-3
 """Holds whose speeds differ by less than this part repeat one speed."""

@@ -31,78 +31,48 @@ def _turning(recipe: Recipe) -> int:
     return recipe.ilc_learn.turning.record_every
 
 
-IMPLEMENTATIONS: dict[str, tuple[str, Procedure]] = {
-    "A": (
-        "turning at one speed, by position, amplitude and phase by speed",
-        Procedure(
-            COMMAND,
-            one_speed.recordings,
-            one_speed.measure,
-            one_speed.analyse,
-            bare_motor=True,
-            record_every=_turning,
-        ),
+IMPLEMENTATIONS = {
+    "A": Procedure(
+        COMMAND,
+        one_speed.recordings,
+        one_speed.measure,
+        one_speed.analyse,
+        bare_motor=True,
+        record_every=_turning,
     ),
-    "B": (
-        "turning, both directions, by position and speed",
-        Procedure(
-            COMMAND,
-            all_speeds.recordings,
-            all_speeds.measure,
-            all_speeds.analyse,
-            bare_motor=True,
-            record_every=_turning,
-        ),
+    "B": Procedure(
+        COMMAND,
+        all_speeds.recordings,
+        all_speeds.measure,
+        all_speeds.analyse,
+        bare_motor=True,
+        record_every=_turning,
     ),
-    "C": (
-        "limited angle, both directions, by position and speed",
-        Procedure(COMMAND, limited_angle.recordings, limited_angle.measure, limited_angle.analyse),
+    "C": Procedure(COMMAND, limited_angle.recordings, limited_angle.measure, limited_angle.analyse),
+    "D": Procedure(
+        COMMAND,
+        known_loads.recordings,
+        known_loads.measure,
+        known_loads.analyse,
+        record_every=lambda recipe: recipe.ilc_learn.loads.record_every,
     ),
-    "D": (
-        "as C, and known loads: torque as a third input",
-        Procedure(
-            COMMAND,
-            known_loads.recordings,
-            known_loads.measure,
-            known_loads.analyse,
-            record_every=lambda recipe: recipe.ilc_learn.loads.record_every,
-        ),
-    ),
-    "standard": (
-        "a repeated move, by time",
-        Procedure(COMMAND, trajectory.recordings, trajectory.measure, trajectory.analyse),
-    ),
+    "standard": Procedure(COMMAND, trajectory.recordings, trajectory.measure, trajectory.analyse),
 }
-"""Ways to learn that exist, by the thesis's letter: what they do, and how.
-
-Those for the bare motor turn the shaft round and round, which no instrument can follow.
-"""
-
-
-def require_implementation(name: str) -> None:
-    """Raise `UsageError` unless learning of this name exists."""
-    if name not in IMPLEMENTATIONS:
-        known = ", ".join(f"{key} ({what})" for key, (what, _) in IMPLEMENTATIONS.items())
-        raise UsageError(f"--implementation {name} does not exist yet; there is {known}")
+"""Ways to learn by the thesis's letter; those for the bare motor turn the shaft round and round."""
 
 
 def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:
-    """Return the options with what the command line asks for put above the recipe.
-
-    Raises `UsageError` for learning that does not exist.
-    """
+    """Return the options with the choices of the command line put above the recipe."""
     if name is not None:
-        require_implementation(name)
         options = options.with_override(f"ilc_learn.implementation={name}")
-        if IMPLEMENTATIONS[name][1].bare_motor:
+        if IMPLEMENTATIONS[name].bare_motor:
             options = options.with_override("rig.attachment=pulley")
     return options.with_override("ilc_learn.validation=true") if validate else options
 
 
 def _implementation(recipe: Recipe) -> Procedure:
     name = recipe.ilc_learn.implementation
-    require_implementation(name)
-    implementation = IMPLEMENTATIONS[name][1]
+    implementation = IMPLEMENTATIONS[name]
     if implementation.bare_motor and recipe.rig.attachment != "pulley":
         raise UsageError(
             f"implementation {name} turns the shaft round and round, which the "

@@ -25,16 +25,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from rigtool.control.plant_models import PlantModel
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
-from rigtool.experiments.plant.multisine import ComplexArray
+from rigtool.numerics.arrays import Array, ComplexArray, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
-
-Array = NDArray[np.float64]
 
 MIN_COHERENCE = 0.8
 """Smallest part of a line's power in one period that belongs to the excitation."""
@@ -66,7 +63,7 @@ class PlantFit:
     delay: float
     roll_off: float
     sample_time: float
-    used: NDArray[np.bool_]
+    used: Mask
     misfit: float
     rigid_rejected: float
     without: tuple[PlantFit, ...] = ()

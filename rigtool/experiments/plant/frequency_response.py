@@ -18,13 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.plant.multisine import ComplexArray, Lines
-
-Array = NDArray[np.float64]
+from rigtool.experiments.plant.multisine import Lines
+from rigtool.numerics.arrays import Array, ComplexArray, Mask
 
 MIN_EXPERIMENTS = 3
 """Smallest number of experiments whose scatter gives an uncertainty."""
@@ -84,7 +82,7 @@ class FrequencyResponse:
         """Radius (k,) of the circle around the response that holds the truth at `COVERAGE`."""
         return coverage_radius(self.u, self.dof)
 
-    def lines(self, keep: NDArray[np.bool_]) -> FrequencyResponse:
+    def lines(self, keep: Mask) -> FrequencyResponse:
         """Return the response at some of the lines only."""
         return FrequencyResponse(
             self.frequency[keep], self.each[:, keep], self.coherence[keep], self.quantisation[keep]

@@ -13,12 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
-from rigtool.experiments.plant.multisine import ComplexArray
+from rigtool.numerics.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
 Response = Callable[[Array], ComplexArray]
 
 GRID_POINTS = 1000

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array, ComplexArray
+
 Lines = NDArray[np.intp]
-ComplexArray = NDArray[np.complex128]
 
 DRAWS = 200
 """Number of sets of phases to try; the one with the lowest peak is kept."""

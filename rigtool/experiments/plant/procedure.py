@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.outcome import Outcome
@@ -28,12 +27,11 @@ from rigtool.experiments.plant.procedure_excitation import (
 from rigtool.experiments.plant.results import IdentifiedPlant, plant_outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
-
-Array = NDArray[np.float64]
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:

@@ -14,22 +14,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import position_loop
 from rigtool.errors import RecipeError
 from rigtool.experiments.plant.multisine import (
-    ComplexArray,
     Lines,
     periodic,
     quasi_log_lines,
     random_phases,
 )
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import SpeedProfile, Triangle
-
-Array = NDArray[np.float64]
 
 RUN_UP = 0.5
 """Time from standstill to the speed of an experiment, s."""

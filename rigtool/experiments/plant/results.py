@@ -7,19 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import TransferFunction, position_loop
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.fit import MIN_COHERENCE, PlantFit
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
 from rigtool.experiments.plant.margins import Margins, margins
-from rigtool.experiments.plant.multisine import ComplexArray
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
-
-Array = NDArray[np.float64]
 
 RESPONSE = "rad/(N m)"
 TABLE_POINTS = 200

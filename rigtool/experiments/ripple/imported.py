@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import (
@@ -34,11 +33,10 @@ from rigtool.experiments.ripple.imported_turns import (
     turn_spectrum,
 )
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER, POSITIONS, Spectrum, cell_centres
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
 from rigtool.runfile.importers.convert import irregular
-
-Array = NDArray[np.float64]
 
 GROUP_SPEED_TOLERANCE = 0.1
 """Runs whose speeds differ by less than this part count as one speed."""

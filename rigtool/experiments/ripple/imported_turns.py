@@ -15,14 +15,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import Spectrum, coefficients, remove_offset, spectrum
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.settling import settled_from
-
-Array = NDArray[np.float64]
 
 COVERED = 0.9
 """Smallest covered part of a turn that counts."""

@@ -9,14 +9,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rigtool.control.position_loop import ComplexArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import match_orders
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.numerics.checks import require_rising, require_signals
-
-Array = NDArray[np.float64]
 
 MIN_ANGLES = 16
 """Smallest number of angles in a map."""

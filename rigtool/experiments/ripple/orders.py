@@ -15,12 +15,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array, ComplexArray, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
-
-Array = NDArray[np.float64]
 
 POSITIONS = 500
 """Cells of a turn in waveforms."""
@@ -164,9 +162,9 @@ class Spectrum:
     noise_floor: Array
 
     @property
-    def clear(self) -> NDArray[np.bool_]:
+    def clear(self) -> Mask:
         """Whether each order is significant (m,)."""
-        clear: NDArray[np.bool_] = self.amplitude > CLEAR * self.noise_floor
+        clear: Mask = self.amplitude > CLEAR * self.noise_floor
         return clear
 
     def strongest(self) -> int:
@@ -202,9 +200,7 @@ def spectrum(ripple: Ripple, orders: int) -> Spectrum:
     return Spectrum(order, resolved * np.abs(mean), resolved * np.angle(mean), resolved * floor)
 
 
-def coefficients(
-    waveforms: Array, orders: int, sampling: Sampling = EVERYWHERE
-) -> NDArray[np.complex128]:
+def coefficients(waveforms: Array, orders: int, sampling: Sampling = EVERYWHERE) -> ComplexArray:
     """Return amplitude*exp(i phase) of each order 1..`orders` and revolution.
 
     `waveforms` (revolutions, positions) are means over equal cells of the turn; returned are the
@@ -222,7 +218,7 @@ def coefficients(
     resolved = order <= sampling.highest_order
     correction[resolved] /= sampling.gain(order[resolved])
     correction[~resolved] = 0.0
-    found: NDArray[np.complex128] = np.fft.rfft(waveforms, axis=1)[:, 1 : orders + 1] * correction
+    found: ComplexArray = np.fft.rfft(waveforms, axis=1)[:, 1 : orders + 1] * correction
     return found
 
 
@@ -282,9 +278,7 @@ def compare(reference: Ripple, other: Ripple, orders: int) -> RippleComparison:
     return RippleComparison(correlation, correlation_u, shift, shift_u, best, scale, count - 1)
 
 
-def match_orders(
-    a: NDArray[np.complex128], b: NDArray[np.complex128]
-) -> tuple[float, float, float, float]:
+def match_orders(a: ComplexArray, b: ComplexArray) -> tuple[float, float, float, float]:
     """Return correlation, shift, best correlation and scale of b against a, orders 1..m (m,).
 
     As in `RippleComparison`.

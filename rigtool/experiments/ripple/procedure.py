@@ -11,7 +11,6 @@ from bisect import bisect_left
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
@@ -36,8 +35,6 @@ from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
-
-Array = NDArray[np.float64]
 
 ACCELERATION = 30.0
 """During run-up and stop, rad/s2."""

@@ -20,12 +20,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
-
-Array = NDArray[np.float64]
 
 MIN_READINGS = 4
 """Smallest number of readings: two for the line, and two for its uncertainty."""

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
-
-Array = NDArray[np.float64]
 
 LEVEL_TOLERANCE = 1e-3
 """Part of the span within which set points count as one level."""

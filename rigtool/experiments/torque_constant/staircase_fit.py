@@ -22,9 +22,8 @@ from rigtool.experiments.torque_constant.staircase_model import (
     mean_of,
     winding,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import mean_over_turn
-
-Array = NDArray[np.float64]
 
 MISFIT_LIMIT = 5e-3
 """Largest deviation of a level from the model, relative to the span of the torque."""

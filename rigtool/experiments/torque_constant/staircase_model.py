@@ -23,13 +23,11 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import Plateaus
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.minimum import minimum
-
-Array = NDArray[np.float64]
 
 SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 2.0, 300.0
 """Range in which the winding's thermal time constant tau is searched, s."""

@@ -18,15 +18,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import Linearity, Plateaus, amplifier_linearity
 from rigtool.experiments.torque_constant.staircase_fit import Slopes, fit_staircases
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import TurnMean, group_angles, mean_over_turn
 from rigtool.quantity import Quantity
-
-Array = NDArray[np.float64]
 
 REFERENCE_DEGC = 20.0
 """Temperature for which a torque constant is stated, degC [7.1.1]."""
