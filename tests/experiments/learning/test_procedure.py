@@ -211,7 +211,7 @@ def test_inputs_that_do_not_fit_are_refused(learned, folder, kt, friction):
 def test_every_letter_of_the_recipe_has_its_implementation():
     letters = get_args(IlcLearn.model_fields["implementation"].annotation)
     assert set(ilc_learn.IMPLEMENTATIONS) == set(letters)
-    with pytest.raises(RecipeError, match="ilc_learn.implementation"):
+    with pytest.raises(RecipeError, match=r"ilc_learn\.implementation"):
         load_recipe(RECIPE, ["ilc_learn.implementation=Z"])
 
 
