@@ -20,7 +20,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 from rigtool.runfile import Recording, Run
 
-SIGNIFICANT = 3.0
+REPORTED_FROM = 3.0
 """Multiple of its standard uncertainty from which on a difference is reported."""
 
 READING_SPEED_TOLERANCE = 0.02
@@ -97,7 +97,7 @@ class UnsampledCurrent:
 def unsampled_note(runs: Sequence[Run], torque_constant: float) -> tuple[str, ...]:
     """Return a note with the largest significant difference, none without one."""
     lacking = UnsampledCurrent.of(runs)
-    seen = np.abs(lacking.current) > SIGNIFICANT * lacking.u
+    seen = np.abs(lacking.current) > REPORTED_FROM * lacking.u
     if not seen.any():
         return ()
     most = int(np.argmax(np.where(seen, np.abs(lacking.current), 0.0)))

@@ -18,7 +18,7 @@ from rigtool.runfile import Column, Table
 NEGATIVE_INERTIA = -3.0
 """An inertia below this multiple of its uncertainty is negative, which is impossible."""
 
-NOTED_SHARE = 0.1
+NOTED_POWER = 0.1
 """Part of the residual's power, as a function of speed or position, that is worth a note."""
 
 TABLE_RANGES = 60
@@ -89,7 +89,7 @@ def _notes(motions: Sequence[SmoothedMotion], dynamics: Dynamics) -> list[str]:
         (dynamics.by_speed, "speed: friction is no straight line over speed"),
         (dynamics.by_position, "position: ripple, a spring or a load acts as well"),
     ):
-        if share > NOTED_SHARE:
+        if share > NOTED_POWER:
             notes.append(
                 f"{share:.0%} of the unexplained power is a function of {what}; its possible "
                 "effect on the results is part of their uncertainties"

@@ -21,7 +21,7 @@ import numpy as np
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.plant.multisine import Lines
+from rigtool.experiments.plant.multisine import LineNumbers
 from rigtool.numerics.arrays import Array, ComplexArray, Mask
 
 MIN_EXPERIMENTS = 3
@@ -99,7 +99,7 @@ def coverage_radius(u: Array, dof: float) -> Array:
 
 
 def frequency_response(
-    experiments: Sequence[Experiment], lines: Lines, sample_time: float, step: float = 0.0
+    experiments: Sequence[Experiment], lines: LineNumbers, sample_time: float, step: float = 0.0
 ) -> FrequencyResponse:
     """Return the response from input to output at `lines` of the period, in periods^-1.
 
@@ -140,7 +140,7 @@ class _Correlations:
     output_power: Array
 
     @classmethod
-    def of(cls, experiment: Experiment, lines: Lines) -> _Correlations:
+    def of(cls, experiment: Experiment, lines: LineNumbers) -> _Correlations:
         r, u, y = (
             np.fft.rfft(signal, axis=-1)[:, lines]
             for signal in (experiment.reference, experiment.input, experiment.output)

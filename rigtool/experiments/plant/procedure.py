@@ -16,7 +16,7 @@ from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.fit import fit_plant
 from rigtool.experiments.plant.frequency_response import Experiment, frequency_response
-from rigtool.experiments.plant.multisine import Lines, periodic
+from rigtool.experiments.plant.multisine import LineNumbers, periodic
 from rigtool.experiments.plant.procedure_excitation import (
     Excitation,
     excitations,
@@ -147,7 +147,7 @@ def _period_starts(steps: Array, step: float, settle: int, period: int) -> list[
     return starts
 
 
-def _swing(experiment: Experiment, lines: Lines, sample_time: float) -> float:
+def _swing(experiment: Experiment, lines: LineNumbers, sample_time: float) -> float:
     """Return the peak of the excited speed, rad/s."""
     samples_of_period = experiment.reference.shape[-1]
     reference, output = (

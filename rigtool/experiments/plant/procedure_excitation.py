@@ -18,7 +18,7 @@ import numpy as np
 from rigtool.control.position_loop import position_loop
 from rigtool.errors import RecipeError
 from rigtool.experiments.plant.multisine import (
-    Lines,
+    LineNumbers,
     periodic,
     quasi_log_lines,
     random_phases,
@@ -45,7 +45,7 @@ def period_samples(recipe: Recipe) -> int:
     return round(recipe.identify_plant.period / recipe.rig.sample_time)
 
 
-def excited_lines(recipe: Recipe) -> Lines:
+def excited_lines(recipe: Recipe) -> LineNumbers:
     """Return the excited lines of the period; `RecipeError` where they do not fit."""
     settings, rig = recipe.identify_plant, recipe.rig
     period = period_samples(recipe) * rig.sample_time
