@@ -1,4 +1,4 @@
-"""Types of arrays: float64 numbers, complex numbers, and masks."""
+"""Types of arrays: Array = float64 numbers, ComplexArray = complex128 numbers, Mask = booleans."""
 
 import numpy as np
 from numpy.typing import NDArray
