@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from rigtool.errors import UsageError
-from rigtool.experiments.between_set_points import remark
+from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.learning.implementations.a_one_speed import OneSpeed
 from rigtool.experiments.learning.implementations.b_all_speeds import AllSpeeds
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
@@ -52,7 +52,6 @@ def asked(options: CommonOptions, name: str | None, *, validate: bool) -> Common
     Raises `UsageError` for learning that does not exist.
     """
     if name is not None:
-        require_implementation(name)
         options = options.with_override(f"ilc_learn.implementation={name}")
         if IMPLEMENTATIONS[name].BARE_MOTOR:
             options = options.with_override("rig.attachment=pulley")
@@ -104,7 +103,9 @@ def analyse(
 ) -> Outcome:
     """Learn from the stored signals, and report what remained."""
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
-    return replace(outcome, notes=(*outcome.notes, *remark(runs, torque_per_ampere(kt).value)))
+    return replace(
+        outcome, notes=(*outcome.notes, *unsampled_note(runs, torque_per_ampere(kt).value))
+    )
 
 
 PROCEDURE = Procedure(
