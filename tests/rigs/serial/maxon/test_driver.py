@@ -545,7 +545,7 @@ def test_recipe_says_what_it_would_do(tmp_path):
     assert result.exit_code == 0, result.output
     assert "6 motions to record" in result.output
     assert "Within the limits 2 A, 40 rad/s" in result.output
-    assert "no watchdog: where computer or cable fail it follows its last" in result.output
+    assert "no watchdog: where computer or cable fail it continues with its last" in result.output
     assert list(tmp_path.iterdir()) == []
 
 
