@@ -31,14 +31,7 @@ class Remaining:
 
     def results(self) -> dict[str, Quantity]:
         """Return peak, rms and reduction over all speeds and both directions."""
-        found = residual(self.before, self.after)
-        return {
-            "residual_peak": Quantity(found.peak.value, "N m", found.peak.u, found.peak.dof),
-            "residual_rms": Quantity(found.rms.value, "N m", found.rms.u, found.rms.dof),
-            "reduction": Quantity(
-                found.reduction.value, "1", found.reduction.u, found.reduction.dof
-            ),
-        }
+        return residual(self.before, self.after)
 
     def tables(self) -> dict[str, Table]:
         """Return numbers by speed, and the waveforms behind them."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -172,14 +172,7 @@ class Disturbance:
                 continue
             moved = parameters.copy()
             moved[number] += step
-            other = Disturbance(
-                self.terms,
-                Tendon(*moved.tolist()),
-                self.coefficient,
-                self.covariance,
-                self.torque,
-                self.speeds,
-            )
+            other = replace(self, tendon=Tendon(*moved.tolist()))
             by_tendon.append((other.expected(pair, moment) - middle) / step)
         return np.vstack([by_tendon, design])
 

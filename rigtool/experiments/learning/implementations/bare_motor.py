@@ -17,7 +17,11 @@ from rigtool.experiments.learning.convergence import Cycles, LearningRun, learni
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.implementations.runs import iterations_table
-from rigtool.experiments.learning.implementations.skeleton import Implementation, Report
+from rigtool.experiments.learning.implementations.skeleton import (
+    Implementation,
+    Report,
+    TaughtTable,
+)
 from rigtool.experiments.learning.implementations.validation import (
     Steady,
     Sweep,
@@ -25,7 +29,7 @@ from rigtool.experiments.learning.implementations.validation import (
     steady_outcome,
 )
 from rigtool.experiments.learning.results_residual import Remaining
-from rigtool.experiments.learning.rows import Amplitudes, Row
+from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.stored_table import period_results, tables_of
 from rigtool.experiments.learning.turns import (
     TURN,
@@ -222,17 +226,7 @@ def require_friction_fed(
     common.require_friction_fed(recording.name, recorded, recording.condition("speed"), fed)
 
 
-@dataclass(frozen=True, eq=False)
-class TaughtTurns:
-    """The table, its standard uncertainty and amplitude table, and all runs judged."""
-
-    table: LookupTable
-    u: Array
-    amplitudes: Amplitudes
-    history: list[LearningRun]
-
-
-T = TypeVar("T", bound=TaughtTurns)
+T = TypeVar("T", bound=TaughtTable)
 
 
 class BareMotor(Implementation[T]):

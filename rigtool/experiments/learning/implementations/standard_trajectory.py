@@ -25,9 +25,8 @@ from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.implementations.runs import (
     iterations_table,
     kind_of,
-    last_to_learn_from,
+    last_update,
     runs_at_most,
-    spread,
 )
 from rigtool.experiments.learning.implementations.skeleton import Implementation, Report
 from rigtool.experiments.learning.stored_table import TRAJECTORY
@@ -98,10 +97,9 @@ class RepeatedMove(Implementation[TaughtSignal]):
         learning = self.learning
         cut = [self._cut(run[0]) for run in runs]
         history = [_judge(run, learning, updates) for updates, run in enumerate(cut)]
-        last = last_to_learn_from(history)
+        last, variance = last_update(history, learning.factor)
         cycles = cut[last].cycles
         each = learning.updated(cycles.signal, cycles.period, cycles.before)
-        variance = spread(last + 1, learning.factor)
         u = np.sqrt(variance * each.var(axis=0, ddof=1) / len(each))
         return TaughtSignal(each.mean(axis=0), u, cut, history)
 
