@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +70,7 @@ class LookupTable:
         torque: Array = lower
         return torque
 
-    def covers(self, position: Array, speed: Array) -> NDArray[np.bool_]:
+    def covers(self, position: Array, speed: Array) -> Mask:
         """Say for each set point (n,) whether it lies within what was learned."""
         # A set point at the edge may be off by rounding: allow a millionth of a step.
         step = (self.position[-1] - self.position[0]) / (self.position.size - 1)
@@ -81,7 +80,7 @@ class LookupTable:
             within &= position <= self.position[-1] + 1e-6 * step
         slack = 1e-6 * self.low_speed[-1]
         within &= (speed >= self._speeds[0] - slack) & (speed <= self._speeds[-1] + slack)
-        covered: NDArray[np.bool_] = within
+        covered: Mask = within
         return covered
 
     def _with_low_speeds(self) -> tuple[Array, Array]:

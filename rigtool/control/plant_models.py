@@ -14,12 +14,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-from rigtool.control.position_loop import ComplexArray, TransferFunction, double_integrator
-
-Array = NDArray[np.float64]
+from rigtool.control.position_loop import TransferFunction, double_integrator
+from rigtool.numerics.arrays import Array, ComplexArray
 
 IMAGES = 8
 """Images of the spectrum on either side that are summed; those left out are below 1e-7."""

@@ -18,12 +18,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import RecipeError
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rigtool.numerics.arrays import Array, ComplexArray
 
 
 @dataclass(frozen=True, eq=False)

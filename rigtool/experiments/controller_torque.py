@@ -116,7 +116,7 @@ def _checked(
         controlled = max(controlled, _largest(controller))
         farthest = max(farthest, _largest(setpoint - rotor))
         yield LoopSignals(time, setpoint, encoder, rotor, total, controller, modelled, learned)
-    require_loop_health(
+    require_tracking(
         recipe,
         largest_current=largest,
         largest_controller=controlled,
@@ -138,7 +138,7 @@ def naming(recording: Recording) -> Iterator[None]:
         raise InsufficientDataError(f"recording {recording.name}: {error}") from None
 
 
-def require_loop_health(
+def require_tracking(
     recipe: Recipe,
     *,
     largest_current: float,

@@ -1,7 +1,7 @@
-"""What a command is going to do on a rig, found by doing it without one.
+"""The motions that a command will make, listed by running its procedure on a rig of paper.
 
-Motions that depend on what earlier ones measure are not known beforehand: the plan ends there and
-says so.
+Motions that depend on earlier measurements are not known beforehand: the list ends there, with a
+note.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any
 
 from rigtool.errors import HardwareError
 from rigtool.experiments.outcome import Outcome
@@ -22,17 +22,20 @@ from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
 
-SHOWN = 12
-"""Lines of a plan that are shown of motions that differ; the rest is counted."""
+LISTED_MOTIONS = 12
+"""Kinds of motion that are listed; the others are only counted."""
 
 
 class _NeedsData(Exception):
-    """From here on the motions depend on what was measured."""
+    """From here on the motions depend on measurements."""
 
 
 @dataclass
-class Plan:
-    """Motions with what they ask at most, in order; `needs` by name; whether that is all."""
+class MotionPlan:
+    """Motions in order, with the extremes of each; what they need of the rig, by name.
+
+    `complete` is false where further motions depend on what these measure.
+    """
 
     motions: list[tuple[str, safety.Extremes]] = field(default_factory=list)
     bench_work: list[str] = field(default_factory=list)
@@ -48,8 +51,11 @@ class Plan:
             f"  {line}" if count == 1 else f"  {count} times {line}"
             for line, count in together.items()
         ]
-        if len(lines) > SHOWN:
-            lines = [*lines[:SHOWN], f"  and {len(lines) - SHOWN} kinds of motion more"]
+        if (rest := len(lines) - LISTED_MOTIONS) > 0:
+            lines = [
+                *lines[:LISTED_MOTIONS],
+                f"  and {rest} kinds of motion more",
+            ]
         total = sum(found.duration for _, found in self.motions)
         count = len(self.motions)
         head = f"{count} motion{'s' if count != 1 else ''} to record, {total:.0f} s in all"
@@ -67,10 +73,10 @@ class Plan:
 
 
 class _Rehearsal:
-    """A rig that only remembers what it was asked to do."""
+    """A rig that only lists the motions that it is asked for."""
 
     def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
-        self.plan = Plan()
+        self.plan = MotionPlan()
         self._dt = recipe.rig.sample_time
         self._attachment = recipe.rig.attachment
         on_line = recipe.rig.source == "serial" and recipe.serial is not None
@@ -78,18 +84,8 @@ class _Rehearsal:
         self._torque_constant = torque_constant
         self._position = position
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        pass
-
-    def lacks(self, need: str) -> str | None:
-        """Nothing is refused in a rehearsal."""
-        return None
-
     def perform(self, task: Task) -> Iterator[Block]:
-        """Remember a task; there are no signals."""
+        """List a task; there are no signals."""
         if self._limits is not None:
             safety.check_duration(task, self._limits)
         found = safety.extremes(task, self._position, self._dt, self._torque_constant)
@@ -102,21 +98,21 @@ class _Rehearsal:
         return iter(())
 
     def move_by(self, angle: float) -> None:
-        """Remember a move between recordings."""
+        """Follow a move between recordings."""
         self._need("closed_loop", None)
         if math.isfinite(self._position):
             self._position += angle
 
     def clamp(self, angle: float) -> None:
-        """Remember that the arm is clamped."""
+        """List the clamping of the arm."""
         self._need("clamp", "clamp the arm at several angles")
 
     def soak(self, temperature_degc: float) -> None:
-        """Remember a temperature."""
+        """List a temperature."""
         self._need("soak", f"bring the motor to {temperature_degc:g} degC")
 
     def power_cycle(self) -> None:
-        """Remember that the amplifier is switched off and on."""
+        """List a power cycle of the amplifier."""
         self._need("power_cycle", "switch the amplifier off and on")
 
     def _need(self, need: str, work: str | None) -> None:
@@ -126,7 +122,7 @@ class _Rehearsal:
 
 
 class _Recorder:
-    """Takes what a rehearsal records, which is nothing; what was recorded cannot be had."""
+    """Stands for the writer in a rehearsal; has no recording to return."""
 
     def __init__(self, specs: Sequence[RecordingSpec]) -> None:
         self._names = {spec.name: tuple(c.name for c in spec.channels) for spec in specs}
@@ -134,9 +130,6 @@ class _Recorder:
     def channel_names(self, recording: str) -> tuple[str, ...]:
         """Return the channels of a recording."""
         return self._names[recording]
-
-    def append(self, recording: str, block: Mapping[str, Any]) -> None:
-        """Nothing to take."""
 
     def recording(self, name: str) -> Any:
         """Raise: nothing was recorded."""
@@ -153,8 +146,8 @@ def rehearse(
     torque_constant: float,
     inputs: Mapping[str, Run],
     position: float = 0.0,
-) -> Plan:
-    """Return what a command is going to do, from the shaft's position [rad] on."""
+) -> MotionPlan:
+    """Return the motions of a command; the shaft starts at `position`, rad."""
     specs = procedure.recordings(recipe)
     rig = _Rehearsal(recipe, torque_constant, position)
     try:
@@ -167,7 +160,7 @@ def rehearse(
     return rig.plan
 
 
-def require_offered(rig: Rig, plan: Plan, command: str) -> None:
+def require_offered(rig: Rig, plan: MotionPlan, command: str) -> None:
     """Raise `HardwareError` with every reason why this rig cannot run a command."""
     reasons = [
         f"it needs to {NEEDS[need]}: {reason}" if need in NEEDS else f"it records {need}: {reason}"
@@ -181,7 +174,7 @@ def require_offered(rig: Rig, plan: Plan, command: str) -> None:
 def dry_run(
     procedure: Procedure, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
 ) -> Outcome:
-    """Return a plan as remarks, checked against the limits of a rig that has some."""
+    """Return the motions as notes, checked against the limits of a rig on a serial line."""
     plan = rehearse(procedure, recipe, torque_constant, inputs)
     notes = [str(plan)]
     if recipe.rig.source == "serial" and recipe.serial is not None:
@@ -191,18 +184,19 @@ def dry_run(
         limits = recipe.serial.limits
         notes.append(
             f"Within the limits {limits.current:g} A, {limits.speed:g} rad/s, {low:g} to {high:g} "
-            f"rad (counted from where the shaft is), {limits.duration:g} s a motion"
+            f"rad (counted from the shaft's position at the start), {limits.duration:g} s a motion"
         )
-        notes.append("Whether the drive offers all that is asked when it is connected")
+        notes.append("Whether the drive offers all of this is checked when it is connected")
         if recipe.serial.driver in WITHOUT_WATCHDOG:
             notes.append(
-                "This drive has no watchdog: where computer or cable fail it goes on as it was "
-                "told last. It runs only with serial.emergency_stop = true; try that stop first"
+                "This drive has no watchdog: where computer or cable fail it continues with its "
+                "last set point. It runs only with serial.emergency_stop = true; try that stop "
+                "first"
             )
     return Outcome(results={}, tables={}, notes=tuple(notes))
 
 
-def _require_gauges(plan: Plan, settings: Serial, command: str) -> None:
+def _require_gauges(plan: MotionPlan, settings: Serial, command: str) -> None:
     """Raise `HardwareError` for a gauge that no drive has and the recipe does not name."""
     for need in ("force", "deflection"):
         named = getattr(settings, need) is not None

@@ -1,6 +1,6 @@
-"""From sources to an outcome: what every measuring command does, whatever it measures.
+"""From sources to an outcome: the steps that all measuring commands share.
 
-A source is a recipe (measure on its rig, then analyse) or run files (analyse what they hold).
+A source is a recipe (measure on its rig, then analyse) or run files (analyse their signals).
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from rigtool.rigs.serial.rig import SerialRig
 from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
 
 IMPORTED = "import"
-"""The command of runs that hold other people's measurements."""
+"""Command of the runs that hold measurements of other rigs."""
 
 
-MEANWHILE = "told while it moves, not recorded"
-"""Name for drawings of what a rig tells before the signals of a motion come."""
+MEANWHILE = "read while it moves, not recorded"
+"""Name under which live drawings show readings that arrive before the signals of a motion."""
 
 
 def run_command(
@@ -135,7 +135,7 @@ def _permit(
     torque_constant: float,
     inputs: Mapping[str, Run],
 ) -> None:
-    """Refuse what this rig cannot do or must not, show the rest, and let somebody agree."""
+    """Refuse what this rig cannot do or must not do, show the motions, and ask for consent."""
     assert recipe.serial is not None
     plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
     require_offered(rig, plan, procedure.command)
@@ -182,7 +182,7 @@ def _analyse_stored(
 
 
 def _require_as_recorded(overrides: Sequence[str]) -> None:
-    """Raise `UsageError` for settings that would misjudge what is stored."""
+    """Raise `UsageError` for settings that contradict how the signals were recorded."""
     for override in overrides:
         if override.partition("=")[0].strip().endswith(".record_every"):
             raise UsageError(
@@ -199,7 +199,7 @@ def _analyse_imported(
     options: CommonOptions,
     inputs: Mapping[str, Run],
 ) -> Outcome:
-    """Analyse measurements of other rigs: there is no recipe, the runs say what is known."""
+    """Analyse measurements of other rigs: their runs replace the recipe."""
     for run in runs:
         run.require_command(IMPORTED)
     settings = _imported_settings(procedure.imported_settings, options.overrides)
@@ -218,14 +218,14 @@ def _analyse_imported(
 
 
 def _imported_settings(accepted: Mapping[str, str], overrides: Sequence[str]) -> dict[str, float]:
-    """Return the values of `--set` that an analysis of imported runs takes, by its own names."""
+    """Return the values of `--set` by the argument names of the analysis of imported runs."""
     settings = {}
     for override in overrides:
         key, _, value = override.partition("=")
         if key.strip() not in accepted:
             raise UsageError(
-                f"--set {override}: imported runs have no recipe; what is known of the rig is in "
-                "the mapping file, import them again"
+                f"--set {override}: imported runs have no recipe; the mapping file states what is "
+                "known of the rig: change it there and import them again"
             )
         try:
             settings[accepted[key.strip()]] = number = float(value)
@@ -246,16 +246,17 @@ def _require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
 
 
 def _assumed_torque_constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float:
-    """Return what turns torque into current: the calibration's value, else the data sheet's."""
+    """Return the torque constant of the calibration, else that of the data sheet, N m/A."""
     if "kt" in inputs:
         return torque_per_ampere(inputs["kt"]).value
     return recipe.rig.torque_constant
 
 
 class _WatchedWriter(RunWriter):
-    """A writer that tells somebody which recording grows."""
+    """A writer that shows each block to a live drawing and a progress bar."""
 
     live: Feed | None = None
+    _bar: Any = None
 
     def watch(self, bar: Any, order: Mapping[str, int]) -> None:
         """Advance a progress bar by one for each new recording."""
@@ -266,9 +267,9 @@ class _WatchedWriter(RunWriter):
         super().append(recording, block)
         if self.live is not None:
             self.live.show(recording, block)
-        if (bar := getattr(self, "_bar", None)) is not None:
-            bar.label = recording
-            bar.update(max(0, self._order[recording] - bar.pos))
+        if self._bar is not None:
+            self._bar.label = recording
+            self._bar.update(max(0, self._order[recording] - self._bar.pos))
 
 
 @contextmanager

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 def require_signals(minimum: int = 1, **signals: ArrayLike) -> tuple[Array, ...]:

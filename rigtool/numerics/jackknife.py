@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 def jackknife(count: int, statistic: Callable[[NDArray[np.intp]], float]) -> tuple[float, float]:

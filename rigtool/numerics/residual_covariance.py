@@ -12,9 +12,8 @@ recommendations for practice", J. Business & Economic Statistics 36(4) 541-559, 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array, Mask
 
 FEWEST = 4
 """Coefficients, whatever the correlation: fewer make an uncertainty a mere guess."""
@@ -42,7 +41,7 @@ def long_run_covariance(design: Array, residual: Array, independent: float) -> t
     return covariance, lowest
 
 
-def independent_samples(residual: Array, used: NDArray[np.bool_], lag: int) -> float:
+def independent_samples(residual: Array, used: Mask, lag: int) -> float:
     """Return how many independent samples residuals (n,) are worth, where `used`.
 
     From their correlation at one lag, that of a first-order process: n/lag (1 - r)/(1 + r), at most

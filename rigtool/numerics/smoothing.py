@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising
-
-Array = NDArray[np.float64]
 
 REACH = 6.0
 """The kernel ends at this many standard deviations, where it is 1.5e-8 of its peak."""
@@ -123,7 +122,7 @@ def position_noise(position: Array, step: float) -> float:
     return max(white, count**2 / 12 * max(step, count / speed))
 
 
-def resample(time: Array, *signals: Array) -> tuple[float, NDArray[np.bool_], tuple[Array, ...]]:
+def resample(time: Array, *signals: Array) -> tuple[float, Mask, tuple[Array, ...]]:
     """Return signals (n,) at the median interval: the interval, what is known, and the signals.
 
     Signals on an even time axis stay as they are. Between samples a straight line is taken: it

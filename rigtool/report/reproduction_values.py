@@ -159,10 +159,10 @@ def _of_table(table: Table, column: str, where: str, reduce: str | None) -> Quan
 
 def low_current_refusal(runs: Runs, run: str) -> str:
     """Return why `stribeck` refuses the holds of a run, "" where it does not [App. C]."""
-    from rigtool.experiments.friction.procedure_analysis import HOLDS, estimate
+    from rigtool.experiments.friction.procedure_analysis import HOLDS, coulomb_and_viscous
 
     try:
-        estimate(runs[run].recording(HOLDS), _recipe(runs[run]), runs["kt"])
+        coulomb_and_viscous(runs[run].recording(HOLDS), _recipe(runs[run]), runs["kt"])
     except InsufficientDataError as error:
         return str(error)
     return ""

@@ -108,7 +108,7 @@ def test_dry_run_refuses_what_no_drive_measures(tmp_path, capsys, driver, expect
     if expected:
         assert "it records force: a odrive does not measure it: add [serial.force]" in err
     else:
-        assert "Whether the drive offers all that is asked when it is connected" in out
+        assert "Whether the drive offers all of this is checked when it is connected" in out
 
 
 def test_dry_run_refuses_what_is_beyond_the_limits(tmp_path, capsys):

@@ -25,14 +25,13 @@ from rigtool.experiments.imported import (
 from rigtool.experiments.learning.stored_table import period_results
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import (
-    ORDERS,
-    TOLD,
-    Group,
+    ORDERS_REPORTED,
+    RepeatedRuns,
     groups_of,
     turns_of,
 )
 from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, turn_spectrum
-from rigtool.experiments.ripple.orders import CLEAR, coefficients
+from rigtool.experiments.ripple.orders import CLEAR, HIGHEST_ORDER, coefficients
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
 
@@ -89,7 +88,7 @@ def analyse_imported(
     return Outcome(_results(rows, table, effort), _tables(rows, table, effort), tuple(notes))
 
 
-def _require_one_condition(groups: Sequence[Group]) -> None:
+def _require_one_condition(groups: Sequence[RepeatedRuns]) -> None:
     first = groups[0].conditions
     for group in groups[1:]:
         if group.conditions != first:
@@ -106,9 +105,11 @@ BY_CHANCE = 0.01
 class _Row:
     """What repeats at one speed: mean and orders (k,), with the scatter that u comes from."""
 
-    def __init__(self, group: Group) -> None:
+    def __init__(self, group: RepeatedRuns) -> None:
         turns = len(group.torque)
-        self.examined = ORDERS if group.gap == 0 else min(ORDERS, int(1 / (2 * group.gap)))
+        self.examined = (
+            HIGHEST_ORDER if group.gap == 0 else min(HIGHEST_ORDER, int(1 / (2 * group.gap)))
+        )
         spectrum = turn_spectrum(group.torque, self.examined)
         floor = _steadied(spectrum.noise_floor)
         clear = np.flatnonzero(spectrum.amplitude > CLEAR * floor)
@@ -143,7 +144,7 @@ class _Row:
 
     def strongest(self) -> list[int]:
         """Return the strongest orders, the strongest first."""
-        return [int(order) for order in self.order[np.argsort(-self.amplitude)][:TOLD]]
+        return [int(order) for order in self.order[np.argsort(-self.amplitude)][:ORDERS_REPORTED]]
 
 
 def _steadied(floor: Array) -> Array:
@@ -158,7 +159,7 @@ def _steadied(floor: Array) -> Array:
     return steadied
 
 
-def _learn(group: Group) -> _Row:
+def _learn(group: RepeatedRuns) -> _Row:
     if len(group.torque) < 2:
         raise InsufficientDataError(
             f"one turn at {group.label()} does not separate what repeats from what does not: give "

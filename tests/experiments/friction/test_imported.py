@@ -154,7 +154,7 @@ def test_wrong_signs_are_told(tmp_path):
 def test_a_position_is_needed(tmp_path):
     text = MOVED.replace('position = { column = "x", unit = "rad" }', "")
     paths = take(tmp_path, text, {"a": moved()})
-    with pytest.raises(RunFileError, match="nothing tells the position"):
+    with pytest.raises(RunFileError, match="the position is unknown"):
         analyse(paths, tmp_path / "f.h5")
 
 

@@ -77,7 +77,7 @@ def test_one_turn_says_that_nothing_repeats(turns):
     folder, paths = turns
     outcome = analyse(paths[:1], folder / "one.h5")
     assert outcome.results["strongest_order"].value == 7
-    assert any("one turn: what repeats cannot be told" in note for note in outcome.notes)
+    assert any("one turn, so the repeatable part is unknown" in note for note in outcome.notes)
 
 
 def test_a_torque_constant_makes_torque_of_current(tmp_path):

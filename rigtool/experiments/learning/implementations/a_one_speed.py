@@ -55,7 +55,6 @@ class TaughtMap(TaughtTable):
 class OneSpeed(BareMotor[TaughtMap]):
     """Learning at one speed, in one direction, with amplitude and phase tuned by speed."""
 
-    ABOUT = "turning at one speed, by position, amplitude and phase by speed"
     LEARNED_FROM = "ripple of the controller"
 
     @staticmethod

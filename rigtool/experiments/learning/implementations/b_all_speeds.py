@@ -43,8 +43,6 @@ class TaughtSpeeds(TaughtTable):
 class AllSpeeds(BareMotor[TaughtSpeeds]):
     """Learning at each speed and in both directions."""
 
-    ABOUT = "turning, both directions, by position and speed"
-
     @staticmethod
     def kinds(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
         """Return the learning runs, those at low speeds, with the table on, and the sweeps."""

@@ -65,8 +65,6 @@ class TaughtMoves(TaughtTable):
 class LimitedAngle(Implementation[TaughtMoves]):
     """Learning from moves to and fro."""
 
-    ABOUT = "limited angle, both directions, by position and speed"
-
     @staticmethod
     def kinds(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
         """Return the learning runs, the low-speed runs and the validation runs."""

@@ -63,8 +63,6 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
 class KnownLoads(LimitedAngle):
     """Learning as implementation C does, and then from known loads."""
 
-    ABOUT = "as C, and known loads: torque as a third input"
-
     @staticmethod
     def record_every(recipe: Recipe) -> int:
         """Return how many samples of the loop make a recorded one."""

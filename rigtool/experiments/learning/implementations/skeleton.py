@@ -79,9 +79,6 @@ class Implementation(ABC, Generic[T]):
     `plain` is the feed-forward without anything learned: inertia and, if given, friction.
     """
 
-    ABOUT: ClassVar[str]
-    """What it does, in a line."""
-
     BARE_MOTOR: ClassVar[bool] = False
     """Whether the shaft turns round and round, which no instrument can follow."""
 

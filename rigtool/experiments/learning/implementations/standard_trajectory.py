@@ -65,7 +65,6 @@ class TaughtSignal:
 class RepeatedMove(Implementation[TaughtSignal]):
     """Learning by time along one move."""
 
-    ABOUT = "a repeated move, by time"
     RIG_NEED = "signal"
     UNIT = "mrad"
 
