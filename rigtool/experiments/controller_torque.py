@@ -21,14 +21,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording
-
-Array = NDArray[np.float64]
 
 TABLE, SIGNAL = "table_current", "signal_current"
 """Channels of what was learned: by position, by time."""

@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.filters import Learning
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.jackknife import jackknife
 from rigtool.numerics.moves import Moves, at_positions
 from rigtool.quantity import Quantity
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

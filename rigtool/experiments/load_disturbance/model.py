@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
 from rigtool.experiments.load_disturbance.tendon import Tendon, swing
 from rigtool.experiments.load_disturbance.terms import State, Term, functions
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_u
-
-Array = NDArray[np.float64]
 
 ROWS = 4
 """Points that are compared, for each period of the bandwidth."""

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 GRAVITY = 9.80665
 """Standard acceleration of free fall, m/s2."""

@@ -12,7 +12,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
@@ -36,8 +35,6 @@ from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

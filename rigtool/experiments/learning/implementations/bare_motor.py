@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import RunFileError
@@ -41,14 +40,13 @@ from rigtool.experiments.learning.turns import (
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import channels
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.moves import Moves
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Recording, RecordingSpec, Run, Table
-
-Array = NDArray[np.float64]
 
 ACCELERATION = 30.0
 """Acceleration of run-up and stop, rad/s2."""

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.controller_torque import CHANNELS, naming
@@ -45,14 +44,13 @@ from rigtool.experiments.learning.rows import (
 )
 from rigtool.experiments.learning.stored_table import tables_of
 from rigtool.experiments.procedure import channels
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.moves import Moves, at_positions, cut_moves
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Recording, RecordingSpec, Run, Table
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

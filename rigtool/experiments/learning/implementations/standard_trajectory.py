@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import TransferFunction
 from rigtool.errors import InsufficientDataError
@@ -31,13 +30,12 @@ from rigtool.experiments.learning.implementations.runs import (
 from rigtool.experiments.learning.implementations.skeleton import Implementation, Report
 from rigtool.experiments.learning.stored_table import TRAJECTORY
 from rigtool.experiments.procedure import channels
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table
-
-Array = NDArray[np.float64]
 
 RUN_IN = 1
 """Moves that are made first and left out."""
