@@ -7,12 +7,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rigtool.errors import InsufficientDataError
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 FILTER_ORDER = 2
 """Order of the Butterworth filter, which is applied twice."""

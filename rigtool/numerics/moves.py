@@ -10,12 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.between_set_points import (
@@ -23,11 +22,10 @@ from rigtool.experiments.between_set_points import (
 )
 from rigtool.experiments.force.cycles import Cycle, readings
 from rigtool.experiments.force.results import applied_torque
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Recording, Run
-
-Array = NDArray[np.float64]
 
 UNSTEADY = 0.3
 """Part by which the speed at the reading, low-passed as the torque is, may differ from its set

@@ -15,9 +15,7 @@ from rigtool.experiments.between_set_points import (
     UnsampledCurrent,
     setpoint_resolution,
 )
-from rigtool.experiments.controller_torque import (
-    controller_torque,
-)
+from rigtool.experiments.controller_torque import controller_torque
 from rigtool.experiments.friction.breakaway import Breakaway, Ramp, around_turn, find_ramps
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import require_linear_at_low_current

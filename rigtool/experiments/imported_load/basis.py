@@ -22,10 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.lowpass import lowpass
-
-Array = NDArray[np.float64]
 
 WORK_RATE = 10
 """Samples for each period of the cut-off at which functions are computed, at most."""

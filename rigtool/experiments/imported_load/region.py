@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 FACES = 200
 """Half-spaces."""

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.repeatable import repeatability
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.jackknife import standard_uncertainty
-
-Array = NDArray[np.float64]
 
 
 def carried_noise(runs: int, factor: float) -> float:

@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
@@ -32,10 +31,9 @@ from rigtool.experiments.ripple.imported import (
 )
 from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, turn_spectrum
 from rigtool.experiments.ripple.orders import CLEAR, HIGHEST_ORDER, coefficients
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
-
-Array = NDArray[np.float64]
 
 ENTRIES = 2000
 """Positions of a learned map: twenty to a cycle of the highest order."""

@@ -39,18 +39,8 @@ IMPLEMENTATIONS: dict[str, type[Implementation[Any]]] = {
 """Ways to learn that exist, by the thesis's letter."""
 
 
-def require_implementation(name: str) -> None:
-    """Raise `UsageError` unless learning of this name exists."""
-    if name not in IMPLEMENTATIONS:
-        known = ", ".join(f"{key} ({way.ABOUT})" for key, way in IMPLEMENTATIONS.items())
-        raise UsageError(f"--implementation {name} does not exist yet; there is {known}")
-
-
 def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:
-    """Return the options with the choices of the command line, which override the recipe.
-
-    Raises `UsageError` for learning that does not exist.
-    """
+    """Return the options with the choices of the command line, which override the recipe."""
     if name is not None:
         options = options.with_override(f"ilc_learn.implementation={name}")
         if IMPLEMENTATIONS[name].BARE_MOTOR:
@@ -60,7 +50,6 @@ def asked(options: CommonOptions, name: str | None, *, validate: bool) -> Common
 
 def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
     name = recipe.ilc_learn.implementation
-    require_implementation(name)
     implementation = IMPLEMENTATIONS[name]
     if implementation.BARE_MOTOR and recipe.rig.attachment != "pulley":
         raise UsageError(

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 LEVEL = 0.01
 """Largest part of the orders reported as repeatable that may be chance."""

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.rows import Row
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.jackknife import jackknife, standard_uncertainty
 
-Array = NDArray[np.float64]
 Orders = NDArray[np.complex128]
 
 SIGNIFICANT = 3.0

@@ -232,7 +232,10 @@ def test_window_closes_where_the_measurement_was_killed(imagined):
 @pytest.mark.parametrize(
     ("backend", "message"),
     [
-        ("agg", "or is told to use agg; run rigtool on a desktop, or use --live, which draws at"),
+        (
+            "agg",
+            "or MPLBACKEND selects agg; run rigtool on a desktop, or use --live, which",
+        ),
         ("nonsense", "no window can be opened: .*nonsense.*; run rigtool on a desktop"),
     ],
 )

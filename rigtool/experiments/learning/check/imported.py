@@ -35,10 +35,10 @@ from rigtool.experiments.ripple.imported_turns import (
 )
 from rigtool.experiments.ripple.map_shift import Match, match_maps
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER, POSITIONS, Spectrum, cell_centres
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
 
-Array = NDArray[np.float64]
 Orders = NDArray[np.complex128]
 
 FITS = "table_fits"

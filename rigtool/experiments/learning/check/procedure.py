@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
@@ -33,11 +32,10 @@ from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig, Task
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
-
-Array = NDArray[np.float64]
 
 MOVES = 6
 """Moves, or turns, that are recorded at each speed, unless `--set` changes it."""

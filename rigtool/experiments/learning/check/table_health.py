@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.rows import Row
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 REACH = 0.25
 """Part of a limited range by which a shift is looked for, in either direction."""

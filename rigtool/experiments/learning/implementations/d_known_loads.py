@@ -64,8 +64,6 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
 class KnownLoads(LimitedAngle):
     """Learning as implementation C does, and then from known loads."""
 
-    ABOUT = "as C, and known loads: torque as a third input"
-
     @classmethod
     def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
         """List what implementation C records, then the known loads at each speed."""
