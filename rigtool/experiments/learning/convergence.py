@@ -18,11 +18,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.repeatable import repeatability
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
 
@@ -67,7 +66,7 @@ class Cycles:
     period: float
     signal: Array
     before: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
 
 def learning_run(

@@ -18,9 +18,9 @@ from rigtool.experiments.learning.implementations.d_known_loads import KnownLoad
 from rigtool.experiments.learning.implementations.skeleton import Implementation
 from rigtool.experiments.learning.implementations.standard_trajectory import RepeatedMove
 from rigtool.experiments.learning.imported import analyse_imported
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
+from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from rigtool.runfile import Run, Table
 
-Array = NDArray[np.float64]
 
 MILLI = 1e3
 COUNTS = "encoder position [quad counts]"

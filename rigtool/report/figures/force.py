@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import (
     MILLI,
     MOTOR_TORQUE,
     OUTPUT_TORQUE,
     UP_AND_DOWN,
-    Array,
     counts,
     cycle_axis,
     fit_height,
@@ -138,7 +137,7 @@ def _lifted(run: Run, table: Table) -> tuple[Figure, Axes, float]:
     return figure, axes, end / 2
 
 
-def _straight(run: Run, axes: Axes, position: Array) -> NDArray[np.bool_]:
+def _straight(run: Run, axes: Axes, position: Array) -> Mask:
     """Return where the motion has constant speed, (n,); draw grey bands where it reverses.
 
     In the bands, friction reverses and inertia acts; the figures do not show these.
@@ -151,7 +150,7 @@ def _straight(run: Run, axes: Axes, position: Array) -> NDArray[np.bool_]:
     for low, high in ((0, turn), (end - turn, end + turn), (2 * end - turn, 2 * end)):
         axes.axvspan(low, high, color=style.BAND, linewidth=0, zorder=0)
     within = np.where(position > end, 2 * end - position, position)
-    straight: NDArray[np.bool_] = (within >= turn) & (within <= end - turn)
+    straight: Mask = (within >= turn) & (within <= end - turn)
     return straight
 
 

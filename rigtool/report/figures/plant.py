@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.report.figures import style
 from rigtool.report.figures.plots import plot
 
@@ -126,13 +127,13 @@ def draw_convergence(run: Run, whole: Table) -> Figure:
     return figure
 
 
-def decibel(values: NDArray[Any]) -> NDArray[np.float64]:
+def decibel(values: NDArray[Any]) -> Array:
     """Return magnitudes in dB, NaN where they are zero or NaN."""
     magnitude = np.where(np.asarray(values) > 0, values, np.nan)
     return np.asarray(20 * np.log10(magnitude), dtype=np.float64)
 
 
-def degrees(phase: NDArray[Any]) -> NDArray[np.float64]:
+def degrees(phase: NDArray[Any]) -> Array:
     """Return an unwrapped phase in degrees, shifted to begin between -270 and 90."""
     first = 2 * np.pi * np.ceil(phase[0] / (2 * np.pi) - 0.25)
     return np.asarray(np.degrees(phase - first), dtype=np.float64)

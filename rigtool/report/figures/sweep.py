@@ -7,8 +7,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, MOTOR_TORQUE, fit_height
 from rigtool.report.figures.plots import plot
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from rigtool.runfile import Run, Table
 
-Array = NDArray[np.float64]
 
 MAX_POINTS = 4000
 """Points of a curve over the sweep: more than its picture has columns."""

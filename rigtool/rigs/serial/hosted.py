@@ -18,9 +18,9 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import HardwareError, RecipeError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Task
 from rigtool.rigs.motion import Observe, OpenLoop
@@ -32,8 +32,6 @@ from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.rig import SerialRig, in_thread
 from rigtool.rigs.serial.ticks import Clock
-
-Array = NDArray[np.float64]
 
 BLOCK_TIME = 0.25
 """Length of a block of signals, about, s."""

@@ -14,11 +14,11 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import constants
 
 from rigtool.errors import HardwareError
 from rigtool.interrupts import held
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
 from rigtool.rigs.motion import Observe
@@ -26,8 +26,6 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
 from rigtool.rigs.serial.line import Line
-
-Array = NDArray[np.float64]
 
 NOBODY = "nobody is at the terminal: run the command in a terminal"
 

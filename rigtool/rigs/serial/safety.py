@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RecipeError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.base import Block, Feedforward, Task
 from rigtool.rigs.motion import Move, Observe, OpenLoop
-
-Array = NDArray[np.float64]
 
 BLOCK = 65536
 """Samples of a motion evaluated at a time."""

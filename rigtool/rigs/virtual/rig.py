@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.recipe.virtual import Virtual
 from rigtool.rigs.base import Block, Feedforward, Load, Rig, Task
@@ -19,8 +20,6 @@ from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, Observe
 from rigtool.rigs.virtual import contacts, hand, kernel
 from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
-
-Array = NDArray[np.float64]
 
 BLOCK = 16384
 """Samples simulated at a time, about: what fits a processor's cache."""

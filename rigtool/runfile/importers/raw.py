@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe.mapping import Mapping
 
-Array = NDArray[np.float64]
 ColumnKey = int | str
 """A column by its number from 1, or by its name."""
 

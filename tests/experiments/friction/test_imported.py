@@ -7,8 +7,8 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
-from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.recipe.mapping import load_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
-from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.recipe.commands import Stribeck
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.recipe.mapping import load_mapping, parse_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files

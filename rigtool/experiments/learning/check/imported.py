@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import effort_of, is_linear, require_one_rig, signals_of
@@ -35,11 +34,11 @@ from rigtool.experiments.ripple.imported_turns import (
 )
 from rigtool.experiments.ripple.map_shift import Match, match_maps
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER, POSITIONS, Spectrum, cell_centres
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
 
-Orders = NDArray[np.complex128]
+Orders = ComplexArray
 
 FITS = "table_fits"
 """Result that states whether a table fits: 1 or 0."""

@@ -28,9 +28,9 @@ from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.stored_table import feedforward, learned_table_from, require_rig
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, record
+from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe

@@ -13,9 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.convergence import LearningRun
 from rigtool.experiments.learning.filters import Learning
@@ -32,6 +29,7 @@ from rigtool.experiments.learning.stored_table import feedforward, friction_resu
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Rig, Task
@@ -54,7 +52,7 @@ class TaughtTable:
     """A learned table, its standard uncertainty and amplitude table, and all runs judged."""
 
     table: LookupTable
-    u: NDArray[np.float64]
+    u: Array
     amplitudes: Amplitudes
     history: list[LearningRun]
 

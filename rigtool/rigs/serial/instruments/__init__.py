@@ -13,15 +13,13 @@ from types import ModuleType
 from typing import Any, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RecipeError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.line import Line
-
-Array = NDArray[np.float64]
 
 
 class Gauge(Protocol):

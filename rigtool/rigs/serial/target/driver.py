@@ -13,10 +13,10 @@ import zlib
 from collections.abc import Callable, Generator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import HardwareError, RecipeError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import CHANNELS, Block, Load, Task
 from rigtool.rigs.operator import Operator
@@ -29,8 +29,6 @@ from rigtool.rigs.serial.target import talk as target_talk
 from rigtool.rigs.serial.target.link import Ability, Kind, Refusal, Slot, State, Status
 from rigtool.rigs.serial.target.log import Log
 from rigtool.rigs.serial.target.talk import Refused, Talk
-
-Array = NDArray[np.float64]
 
 BAUD_RATE = 115200
 

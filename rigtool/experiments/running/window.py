@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from rigtool.experiments.live.terminal import READY
+from rigtool.experiments.running.terminal import READY
 from rigtool.numerics.arrays import Array
 from rigtool.rigs import CHANNELS
 

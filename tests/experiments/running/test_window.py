@@ -16,11 +16,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rigtool.errors import UsageError
-from rigtool.experiments.live import terminal as live
-from rigtool.experiments.live.terminal import WAITING, Feed, Window, open_live
-from rigtool.experiments.live.window import POINTS, SPAN, Panel, thinned
+from rigtool.experiments.running import terminal as live
+from rigtool.experiments.running.terminal import WAITING, Feed, Window, open_live
+from rigtool.experiments.running.window import POINTS, SPAN, Panel, thinned
 from tests.cli.test_run_commands import call
-from tests.experiments.live.test_terminal import fft_ripple
+from tests.experiments.running.test_terminal import fft_ripple
 
 ROOT = Path(__file__).parents[3]
 
@@ -165,7 +165,7 @@ def test_what_waits_at_the_end_is_drawn():
 @pytest.fixture
 def imagined(tmp_path, monkeypatch):
     """A desktop that is not there; the window's pictures are files."""
-    monkeypatch.setenv("MPLBACKEND", "module://tests.experiments.live.live_canvas")
+    monkeypatch.setenv("MPLBACKEND", "module://tests.experiments.running.live_canvas")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("LIVE_PICTURE", str(tmp_path / "window.png"))
     return tmp_path / "window.txt"

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.dry_run import dry_run, rehearse, require_offered
-from rigtool.experiments.live.terminal import Feed, open_live
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
+from rigtool.experiments.running.dry_run import dry_run, rehearse, require_offered
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.terminal import Feed, open_live
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import Rig, open_rig
