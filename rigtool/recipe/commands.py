@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field, model_validator
 
 from rigtool.recipe.base import Section
-from rigtool.recipe.turning import Trajectory, Turning
-
-Positive = Annotated[float, Field(gt=0)]
+from rigtool.recipe.turning import (
+    Positive,
+    Trajectory,
+    Turning,
+    require_different_speeds,
+    require_straight_part,
+)
 
 
 class CalibrateKt(Section):
@@ -106,11 +110,7 @@ class IdentifyPlant(Section):
                 f"frequency_max {self.frequency_max} Hz must be above frequency_min "
                 f"{self.frequency_min} Hz"
             )
-        if 2 * self.turn_angle >= self.angle:
-            raise ValueError(
-                f"turn_angle {self.turn_angle} deg at both ends leaves nothing of the angle "
-                f"{self.angle} deg: lower it"
-            )
+        require_straight_part("turn_angle", self.turn_angle, self.angle)
         return self
 
 
@@ -179,24 +179,12 @@ class IlcLearn(Section):
                 f"turn_angle {self.turn_angle} deg must be below end_angle {self.end_angle} deg: "
                 "the reversal has to end before the part that is used begins"
             )
-        if 2 * self.end_angle >= self.angle:
-            raise ValueError(
-                f"end_angle {self.end_angle} deg on both sides leaves nothing of the angle "
-                f"{self.angle} deg: lower it"
-            )
+        require_straight_part("end_angle", self.end_angle, self.angle)
         return self
 
     @model_validator(mode="after")
     def _speeds_differ(self) -> IlcLearn:
-        speeds = (*self.low_speeds_rev_per_s, *self.speeds_rev_per_s)
-        if len(set(speeds)) < len(speeds):
-            raise ValueError("a speed is listed twice in speeds_rev_per_s and low_speeds_rev_per_s")
-        lowest = min(self.speeds_rev_per_s)
-        if max(self.low_speeds_rev_per_s, default=0) > lowest:
-            raise ValueError(
-                f"low_speeds_rev_per_s holds {max(self.low_speeds_rev_per_s)}, all of them must "
-                f"be below the lowest learned speed, {lowest}"
-            )
+        require_different_speeds(self.speeds_rev_per_s, self.low_speeds_rev_per_s)
         return self
 
 

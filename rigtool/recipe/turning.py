@@ -11,6 +11,26 @@ from rigtool.recipe.base import Section
 Positive = Annotated[float, Field(gt=0)]
 
 
+def require_different_speeds(speeds: tuple[float, ...], low_speeds: tuple[float, ...]) -> None:
+    """Raise ValueError for a speed listed twice, or a low speed above the lowest learned one."""
+    every = (*low_speeds, *speeds)
+    if len(set(every)) < len(every):
+        raise ValueError("a speed is listed twice in speeds_rev_per_s and low_speeds_rev_per_s")
+    if max(low_speeds, default=0) > min(speeds):
+        raise ValueError(
+            f"low_speeds_rev_per_s holds {max(low_speeds)}, all of them must be below the lowest "
+            f"of speeds_rev_per_s, {min(speeds)}"
+        )
+
+
+def require_straight_part(name: str, end: float, angle: float) -> None:
+    """Raise ValueError where the two ends, deg, of a move take all of its angle, deg."""
+    if 2 * end >= angle:
+        raise ValueError(
+            f"{name} {end} deg at both ends leaves nothing of the angle {angle} deg: lower it"
+        )
+
+
 class Turning(Section):
     """Whole turns of the bare motor: implementations A and B [7.2.4.2]."""
 
@@ -27,15 +47,7 @@ class Turning(Section):
 
     @model_validator(mode="after")
     def _speeds_differ(self) -> Turning:
-        lowest = min(self.speeds_rev_per_s)
-        if max(self.low_speeds_rev_per_s, default=0) >= lowest:
-            raise ValueError(
-                f"low_speeds_rev_per_s holds {max(self.low_speeds_rev_per_s)}, all of them must be "
-                f"below the lowest of speeds_rev_per_s, {lowest}"
-            )
-        every = (*self.low_speeds_rev_per_s, *self.speeds_rev_per_s)
-        if len(set(every)) < len(every):
-            raise ValueError("a speed is listed twice in speeds_rev_per_s and low_speeds_rev_per_s")
+        require_different_speeds(self.speeds_rev_per_s, self.low_speeds_rev_per_s)
         return self
 
 
@@ -49,9 +61,5 @@ class Trajectory(Section):
 
     @model_validator(mode="after")
     def _turn_fits(self) -> Trajectory:
-        if 2 * self.turn_angle >= self.angle:
-            raise ValueError(
-                f"turn_angle {self.turn_angle} deg at both ends leaves nothing of the angle "
-                f"{self.angle} deg: lower it"
-            )
+        require_straight_part("turn_angle", self.turn_angle, self.angle)
         return self

@@ -218,7 +218,7 @@ def test_every_letter_of_the_recipe_has_its_implementation():
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("ilc_learn.low_speeds_rev_per_s=[0.1, 0.3]", "below the lowest learned speed, 0.2"),
+        ("ilc_learn.low_speeds_rev_per_s=[0.1, 0.3]", "below the lowest of speeds_rev_per_s, 0.2"),
         ("ilc_learn.speeds_rev_per_s=[1, 1]", "listed twice"),
         ("ilc_learn.turn_angle=50", "below end_angle"),
         ("ilc_learn.end_angle=90", "leaves nothing"),
