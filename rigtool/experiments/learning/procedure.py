@@ -43,7 +43,7 @@ def asked(options: CommonOptions, name: str | None, *, validate: bool) -> Common
     """Return the options with the choices of the command line, which override the recipe."""
     if name is not None:
         options = options.with_override(f"ilc_learn.implementation={name}")
-        if IMPLEMENTATIONS[name].BARE_MOTOR:
+        if name in IMPLEMENTATIONS and IMPLEMENTATIONS[name].BARE_MOTOR:
             options = options.with_override("rig.attachment=pulley")
     return options.with_override("ilc_learn.validation=true") if validate else options
 
