@@ -22,7 +22,7 @@ from rigtool.experiments.running.session import run_command
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.rigs import Block, Task
-from rigtool.runfile import Run, RunWriter, open_run, reader
+from rigtool.runfile import Run, RunWriter, open_run, recording
 
 RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 SHORT = (
@@ -353,7 +353,7 @@ def test_signals_at_the_full_rate_give_what_averaged_ones_give(tmp_path, inputs)
 
 
 def test_a_clock_that_stands_between_two_blocks_is_refused(tmp_path, inputs, monkeypatch):
-    monkeypatch.setattr(reader, "BLOCK", 1000)
+    monkeypatch.setattr(recording, "BLOCK", 1000)
     recipe = recipe_with(PULLEY)
     rig = KnownRig(recipe, friction=0, stiffness=1, scatter=0.1e-3)
     perform = rig.perform
