@@ -102,8 +102,8 @@ def _identity(file: h5py.File) -> tuple[int, ...]:
 def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
     """Open an HDF5 file for reading only; raises `RunFileError` with the reason."""
     path = Path(path)
-    if not path.is_file():
-        what = "is a folder, not a file" if path.is_dir() else "no such file"
+    if not os.path.isfile(path):
+        what = "is a folder, not a file" if os.path.isdir(path) else "no such file"
         raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
     try:
         with path.open("rb") as stream:

@@ -32,6 +32,7 @@ PACKAGES = ("numpy", "scipy", "pandas", "h5py", "numba", "pydantic", "GTC")
 _ENCODER = json.JSONEncoder(sort_keys=True)
 
 _HASHES = ("content_sha256", "record_sha256")
+_ALWAYS = ("program", "version", "date", "argv", "python", "platform", "packages")
 _PROVENANCE = f"/{schema.ENTRY}/{schema.PROVENANCE}"
 
 
@@ -121,14 +122,20 @@ def write(group: h5py.Group, provenance: Provenance) -> None:
 
 
 def read(group: tree.Group) -> dict[str, Any]:
-    """Return all fields of provenance, hashes included; absent ones are None."""
-    found: dict[str, Any] = dict.fromkeys(Provenance.__dataclass_fields__)
-    found.update({name: item.value for name, item in group.values.items()})
-    inputs = group.groups[schema.INPUTS].groups if schema.INPUTS in group.groups else {}
+    """Return all fields of provenance, hashes included; absent ones are None.
+
+    Raises ValueError where one is missing that every run has, or is no text.
+    """
+    fields = (*Provenance.__dataclass_fields__, *_HASHES)
+    found: dict[str, Any] = {
+        name: group.text(name) for name in fields if name in group.values or name in _ALWAYS
+    }
+    found = dict.fromkeys(Provenance.__dataclass_fields__) | found
     found["argv"] = shlex.split(found["argv"])
     found["packages"] = dict(line.split(" ") for line in found["packages"].splitlines())
+    inputs = group.groups[schema.INPUTS].groups if schema.INPUTS in group.groups else {}
     found["inputs"] = [
-        {name: item.value for name, item in source.values.items()} for source in inputs.values()
+        {name: item.text(name) for name in Input.__dataclass_fields__} for item in inputs.values()
     ]
     return found
 
@@ -171,7 +178,9 @@ def record_sha256(root: tree.Group, content: str) -> str:
 
 
 def file_sha256(path: str | os.PathLike[str]) -> str:
-    """Hash a file byte by byte; raises `RigtoolError` where it cannot be read."""
+    """Hash a file byte by byte; raises `RigtoolError` where it cannot be read, or is a device."""
+    if not os.path.isfile(path):
+        raise RigtoolError(f"{path}: is no file: give a file that was written to a disk")
     try:
         with Path(path).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -195,24 +195,26 @@ def _members(entry: tree.Group, name: str) -> dict[str, tree.Group]:
 def _results(entry: tree.Group) -> dict[str, Quantity]:
     if schema.RESULTS not in entry.groups:
         return {}
+    results = entry.groups[schema.RESULTS]
     return {
         name: Quantity(
-            float(item.value),
-            item.attributes["units"],
-            item.attributes.get("standard_uncertainty"),
-            item.attributes.get("degrees_of_freedom"),
-            item.attributes.get("reason"),
+            results.number(name),
+            tree.text_of(item.attributes, "units"),
+            tree.number_of(item.attributes, "standard_uncertainty"),
+            tree.number_of(item.attributes, "degrees_of_freedom"),
+            tree.text_of(item.attributes, "reason") if "reason" in item.attributes else None,
         )
-        for name, item in entry.groups[schema.RESULTS].values.items()
+        for name, item in results.values.items()
     }
 
 
 def _table(group: tree.Group) -> Table:
     columns = {
-        name: Column(item.value, item.attributes["units"], description_of(item.attributes))
+        name: Column(
+            item.value, tree.text_of(item.attributes, "units"), description_of(item.attributes)
+        )
         for name, item in group.values.items()
     }
     attributes = group.attributes
-    return Table(
-        tuple(attributes["axes"]), columns, attributes["signal"], description_of(attributes)
-    )
+    signal = tree.text_of(attributes, "signal")
+    return Table(tuple(attributes["axes"]), columns, signal, description_of(attributes))

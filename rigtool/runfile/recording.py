@@ -46,7 +46,12 @@ class Recording:
         self._path = Path(path)
         self.name = group.name
         self.channels: tuple[Channel, ...] = tuple(
-            Channel(name, item.attributes["units"], item.kind[1:], description_of(item.attributes))
+            Channel(
+                name,
+                tree.text_of(item.attributes, "units"),
+                item.kind[1:],
+                description_of(item.attributes),
+            )
             for name, item in group.values.items()
         )
         self.conditions: Mapping[str, Quantity] = MappingProxyType(_conditions(group))
@@ -194,7 +199,12 @@ def _common_size(recording: tree.Group) -> int:
 def _conditions(recording: tree.Group) -> dict[str, Quantity]:
     if schema.CONDITIONS not in recording.groups:
         return {}
+    conditions = recording.groups[schema.CONDITIONS]
     return {
-        name: Quantity(float(item.value), item.attributes["units"], reason="as set, not measured")
-        for name, item in recording.groups[schema.CONDITIONS].values.items()
+        name: Quantity(
+            conditions.number(name),
+            tree.text_of(item.attributes, "units"),
+            reason="as set, not measured",
+        )
+        for name, item in conditions.values.items()
     }

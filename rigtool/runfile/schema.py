@@ -56,6 +56,10 @@ MAX_CHUNK_BYTES = 2**24
 MAX_TABLE_VALUES = 2**24
 MAX_MEMBERS = 10_000
 MAX_ATTRIBUTE_VALUES = 10_000
+MAX_OBJECTS = 200_000
+"""Groups, datasets and attributes together."""
+MAX_TEXT_BYTES = 2**26
+"""Of all texts together."""
 MAX_COMPRESSION = 1100
 """Deflate cannot shrink by more than 1032; a dataset that claims more is not in the file."""
 

@@ -9,7 +9,8 @@ run has some hundred small objects, for which the high-level one takes five time
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -53,12 +54,35 @@ class Group:
             raise ValueError(f"{self.path} lacks the group {name!r}")
         return self.groups[name]
 
+    def number(self, name: str) -> float:
+        """Return the one number of a dataset in this group; raises ValueError for anything else."""
+        found = self.values[name]
+        if not isinstance(found.value, np.ndarray) or found.shape != ():
+            raise ValueError(f"{found.path} must be one number")
+        return float(found.value)
+
     def text(self, name: str) -> str:
         """Return the text of a dataset in this group; raises ValueError where there is none."""
         found = self.values.get(name)
         if found is None or not isinstance(found.value, str):
             raise ValueError(f"{self.path} lacks the text {name!r}")
         return found.value
+
+
+def text_of(attributes: Mapping[str, Any], name: str) -> str:
+    """Return an attribute that is a text; raises ValueError where it is missing or none."""
+    found = attributes.get(name)
+    if not isinstance(found, str):
+        raise ValueError(f"the attribute {name!r} must be a text, got {found!r:.100}")
+    return found
+
+
+def number_of(attributes: Mapping[str, Any], name: str) -> float | None:
+    """Return an attribute that is a number, None where it is missing; raises ValueError."""
+    found = attributes.get(name)
+    if found is not None and not isinstance(found, int | float):
+        raise ValueError(f"the attribute {name!r} must be a number, got {found!r:.100}")
+    return found
 
 
 def load(file: h5py.File, path: str = "/") -> Group:
@@ -92,9 +116,11 @@ def root_text(file: h5py.File, name: str) -> str | None:
     attribute = h5py.h5a.open(file.id, name.encode())
     kind = attribute.get_type()
     fixed = isinstance(kind, h5py.h5t.TypeStringID) and not kind.is_variable_str()
-    if not fixed or attribute.shape != ():
+    if not fixed or attribute.shape != () or kind.get_size() > _MAX_ROOT_TEXT:
         return None
-    return str(_decoded(_read(attribute.read, (), kind)))
+    array = np.empty((), f"S{kind.get_size()}")
+    attribute.read(array, kind)
+    return str(_decoded(array))
 
 
 def is_signal(path: str) -> bool:
@@ -107,6 +133,8 @@ _BOOKKEEPING = {b"CLASS", b"NAME", b"DIMENSION_LIST", b"REFERENCE_LIST"}
 """Attributes with which HDF5 ties dimension scales to datasets; they hold references."""
 
 _MAX_DEPTH = 6
+_MAX_ROOT_TEXT = 1000
+_NAME = re.compile(r"[A-Za-z0-9_]{1,100}")
 _FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 
 
@@ -114,16 +142,28 @@ class _Loader:
     def __init__(self, file: h5py.File) -> None:
         self._name = file.filename
         self._file_size = file.id.get_filesize()
-        self._budget = schema.MAX_TABLE_VALUES
+        self._left = {
+            "objects and attributes": schema.MAX_OBJECTS,
+            "values in tables": schema.MAX_TABLE_VALUES,
+            "bytes of text": schema.MAX_TEXT_BYTES,
+        }
+
+    def _spend(self, what: str, amount: int, path: str) -> None:
+        self._left[what] -= amount
+        if self._left[what] < 0:
+            raise self._refuse(path, f"is beyond the {what} that a file may hold")
 
     def group(self, handle: Any, path: str, depth: int) -> Group:
+        self._spend("objects and attributes", 1, path)
         if depth > _MAX_DEPTH:
             raise self._refuse(path, "is nested too deeply")
         if len(handle) > schema.MAX_MEMBERS:
             raise self._refuse(path, f"has {len(handle)} members, above {schema.MAX_MEMBERS}")
         found = Group(path, self._attributes(handle, path), {}, {})
         for raw, kind in self._links(handle):
-            name = raw.decode()
+            name = raw.decode("utf-8", "backslashreplace")
+            if not _NAME.fullmatch(name):
+                raise self._refuse(path, f"has the member {name!r}")
             if kind != h5py.h5l.TYPE_HARD:
                 raise self._refuse(path, f"has a link {name!r} that leads elsewhere")
             below = f"{path.rstrip('/')}/{name}"
@@ -148,54 +188,79 @@ class _Loader:
         return found
 
     def _values(self, handle: Any, path: str) -> Values:
-        kind = handle.get_type()
-        text = self._is_text(kind, path)
-        dtype = None if text else kind.dtype
-        shape = handle.shape
-        self._check(handle, path, shape, dtype)
+        self._spend("objects and attributes", 1, path)
+        kind, shape = handle.get_type(), handle.shape
+        dtype = self._dtype(kind, path)
+        self._check(handle, path, kind, dtype)
         attributes = self._attributes(handle, path)
         if is_signal(path) and dtype is not None:
             return Values(path, attributes, dtype.str, shape, None)
-        self._budget -= math.prod(shape)
-        if self._budget < 0:
-            limit = schema.MAX_TABLE_VALUES
-            raise self._refuse(path, f"is beyond the {limit} values a file may hold in tables")
         read = partial(handle.read, h5py.h5s.ALL, h5py.h5s.ALL)
+        value = self._value(read, shape, kind, dtype, path)
         if dtype is None:
-            return Values(path, attributes, "str", shape, _decoded(_read(read, shape, kind)))
-        array = np.empty(shape, dtype)
-        read(array)
-        return Values(path, attributes, dtype.str, shape, array)
+            return Values(path, attributes, "str", shape, _decoded(value))
+        return Values(path, attributes, dtype.str, shape, value)
 
     def _attributes(self, handle: Any, path: str) -> dict[str, Any]:
         names: list[bytes] = []
         h5py.h5a.iterate(handle, names.append)
         found = {}
         for name in names:
+            self._spend("objects and attributes", 1, path)
             if name in _BOOKKEEPING:
                 continue
             attribute = h5py.h5a.open(handle, name)
             shape, kind = attribute.shape, attribute.get_type()
-            if math.prod(shape) > schema.MAX_ATTRIBUTE_VALUES:
-                raise self._refuse(path, f"has an attribute {name!r} of shape {shape}")
-            if self._is_text(kind, path):
-                found[name.decode()] = _decoded(_read(attribute.read, shape, kind))
-                continue
-            array = np.empty(shape, kind.dtype)
-            attribute.read(array, kind)
-            found[name.decode()] = array.tolist()
+            where = f"{path}, attribute {name.decode('utf-8', 'backslashreplace')!r},"
+            dtype = self._dtype(kind, where)
+            if shape is None or math.prod(shape) > schema.MAX_ATTRIBUTE_VALUES:
+                raise self._refuse(where, f"has the shape {shape}")
+            value = self._value(attribute.read, shape, kind, dtype, where)
+            found[name.decode()] = _decoded(value) if dtype is None else value.tolist()
         return found
 
-    def _is_text(self, kind: Any, path: str) -> bool:
-        if not isinstance(kind, h5py.h5t.TypeStringID):
-            return False
-        if kind.is_variable_str():
-            # Such text is in a heap without checksum: HDF5 may search a damaged one for ever.
-            raise self._refuse(path, "has text of variable length")
-        return True
+    def _dtype(self, kind: Any, path: str) -> np.dtype[Any] | None:
+        """Return the type of numbers that a run file holds, None for text of fixed length.
 
-    def _check(self, handle: Any, path: str, shape: Any, dtype: np.dtype[Any] | None) -> None:
+        Any other type is refused before a value of it is read: HDF5 or h5py crash on some of them.
+        """
+        if isinstance(kind, h5py.h5t.TypeStringID):
+            if kind.is_variable_str():
+                # Such text is in a heap without checksum: HDF5 may search a damaged one for ever.
+                raise self._refuse(path, "has text of variable length")
+            return None
+        if isinstance(kind, h5py.h5t.TypeIntegerID | h5py.h5t.TypeFloatID):
+            found: np.dtype[Any] = kind.dtype
+            if found in schema.DTYPES.values():
+                return found
+            raise self._refuse(path, f"has the type {found}")
+        raise self._refuse(path, "has a type that is neither number nor text")
+
+    def _value(
+        self,
+        read: Callable[..., None],
+        shape: tuple[int, ...],
+        kind: Any,
+        dtype: np.dtype[Any] | None,
+        path: str,
+    ) -> NDArray[Any]:
+        """Read values within the budgets; given its type, h5py does not look it up again."""
+        count = math.prod(shape)
+        if dtype is None:
+            size = kind.get_size()
+            if count * size > self._file_size:
+                raise self._refuse(path, f"claims {count * size} bytes, more than this file has")
+            self._spend("bytes of text", count * size, path)
+            dtype = np.dtype(f"S{size}")
+        else:
+            self._spend("values in tables", count, path)
+        array = np.empty(shape, dtype)
+        read(array, kind)
+        return array
+
+    def _check(self, handle: Any, path: str, kind: Any, dtype: np.dtype[Any] | None) -> None:
         """Refuse a dataset that no run file holds, by its header; dtype is None for text."""
+        shape = handle.shape
         if shape is None or math.prod(shape) > schema.MAX_SAMPLES:
             raise self._refuse(path, f"claims shape {shape}, above {schema.MAX_SAMPLES} values")
         plist = handle.get_create_plist()
@@ -205,18 +270,18 @@ class _Loader:
         for index in range(plist.get_nfilters()):
             if plist.get_filter(index)[0] not in _FILTERS:
                 raise self._refuse(path, f"uses the filter {plist.get_filter(index)[3]!r}")
-        if dtype is None:
-            if shape != ():
-                raise self._refuse(path, f"is an array of texts, {shape}")
-            return
-        if dtype not in schema.DTYPES.values():
-            raise self._refuse(path, f"has the type {dtype}")
-        chunk = math.prod(plist.get_chunk()) if layout == h5py.h5d.CHUNKED else 0
-        if chunk * dtype.itemsize > schema.MAX_CHUNK_BYTES:
+        if dtype is None and shape != ():
+            raise self._refuse(path, f"is an array of texts, {shape}")
+        size = kind.get_size()
+        chunk = size * math.prod(plist.get_chunk()) if layout == h5py.h5d.CHUNKED else 0
+        if chunk > schema.MAX_CHUNK_BYTES:
             raise self._refuse(path, f"has chunks above {schema.MAX_CHUNK_BYTES} bytes")
-        # At most what deflate can unpack from the whole file, plus a partly empty last chunk.
-        most = schema.MAX_COMPRESSION * self._file_size + chunk * dtype.itemsize
-        if math.prod(shape) * dtype.itemsize > most:
+        # What was never written costs nothing in the file. At most there is what deflate can
+        # unpack from what was, plus a partly empty last chunk.
+        claimed = math.prod(shape) * size
+        if claimed <= max(chunk, self._file_size):
+            return
+        if claimed > schema.MAX_COMPRESSION * handle.get_storage_size() + chunk:
             raise self._refuse(path, f"claims shape {shape}, more than this file can hold")
 
     def _refuse(self, path: str, why: str) -> RunFileError:
@@ -224,13 +289,6 @@ class _Loader:
             f"{self._name}: {path} {why}: no run file of rigtool has that; the file is damaged or "
             "comes from elsewhere: restore it from a copy, or make it anew"
         )
-
-
-def _read(read: Callable[..., None], shape: tuple[int, ...], kind: Any) -> NDArray[np.bytes_]:
-    """Read text of a fixed length; given its type, h5py does not look it up again."""
-    array = np.empty(shape, f"S{kind.get_size()}")
-    read(array, kind)
-    return array
 
 
 def _decoded(array: NDArray[Any]) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,47 +34,62 @@ def verify(path: str | os.PathLike[str]) -> list[ChainLink]:
     holds if the input is still there (where it was, or beside the file) with the bytes it had; an
     input that was made anew with the same content holds too, with a remark.
     """
-    return list(_follow(Path(path), 0, None, None, set()))
+    links: list[ChainLink] = []
+    followed: set[Path] = set()
+    waiting = [_Expected(Path(path))]  # explicit: a chain may be deeper than Python's stack
+    while waiting:
+        item = waiting.pop()
+        link, origin = _check(item)
+        links.append(link)
+        # Most runs share a calibration, whose inputs are listed once. This also ends the loop of a
+        # file that names itself.
+        if origin is None or (name := link.path.resolve()) in followed:
+            continue
+        followed.add(name)
+        beside, depth = link.path.parent, item.depth + 1
+        if origin["source"] is not None:
+            links.append(_source(Path(origin["source"]), beside, depth, origin["source_sha256"]))
+        waiting += [
+            _Expected(Path(noted["path"]), depth, noted, beside)
+            for noted in reversed(origin["inputs"])
+        ]
+    return links
 
 
-def _follow(
-    path: Path,
-    depth: int,
-    expected: dict[str, Any] | None,
-    beside: Path | None,
-    followed: set[Path],
-) -> Iterator[ChainLink]:
-    command = "" if expected is None else expected["command"]
-    found = _find(path, beside)
+@dataclass(frozen=True)
+class _Expected:
+    """A file to check: what the run that was made from it noted, and the folder of that run."""
+
+    path: Path
+    depth: int = 0
+    noted: dict[str, Any] | None = None
+    beside: Path | None = None
+
+
+def _check(item: _Expected) -> tuple[ChainLink, dict[str, Any] | None]:
+    """Return a link, and the provenance of the run, None where it is not readable."""
+    command = "" if item.noted is None else item.noted["command"]
+    found = _find(item.path, item.beside)
     if found is None:
-        yield ChainLink(path, depth, command, "is not there, nor beside the file made from it")
-        return
+        missing = "is not there, nor beside the file made from it"
+        return ChainLink(item.path, item.depth, command, missing), None
     try:
         with open_run(found) as run:
             problem = _damage(run)
             remark = None
-            if problem is None and expected is not None:
-                problem, remark = _compare(found, run, expected)
-            yield ChainLink(found, depth, run.command, problem, remark)
-            inputs, origin = run.provenance["inputs"], run.provenance
+            if problem is None and item.noted is not None:
+                problem, remark = _compare(found, run, item.noted)
+            return ChainLink(found, item.depth, run.command, problem, remark), run.provenance
     except RigtoolError as error:
-        yield ChainLink(found, depth, command, str(error).removeprefix(f"{found}: "))
-        return
-    # Most runs share a calibration, whose inputs are listed once. This also ends the loop of a
-    # file that names itself.
-    if found.resolve() in followed:
-        return
-    followed.add(found.resolve())
-    if origin["source"] is not None:
-        yield _source(Path(origin["source"]), found.parent, depth + 1, origin["source_sha256"])
-    for item in inputs:
-        yield from _follow(Path(item["path"]), depth + 1, item, found.parent, followed)
+        problem = str(error).removeprefix(f"{found}: ")
+        return ChainLink(found, item.depth, command, problem), None
 
 
 def _find(path: Path, beside: Path | None) -> Path | None:
     """Return where a file is: at its path, or where the file made from it is."""
     places = [path] if beside is None else [path, beside / path.name]
-    return next((place for place in places if place.exists()), path if beside is None else None)
+    # Not Path.exists, which raises for names that the system does not admit.
+    return next((place for place in places if os.path.exists(place)), None if beside else path)
 
 
 def _source(path: Path, beside: Path, depth: int, sha256: str) -> ChainLink:
@@ -83,9 +97,12 @@ def _source(path: Path, beside: Path, depth: int, sha256: str) -> ChainLink:
     found = _find(path, beside)
     if found is None:
         return ChainLink(path, depth, "source", remark="is not there any more")
-    if provenance.file_sha256(found) != sha256:
-        return ChainLink(found, depth, "source", "is another file than the one that was imported")
-    return ChainLink(found, depth, "source")
+    try:
+        same = provenance.file_sha256(found) == sha256
+    except RigtoolError as error:
+        return ChainLink(found, depth, "source", str(error).removeprefix(f"{found}: "))
+    problem = None if same else "is another file than the one that was imported"
+    return ChainLink(found, depth, "source", problem)
 
 
 def _damage(run: Run) -> str | None:

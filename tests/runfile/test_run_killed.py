@@ -314,7 +314,7 @@ def test_what_cannot_be_recovered(tmp_path):
     path = write(tmp_path / "run.h5", size=10)
     with pytest.raises(RunFileError, match="is a finished run"):
         recover(path, tmp_path / "b.h5")
-    with pytest.raises(UsageError, match="with -o"):
+    with pytest.raises(UsageError, match="by -o"):
         recover(path)
     with pytest.raises(RunFileError, match="no such file"):
         recover(tmp_path / "run.h5.part", overwrite=True)
