@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
+from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.implementations import signals as common
-from rigtool.experiments.learning.implementations import turning
-from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
@@ -78,12 +78,12 @@ def left_over(run: Run, kt: Run) -> dict[str, dict[float, float]]:
     """Return what each way leaves by speed, N m rms: `nothing`, `bins`, `harmonics`, `B`."""
     recipe = run.recipe
     assert recipe is not None
-    learning, constant = design(recipe).learning, torque_per_ampere(kt).value
+    learning, constant = design_filters(recipe).learning, torque_per_ampere(kt).value
     counts = recipe.rig.encoder_counts
 
     def rows(kind: str) -> list[Row]:
-        items = (turning.turned(r, recipe, constant) for r in common.found(run, kind))
-        return [turning.learned_by(item, learning, counts, first=True) for item in items]
+        items = (bare_motor.turned(r, recipe, constant) for r in common.found(run, kind))
+        return [bare_motor.learned_by(item, learning, counts, first=True) for item in items]
 
     taught, judged = [], []
     for row in rows("learn"):

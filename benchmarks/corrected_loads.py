@@ -20,11 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rigtool.experiments.force import procedure as measure_force
-from rigtool.experiments.learning import procedure as ilc_learn
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.session import run_command
-from rigtool.experiments.torque_constant import procedure as calibrate_kt
+from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.runfile import open_run
 
 RECIPE = Path(__file__).parents[1] / "recipes" / "briaire-2006.toml"
@@ -64,18 +65,18 @@ def measured(rig: str, seed: int) -> list[Row]:
 def _measured(rig: str, seed: int, folder: Path) -> Iterator[Row]:
     kt, tables, force = (folder / name for name in ("kt.h5", "tables.h5", "force.h5"))
 
-    def run(module: object, output: Path, *overrides: str, **inputs: Path) -> None:
+    def run(procedure: Procedure, output: Path, *overrides: str, **inputs: Path) -> None:
         options = CommonOptions(overwrite=True, seed=seed, overrides=(*RIGS[rig], *overrides))
         with ExitStack() as stack:
             runs = {name: stack.enter_context(open_run(path)) for name, path in inputs.items()}
-            run_command(module, [str(RECIPE)], str(output), options=options, inputs=runs)
+            run_command(procedure, [str(RECIPE)], str(output), options=options, inputs=runs)
 
-    run(calibrate_kt, kt)
-    run(ilc_learn, tables, "ilc_learn.implementation=D", kt=kt)
+    run(CALIBRATE_KT, kt)
+    run(ILC_LEARN, tables, "ilc_learn.implementation=D", kt=kt)
     for name, warm in ((rig, ()), ("15 K warmer", (WARM,)))[: 2 if rig == "thesis" else 1]:
         for speed in SPEEDS:
             settings = ("measure_force.correction=full", f"measure_force.speed_rev_per_s={speed}")
-            run(measure_force, force, *settings, *warm, kt=kt, tables=tables)
+            run(MEASURE_FORCE, force, *settings, *warm, kt=kt, tables=tables)
             with open_run(force) as stored:
                 loads = stored.table("loads")
                 applied = loads["applied_torque"][1:]

@@ -21,11 +21,11 @@ TURNS, RATE_HZ = 20, 8000
 
 def one_table() -> Callable[[], object]:
     """Return what learns a row from 20 turns at 1 rev/s and 8 kHz."""
-    from rigtool.experiments.learning.procedure_design import design
+    from rigtool.experiments.learning.procedure_design import design_filters
     from rigtool.experiments.learning.turns import cut_turns, learned_row, repeatable_row
     from rigtool.recipe import load_recipe
 
-    learning = design(load_recipe(RECIPE, ["rig.attachment=pulley"])[0]).learning
+    learning = design_filters(load_recipe(RECIPE, ["rig.attachment=pulley"])[0]).learning
     speed = 2 * math.pi
     step = np.arange(TURNS * RATE_HZ + 10)
     time_s, angle = step / RATE_HZ, step / RATE_HZ * speed

@@ -1,31 +1,26 @@
-"""The worked examples of docs/extending.md, put into a copy of the package and run."""
+"""The worked examples of docs/extending.md: put into a copy of rigtool, or installed, and run."""
 
+import os
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+import rigtool
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
-LISTS = {
-    "Driver": ("rigtool/recipe/serial.py", "Driver = Literal[", ""),
-    "MODULES": ("rigtool/rigs/serial/drivers.py", "MODULES = {\n", ""),
-    "COMMANDS": ("rigtool/cli/__init__.py", "COMMANDS = {\n", ""),
-    "SELF_DESCRIBED": (
-        "rigtool/runfile/importers/__init__.py",
-        "SELF_DESCRIBED = (",
-        "from rigtool.runfile.importers.logger import is_logger, read_logger\n",
-    ),
-}
-"""Where a line goes: the file, what it follows, and the import that it needs."""
+INTO = {"COMMANDS": ("rigtool/cli/__init__.py", "COMMANDS = {\n")}
+"""Where a line goes: the file, and what it follows."""
 
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory):
-    """Return a copy of the package with all examples in it, and the lines to type."""
+    """Return a folder with a copy of rigtool, all examples in it, and the lines to type."""
     root = tmp_path_factory.mktemp("extended")
     for folder in ("rigtool", "recipes"):
         shutil.copytree(ROOT / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__"))
@@ -46,30 +41,78 @@ def copy(tmp_path_factory):
 
 
 def insert(root, name, text):
-    file, behind, needed = LISTS[name]
-    path = root / file
-    source = path.read_text()
+    file, behind = INTO[name]
+    source = (root / file).read_text()
     assert source.count(behind) == 1
-    future = "from __future__ import annotations\n"
-    source = source.replace(behind, f"{behind}{text}").replace(future, f"{future}{needed}", 1)
-    path.write_text(source)
+    (root / file).write_text(source.replace(behind, f"{behind}{text}"))
+
+
+@pytest.fixture(scope="module")
+def installed(copy):
+    """Install the packages, and return what the lines between printed, by line."""
+    root, lines = copy
+    printed = {}
+    for line in lines:
+        name, *arguments = line.split()
+        if name == "pip":
+            assert arguments[0] == "install"
+            options = ("--no-deps", "--no-build-isolation", "--disable-pip-version-check")
+            command = ["-m", "pip", "install", "-q", *options, "--target", "site", *arguments[1:]]
+            command = ["-W", "default", *command]  # pip's own
+        else:
+            assert name == "rigtool"
+            command = ["-m", "rigtool", *arguments]
+        done = run(root, *command)
+        assert done.returncode == 0, (line, done.stderr)
+        printed[line] = done.stdout
+    return root, printed
 
 
 def run(root, *arguments):
     return subprocess.run(
-        [sys.executable, "-W", "error", *arguments], cwd=root, capture_output=True, text=True
+        [sys.executable, "-W", "error", *arguments],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": "site"},
     )
 
 
-def test_the_lines_run(copy):
-    root, lines = copy
-    assert len(lines) >= 3
-    for line in lines:
-        name, *arguments = line.split()
-        assert name == "rigtool"
-        done = run(root, "-m", "rigtool", *arguments)
-        assert done.returncode == 0, (line, done.stderr)
-        assert done.stdout or "-o" in arguments, line
+def test_the_lines_run(installed):
+    _, printed = installed
+    assert len(printed) >= 5
+    for line, text in printed.items():
+        assert text or "-o" in line or line.startswith("pip"), line
+
+
+def test_what_is_installed_is_listed_in_the_help(installed):
+    root, _ = installed
+    text = run(root, "-m", "rigtool", "--help").stdout
+    assert "rms" in text
+    assert "Show the effective value of each signal. [rigtool-rms]" in text
+
+
+def test_an_installed_command_shows_what_it_measured(installed):
+    root, printed = installed
+    with rigtool.open(root / "kt.h5") as kt:
+        force = kt.recordings["staircase"].read("force")
+    rms = float(np.sqrt(np.mean(force**2)))
+    assert f"staircase  force  {rms:.4g} N\n" in printed["rigtool rms kt.h5"]
+
+
+def test_an_installed_driver_is_among_those_that_are_asked(installed):
+    root, _ = installed
+    refused = run(root, "-m", "rigtool", "devices", "loop://", "--driver", "nobody")
+    assert refused.returncode == 2
+    assert ", acme," in refused.stderr
+
+
+def test_an_installed_importer_reads_its_format(installed):
+    root, _ = installed
+    with rigtool.open(root / "run07.h5") as run07:
+        recording = run07.recordings["imported"]
+        np.testing.assert_allclose(recording.read("time"), [0, 5e-4, 1e-3], rtol=1e-12)
+        np.testing.assert_allclose(recording.read("current"), [0.118, 0.121, 0.119], rtol=1e-12)
 
 
 def test_the_example_says_what_it_measured(copy):
@@ -80,8 +123,8 @@ def test_the_example_says_what_it_measured(copy):
     assert "must be above 0" in refused.stderr
 
 
-def test_the_importer_names_the_bad_line(copy):
-    root, _ = copy
+def test_the_importer_names_the_bad_line(installed):
+    root, _ = installed
     bad = (root / "run07.log").read_text().replace("i_ma=121", "i_ma=oops")
     (root / "bad.log").write_text(bad)
     refused = run(root, "-m", "rigtool", "import", "bad.log", "-o", "bad.h5")
@@ -89,14 +132,18 @@ def test_the_importer_names_the_bad_line(copy):
     assert "line 3" in refused.stderr
 
 
-def test_their_own_tests_pass(copy):
-    done = run(copy[0], "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
+def test_their_own_tests_pass(installed):
+    root, _ = installed
+    folders = ["tests", *(str(path) for path in root.glob("rigtool-*/tests"))]
+    done = run(root, "-m", "pytest", "-q", "-p", "no:cacheprovider", *folders)
     assert done.returncode == 0, done.stdout
 
 
 def test_they_are_in_the_house_style(copy):
-    files = [str(p) for p in copy[0].rglob("*.py") if not (ROOT / p.relative_to(copy[0])).exists()]
+    root, _ = copy
+    files = [path.relative_to(root) for path in root.rglob("*.py")]
+    files = [str(path) for path in files if not (ROOT / path).exists() and path.parts[0] != "site"]
     assert len(files) >= 4
     for tool in (["check"], ["format", "--check"]):
-        done = run(copy[0], "-m", "ruff", *tool, "--no-cache", *files)
+        done = run(root, "-m", "ruff", *tool, "--no-cache", *files)
         assert done.returncode == 0, done.stdout + done.stderr

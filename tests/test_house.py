@@ -10,6 +10,7 @@ from tests.house import MODULES, NUMERICS, PACKAGE, TESTS, place
 
 FLOORS = (
     "cli",
+    "api",
     "report",
     "experiments",
     "rigs",
@@ -17,8 +18,10 @@ FLOORS = (
     "control",
     "numerics",
     "recipe",
+    "plugins",
     "quantity",
     "errors",
+    "interrupts",
 )
 """From the top; a module imports from its own floor and from those below."""
 

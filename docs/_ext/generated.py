@@ -137,28 +137,34 @@ def _default(field: FieldInfo) -> str:
 
 # -- modules
 
-ROOMS = {
-    "numerics": "Methods that know no experiment: arrays in, frozen dataclasses out.",
-    "control": "The position loop as a model, and the table that is fed forward in it.",
-    "runfile": "HDF5: writer, reader, provenance, recovery, importers, exports.",
-    "rigs": "Where signals come from.",
-    "experiments": "A room an experiment: procedure, numerics, results.",
-    "report": "Tables, figures, one page.",
-}
+PACKAGE = Path(rigtool_package.__file__).parent
+FLOORS = ("numerics", "control", "runfile", "rigs", "experiments", "report", "api")
 """Folders of the package that others program against, from the bottom up."""
 
 
-def room_page(room: str) -> str:
-    """Return what is public in a folder of the package, with docstrings as they stand."""
-    package = Path(rigtool_package.__file__).parent
-    lines = [f"# rigtool.{room}", "", ROOMS[room], ""]
-    for path in sorted((package / room).rglob("*.py")):
+def rooms() -> list[Path]:
+    """Return the package, then the floors with every folder in them: a page each."""
+    inside = (sorted((PACKAGE / floor).rglob("__init__.py")) for floor in FLOORS)
+    return [PACKAGE, *(path.parent for floor in inside for path in floor)]
+
+
+def room_name(room: Path) -> str:
+    """Return the name by which a folder of the package is imported."""
+    return ".".join(("rigtool", *room.relative_to(PACKAGE).parts))
+
+
+def room_page(room: Path) -> str:
+    """Return what is public in the files of a folder, with docstrings as they stand."""
+    lines = [f"# {room_name(room)}", ""]
+    for path in sorted(room.glob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        name = ".".join(("rigtool", *path.relative_to(package).with_suffix("").parts))
-        lines += [f"## {name.removesuffix('.__init__')}", "", *_quoted(tree)]
+        if path.name != "__init__.py":
+            lines += [f"## {room_name(room)}.{path.stem}", ""]
+        lines += _quoted(ast.get_docstring(tree))
         for node in tree.body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
-                lines += [f"```python\n{_signature(node)}\n```", "", *_quoted(node)]
+                signature = f"```python\n{_signature(node)}\n```"
+                lines += [signature, "", *_quoted(ast.get_docstring(node))]
     return "\n".join(lines)
 
 
@@ -177,26 +183,29 @@ def _signature(node: ast.FunctionDef | ast.ClassDef) -> str:
     return "\n".join(lines)
 
 
-def _quoted(node: ast.Module | ast.FunctionDef | ast.ClassDef) -> list[str]:
-    text = ast.get_docstring(node)
+def _quoted(text: str | None) -> list[str]:
     return ["```text", text, "```", ""] if text else []
 
 
 def room_list() -> str:
     """Return the page that lists the folders."""
-    rows = [f"| [rigtool.{room}]({room}.md) | {what} |" for room, what in ROOMS.items()]
+    rows = []
+    for room in rooms():
+        tree = ast.parse((room / "__init__.py").read_text(encoding="utf-8"))
+        what = (ast.get_docstring(tree) or "").partition("\n")[0]
+        rows.append(f"| [{room_name(room)}]({room_name(room)}.md) | {what} |")
     return "\n".join(
         [
             "# Modules",
             "",
             "What is public, with the equations and sources in its docstrings. Imports point down: "
-            "`analysis` knows no file, no recipe and no command.",
+            "`numerics` knows no file, no recipe and no command.",
             "",
             "| folder | what it holds |",
             "| --- | --- |",
             *rows,
             "",
-            "```{toctree}\n:hidden:\n\n" + "\n".join(ROOMS) + "\n```",
+            "```{toctree}\n:hidden:\n\n" + "\n".join(map(room_name, rooms())) + "\n```",
             "",
         ]
     )
@@ -210,7 +219,7 @@ def write(folder: Path) -> None:
     pages = {f"commands/{name}.md": command_page(name) for name in COMMANDS}
     pages["commands/index.md"] = command_list()
     pages["recipes.md"] = recipes_page()
-    pages |= {f"modules/{room}.md": room_page(room) for room in ROOMS}
+    pages |= {f"modules/{room_name(room)}.md": room_page(room) for room in rooms()}
     pages["modules/index.md"] = room_list()
     for name, text in pages.items():
         path = folder / name

@@ -5,23 +5,25 @@ from __future__ import annotations
 import importlib
 import keyword
 import os
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
-from types import FrameType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from rigtool.errors import RigtoolError
+from rigtool.interrupts import Terminated, handled
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """For numpy and scipy, which are imported later. Their matrices are small here: more threads would
-only wait in a busy loop, and round differently on another number of cores."""
+only wait in busy loops, and rounding would depend on the number of cores."""
 
 BLOCK_BYTES = 32 * 2**20
-"""What is smaller is a block of samples, and its memory is soon needed again: glibc's limit."""
+"""glibc keeps freed memory of at most this size: a block of samples, soon needed again."""
 
 COMMANDS = {
     "recipe": "Copy a recipe that comes with rigtool, to change it.",
@@ -34,17 +36,20 @@ COMMANDS = {
     "deploy": "Store a learned table in the drive, which then adds it by itself.",
     "suspension": "Measure the motor's leaf springs; compute what eccentric pulleys do.",
     "report": "Write tables, figures and one page from any run files.",
-    "import": "Make run files of measured data from other rigs.",
-    "info": "Show what a run file holds.",
+    "import": "Make run files from data that other programs recorded.",
+    "info": "Show the contents of a run file.",
     "target-emulator": "Serve the virtual rig of a recipe over the host-target link.",
-    "devices": "List serial ports and say what answers on them.",
-    "recover": "Make a run file of what an interrupted run left.",
-    "verify": "Check run files and all they were made from.",
-    "diff": "Say what two runs disagree on.",
+    "devices": "List serial ports and the devices that answer on them.",
+    "recover": "Make a run file from the remains of an interrupted run.",
+    "verify": "Check run files and everything they were made from.",
+    "diff": "Show where two runs differ.",
     "export": "Write a run, or a learned table, for other programs.",
 }
 """Commands in the order of use, each with the first line of its help. The command itself is the
-object `command` of the module that `module_name` tells."""
+object `command` in the module that `module_name` names."""
+
+PLUGINS = "rigtool.commands"
+"""Group of the entry points with which other packages add commands: each a `click.Command`."""
 
 
 def module_name(command: str) -> str:
@@ -53,29 +58,45 @@ def module_name(command: str) -> str:
     return f"{name}_" if keyword.iskeyword(name) else name
 
 
-class Terminated(BaseException):
-    """SIGTERM arrived: files are closed on the way out, as with Ctrl-C."""
-
-
 class LazyGroup(click.Group):
     """Lists commands without importing them: `rigtool --help` needs click only."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names in the order of use."""
-        return list(COMMANDS)
+        """Return the names in the order of use, then those of other packages."""
+        return [*COMMANDS, *_added()]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return a command, None where there is none of this name."""
-        if cmd_name not in COMMANDS:
+        """Import and return a command, None where there is none of this name.
+
+        Raises `RigtoolError` for a command of another package that cannot be used.
+        """
+        if cmd_name in COMMANDS:
+            module = importlib.import_module(f"rigtool.cli.{module_name(cmd_name)}")
+            command: click.Command = module.command
+            return command
+        added = _added()
+        if cmd_name not in added:
             return None
-        module = importlib.import_module(f"rigtool.cli.{module_name(cmd_name)}")
-        command: click.Command = module.command
-        return command
+        from rigtool.plugins import load
+
+        return load(added[cmd_name], click.Command)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands into the help."""
+        from rigtool.plugins import summary
+
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
+        if added := {name: summary(entry) for name, entry in _added().items()}:
+            with formatter.section("Commands of other packages"):
+                formatter.write_dl(list(added.items()))
+
+
+def _added() -> dict[str, EntryPoint]:
+    """Return the commands of other packages by name; those of rigtool cannot be replaced."""
+    from rigtool.plugins import plugins
+
+    return plugins(PLUGINS, frozenset(COMMANDS))
 
 
 @click.group(
@@ -100,11 +121,9 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code; errors become messages on stderr."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     _keep_memory_of_blocks()
-    signal.signal(signal.SIGTERM, _terminate)
-    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        signal.signal(signal.SIGHUP, _terminate)  # the terminal was closed; nohup ignores it
     try:
-        code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False)
+        with handled():
+            code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False)
     except BaseException as error:
         if "--debug" in arguments:
             traceback.print_exc()
@@ -113,10 +132,10 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def _keep_memory_of_blocks() -> None:
-    """Let the C library keep the memory of a block of samples for the next one.
+    """Let the C library keep the memory of a block of samples for the next block.
 
-    glibc would give each back to the kernel and fetch it again page by page, which takes a tenth
-    of the time of an analysis. Other C libraries stay as they are.
+    By default glibc returns each block to the kernel and fetches it again page by page, which takes
+    a tenth of the time of an analysis. Other C libraries are left alone.
     """
     import ctypes
 
@@ -130,7 +149,7 @@ def _keep_memory_of_blocks() -> None:
 
 
 def _report(error: BaseException) -> int:
-    """Say on stderr what went wrong; return the exit code."""
+    """Write an error to stderr; return the exit code."""
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
     if isinstance(error, click.ClickException):
@@ -154,7 +173,3 @@ def _say(error: BaseException, message: str, code: int) -> int:
     for line in (message, *getattr(error, "__notes__", ())):
         click.echo(line, err=True)
     return code
-
-
-def _terminate(signum: int, frame: FrameType | None) -> None:
-    raise Terminated

@@ -1,10 +1,10 @@
-"""rigtool calibrate-kt."""
+"""`rigtool calibrate-kt`: the torque constant."""
 
 from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import common_options, example, source_arguments
+from rigtool.cli.options import common_options, example, run_and_print, source_arguments
 from rigtool.experiments.options import CommonOptions
 
 
@@ -17,13 +17,10 @@ def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> No
     """Find the torque constant against temperature.
 
     SOURCE is a recipe (measure staircases of current against a force gauge, then analyse) or run
-    files of this command (analyse their signals again, pooled). Reported are the amplifier's
-    linearity, the torque constant at 20 degC, its temperature coefficient, and what one constant
-    value costs over the reference range.
+    files of this command (analyse their signals again, pooled). Reports the amplifier's linearity,
+    the torque constant at 20 degC, its temperature coefficient, and the error of using one value
+    over the reference range of temperature.
     """
-    from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.session import run_command
-    from rigtool.experiments.torque_constant import procedure as calibrate_kt
+    from rigtool.experiments.torque_constant.procedure import PROCEDURE
 
-    outcome = run_command(calibrate_kt, sources, output, options=options, inputs={})
-    print_outcome(outcome, output, options)
+    run_and_print(PROCEDURE, sources, output, options)

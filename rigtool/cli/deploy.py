@@ -15,10 +15,10 @@ from rigtool.cli.options import debug_option, example, open_inputs, quiet_option
 )
 @click.argument("tables", metavar="TABLES.h5")
 @click.option("--rig", "rig", required=True, metavar="RECIPE.toml", help="Recipe with the drive.")
-@click.option("--speed", type=float, help="Which of the learned speeds, of the motor, rad/s.")
+@click.option("--speed", type=float, help="One of the learned motor speeds, rad/s.")
 @run_option("--kt", "Run of calibrate-kt: torque to current.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change the recipe.")
-@click.option("--dry-run", is_flag=True, help="Say what would be stored, and change nothing.")
+@click.option("--dry-run", is_flag=True, help="Show what would be stored; change nothing.")
 @click.option("--yes", is_flag=True, help="Store without asking first.")
 @click.option("--spy", metavar="FILE", help="Write every byte on the serial line.")
 @quiet_option
@@ -36,22 +36,29 @@ def command(
 ) -> None:
     """Store a learned table in the drive, which then adds it by itself.
 
-    For drives that keep a table of the turn: moteus. The table has to be periodic (ilc-learn
-    --implementation A or B), of one speed, and of this rig. It is read back and compared, in memory
-    and from flash; if anything fails, the table that was there is brought back. Nothing moves.
+    For drives that keep a table of the turn: moteus. The table must be periodic (ilc-learn
+    --implementation A or B), of one speed, and of this rig. The stored table is read back and
+    compared, in memory and from flash; if anything fails, the previous table is restored. Nothing
+    moves.
 
-    The drive adds it in position mode only. Its settings are written to its flash all together: a
-    setting that was tried out and not kept is kept then.
+    The drive adds the table in position mode only. It writes all of its settings to flash together:
+    settings that were changed in memory only become permanent.
     """
     from rigtool.experiments.deploy.procedure import deploy
     from rigtool.recipe import load_recipe
-    from rigtool.rigs.bench import Bench
+    from rigtool.rigs.operator import Operator
     from rigtool.runfile import open_run
 
     recipe, _ = load_recipe(rig, overrides)
     with open_run(tables) as run, open_inputs(kt=kt) as inputs:
-        bench = Bench(yes=yes, spy=spy)
-        done = deploy(run, recipe, speed=speed, kt=inputs.get("kt"), dry_run=dry_run, bench=bench)
+        done = deploy(
+            run,
+            recipe,
+            speed=speed,
+            kt=inputs.get("kt"),
+            dry_run=dry_run,
+            operator=Operator(yes=yes, spy=spy),
+        )
     if quiet:
         return
     for line in done.lines:

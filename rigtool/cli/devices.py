@@ -1,4 +1,4 @@
-"""`rigtool devices`: which serial ports there are, and what answers on them."""
+"""`rigtool devices`: serial ports and the devices that answer on them."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from rigtool.cli.options import debug_option, example, json_option
 
 @click.command(epilog=example("rigtool devices", "rigtool devices /dev/ttyACM0 --json"))
 @click.argument("ports", metavar="[PORT]...", nargs=-1)
-@click.option("--driver", "drivers", multiple=True, help="Ask for this kind of device only.")
+@click.option("--driver", "drivers", multiple=True, help="Query for this kind of device only.")
 @json_option
 @debug_option
 def command(ports: tuple[str, ...], drivers: tuple[str, ...], as_json: bool) -> None:
-    """List serial ports and say what answers on them.
+    """List serial ports and the devices that answer on them.
 
-    Asks on all ports of this computer, or on those given (any URL of pyserial). Nothing moves and
-    nothing is changed; but a device that takes every byte for a command may be disturbed by
-    questions that are not for it: name its port's driver then.
+    Queries all ports of this computer, or those given (any URL of pyserial). Nothing moves and no
+    setting changes. A device that takes every byte for a command may be disturbed by queries for
+    other devices: name the driver of its port then.
     """
     import json
     from dataclasses import asdict

@@ -1,4 +1,4 @@
-"""`rigtool diff`: what two runs disagree on."""
+"""`rigtool diff`: differences between two runs."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from rigtool.cli.options import debug_option, example
 @click.argument("first", metavar="RUN.h5")
 @click.argument("second", metavar="RUN.h5")
 @click.option("--rtol", type=click.FloatRange(min=0), default=0.0, help="Relative tolerance.")
-@click.option("--atol", type=click.FloatRange(min=0), default=0.0, help="Absolute one, SI.")
+@click.option("--atol", type=click.FloatRange(min=0), default=0.0, help="Absolute tolerance, SI.")
 @debug_option
 @click.pass_context
 def command(ctx: click.Context, first: str, second: str, rtol: float, atol: float) -> None:
-    """Say what two runs disagree on.
+    """Show where two runs differ.
 
-    Compares results, tables and signals; provenance and remarks are left out. Values agree where
-    they differ by at most atol + rtol * the larger one. Exit code 1 if anything differs.
+    Compares results, tables and signals, but not provenance and notes. Values agree if they differ
+    by at most atol + rtol * the larger one. Exit code 1 if anything differs.
     """
     from rigtool.runfile import open_run
     from rigtool.runfile.comparison import Tolerance, differences

@@ -1,4 +1,4 @@
-"""`rigtool export`: a run for those who want a table."""
+"""`rigtool export`: a run, or a learned table, in formats of other programs."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ from rigtool.cli.options import debug_option, example, open_inputs, run_option
 @click.option(
     "-o", "--output", required=True, metavar="FILE", help=".csv, .parquet, .mat, .nc, .h, .json."
 )
-@click.option("--part", metavar="NAME", help="Of a table: results, recordings/NAME or tables/NAME.")
+@click.option(
+    "--part", metavar="NAME", help="For .csv, .parquet: results, recordings/NAME or tables/NAME."
+)
 @click.option(
     "--format",
     "wanted",
     type=click.Choice(["c", "c-int16", "table", "moteus", "odrive", "fourier"]),
-    help="Of a learned table, where the ending of FILE does not say it.",
+    help="Format of a learned table, where the suffix of FILE does not determine it.",
 )
-@click.option("--speed", type=float, help="For moteus, odrive, fourier: of the motor, rad/s.")
+@click.option("--speed", type=float, help="For moteus, odrive, fourier: speed of the motor, rad/s.")
 @run_option("--kt", "For moteus and odrive: run of calibrate-kt, current to torque.")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @debug_option
@@ -43,15 +45,16 @@ def command(
 ) -> None:
     """Write a run, or a learned table, for other programs.
 
-    CSV, Parquet, MATLAB, netCDF; for tables also a C header and what drives take.
+    CSV, Parquet, MATLAB, netCDF; for learned tables also a C header and formats of drives.
 
-    A .csv holds one part of the run, units in its head; so does a .parquet, units in its metadata
-    (it needs pyarrow: pip install rigtool[parquet]). .mat and .nc hold all of it.
+    A .csv holds one part of the run, with units in its header; a .parquet holds one part, with
+    units in its metadata (needs pyarrow: pip install rigtool[parquet]). A .mat or .nc holds the
+    whole run.
 
     A learned table (of ilc-learn) becomes a C header with its interpolation (.h; --format c-int16
-    for half the size), a .csv or .json, or with --format: moteus, the 1024 codes of that drive's
-    cogging table (.cfg); odrive, 3600 values of the turn; fourier, the orders that stand out of
-    the noise; table, a .mat of the table alone. What is lost by fewer digits is told.
+    for half the size), a .csv or .json, or by --format: moteus, the 1024 codes of that drive's
+    cogging table (.cfg); odrive, 3600 values of the turn; fourier, the orders above the noise;
+    table, a .mat of the table alone. The loss by rounding is reported.
     """
     from rigtool.experiments.deploy.stored_export import chosen_format, export_table
     from rigtool.runfile import open_run

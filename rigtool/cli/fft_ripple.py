@@ -6,13 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigtool.cli.options import (
-    common_options,
-    example,
-    open_inputs,
-    run_option,
-    source_arguments,
-)
+from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
 
 if TYPE_CHECKING:
     from rigtool.experiments.options import CommonOptions
@@ -25,19 +19,16 @@ if TYPE_CHECKING:
     )
 )
 @source_arguments
-@run_option("--kt", "Run of calibrate-kt: current to torque; needed but for imported runs.")
+@run_option("--kt", "Run of calibrate-kt: current to torque; not needed for imported runs.")
 @common_options
 def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:
     """Measure torque ripple by order of rotation, speed and torque.
 
     Turns the bare motor steadily at each speed, under each constant torque and after restarts of
-    the amplifier; separates what repeats from what does not. Thesis section 7.1.3. Imported runs
-    are grouped by their conditions, and compared by order; imported maps with each other.
+    the amplifier; separates ripple that repeats from ripple that does not. Thesis section 7.1.3.
+    Imported runs are grouped by their conditions and compared by order; imported maps are compared
+    with each other.
     """
-    from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.ripple import procedure as fft_ripple
-    from rigtool.experiments.session import run_command
+    from rigtool.experiments.ripple.procedure import PROCEDURE
 
-    with open_inputs(kt=kt) as inputs:
-        outcome = run_command(fft_ripple, sources, output, options=options, inputs=inputs)
-    print_outcome(outcome, output, options)
+    run_and_print(PROCEDURE, sources, output, options, kt=kt)

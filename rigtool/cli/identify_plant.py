@@ -6,13 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigtool.cli.options import (
-    common_options,
-    example,
-    open_inputs,
-    run_option,
-    source_arguments,
-)
+from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
 
 if TYPE_CHECKING:
     from rigtool.experiments.options import CommonOptions
@@ -27,19 +21,15 @@ if TYPE_CHECKING:
     ),
 )
 @source_arguments
-@run_option("--kt", "Run of calibrate-kt: without it torques rest on the data sheet.")
+@run_option("--kt", "Run of calibrate-kt; without it the data sheet's torque constant is used.")
 @common_options
 def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:
     """Measure the frequency response of the plant; fit inertia and friction.
 
-    A multisine is added to the controller's torque while the shaft moves at constant speed. The
-    plant goes to `ilc-learn --plant`. Data in which the excitation is lost, or that reach the
-    current limit, end with exit code 4. Thesis sections 7.2.3 and 7.2.4.2.
+    A multisine is added to the controller's torque while the shaft moves at constant speed.
+    `ilc-learn --plant` uses the result. Exit code 4 if the excitation is lost in noise or the
+    current reaches its limit. Thesis sections 7.2.3 and 7.2.4.2.
     """
-    from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.plant import procedure as identify_plant
-    from rigtool.experiments.session import run_command
+    from rigtool.experiments.plant.procedure import PROCEDURE
 
-    with open_inputs(kt=kt) as inputs:
-        outcome = run_command(identify_plant, sources, output, options=options, inputs=inputs)
-    print_outcome(outcome, output, options)
+    run_and_print(PROCEDURE, sources, output, options, kt=kt)

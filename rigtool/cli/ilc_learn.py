@@ -10,6 +10,7 @@ from rigtool.cli.options import (
     common_options,
     example,
     open_inputs,
+    run_and_print,
     run_option,
     source_arguments,
 )
@@ -36,14 +37,16 @@ if TYPE_CHECKING:
 @click.option(
     "--implementation",
     type=click.Choice(["A", "B", "C", "D", "standard"]),
-    help="Way to learn, by the thesis's letter; without it the recipe's, C by default.",
+    help="Implementation by the thesis's letter; default: the recipe's, C unless set.",
 )
 @click.option(
     "--validate",
     is_flag=True,
-    help="Afterwards also turn at speeds that were not learned, and sweep, table off and on.",
+    help="Then also sweep, and turn at speeds that were not learned, table off and on.",
 )
-@run_option("--check", "Learned tables: do they still fit SOURCE, and if not, what changed?")
+@run_option(
+    "--check", "Run of ilc-learn: check whether its tables still fit, and find what changed."
+)
 @common_options
 def command(
     sources: tuple[str, ...],
@@ -66,25 +69,23 @@ def command(
     D         as C, then lifts known loads: by load, too, for measure-force --correction
     standard  repeats one move: by time
 
-    Then moves with what was learned switched on, and says what remains. A and B take the
-    instrument off. Thesis section 7.2.4.
+    Then repeats the motion with the learned table switched on and reports what remains. A and B
+    run without the instrument. Thesis section 7.2.4.
 
-    --validate belongs to the run: table off and on are recorded one after the other, between the
-    learned speeds (A, B, C) and while the speed sweeps from end to end (A, B). A run that was
-    recorded with it reports it whenever it is analysed again.
+    --validate records the motion with the table off and on, one after the other: at speeds between
+    the learned ones (A, B, C) and during a sweep over all speeds (A, B). The validation is part of
+    the run and is reported whenever the run is analysed again.
 
-    With --check nothing is learned: a few moves are made as the tables were learned, and what they
-    show is compared with the tables: shifted, larger, another friction, another pattern? Exit code
-    4 where they do not fit.
+    --check learns nothing. It repeats a few of the moves from which the tables were learned and
+    compares their disturbance with the tables: is it shifted, larger, of another friction or
+    another pattern? Exit code 4 if the tables do not fit.
 
-    Imported runs of a slowly turning motor do without --kt: they give a map of the turn. Those of
-    known loads, measured by a sensor (reference_torque), give implementation D: effort by motion
-    and load, that measure-force reads torque with.
+    Imported runs of a slowly turning motor need no --kt: the result is a map of the turn. Imported
+    runs of known loads, measured by a sensor (reference_torque), give tables of implementation D:
+    effort by motion and load, from which measure-force reads torque.
     """
-    from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.imported_load import procedure as imported_load
+    from rigtool.experiments.imported_load.procedure import PROCEDURE as BY_LOAD
     from rigtool.experiments.learning import procedure as ilc_learn
-    from rigtool.experiments.session import run_command
 
     if check is not None:
         for name, given in (
@@ -97,22 +98,21 @@ def command(
                 raise click.UsageError(f"--{name}: --check moves as the tables were learned")
         _check(sources, output, options, tables=check, kt=kt, plant=plant)
         return
-    # Run files that were imported have no recipe to say how to learn: D is by known loads.
+    # Imported runs hold no recipe that names an implementation: D learns from known loads.
     by_load = implementation == "D" and not any(source.endswith(".toml") for source in sources)
     if not by_load:
         options = ilc_learn.asked(options, implementation, validate=validate)
     if learning_filter is not None:
         options = options.with_override(f"ilc_learn.learning_filter={learning_filter}")
-    with open_inputs(kt=kt, friction=friction, plant=plant) as inputs:
-        procedure = imported_load if by_load else ilc_learn
-        outcome = run_command(procedure, sources, output, options=options, inputs=inputs)
-    print_outcome(outcome, output, options)
+    procedure = BY_LOAD if by_load else ilc_learn.PROCEDURE
+    paths = {"kt": kt, "friction": friction, "plant": plant}
+    run_and_print(procedure, sources, output, options, **paths)
 
 
 def _check(
     sources: tuple[str, ...], output: str, options: CommonOptions, **paths: str | None
 ) -> None:
-    """Compare tables with what SOURCE shows; the verdict is printed, and is the exit code."""
+    """Compare tables with the disturbance of SOURCE; the exit code is the verdict."""
     from dataclasses import replace
 
     from rigtool.cli.printing import print_outcome
@@ -122,12 +122,12 @@ def _check(
 
     with open_inputs(**paths) as inputs:
         options = ilc_check.as_learned(options, sources, inputs["tables"])
-        outcome = run_command(ilc_check, sources, output, options=options, inputs=inputs)
+        outcome = run_command(ilc_check.PROCEDURE, sources, output, options=options, inputs=inputs)
     if options.dry_run:
         print_outcome(outcome, output, options)
         return
     fits = ilc_check.fits(outcome)
     shown = outcome if fits or options.json else replace(outcome, notes=outcome.notes[1:])
     print_outcome(shown, output, options)
-    if not fits:  # what was not shown is the error
+    if not fits:  # the first note is the error message
         raise InsufficientDataError(outcome.notes[0])

@@ -1,4 +1,4 @@
-"""`rigtool import`: other people's measurements into run files."""
+"""`rigtool import`: run files from data that other programs recorded."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rigtool.cli.options import debug_option, example, overwrite_option, quiet_o
 @click.option(
     "-o", "--output", required=True, metavar="RUN.h5|FOLDER", help="Run file, or folder for many."
 )
-@click.option("--map", "map_path", metavar="MAP.toml", help="What the columns mean.")
-@click.option("--skip-bad-lines", is_flag=True, help="Leave bad lines out, and count them.")
+@click.option("--map", "map_path", metavar="MAP.toml", help="Meaning of the columns.")
+@click.option("--skip-bad-lines", is_flag=True, help="Leave out bad lines and count them.")
 @overwrite_option
 @quiet_option
 @debug_option
@@ -31,12 +31,12 @@ def command(
     overwrite: bool,
     quiet: bool,
 ) -> None:
-    """Make run files of measured data from other rigs.
+    """Make run files from data that other programs recorded.
 
-    SOURCE is delimited text (also .gz), MATLAB .mat, NumPy .npy or .npz; or a folder of them, or
-    several: each becomes a run file of its name in the folder OUTPUT. Recorder exports of EPOS
-    Studio are recognised by themselves; for others --map says what the columns mean. A bad file
-    ends with exit code 3, its line is named, and nothing is written.
+    SOURCE is delimited text (also .gz), MATLAB .mat, NumPy .npy or .npz, or a folder of such files.
+    Several files become run files of their names in the folder OUTPUT. Recorder exports of EPOS
+    Studio are recognised; for other files --map states the meaning of the columns. A bad file ends
+    with exit code 3: the message names its lines, and nothing is written.
     """
     from rigtool.recipe.mapping import load_mapping
     from rigtool.runfile.importers import import_files

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import (
-    common_options,
-    example,
-    open_inputs,
-    run_option,
-    source_arguments,
-)
+from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
 from rigtool.experiments.options import CommonOptions
 
 
@@ -20,13 +14,13 @@ from rigtool.experiments.options import CommonOptions
     )
 )
 @source_arguments
-@run_option("--kt", "Run file of calibrate-kt; needed but for imported runs.")
-@run_option("--tables", "Run file of ilc-learn, of this rig and attachment.", required=True)
+@run_option("--kt", "Run of calibrate-kt; not needed for imported runs.")
+@run_option("--tables", "Run of ilc-learn, of this rig and attachment.", required=True)
 @click.option(
     "--correction",
     type=click.Choice(["none", "load", "full"]),
-    help="Of what a load does to the reading; load and full need tables of implementation D. "
-    "[default: the recipe's: none]",
+    help="Correction for effects of the load; load and full need tables of implementation D. "
+    "[default: the recipe's, none unless set]",
 )
 @common_options
 def command(
@@ -40,19 +34,16 @@ def command(
     """Measure known loads, reading force from current.
 
     Lifts and lowers each load of the recipe with the learned table switched on; reads the torque at
-    one angle of each rising stroke: mean, scatter, error. With an instrument, also friction that
-    grows with load, and stiffness. --correction load takes friction that grows with load off this
-    reading; full reads whole strokes, with compliance, ripple by current and motor temperature.
+    one angle of each rising stroke: mean, scatter, error. With an instrument, also reports friction
+    that grows with load, and stiffness. --correction load subtracts friction that grows with load
+    from this reading; full reads whole strokes and also corrects for compliance, ripple by current
+    and motor temperature.
 
-    Imported runs are measured with tables of implementation D from runs of the same rig; where they
-    hold a sensor's reference_torque it judges the result.
+    Imported runs need tables of implementation D from runs of the same rig; the reference_torque of
+    a sensor, where recorded, is compared with the result.
     """
-    from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.force import procedure as measure_force
-    from rigtool.experiments.session import run_command
+    from rigtool.experiments.force.procedure import PROCEDURE
 
     if correction is not None:
         options = options.with_override(f"measure_force.correction={correction}")
-    with open_inputs(kt=kt, tables=tables) as inputs:
-        outcome = run_command(measure_force, sources, output, options=options, inputs=inputs)
-    print_outcome(outcome, output, options)
+    run_and_print(PROCEDURE, sources, output, options, kt=kt, tables=tables)

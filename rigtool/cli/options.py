@@ -22,6 +22,7 @@ import click
 from rigtool.experiments.options import CommonOptions
 
 if TYPE_CHECKING:
+    from rigtool.experiments.procedure import Procedure
     from rigtool.runfile import Run
 
 Function = Callable[..., Any]
@@ -58,22 +59,22 @@ def common_options(function: Function) -> Function:
 
     @debug_option
     @click.option(
-        "--spy", metavar="FILE", help="Write every byte on the serial line, with time stamps."
+        "--spy", metavar="FILE", help="Log every byte on the serial line, with time stamps."
     )
-    @click.option("--live-window", "live", flag_value="window", help="Draw them in a window.")
+    @click.option("--live-window", "live", flag_value="window", help="Draw signals in a window.")
     @click.option(
         "--live",
         flag_value="terminal",
-        help="Draw signals at the terminal while they come.",
+        help="Draw signals in the terminal while they are recorded.",
     )
     @click.option("--yes", is_flag=True, help="Move a rig on a serial line without asking first.")
-    @click.option("--dry-run", is_flag=True, help="Say what would move, and move nothing.")
+    @click.option("--dry-run", is_flag=True, help="Show what would move; move nothing.")
     @click.option(
         "--set",
         "overrides",
         multiple=True,
         metavar="KEY=VALUE",
-        help="Change a value of the recipe, e.g. rig.attachment=pulley.",
+        help="Set a value of the recipe, e.g. rig.attachment=pulley.",
     )
     @click.option("--seed", type=click.IntRange(min=0), help="Seed of the virtual rig.")
     @overwrite_option
@@ -114,9 +115,25 @@ def common_options(function: Function) -> Function:
     return collected
 
 
+def run_and_print(
+    procedure: Procedure,
+    sources: tuple[str, ...],
+    output: str,
+    options: CommonOptions,
+    **paths: str | None,
+) -> None:
+    """Run a procedure with the run files of other commands at `paths`; print its outcome."""
+    from rigtool.cli.printing import print_outcome
+    from rigtool.experiments.session import run_command
+
+    with open_inputs(**paths) as inputs:
+        outcome = run_command(procedure, sources, output, options=options, inputs=inputs)
+    print_outcome(outcome, output, options)
+
+
 @contextmanager
 def open_inputs(**paths: str | None) -> Iterator[dict[str, Run]]:
-    """Open the run files that were given, by the name of their option; None is left out."""
+    """Open run files by the name of their option; options without a path are left out."""
     from rigtool.runfile import open_run
 
     with ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""Results on stdout: for people with units and uncertainty, or as strict JSON."""
+"""Results on stdout: text with units and uncertainty, or strict JSON."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rigtool.quantity import Quantity, format_quantity
+from rigtool.quantity import Quantity
 from rigtool.runfile import Table, open_run
+from rigtool.runfile.summary import result_lines
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) -> None:
-    """Print what a command found and stored in `output`: results on stdout, remarks on stderr."""
+    """Print the results of a command on stdout, its notes and `output` on stderr."""
     if options.dry_run:
         for note in outcome.notes:
             click.echo(note)
@@ -60,18 +61,6 @@ def to_json(
 def json_text(document: Mapping[str, Any]) -> str:
     """Return JSON by RFC 8259: NaN and infinity become null."""
     return json.dumps(_strict(dict(document)), indent=2, allow_nan=False)
-
-
-def result_lines(results: Mapping[str, Quantity]) -> list[str]:
-    """Return one aligned line a result: name, value with uncertainty and unit, or the reason."""
-    width = max(map(len, results), default=0)
-    lines = []
-    for name, quantity in results.items():
-        line = f"{name:{width}}  {format_quantity(quantity)}"
-        if quantity.u is None:
-            line += f"  (no uncertainty: {quantity.reason})"
-        lines.append(line)
-    return lines
 
 
 def _quantity(quantity: Quantity) -> dict[str, Any]:

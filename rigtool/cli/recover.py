@@ -1,4 +1,4 @@
-"""`rigtool recover`: what an interrupted run left behind, made into a run file."""
+"""`rigtool recover`: a run file from the remains of an interrupted run."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from rigtool.cli.options import debug_option, example
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @debug_option
 def command(part: str, output: str | None, overwrite: bool) -> None:
-    """Make a run file of what an interrupted run left.
+    """Make a run file from the remains of an interrupted run.
 
-    Brings back every sample that reached the disk, with the provenance of the run; results are
-    missing, so give the file to the command again as its SOURCE. The part stays as it is.
+    Brings back every sample that reached the disk, with the provenance of the run. The file has no
+    results: give it to its command as SOURCE. The .part stays as it is.
     """
     from rigtool.runfile.recovery import recover
 

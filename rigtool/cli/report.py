@@ -27,9 +27,9 @@ def command(
 ) -> None:
     """Write tables, figures and one page from any run files.
 
-    Tables 8 and 9 beside the published ones (Markdown, CSV, LaTeX, text), the thesis's figures as
-    far as the runs hold them (SVG, PNG), and index.html with everything in it. The tables are also
-    printed.
+    Writes Tables 8 and 9 beside the published ones (Markdown, CSV, LaTeX, text), those figures of
+    the thesis that the runs can show (SVG, PNG), and index.html with everything in it. Also prints
+    the tables.
     """
     from rigtool.report.build import build_report
     from rigtool.report.folder import require_free, terminal_text, write_report

@@ -1,16 +1,10 @@
-"""rigtool stribeck."""
+"""`rigtool stribeck`: friction of the motor."""
 
 from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import (
-    common_options,
-    example,
-    open_inputs,
-    run_option,
-    source_arguments,
-)
+from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
 from rigtool.experiments.options import CommonOptions
 
 
@@ -22,20 +16,16 @@ from rigtool.experiments.options import CommonOptions
     ),
 )
 @source_arguments
-@run_option("--kt", "Run of calibrate-kt: current to torque; needed but for imported runs.")
+@run_option("--kt", "Run of calibrate-kt: current to torque; not needed for imported runs.")
 @common_options
 def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:
     """Find friction: Coulomb, viscous, static, and breakaway around the turn.
 
     SOURCE is a recipe (measure holds, sweeps and breakaway ramps, then analyse) or run files of
-    this command (analyse their signals again, pooled; what they do not hold is left out and said
-    so). Imported runs are holds at constant speeds, or of any motion, then by inertia and friction
-    in its equation of motion. A curve that no friction model explains ends with exit code 4.
+    this command (analyse their signals again, pooled; a note names what they do not hold).
+    Imported runs hold constant speeds, or any motion: then inertia and friction are fitted to the
+    equation of motion. Exit code 4 if no friction model explains the curve.
     """
-    from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.friction import procedure as stribeck
-    from rigtool.experiments.session import run_command
+    from rigtool.experiments.friction.procedure import PROCEDURE
 
-    with open_inputs(kt=kt) as inputs:
-        outcome = run_command(stribeck, sources, output, options=options, inputs=inputs)
-    print_outcome(outcome, output, options)
+    run_and_print(PROCEDURE, sources, output, options, kt=kt)

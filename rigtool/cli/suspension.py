@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigtool.cli.options import common_options, example, source_arguments
+from rigtool.cli.options import common_options, example, run_and_print, source_arguments
 
 if TYPE_CHECKING:
     from rigtool.experiments.options import CommonOptions
@@ -18,13 +18,10 @@ if TYPE_CHECKING:
 def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:
     """Measure the motor's leaf springs; compute what eccentric pulleys do.
 
-    Known forces pull at the motor, a micrometer reads its deflection. Reported are the stiffness,
-    beside that by dimensions, the eigenfrequency of motor and springs, and the torque that pulleys
-    out of centre make. Thesis appendices E and J.
+    Known forces pull at the motor, and a micrometer reads its deflection. Reports the measured
+    stiffness beside the one computed from dimensions, the eigenfrequency of motor and springs, and
+    the torque of eccentric pulleys. Thesis appendices E and J.
     """
-    from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.session import run_command
-    from rigtool.experiments.suspension import procedure as suspension
+    from rigtool.experiments.suspension.procedure import PROCEDURE
 
-    outcome = run_command(suspension, sources, output, options=options, inputs={})
-    print_outcome(outcome, output, options)
+    run_and_print(PROCEDURE, sources, output, options)

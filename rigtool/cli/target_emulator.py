@@ -11,11 +11,13 @@ from rigtool.cli.options import debug_option, example
     epilog=example("rigtool target-emulator recipes/briaire-2006.toml --tcp 127.0.0.1:0 --for 0.5")
 )
 @click.argument("recipe", metavar="RECIPE.toml")
-@click.option("--tcp", metavar="HOST:PORT", help="Serve there instead of a pseudo-terminal.")
-@click.option("--paced", is_flag=True, help="In real time; else as fast as it can simulate.")
-@click.option("--forgetful", is_flag=True, help="Forget samples once they are streamed.")
-@click.option("--for", "seconds", type=click.FloatRange(min=0), help="End after so many seconds.")
-@click.option("--channels", metavar="NAME,...", help="Record only these, and time.")
+@click.option(
+    "--tcp", metavar="HOST:PORT", help="Serve at this address instead of a pseudo-terminal."
+)
+@click.option("--paced", is_flag=True, help="Simulate in real time; default: as fast as possible.")
+@click.option("--forgetful", is_flag=True, help="Discard samples once they are streamed.")
+@click.option("--for", "seconds", type=click.FloatRange(min=0), help="End after this many seconds.")
+@click.option("--channels", metavar="NAME,...", help="Record these channels only, and time.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the virtual rig.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change the recipe.")
 @debug_option
@@ -31,8 +33,8 @@ def command(
 ) -> None:
     """Serve the virtual rig of a recipe over the host-target link.
 
-    Prints the port that the recipe of a rig names (serial.port), and serves until Ctrl-C. For
-    trying out recipes before there is hardware, and as a pattern for firmware: target-link.md.
+    Prints the port to write into a recipe (serial.port), and serves until Ctrl-C. For trying out
+    recipes without hardware, and as a pattern for firmware: target-link.md.
     """
     from rigtool.recipe import load_recipe
     from rigtool.rigs.serial.emulators.server import PtyServer, Server, TcpServer

@@ -1,4 +1,4 @@
-"""`rigtool verify`: is a run, and all that it was made from, as it was written?"""
+"""`rigtool verify`: the hashes of a run and of everything it was made from."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rigtool.cli.options import debug_option, example
 @click.argument("paths", nargs=-1, required=True, metavar="RUN.h5...")
 @debug_option
 def command(paths: tuple[str, ...]) -> None:
-    """Check run files and all they were made from.
+    """Check run files and everything they were made from.
 
-    Compares every hash, samples included, up to the raw runs, and says which link is broken.
-    Inputs are looked for where they were, and beside the file made from them. Exit code 3 if
-    anything is broken.
+    Compares every hash, those of samples included, back to the raw runs, and shows which link is
+    broken. Inputs are sought at their old path, then beside the file made from them. Exit code 3
+    if anything is broken.
     """
     from rigtool.errors import RunFileError
     from rigtool.runfile.verification import verify

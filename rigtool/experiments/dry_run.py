@@ -1,7 +1,7 @@
-"""What a command is going to do on a rig, found by doing it without one.
+"""The plan of a command: its motions, found by running it on a rig that only notes them.
 
-Motions that depend on what earlier ones measure are not known beforehand: the plan ends there and
-says so.
+Motions that depend on earlier measurements are not known beforehand: the plan ends there and
+states that it is not complete.
 """
 
 from __future__ import annotations
@@ -9,20 +9,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any
 
 from rigtool.errors import HardwareError
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure
 from rigtool.recipe import Recipe
-from rigtool.recipe.serial import WITHOUT_GAUGES, WITHOUT_WATCHDOG, Serial
+from rigtool.recipe.serial import Serial
 from rigtool.rigs import NEEDS, Block, Rig, Task
 from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.serial import safety
+from rigtool.rigs.serial.drivers import REPLAY, driver
 from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
 
-SHOWN = 12
-"""Lines of a plan that are shown of motions that differ; the rest is counted."""
+MAX_LINES = 12
+"""Lines for motions that differ in a plan at most; the rest is counted."""
 
 
 class _NeedsData(Exception):
@@ -47,8 +49,8 @@ class Plan:
             f"  {line}" if count == 1 else f"  {count} times {line}"
             for line, count in together.items()
         ]
-        if len(lines) > SHOWN:
-            lines = [*lines[:SHOWN], f"  and {len(lines) - SHOWN} kinds of motion more"]
+        if len(lines) > MAX_LINES:
+            lines = [*lines[:MAX_LINES], f"  and {len(lines) - MAX_LINES} kinds of motion more"]
         total = sum(found.duration for _, found in self.motions)
         count = len(self.motions)
         head = f"{count} motion{'s' if count != 1 else ''} to record, {total:.0f} s in all"
@@ -65,8 +67,8 @@ class Plan:
             safety.check(found, limits, name)
 
 
-class _Rehearsal:
-    """A rig that only remembers what it was asked to do."""
+class _Rehearsal(Rig):
+    """A rig that only notes the tasks that it is given."""
 
     def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
         self.plan = Plan()
@@ -77,15 +79,10 @@ class _Rehearsal:
         self._torque_constant = torque_constant
         self._position = position
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        pass
-
-    def lacks(self, need: str) -> str | None:
-        """Nothing is refused in a rehearsal."""
-        return None
+    @property
+    def position(self) -> float:
+        """Angle of the shaft after the motions so far, rad; NaN where it is not known."""
+        return self._position
 
     def perform(self, task: Task) -> Iterator[Block]:
         """Remember a task; there are no signals."""
@@ -147,7 +144,7 @@ class _Recorder:
 
 
 def rehearse(
-    procedure: Any,
+    procedure: Procedure,
     recipe: Recipe,
     torque_constant: float,
     inputs: Mapping[str, Run],
@@ -162,8 +159,7 @@ def rehearse(
         rig.plan.complete = False
     for spec in specs:
         rig.plan.needs |= {channel.name: None for channel in spec.channels}
-    if hasattr(procedure, "rig_needs"):
-        rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
+    rig.plan.needs |= dict.fromkeys(procedure.rig_needs(recipe))
     return rig.plan
 
 
@@ -179,14 +175,16 @@ def require_offered(rig: Rig, plan: Plan, command: str) -> None:
 
 
 def dry_run(
-    procedure: Any, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
+    procedure: Procedure, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
 ) -> Outcome:
     """Return a plan as remarks, checked against the limits of a rig that has some."""
     plan = rehearse(procedure, recipe, torque_constant, inputs)
     notes = [str(plan)]
     if recipe.rig.source == "serial" and recipe.serial is not None:
         plan.check(recipe.serial.limits)
-        _require_gauges(plan, recipe.serial, procedure.COMMAND)
+        found = None if recipe.serial.driver == REPLAY else driver(recipe.serial.driver)
+        if found is not None and found.make_drive is not None:
+            _require_gauges(plan, recipe.serial, procedure.command)
         low, high = recipe.serial.limits.position
         limits = recipe.serial.limits
         notes.append(
@@ -194,19 +192,18 @@ def dry_run(
             f"rad (counted from where the shaft is), {limits.duration:g} s a motion"
         )
         notes.append("Whether the drive offers all that is asked when it is connected")
-        if recipe.serial.driver in WITHOUT_WATCHDOG:
+        if found is not None and not found.has_watchdog:
             notes.append(
-                "This drive has no watchdog: where computer or cable fail it goes on as it was "
-                "told last. It runs only with serial.emergency_stop = true; try that stop first"
+                "This drive has no watchdog: where computer or cable fail it follows its last "
+                "set point. It runs only with serial.emergency_stop = true; try that stop first"
             )
     return Outcome(results={}, tables={}, notes=tuple(notes))
 
 
 def _require_gauges(plan: Plan, settings: Serial, command: str) -> None:
-    """Raise `HardwareError` for a gauge that no drive has and the recipe does not name."""
+    """Raise `HardwareError` for a gauge that the recipe does not name: no drive has one."""
     for need in ("force", "deflection"):
-        named = getattr(settings, need) is not None
-        if need in plan.needs and not named and settings.driver in WITHOUT_GAUGES:
+        if need in plan.needs and getattr(settings, need) is None:
             raise HardwareError(
                 f"{command} cannot run on this rig: it records {need}: a {settings.driver} does "
                 f"not measure it: add [serial.{need}]"

@@ -90,9 +90,7 @@ def effort_of(recording: Recording, kt: Run | None) -> Effort:
     """
     has_current = recording.has("current") or recording.has("current_setpoint")
     if kt is not None and has_current:
-        scale = torque_per_ampere(kt)
-        if recording.has("current"):  # as measured: what the amplifier makes of it does not matter
-            scale = kt.result("torque_constant_mean")
+        scale = torque_per_ampere(kt, of_measured_current=recording.has("current"))
         current = recording.read(_current_name(recording)) * scale.value
         relative = None if scale.u is None else scale.u / scale.value
         return Effort(current, "N m", "torque", relative, "current times the constant of --kt")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from rigtool.quantity import Quantity
 from rigtool.runfile import Table
+from rigtool.runfile.summary import html_of, result_lines
 
 
 @dataclass(frozen=True)
@@ -16,3 +17,6 @@ class Outcome:
     results: Mapping[str, Quantity]
     tables: Mapping[str, Table] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def _repr_html_(self) -> str:
+        return html_of([*result_lines(self.results), *(f"Note: {note}" for note in self.notes)])

@@ -7,74 +7,35 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.dry_run import dry_run, rehearse, require_offered
 from rigtool.experiments.live.terminal import Feed, open_live
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe, load_recipe, override_recipe
-from rigtool.rigs import CHANNELS, Rig, Task, open_rig
-from rigtool.rigs.bench import Bench
-from rigtool.rigs.serial.rig import SerialRig
-from rigtool.runfile import Channel, RecordingSpec, Run, RunWriter, chunk_of, open_run
+from rigtool.rigs import Rig, open_rig
+from rigtool.rigs.operator import Operator
+from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
 
 IMPORTED = "import"
 """The command of runs that hold other people's measurements."""
 
 
-MEANWHILE = "told while it moves, not recorded"
-"""Name for drawings of what a rig tells before the signals of a motion come."""
-
-
-class Procedure(Protocol):
-    """What a module of a measuring command offers.
-
-    A module that says BARE_MOTOR = True measures without the instrument, whatever the recipe
-    attaches: motor and amplifier are characterised on their own [7.1, 7.2]. One that says ACCEPTS
-    takes stored runs of these commands instead of its own alone. One that has a function
-    `analyse_imported(runs, **inputs)` also takes runs of other rigs, and of `--set` what its
-    `IMPORTED_SETTINGS` name; `NEEDED` are the inputs that only those can do without.
-    `rig_needs(recipe)` names what a rig has to offer for motions
-    that depend on what is measured first, see `rehearsal`.
-    """
-
-    COMMAND: str
-
-    def recordings(self, recipe: Recipe) -> tuple[RecordingSpec, ...]:
-        """List what will be recorded."""
-        ...
-
-    def measure(self, rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Any) -> None:
-        """Perform the tasks and record them."""
-        ...
-
-    def analyse(self, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
-        """Compute results from stored signals only."""
-        ...
-
-
-def channels(*names: str) -> tuple[Channel, ...]:
-    """Return the channels of these names as run files describe them."""
-    return tuple(Channel(name, *CHANNELS[name]) for name in names)
-
-
-def record(rig: Rig, task: Task, recorder: RunWriter, recording: str) -> None:
-    """Perform a task and stream its signals into a recording."""
-    names = recorder.channel_names(recording)
-    for block in rig.perform(task):
-        recorder.append(recording, {name: block[name] for name in names})
+STATUS_ONLY = "status while it moves, not recorded"
+"""Name in drawings of what a rig reports before the signals of a motion come."""
 
 
 def run_command(
-    module: Any,
+    procedure: Procedure,
     sources: Sequence[str],
     output: str,
     *,
@@ -83,10 +44,9 @@ def run_command(
 ) -> Outcome:
     """Measure or re-analyse, write the output and return what it holds.
 
-    `module` is a `Procedure`; `inputs` are open runs by the name of their option. Raises
-    `UsageError` for sources that do not go together.
+    `inputs` are open runs by the name of their option. Raises `UsageError` for sources that do not
+    go together.
     """
-    procedure: Procedure = module
     recipes = [source for source in sources if Path(source).suffix == ".toml"]
     if not recipes:
         if options.dry_run:
@@ -106,9 +66,9 @@ def _measure(
     options: CommonOptions,
     inputs: Mapping[str, Run],
 ) -> Outcome:
-    _require_inputs(procedure, inputs)
+    require_inputs(procedure, inputs)
     overrides = list(options.overrides)
-    if getattr(procedure, "BARE_MOTOR", False):
+    if procedure.bare_motor:
         overrides.append("rig.attachment=pulley")
     if options.seed is not None:
         overrides.append(f"virtual.seed={options.seed}")
@@ -122,15 +82,15 @@ def _measure(
     constant = _assumed_torque_constant(recipe, inputs)
     if options.dry_run:
         return dry_run(procedure, recipe, constant, inputs)
-    bench = Bench(yes=options.yes, spy=options.spy)
-    rig = open_rig(recipe, constant, procedure.COMMAND, bench)
+    operator = Operator(yes=options.yes, spy=options.spy)
+    rig = open_rig(recipe, constant, procedure.command, operator)
     plan = procedure.recordings(recipe)
-    if isinstance(rig, SerialRig):
-        rig.use_only({channel.name for spec in plan for channel in spec.channels})
-        plan = _in_seconds(plan, recipe, procedure.COMMAND)
+    rig.use_only({channel.name for spec in plan for channel in spec.channels})
+    if rig.physical:
+        plan = _in_seconds(plan, recipe.rig.sample_time)
     writer = _WatchedWriter(
         output,
-        command=procedure.COMMAND,
+        command=procedure.command,
         recipe=recipe,
         recipe_text=text,
         recordings=plan,
@@ -141,37 +101,33 @@ def _measure(
     live = nullcontext() if options.live is None else open_live(options.live)
     with live as feed, writer, _progress(options, plan, writer):
         writer.live = feed
-        if isinstance(rig, SerialRig) and feed is not None:
-            rig.watcher = partial(feed.show, MEANWHILE)
+        if feed is not None:
+            rig.watcher = partial(feed.show, STATUS_ONLY)
         with rig:
-            if isinstance(rig, SerialRig):
+            if rig.physical:
                 _permit(rig, procedure, recipe, constant, inputs)
             procedure.measure(rig, recipe, writer, **inputs)
         run = writer.recorded()
-        if isinstance(rig, SerialRig):
-            run.provenance["line"] = report = rig.report()
+        if (report := rig.report()) is not None:
+            run.provenance["line"] = report
             writer.note_line(report)
         outcome = procedure.analyse([run], recipe, **inputs)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
 
 
-def _in_seconds(
-    plan: Sequence[RecordingSpec], recipe: Recipe, command: str
-) -> tuple[RecordingSpec, ...]:
-    """Have about a second in a chunk, so that a program that is killed loses no more than that.
+def _in_seconds(plan: Sequence[RecordingSpec], sample_time: float) -> tuple[RecordingSpec, ...]:
+    """Put about a second in a chunk, so that a program that is killed loses no more than that.
 
     A virtual rig is a thousand times faster than its clock: it may lose a large chunk.
     """
-    section = getattr(recipe, command.replace("-", "_"), None)
-    parts = [section, *vars(section).values()] if section is not None else []
-    every = max([1, *(getattr(part, "record_every", 1) for part in parts)])
-    chunk = chunk_of(1 / (every * recipe.rig.sample_time))
-    return tuple(replace(spec, chunk=chunk) for spec in plan)
+    return tuple(
+        replace(spec, chunk=chunk_of(1 / (spec.record_every * sample_time))) for spec in plan
+    )
 
 
 def _permit(
-    rig: SerialRig,
+    rig: Rig,
     procedure: Procedure,
     recipe: Recipe,
     torque_constant: float,
@@ -180,7 +136,7 @@ def _permit(
     """Refuse what this rig cannot do or must not, show the rest, and let somebody agree."""
     assert recipe.serial is not None
     plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
-    require_offered(rig, plan, procedure.COMMAND)
+    require_offered(rig, plan, procedure.command)
     plan.check(recipe.serial.limits)
     rig.permit(str(plan))
 
@@ -194,11 +150,13 @@ def _analyse_stored(
 ) -> Outcome:
     with ExitStack() as stack:
         runs = [stack.enter_context(open_run(source)) for source in sources]
-        if runs[0].command == IMPORTED and hasattr(procedure, "analyse_imported"):
-            return _analyse_imported(procedure, runs, output, options, inputs)
+        if runs[0].command == IMPORTED and procedure.analyse_imported is not None:
+            return _analyse_imported(
+                procedure, procedure.analyse_imported, runs, output, options, inputs
+            )
         for run in runs:
-            run.require_command(*getattr(procedure, "ACCEPTS", (procedure.COMMAND,)))
-        _require_inputs(procedure, inputs)
+            run.require_command(procedure.command, *procedure.accepts)
+        require_inputs(procedure, inputs)
         recipe = runs[0].recipe
         if recipe is None:
             raise RunFileError(
@@ -209,7 +167,7 @@ def _analyse_stored(
         recipe = override_recipe(recipe, options.overrides)
         with RunWriter(
             output,
-            command=procedure.COMMAND,
+            command=procedure.command,
             recipe=recipe,
             recipe_text=None,
             inputs=[*runs, *inputs.values()],
@@ -232,7 +190,8 @@ def _require_as_recorded(overrides: Sequence[str]) -> None:
 
 
 def _analyse_imported(
-    procedure: Any,
+    procedure: Procedure,
+    analyse: Callable[..., Outcome],
     runs: Sequence[Run],
     output: str,
     options: CommonOptions,
@@ -241,24 +200,23 @@ def _analyse_imported(
     """Analyse measurements of other rigs: there is no recipe, the runs say what is known."""
     for run in runs:
         run.require_command(IMPORTED)
-    settings = _imported_settings(procedure, options.overrides)
+    settings = _imported_settings(procedure.imported_settings, options.overrides)
     with RunWriter(
         output,
-        command=procedure.COMMAND,
+        command=procedure.command,
         recipe=None,
         recipe_text=None,
         inputs=[*runs, *inputs.values()],
         overwrite=options.overwrite,
         rig=runs[0].rig,
     ) as writer:
-        outcome: Outcome = procedure.analyse_imported(runs, **inputs, **settings)
+        outcome = analyse(runs, **inputs, **settings)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
 
 
-def _imported_settings(procedure: Any, overrides: Sequence[str]) -> dict[str, float]:
+def _imported_settings(accepted: Mapping[str, str], overrides: Sequence[str]) -> dict[str, float]:
     """Return the values of `--set` that an analysis of imported runs takes, by its own names."""
-    accepted: Mapping[str, str] = getattr(procedure, "IMPORTED_SETTINGS", {})
     settings = {}
     for override in overrides:
         key, _, value = override.partition("=")
@@ -276,11 +234,12 @@ def _imported_settings(procedure: Any, overrides: Sequence[str]) -> dict[str, fl
     return settings
 
 
-def _require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
-    for name in getattr(procedure, "NEEDED", ()):
+def require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
+    """Raise `UsageError` where an input is missing that a procedure needs."""
+    for name in procedure.needed:
         if name not in inputs:
             raise UsageError(
-                f"--{name} is missing: {procedure.COMMAND} needs it, unless all "
+                f"--{name} is missing: {procedure.command} needs it, unless all "
                 "sources are imported runs"
             )
 

@@ -121,6 +121,12 @@ class Rig(Section):
         return self.inertia.total(self.attachment)
 
     @property
+    def loop_design(self) -> dict[str, float]:
+        """Controller, nominal inertia and sample time: what `control.position_loop` takes."""
+        own = {"inertia": self.nominal_inertia, "sample_time": self.sample_time}
+        return {**self.controller.model_dump(), **own}
+
+    @property
     def angle_ratio(self) -> float:
         """Motor angle per output angle: 1 for the bare pulley."""
         return self.instrument.angle_ratio if self.attachment == "instrument" else 1.0

@@ -11,14 +11,6 @@ from pydantic import Field, model_validator
 
 from rigtool.recipe.base import Section
 
-WITHOUT_GAUGES = ("odrive", "moteus", "maxon")
-"""Drivers of drives that measure neither force nor deflection; a target may."""
-
-WITHOUT_WATCHDOG = ("maxon",)
-"""Drivers of drives that do not stop by themselves where computer or cable fail."""
-
-Driver = Literal["target", "odrive", "moteus", "maxon", "replay"]
-
 
 class Limits(Section):
     """What the drive must never exceed: checked before a motion, set in the drive, watched."""
@@ -55,7 +47,10 @@ class Instrument(Section):
 class Serial(Section):
     """The drive of a rig, or a target that runs the loop, at the end of a serial line."""
 
-    driver: Driver = Field(description="what speaks at the other end of the line")
+    driver: str = Field(
+        description='"target", "odrive", "moteus", "maxon", or a driver that another package adds; '
+        '"replay" plays back a file of --spy'
+    )
     port: str = Field(
         min_length=1,
         description='"/dev/ttyACM0", "COM5", any URL of pyserial; for "replay" a file of --spy',

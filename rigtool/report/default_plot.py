@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rigtool.errors import RunFileError, UsageError
 from rigtool.quantity import display_unit
 from rigtool.runfile import Recording, Run, Table
-from rigtool.runfile.storage import storage_errors
+from rigtool.runfile.outputs import replacing, require_output
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,19 +31,13 @@ def write_default_plot(run: Run, output: str | os.PathLike[str], *, overwrite: b
 
     Raises `RunFileError` where there is nothing to draw, `UsageError` for a file that cannot be.
     """
-    output = Path(output)
-    if output.suffix not in FORMATS:
+    kind = Path(output).suffix
+    if kind not in FORMATS:
         raise UsageError(f"{output}: cannot be drawn, use one of {', '.join(FORMATS)}")
-    if output.exists() and not overwrite:
-        raise UsageError(f"{output}: exists already: give another name, or --overwrite")
+    output = require_output(output, overwrite=overwrite, inputs=[run.path])
     figure = draw_default_plot(run)
-    beside = output.with_name(output.name + ".tmp")
-    with storage_errors(output):
-        try:
-            figure.savefig(beside, format=output.suffix[1:])
-            os.replace(beside, output)
-        finally:
-            beside.unlink(missing_ok=True)
+    with replacing(output) as new:
+        figure.savefig(new, format=kind[1:])
 
 
 def draw_default_plot(run: Run) -> Figure:

@@ -237,8 +237,7 @@ def title(row: Mapping[str, Any]) -> str:
     """Return the heading of a row, from the report's figures where the row has none of its own."""
     if "table" in row:
         return f"Table {row['table']}. {row['title']}"
-    titles = {plot.number: plot.title for plot in PLOTS}
-    return f"Fig. {row['figure']}. {row.get('title') or titles[row['figure']]}"
+    return f"Fig. {row['figure']}. {row.get('title') or PLOTS[row['figure']].title}"
 
 
 def _picture(number: int, run: Run, kt: Run) -> tuple[str, bytes]:
@@ -252,10 +251,11 @@ def _picture(number: int, run: Run, kt: Run) -> tuple[str, bytes]:
 def _draw(number: int, run: Run, kt: Run) -> Figure:
     if number in WITH_CALIBRATION:
         return WITH_CALIBRATION[number](run, kt)
-    for plot in PLOTS:
-        if plot.number == number and plot.fits(run):
-            return plot.draw(run)
-    raise UsageError(f"{run.path}: has nothing to draw Fig. {number} from")
+    if not PLOTS[number].fits(run):
+        raise UsageError(
+            f"{run.path}: lacks the tables of Fig. {number}: give the run that it needs"
+        )
+    return PLOTS[number].draw(run)
 
 
 def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:

@@ -1,13 +1,12 @@
 """The Rig protocol: where signals come from, simulated or measured.
 
-A rig is asked to perform tasks and answers with blocks of signals; it knows nothing of analyses or
-files. Channels and their units are fixed here, so that a run file reads the same whatever rig made
-it.
+A rig performs tasks and yields blocks of signals; it knows nothing of experiments or files.
+Channels and their units are fixed here, so that run files of all rigs read alike.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
@@ -51,7 +50,7 @@ NEEDS = {
     "soak": "bring the motor to a temperature",
     "power_cycle": "switch the amplifier off and on",
 }
-"""What a command may ask of a rig, beside channels; `Rig.lacks` answers."""
+"""What a command may need of a rig beside channels, see `Rig.lacks`."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Task:
-    """One thing to do while recording.
+    """One motion that is recorded.
 
     Each recorded sample is the mean of `record_every` samples of the loop. An open-loop task ends
     early once the shaft has turned by `stop_angle` rad, where that is given. Where it is `touched`,
@@ -115,12 +114,19 @@ class Task:
 class Rig(Protocol):
     """A motor, an encoder and a current amplifier under position control.
 
-    A context manager: whatever ends the `with` block leaves the motor without current.
+    A context manager: whatever ends the `with` block leaves the motor without current. What only
+    a physical rig needs does nothing here; a rig of equations inherits that.
     """
+
+    physical: bool = False
+    """Whether something real moves: a plan of the motions is agreed to first, and time passes."""
+
+    watcher: Callable[[Block], None] | None = None
+    """Receives what a rig sends while it moves, where signals come later; it must not wait."""
 
     def __enter__(self) -> Self:
         """Connect; nothing moves."""
-        ...
+        return self
 
     def __exit__(
         self,
@@ -129,10 +135,27 @@ class Rig(Protocol):
         trace: TracebackType | None,
     ) -> None:
         """Stop, switch off and let go of the line."""
-        ...
+        return None
 
     def lacks(self, need: str) -> str | None:
         """Return why this one of `NEEDS`, or this channel, is not offered; None where it is."""
+        return None
+
+    def use_only(self, channels: Collection[str]) -> None:
+        """Leave alone the instruments that fill none of these channels; called before `with`."""
+        return None
+
+    def permit(self, plan: str) -> None:
+        """Show what is about to move; raises `UsageError` unless that is agreed to."""
+        return None
+
+    def report(self) -> str | None:
+        """Return facts about the line that are stored with a run, as JSON; None without a line."""
+        return None
+
+    @property
+    def position(self) -> float:
+        """Angle of the shaft, rad."""
         ...
 
     def perform(self, task: Task) -> Iterator[Block]:

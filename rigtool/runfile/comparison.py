@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from rigtool.quantity import Quantity, format_quantity
 from rigtool.runfile import schema
 from rigtool.runfile.model import Table
-from rigtool.runfile.reader import Recording, Run
+from rigtool.runfile.reader import Run
+from rigtool.runfile.recording import Recording
 
 _BLOCK = 16 * schema.CHUNK
 

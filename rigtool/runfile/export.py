@@ -1,21 +1,35 @@
-"""A run in other formats: CSV and Parquet for one part of it, MATLAB and netCDF for the whole."""
+"""A run in other formats: CSV and Parquet for one part of it, MATLAB and netCDF for the whole.
+
+A part is written in blocks of rows: a recording of any length needs the memory of one block.
+"""
 
 from __future__ import annotations
 
+import csv
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.quantity import Quantity
-from rigtool.runfile import frames, schema
+from rigtool.runfile import schema
 from rigtool.runfile.model import Table
-from rigtool.runfile.reader import Recording, Run
-from rigtool.runfile.storage import storage_errors
+from rigtool.runfile.outputs import replacing, require_output
+from rigtool.runfile.reader import Run
+from rigtool.runfile.recording import Recording
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+BLOCK = 16 * schema.CHUNK
+"""Rows of a block, whole chunks; a row group of a .parquet."""
+
+RESULT_COLUMNS = ("name", "value", "unit", "u", "dof", "reason")
 
 _MAT_LIMIT = 2**31
 """Bytes of a variable in a MATLAB file of version 5."""
@@ -30,8 +44,8 @@ def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite
     """
     output = Path(output)
     formats: dict[str, Callable[[Path], None]] = {
-        ".csv": lambda path: frames.write_csv(frames.choose(run, part), path),
-        ".parquet": lambda path: frames.write_parquet(frames.choose(run, part), path),
+        ".csv": lambda path: write_csv(choose(run, part), path),
+        ".parquet": lambda path: write_parquet(choose(run, part), path),
         ".mat": lambda path: _write_mat(run, path),
         # A run file is a netCDF-4 file: HDF5 with dimension scales.
         ".nc": lambda path: _copy(run, path),
@@ -44,23 +58,99 @@ def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite
         )
     if part is not None and output.suffix not in (".csv", ".parquet"):
         raise UsageError(f"{output}: holds the whole run; --part is for .csv and .parquet")
-    write_new(output, overwrite, write)
+    write_new(output, overwrite, write, [run.path])
 
 
-def write_new(output: Path, overwrite: bool, write: Callable[[Path], None]) -> None:
+def write_new(
+    output: Path, overwrite: bool, write: Callable[[Path], None], inputs: Sequence[Path] = ()
+) -> None:
     """Let `write` make a file beside `output`, that takes its name when it is whole.
 
     Raises `UsageError` where the output exists, unless `overwrite`.
     """
-    if output.exists() and not overwrite:
-        raise UsageError(f"{output}: exists already: give another name, or --overwrite")
-    beside = output.with_name(output.name + ".tmp")
-    with storage_errors(output):
-        try:
-            write(beside)
-            os.replace(beside, output)
-        finally:
-            beside.unlink(missing_ok=True)
+    output = require_output(output, overwrite=overwrite, inputs=inputs)
+    with replacing(output) as new:
+        write(new)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Columns with their units ("" for text, or where a column says it) and blocks of rows."""
+
+    units: dict[str, str]
+    blocks: Iterator[pd.DataFrame]
+
+
+def choose(run: Run, part: str | None) -> Frame:
+    """Return a part of a run by its name: `results`, `recordings/NAME`, `tables/NAME`, or NAME.
+
+    Raises `UsageError` where the choice is open.
+    """
+    parts: dict[str, Recording | Table | Mapping[str, Quantity]] = {}
+    if run.results:
+        parts[schema.RESULTS] = run.results
+    parts.update({f"{schema.RECORDINGS}/{name}": item for name, item in run.recordings.items()})
+    parts.update({f"{schema.TABLES}/{name}": table for name, table in run.tables.items()})
+    found = [
+        name for name in parts if part is None or name == part or name.rpartition("/")[2] == part
+    ]
+    if len(found) != 1:
+        what = "holds more than one thing" if part is None else f"has {len(found)} parts {part!r}"
+        raise UsageError(f"{run.path}: {what}: choose by --part from {', '.join(parts) or 'none'}")
+    chosen = parts[found[0]]
+    if isinstance(chosen, Recording):
+        return Frame(dict(chosen.units), _recording(chosen))
+    if isinstance(chosen, Table):
+        return Frame({n: c.unit for n, c in chosen.columns.items()}, iter([chosen.to_pandas()]))
+    return Frame(dict.fromkeys(RESULT_COLUMNS, ""), iter([_results(chosen)]))
+
+
+def _recording(recording: Recording) -> Iterator[pd.DataFrame]:
+    for start in range(0, max(recording.size, 1), BLOCK):
+        stop = min(start + BLOCK, recording.size)
+        yield recording.to_pandas(start, stop)
+
+
+def _results(results: Mapping[str, Quantity]) -> pd.DataFrame:
+    import pandas as pd
+
+    rows = [(name, q.value, q.unit, q.u, q.dof, q.reason) for name, q in results.items()]
+    frame = pd.DataFrame(rows, columns=list(RESULT_COLUMNS))
+    return frame.astype({"u": "f8", "dof": "f8"})
+
+
+def write_csv(frame: Frame, path: Path) -> None:
+    """Write comma-separated text with a head `name [unit]`."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        head = [f"{name} [{unit}]" if unit else name for name, unit in frame.units.items()]
+        csv.writer(stream, lineterminator="\n").writerow(head)
+        for block in frame.blocks:
+            block.to_csv(stream, header=False, index=False, lineterminator="\n")
+
+
+def write_parquet(frame: Frame, path: Path) -> None:
+    """Write Apache Parquet, a row group a block.
+
+    Units are metadata `units` of each field, and where pandas looks: `DataFrame.attrs["units"]`.
+    Raises `UsageError` where pyarrow is missing.
+    """
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise UsageError(
+            "a .parquet needs the package pyarrow, that is not installed: "
+            "`pip install rigtool[parquet]`, or write a .csv"
+        ) from None
+    first = next(frame.blocks)
+    first.attrs["units"] = frame.units
+    plain: Any = pa.Schema.from_pandas(first, preserve_index=False)
+    fields = [field.with_metadata({"units": frame.units[field.name]}) for field in plain]
+    described = pa.schema(fields, metadata=plain.metadata)
+    with parquet.ParquetWriter(path, described) as writer:
+        writer.write_table(pa.Table.from_pandas(first, schema=described, preserve_index=False))
+        for block in frame.blocks:
+            writer.write_table(pa.Table.from_pandas(block, schema=described, preserve_index=False))
 
 
 def _copy(run: Run, path: Path) -> None:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.errors import UsageError
 from rigtool.runfile import schema
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 
 @dataclass(frozen=True)
@@ -38,13 +43,15 @@ class RecordingSpec:
     """A recording before it is made: its channels on one `time`, and under which conditions.
 
     `conditions` maps a name to (value, unit), e.g. `{"speed": (3.0, "rad/s")}`. A viewer plots the
-    first channel other than `time`. What a killed run may lose are `chunk` samples. Raises
-    `ValueError` for names or channels that do not fit.
+    first channel other than `time`. A sample is the mean of `record_every` samples of the loop.
+    What a killed run may lose are `chunk` samples. Raises `ValueError` for names or channels that
+    do not fit.
     """
 
     name: str
     channels: tuple[Channel, ...]
     conditions: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    record_every: int = 1
     chunk: int = schema.CHUNK
 
     def __post_init__(self) -> None:
@@ -128,6 +135,57 @@ class Table:
 
     def __getitem__(self, column: str) -> NDArray[Any]:
         return self.columns[column].values
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return one row for each point of the axes; columns with fewer axes repeat.
+
+        Units are in `attrs["units"]`.
+        """
+        import pandas as pd
+
+        columns = {}
+        for name, column in self.columns.items():
+            if name in self.axes:
+                shape = [1] * len(self.shape)
+                shape[self.axes.index(name)] = -1
+            else:
+                shape = [*column.values.shape, *[1] * (len(self.shape) - column.values.ndim)]
+            columns[name] = np.broadcast_to(column.values.reshape(shape), self.shape).ravel()
+        frame = pd.DataFrame(columns)
+        frame.attrs["units"] = {name: column.unit for name, column in self.columns.items()}
+        return frame
+
+    def to_xarray(self) -> xr.Dataset:
+        """Return the columns over their axes; attributes `units` and `long_name` as in the file.
+
+        Raises `UsageError` where xarray is missing.
+        """
+        return dataset(self.axes, self.columns)
+
+
+def dataset(axes: tuple[str, ...], columns: Mapping[str, Column]) -> xr.Dataset:
+    """Return columns over axes as xarray has them; `UsageError` where xarray is missing."""
+    try:
+        import xarray as xr
+    except ImportError:
+        raise UsageError(
+            "to_xarray needs the package xarray, which is not installed: `pip install xarray`, or "
+            "take to_pandas"
+        ) from None
+    variables = {
+        name: xr.Variable(
+            (name,) if name in axes else axes[: column.values.ndim],
+            column.values,
+            {"units": column.unit, "long_name": column.description},
+        )
+        for name, column in columns.items()
+    }
+    return xr.Dataset(variables)
+
+
+def description_of(attributes: Mapping[str, Any]) -> str:
+    """Return what the attributes of a channel, column or table say it means."""
+    return str(attributes.get("long_name", ""))
 
 
 def _require_names(what: str, names: Iterable[str]) -> None:

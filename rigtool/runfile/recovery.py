@@ -13,7 +13,8 @@ from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import schema, tree
 from rigtool.runfile.model import RecordingSpec
 from rigtool.runfile.opened import OpenFile, guard, open_hdf5, require_schema
-from rigtool.runfile.reader import Recording, Run
+from rigtool.runfile.reader import Run
+from rigtool.runfile.recording import Recording
 from rigtool.runfile.storage import storage_errors
 from rigtool.runfile.unclosed import open_unclosed
 from rigtool.runfile.writer import RunWriter

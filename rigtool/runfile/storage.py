@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -52,6 +53,34 @@ def flush(file: h5py.File) -> None:
     """Hand everything to the system, and give back what was reserved and not needed."""
     file.flush()
     os.ftruncate(file.id.get_vfd_handle(), file.id.get_filesize())
+
+
+def lock(handle: int) -> None:
+    """Mark an open file as being written, until it is closed; on systems that can do that."""
+    _lock(handle)
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether another program is writing a file; False on systems that cannot tell."""
+    with path.open("r+b") as stream:
+        return not _lock(stream.fileno())
+
+
+def _lock(handle: int) -> bool:
+    """Take a lock that belongs to the open file, not to the process: HDF5 opens it more than once.
+
+    Linux calls it an open file description lock, fcntl(2).
+    """
+    try:
+        import fcntl
+
+        request = struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
+        fcntl.fcntl(handle, fcntl.F_OFD_SETLK, request)
+    except (ImportError, AttributeError):
+        return True
+    except OSError as error:
+        return error.errno not in (errno.EACCES, errno.EAGAIN)
+    return True
 
 
 def sync_path(path: Path) -> None:

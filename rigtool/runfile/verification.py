@@ -11,7 +11,8 @@ from typing import Any
 
 from rigtool.errors import RigtoolError
 from rigtool.runfile import provenance, schema
-from rigtool.runfile.reader import Recording, Run, open_run
+from rigtool.runfile.reader import Run, open_run
+from rigtool.runfile.recording import Recording
 
 _BLOCK = 16 * schema.CHUNK
 

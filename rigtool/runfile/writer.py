@@ -20,12 +20,23 @@ import h5py
 from numpy.typing import NDArray
 
 from rigtool.errors import RigtoolError, UsageError
+from rigtool.interrupts import check, held
 from rigtool.quantity import Quantity
 from rigtool.runfile import layout, provenance, schema, tree
 from rigtool.runfile.model import RecordingSpec, Table
 from rigtool.runfile.opened import OpenFile, open_hdf5
-from rigtool.runfile.reader import Recording, Run
-from rigtool.runfile.storage import flush, reserve, storage_errors, sync_folder, sync_path
+from rigtool.runfile.outputs import own_file, require_output
+from rigtool.runfile.reader import Run
+from rigtool.runfile.recording import Recording
+from rigtool.runfile.storage import (
+    flush,
+    is_locked,
+    lock,
+    reserve,
+    storage_errors,
+    sync_folder,
+    sync_path,
+)
 from rigtool.runfile.stream import Stream
 
 if TYPE_CHECKING:
@@ -45,8 +56,9 @@ class RunWriter:
     Refuses an existing `path` (or the remains of an interrupted run) with `UsageError` unless
     `overwrite`. Where anything fails nothing appears under `path`, and recorded samples stay in
     `<path>.part`. With `origin`, a run that was interrupted and is written anew, its provenance is
-    kept instead of that of the running program, and no part stays after a failure. `rig` names the
-    rig where no recipe does; `source` is the file of another program that is imported.
+    kept instead of that of the running program, and no part stays after a failure, nor with
+    `copied`, where the signals exist elsewhere. `rig` names the rig where no recipe does; `source`
+    is the file of another program that is imported.
     """
 
     def __init__(
@@ -64,15 +76,15 @@ class RunWriter:
         origin: Run | None = None,
         rig: str | None = None,
         source: provenance.Source | None = None,
+        copied: bool = False,
     ) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
-        self._new = self.path.with_name(self.path.name + ".tmp")
         self._overwrite = overwrite
         self._require_free(inputs)
         self._command = command
         self._specs = tuple(recordings)
-        self._is_copy = origin is not None
+        self._is_copy = copied or origin is not None
         if origin is not None:
             self._rig = origin.rig
             self._provenance = provenance.restore(origin.provenance)
@@ -97,10 +109,9 @@ class RunWriter:
 
     def __enter__(self) -> Self:
         with storage_errors(self.path):
-            self.part.unlink(missing_ok=True)
-            self._new.unlink(missing_ok=True)  # left where a run was killed at its very end
             try:
-                self._start()
+                with held():
+                    self._start()
             except BaseException:
                 self._abandon()
                 raise
@@ -134,11 +145,13 @@ class RunWriter:
         if self._file is None or self._recorded is not None:
             raise RuntimeError("nothing can be appended once the recordings were read back")
         stream = self._streams[recording]
-        stream.append(block)
-        if stream.waiting >= stream.chunk:
-            with storage_errors(self.path):
-                self._write(stream, stream.waiting - stream.waiting % stream.chunk)
-                self._sync()
+        with held():
+            stream.append(block)
+            if stream.waiting >= stream.chunk:
+                with storage_errors(self.path):
+                    self._write(stream, stream.waiting - stream.waiting % stream.chunk)
+                    self._sync()
+        check()
 
     def note_line(self, report: str) -> None:
         """Keep with the run what happened on the serial line of its rig: JSON, from the rig."""
@@ -171,52 +184,50 @@ class RunWriter:
         notes: Sequence[str] = (),
     ) -> None:
         """Write results, tables (the first is what a viewer shows) and remarks; take the name."""
-        new = self._new
-        with storage_errors(self.path):
+        check()
+        with storage_errors(self.path), own_file(self.path) as new:
             self._close_streams()
-            if self._recorded is not None:
-                self._recorded.close()
-            try:
-                # Signals are safe in the .part until the new file is whole: a kill, a full disk or
-                # an unwritable result while it is being completed costs nothing.
-                self._require_own_part()
-                shutil.copyfile(self.part, new)
-                with h5py.File(new, "r+", libver=schema.LIBVER, locking="best-effort") as file:
-                    self._reserve(file, layout.footer_size(tables, notes) + self._head_size())
-                    for stream in self._streams.values():
-                        stream.seal(file)
-                    layout.write_footer(file, results, tables, notes)
-                    provenance.note_line(file, self._line)
-                    provenance.seal(file)
-                    flush(file)
-                sync_path(new)
+            self._close_recorded()
+            # Signals are safe in the .part until the new file is whole: a kill, a full disk or
+            # an unwritable result while it is being completed costs nothing.
+            self._require_own_part()
+            shutil.copyfile(self.part, new)
+            with h5py.File(new, "r+", libver=schema.LIBVER, locking="best-effort") as file:
+                self._reserve(file, layout.footer_size(tables, notes) + self._head_size())
+                for stream in self._streams.values():
+                    stream.seal(file)
+                layout.write_footer(file, results, tables, notes)
+                provenance.note_line(file, self._line)
+                provenance.seal(file)
+                flush(file)
+            sync_path(new)
+            with held():
                 self._require_own_part()
                 os.replace(new, self.path)
-            except BaseException:
-                new.unlink(missing_ok=True)
-                raise
-            self._finished = True
-            self.part.unlink()
-            sync_folder(self.path.parent)
+                self._finished = True
+                self.part.unlink()
+                sync_folder(self.path.parent)
 
     def _require_free(self, inputs: Sequence[Run]) -> None:
-        parent = self.path.parent
-        if not parent.is_dir():
-            raise UsageError(f"{self.path}: the folder {parent} does not exist: create it first")
-        if self.path.is_dir():
-            raise UsageError(f"{self.path}: is a folder: give the name of a file")
-        if not os.access(parent, os.W_OK):
-            raise UsageError(f"{self.path}: the folder {parent} cannot be written: choose another")
-        if any(self.path.exists() and run.path.samefile(self.path) for run in inputs):
-            raise UsageError(f"{self.path}: is an input of this run: give the output another name")
-        if self._overwrite:
+        """Refuse an output, or a part beside it, that would be lost."""
+        self.path = require_output(
+            self.path, overwrite=self._overwrite, inputs=[run.path for run in inputs]
+        )
+        self.part = self.path.with_name(self.path.name + ".part")
+        if not self.part.exists() and not self.part.is_symlink():
             return
-        if self.path.exists():
-            raise UsageError(f"{self.path}: exists already: give another name, or --overwrite")
-        if self.part.exists():
+        if not self._overwrite:
             raise UsageError(
                 f"{self.part}: is left from a run that was interrupted, or is being written now: "
                 f"`rigtool recover {self.part}` brings back its signals, --overwrite discards it"
+            )
+        if self.part.is_symlink() or not _is_hdf5_or_empty(self.part):
+            raise UsageError(f"{self.part}: is no part of a run of rigtool: move it away")
+        if any(self.part.samefile(run.path) for run in inputs):
+            raise UsageError(f"{self.part}: is an input of this run: give the output another name")
+        if is_locked(self.part):
+            raise UsageError(
+                f"{self.part}: is being written by another run now: give the output another name"
             )
 
     def _owns_part(self) -> bool:
@@ -232,10 +243,12 @@ class RunWriter:
 
     def _start(self) -> None:
         """Create the .part with all that is known before the first sample."""
+        self.part.unlink(missing_ok=True)  # `_require_free` looked at it
         with self.part.open("xb") as stream:
             self._inode = os.fstat(stream.fileno()).st_ino
             reserve(stream.fileno(), self._head_size())
         self._file = file = h5py.File(self.part, "w", libver=schema.LIBVER, locking="best-effort")
+        lock(file.id.get_vfd_handle())
         self._reserve(file, self._head_size())
         layout.write_head(file, self._command, self._rig, self._specs, self._provenance)
         for spec in self._specs:
@@ -279,6 +292,14 @@ class RunWriter:
             self._synced = time.monotonic()
             self._unsynced = 0
 
+    def _close_recorded(self) -> None:
+        if self._recorded is not None:
+            self._recorded.close()
+
+    def _close_file(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
     def _close_streams(self) -> None:
         if self._file is None:
             return
@@ -289,15 +310,18 @@ class RunWriter:
         file.close()
 
     def _abandon(self) -> str:
-        """Close everything after an error; return what is to be said about the remains."""
-        if self._recorded is not None:
-            self._recorded.close()
-        if self._file is not None:
-            with contextlib.suppress(OSError, RigtoolError):  # what is in the file stays there
-                self._close_streams()
-            if self._file is not None:
-                self._file.close()
-                self._file = None
+        """Close everything after an error; return what is to be said about the remains.
+
+        Whatever the error left behind, this goes on to the end: samples that are in the file stay.
+        """
+        with held():
+            return self._abandoned()
+
+    def _abandoned(self) -> str:
+        for close in (self._close_recorded, self._close_streams, self._close_file):
+            with contextlib.suppress(Exception):
+                close()
+        self._file = None
         samples = sum(stream.written for stream in self._streams.values())
         if not self._owns_part():
             return f"{samples} samples that were recorded are lost" if samples else ""
@@ -308,6 +332,12 @@ class RunWriter:
             f"{samples} samples that were recorded are kept in {self.part}; "
             f"`rigtool recover {self.part}` makes a run file of them"
         )
+
+
+def _is_hdf5_or_empty(path: Path) -> bool:
+    """Return whether a file may be what a writer left: HDF5, or killed before it wrote anything."""
+    with path.open("rb") as stream:
+        return stream.read(8) in (b"\x89HDF\r\n\x1a\n", bytes(8), b"")
 
 
 def _describe_input(run: Run) -> provenance.Input:

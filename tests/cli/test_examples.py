@@ -16,7 +16,7 @@ from tests.cli.test_run_commands import interrupted
 from tests.experiments.imported_runs import SLOW, slow_turn, take
 from tests.fixtures.make import SHORT
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
-from tests.runfile.test_import_epos import write as write_epos
+from tests.runfile.importers.test_epos import write as write_epos
 
 ROOT = Path(__file__).parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"

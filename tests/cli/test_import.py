@@ -9,7 +9,7 @@ import pytest
 
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
-from tests.runfile.mappings import TEXT, lines
+from tests.runfile.importers.mappings import TEXT, lines
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / ".." / "shared" / "data"

@@ -9,6 +9,7 @@ import pytest
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.between_set_points import Lacking, remark, resolution
 from rigtool.experiments.ripple import procedure as fft_ripple
+from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from tests.experiments.virtual_runs import RECIPE, run
 
 KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
@@ -75,6 +76,6 @@ def test_ripple_says_it(tmp_path, monkeypatch):
     monkeypatch.setattr(fft_ripple, "remark", lambda runs, constant: (f"{said}: {constant:.3g}",))
     sets = ("fft_ripple.speeds=[30]", "fft_ripple.revolutions=3", "fft_ripple.torques=[]")
     more = ("fft_ripple.power_cycles=0",)
-    notes = run(fft_ripple, RECIPE, tmp_path / "ripple.h5", *sets, *more, kt=KT).notes
+    notes = run(FFT_RIPPLE, RECIPE, tmp_path / "ripple.h5", *sets, *more, kt=KT).notes
     (note,) = [note for note in notes if said in note]
     assert float(note.rpartition(" ")[2]) == pytest.approx(0.0455, rel=0.03)

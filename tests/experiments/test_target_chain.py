@@ -6,15 +6,15 @@ import pytest
 
 from rigtool.errors import HardwareError
 from rigtool.experiments.dry_run import rehearse, require_offered
-from rigtool.experiments.force import procedure as measure_force
-from rigtool.experiments.friction import procedure as stribeck
-from rigtool.experiments.learning import procedure as ilc_learn
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
+from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.plant import procedure as identify_plant
-from rigtool.experiments.ripple import procedure as fft_ripple
+from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
+from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.session import run_command
-from rigtool.experiments.suspension import procedure as suspension
-from rigtool.experiments.torque_constant import procedure as calibrate_kt
+from rigtool.experiments.suspension.procedure import PROCEDURE as SUSPENSION
+from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
@@ -25,42 +25,42 @@ from tests.rigs.serial.recipes import overrides
 FIXTURES = Path(__file__).parents[1] / "fixtures"
 
 SHORT = {
-    calibrate_kt: (
+    CALIBRATE_KT: (
         "calibrate_kt.temperatures_degc=[20, 35]",
         "calibrate_kt.rotor_positions=3",
         "calibrate_kt.record_every=160",
     ),
-    stribeck: (
+    STRIBECK: (
         "stribeck.sweep_time=8",
         "stribeck.hold_speeds=[3, 8, 16, 30]",
         "stribeck.hold_time=1",
         "stribeck.breakaway_positions=4",
         "stribeck.record_every=32",
     ),
-    fft_ripple: (
+    FFT_RIPPLE: (
         "fft_ripple.speeds=[15, 30]",
         "fft_ripple.revolutions=4",
         "fft_ripple.torques=[14e-3]",
         "fft_ripple.record_every=16",
     ),
-    ilc_learn: (
+    ILC_LEARN: (
         "ilc_learn.speeds_rev_per_s=[2, 5]",
         "ilc_learn.low_speeds_rev_per_s=[1]",
         "ilc_learn.moves=3",
     ),
-    measure_force: (
+    MEASURE_FORCE: (
         "measure_force.forces=[2.5]",
         "measure_force.speed_rev_per_s=0.5",
         "measure_force.cycles=6",
         "measure_force.extra_cycles=2",
         "measure_force.record_every=40",
     ),
-    identify_plant: (
+    IDENTIFY_PLANT: (
         "identify_plant.speeds=[8, 16]",
         "identify_plant.realisations=2",
         "identify_plant.periods=4",
     ),
-    suspension: (),
+    SUSPENSION: (),
 }
 
 
@@ -71,19 +71,19 @@ def port():
         assert server.error is None
 
 
-@pytest.mark.parametrize("module", SHORT, ids=lambda module: module.COMMAND)
-def test_same_content_over_the_line(module, port, tmp_path):
+@pytest.mark.parametrize("procedure", SHORT, ids=lambda procedure: procedure.command)
+def test_same_content_over_the_line(procedure, port, tmp_path):
     inputs = {}
-    if module not in (calibrate_kt, suspension):
+    if procedure not in (CALIBRATE_KT, SUSPENSION):
         inputs["kt"] = open_run(FIXTURES / "kt.h5")
-    if module is measure_force:
+    if procedure is MEASURE_FORCE:
         inputs["tables"] = open_run(FIXTURES / "tables.h5")
     over_line = overrides(port, "serial.watchdog=10")
     content = {}
     for name, more in (("direct", ()), ("line", over_line)):
-        options = CommonOptions(overrides=(*SHORT[module], *more), yes=True)
+        options = CommonOptions(overrides=(*SHORT[procedure], *more), yes=True)
         path = tmp_path / f"{name}.h5"
-        run_command(module, [str(RECIPE)], str(path), options=options, inputs=inputs)
+        run_command(procedure, [str(RECIPE)], str(path), options=options, inputs=inputs)
         with open_run(path) as run:
             content[name] = run.content_sha256
             line = run.provenance["line"]
@@ -97,7 +97,7 @@ def test_same_content_over_the_line(module, port, tmp_path):
 def test_learning_needs_a_rig_that_takes_what_is_learned(letter, need):
     recipe = load_recipe(RECIPE, [f"ilc_learn.implementation={letter}"])[0]
     with open_run(FIXTURES / "kt.h5") as kt:
-        plan = rehearse(ilc_learn, recipe, 0.045, {"kt": kt})
+        plan = rehearse(ILC_LEARN, recipe, 0.045, {"kt": kt})
 
     class Rig:
         def lacks(self, asked):

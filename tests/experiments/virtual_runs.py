@@ -46,9 +46,9 @@ def write_kt(folder):
     )
 
 
-def run(module, source, output, *overrides, seed=None, **inputs):
+def run(procedure, source, output, *overrides, seed=None, **inputs):
     """Run a command's procedure from recipe or run file; inputs are paths by option."""
     options = CommonOptions(overwrite=True, seed=seed, overrides=overrides)
     with ExitStack() as stack:
         opened = {name: stack.enter_context(open_run(path)) for name, path in inputs.items()}
-        return run_command(module, [str(source)], str(output), options=options, inputs=opened)
+        return run_command(procedure, [str(source)], str(output), options=options, inputs=opened)

@@ -18,7 +18,7 @@ from rigtool.recipe.mapping import (
     parse_mapping,
 )
 from rigtool.rigs import CHANNELS
-from tests.runfile.mappings import TEXT
+from tests.runfile.importers.mappings import TEXT
 
 RECIPES = Path(__file__).parents[2] / "recipes" / "import"
 

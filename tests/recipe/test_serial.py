@@ -69,11 +69,6 @@ def test_limits_that_are_none(line, message):
         parse_recipe(RIG + SERIAL + "\n".join([*kept, line]))
 
 
-def test_driver_that_does_not_exist():
-    with pytest.raises(RecipeError, match="'target', 'odrive', 'moteus', 'maxon' or 'replay'"):
-        parse_recipe(RIG + SERIAL.replace("odrive", "toaster") + LIMITS)
-
-
 def test_a_table_for_the_line_changes_nothing_for_the_virtual_rig():
     recipe = parse_recipe(RIG.replace("serial", "virtual") + SERIAL + LIMITS)
     assert recipe.rig.source == "virtual"

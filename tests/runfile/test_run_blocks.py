@@ -8,7 +8,7 @@ import pytest
 
 from rigtool.errors import RunFileError
 from rigtool.runfile import Recording, RunWriter, open_run
-from rigtool.runfile.reader import BLOCK
+from rigtool.runfile.recording import BLOCK
 from tests.runfile.whole_run import SPECS
 
 SIZE = 2 * BLOCK + 1234

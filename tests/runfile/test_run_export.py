@@ -11,8 +11,8 @@ import pytest
 import xarray
 from scipy.io import loadmat
 
-from rigtool.errors import RigtoolError, UsageError
-from rigtool.runfile import Recording, RunWriter, frames, open_run
+from rigtool.errors import UsageError
+from rigtool.runfile import Recording, RunWriter, open_run
 from rigtool.runfile.export import export
 from tests.runfile.whole_run import SIZE, SPECS, TABLES, samples, write
 
@@ -53,7 +53,7 @@ def test_results_as_csv(run_path, tmp_path):
 
 
 def test_a_recording_as_parquet(run_path, tmp_path, monkeypatch):
-    monkeypatch.setattr(frames, "BLOCK", 8192)
+    monkeypatch.setattr("rigtool.runfile.export.BLOCK", 8192)
     path = exported(run_path, tmp_path / "a.parquet", "sweep")
     frame = pd.read_parquet(path)
     assert len(frame) == SIZE
@@ -94,7 +94,7 @@ def test_parquet_without_its_package_says_what_to_install(run_path, tmp_path, mo
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
 def test_a_long_recording_is_exported_in_blocks(tmp_path, monkeypatch, ending):
     """No read is longer than a block, and blocks of any length join without a seam."""
-    monkeypatch.setattr(frames, "BLOCK", 1000)
+    monkeypatch.setattr("rigtool.runfile.export.BLOCK", 1000)
     path, longest = write(tmp_path / "run.h5", size=10_500), 0
     stored = Recording.read_stored
 
@@ -199,5 +199,5 @@ def test_an_existing_file_is_refused_and_kept(run_path, tmp_path):
 
 
 def test_a_folder_that_is_not_there(run_path, tmp_path):
-    with pytest.raises(RigtoolError, match="No such file or directory"):
+    with pytest.raises(UsageError, match="does not exist: create it first"):
         exported(run_path, tmp_path / "no" / "a.csv", "sweep")

@@ -2,9 +2,11 @@
 
 import os
 import resource
+import signal
 import subprocess
 import sys
 import textwrap
+import threading
 from pathlib import Path
 
 import h5py
@@ -12,8 +14,11 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RigtoolError, UsageError
+from rigtool.interrupts import handled
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter, open_run
+from rigtool.runfile.outputs import own_name
+from rigtool.runfile.recovery import recover
 from tests.runfile.whole_run import SPECS, samples, write
 
 
@@ -90,12 +95,91 @@ def test_failing_later_keeps_every_sample_and_says_so(tmp_path, after):
 def test_a_part_of_an_earlier_run_is_not_lost(tmp_path):
     path = tmp_path / "run.h5"
     part = tmp_path / "run.h5.part"
-    part.write_bytes(b"samples of a rig that was taken apart")
+    part.write_bytes(b"\x89HDF\r\n\x1a\n of a rig that was taken apart")
     with pytest.raises(UsageError, match="recover"):
         writer(path)
     assert part.exists()
     write(path, size=10, overwrite=True)
     assert os.listdir(tmp_path) == ["run.h5"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_somebody_elses_files_beside_the_output_stay(tmp_path, overwrite):
+    path, secret = tmp_path / "run.h5", tmp_path / "secret"
+    secret.write_text("keep")
+    (tmp_path / "run.h5.tmp").symlink_to(secret)
+    write(path, size=10)
+    assert secret.read_text() == "keep"
+    assert (tmp_path / "run.h5.tmp").is_symlink()
+    part = tmp_path / "run.h5.part"
+    part.write_text("of a browser")
+    with pytest.raises(UsageError):
+        writer(path, overwrite=overwrite)
+    part.unlink()
+    part.symlink_to(secret)
+    with pytest.raises(UsageError):
+        writer(path, overwrite=overwrite)
+    assert secret.read_text() == "keep"
+
+
+def test_a_device_is_no_output():
+    with pytest.raises(UsageError, match="device"):
+        writer(Path("/dev/null"), overwrite=True)
+
+
+def test_a_link_to_an_output_stays_a_link(tmp_path):
+    path, link = tmp_path / "run.h5", tmp_path / "latest.h5"
+    write(path, size=10)
+    link.symlink_to(path)
+    write(link, size=20, overwrite=True)
+    assert link.is_symlink()
+    with open_run(path) as run:
+        assert run.recording("sweep").size == 20
+
+
+def test_what_a_killed_process_left_is_removed_and_nothing_else(tmp_path):
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    ours = own_name(tmp_path).name
+    left = tmp_path / ours.replace(f"-{os.getpid()}-", f"-{gone.pid}-")
+    left.touch()
+    alive = tmp_path / ours
+    alive.touch()
+    other = tmp_path / ".rigtool-notes"
+    other.touch()
+    write(tmp_path / "run.h5", size=10)
+    assert sorted(os.listdir(tmp_path)) == sorted([alive.name, other.name, "run.h5"])
+
+
+def test_a_signal_at_any_moment_keeps_every_sample_that_was_appended(tmp_path):
+    """Whole blocks survive, as a prefix of what was appended, wherever the signal falls."""
+    random = np.random.default_rng(5)
+    block = samples(3000)["sweep"]
+    for attempt in range(40):
+        path = tmp_path / f"{attempt}.h5"
+        blocks = []
+        timer = threading.Timer(random.uniform(0, 0.06), os.kill, (os.getpid(), signal.SIGINT))
+
+        def record(path: Path, blocks: list[int], timer: threading.Timer) -> None:
+            with handled(), writer(path) as out:
+                timer.start()
+                while True:
+                    out.append("sweep", block)
+                    blocks.append(1)
+
+        with pytest.raises(KeyboardInterrupt):
+            record(path, blocks, timer)
+        timer.join()
+        appended = len(blocks)
+        part = path.with_name(path.name + ".part")
+        if not part.exists():
+            assert appended <= 1
+            continue
+        recover(part)
+        with open_run(path) as run:
+            assert run.recording("sweep").size in (3000 * appended, 3000 * (appended + 1))
+            stored = run.recording("sweep").read("time")
+        assert np.array_equal(stored, np.resize(block["time"], stored.size))
 
 
 def test_results_that_cannot_be_stored_leave_the_samples(tmp_path):
@@ -119,23 +203,30 @@ def test_leaving_without_finish_is_a_mistake(tmp_path):
 
 def test_two_writers_of_one_output_do_not_mix(tmp_path):
     path = tmp_path / "run.h5"
-
-    def both() -> None:
-        with writer(path) as first:
-            first.append("sweep", samples(50)["sweep"])
+    with writer(path) as first:
+        first.append("sweep", samples(50)["sweep"])
+        for overwrite in (False, True):
             with pytest.raises(UsageError, match="being written"):
-                writer(path)
-            with writer(path, overwrite=True) as second:
-                second.append("sweep", samples(70)["sweep"])
-                second.finish({}, {})
-            first.finish({}, {})
-
-    with pytest.raises(RigtoolError, match="another program") as caught:
-        both()
-    assert "50 samples that were recorded are lost" in caught.value.__notes__[0]
+                writer(path, overwrite=overwrite)
+        first.finish({}, {})
     assert os.listdir(tmp_path) == ["run.h5"]
     with open_run(path) as run:
-        assert run.recording("sweep").size == 70
+        assert run.recording("sweep").size == 50
+
+
+def test_a_part_that_another_program_replaced_is_not_taken_for_ones_own(tmp_path):
+    path = tmp_path / "run.h5"
+
+    def replaced() -> None:
+        with writer(path) as out:
+            out.append("sweep", samples(50)["sweep"])
+            out.part.unlink()
+            out.part.touch()
+            out.finish({}, {})
+
+    with pytest.raises(RigtoolError, match="another program") as caught:
+        replaced()
+    assert "50 samples that were recorded are lost" in caught.value.__notes__[0]
 
 
 @pytest.mark.parametrize(

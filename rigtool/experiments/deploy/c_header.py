@@ -1,17 +1,21 @@
-"""A learned table as C header: constant arrays and the interpolation that rigtool uses itself."""
+"""A learned table as a C header: constant arrays, and the interpolation that rigtool itself uses.
+
+    torque(p, v) = (1 - b) ((1 - a) q_jk + a q_j,k+1) + b ((1 - a) q_j+1,k + a q_j+1,k+1)
+
+with q_jk = factor_j row_j(p_k), a the place of p between positions k and k + 1, and b that of v
+between the nodes of speed j and j + 1: `control.lookup_table` in 4-byte numbers.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.deploy.quantised_table import loss, nodes, quantise
-from rigtool.experiments.learning.stored_origin import LearnedTable, told_loss
-from rigtool.experiments.learning.stored_table import COULOMB, VISCOUS
+from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS, LearnedTable
 
 Array = NDArray[np.float64]
 
@@ -79,9 +83,12 @@ static inline int {p}_covers(float position, float speed)
 """
 
 
-def header(learned: LearnedTable, output: Path, *, short: bool) -> tuple[str, str]:
-    """Return the text of a C header, and what its numbers lose; `short` makes them int16."""
-    table, name = learned.table, identifier(output.stem)
+def header(learned: LearnedTable, stem: str, *, short: bool) -> tuple[str, str]:
+    """Return the text of a C header, and what its numbers lose; `short` makes them int16.
+
+    `stem` is the file's name without its ending; the names in the header begin with it.
+    """
+    table, name = learned.table, identifier(stem)
     macro, at = name.upper(), nodes(learned.table)
     if short:
         quantised = quantise(table.torque, INT16)
@@ -90,7 +97,7 @@ def header(learned: LearnedTable, output: Path, *, short: bool) -> tuple[str, st
     else:
         entries = table.torque
         lost = loss(table.torque.astype(np.float32).astype(np.float64) - table.torque)
-    text = told_loss(lost, learned.unit, f"rounding to {'int16' if short else 'float'}")
+    text = lost.text(learned.unit, f"rounding to {'int16' if short else 'float'}")
     count = table.position.size
     step = (table.position[-1] - table.position[0]) / (count - 1)
     defines = {
@@ -154,7 +161,7 @@ def _head(learned: LearnedTable, name: str, lost: str) -> list[str]:
         *learned.rule(),
         f"{name}_{learned.quantity}(position, speed) does so; {name}_covers(position, speed) says",
         "where it is valid. Positions are floats: give them within a few turns of zero.",
-        *learned.friction_told(),
+        *learned.friction_lines(),
         f"Lost: {lost}.",
     ]
 
@@ -176,7 +183,7 @@ def _covers(macro: str) -> str:
 
 
 def _float(value: float) -> str:
-    text = str(np.float32(value))  # as few digits as tell it from its neighbours
+    text = str(np.float32(value))  # as few digits as distinguish it from its neighbours
     return (text if any(c in text for c in ".en") else text + ".0") + "f"
 
 

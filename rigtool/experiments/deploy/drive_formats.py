@@ -1,4 +1,4 @@
-"""Learned tables as others read them: for drives, as Fourier coefficients, as plain numbers."""
+"""Texts of learned tables: for drives, as Fourier coefficients, as plain numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.deploy.fourier_table import fourier_series
 from rigtool.experiments.deploy.position_map import PositionMap
 from rigtool.experiments.deploy.quantised_table import held_values, interpolated_codes, nodes
-from rigtool.experiments.learning.stored_origin import LearnedTable, told_loss
+from rigtool.experiments.learning.learned_table import LearnedTable
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def moteus(learned: LearnedTable, turn: PositionMap) -> tuple[str, str]:
     encoder and linear between. Lines are as its tools store and restore a configuration.
     """
     sampled = interpolated_codes(turn, MOTEUS_SIZE, INT8)
-    text = told_loss(sampled.loss, "A", f"{MOTEUS_SIZE} codes of int8")
+    text = sampled.loss.text("A", f"{MOTEUS_SIZE} codes of int8")
     head = [
         "Cogging table of a moteus drive; load by moteus_tool --restore-config, or send each line",
         "after 'conf set' and end with 'conf write'. The drive uses it in position mode.",
@@ -47,7 +47,7 @@ def moteus(learned: LearnedTable, turn: PositionMap) -> tuple[str, str]:
 def odrive(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[str, str]:
     """Return a map of the size that ODrive uses, 3600 floats of N m, and what it loses."""
     values, lost = held_values(turn, ODRIVE_SIZE)
-    text = told_loss(lost, "N m", f"{ODRIVE_SIZE} steps of float")
+    text = lost.text("N m", f"{ODRIVE_SIZE} steps of float")
     head = [
         "Map of the size that ODrive uses: value i holds from i/3600 to (i+1)/3600 of a turn.",
         "The drive takes no upload of its map: stream it as torque feed-forward by position.",
@@ -63,14 +63,13 @@ def odrive(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[
 
 
 def fourier(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[str, str]:
-    """Return the orders that stand out of the noise, and what they leave out."""
+    """Return the orders above the noise as text, and what they leave out."""
     band = None
     if learned.band_hz is not None:
         band = int(learned.band_hz * 2 * math.pi / abs(turn.speed))
     series = fourier_series(turn, band)
     unit = learned.unit
-    text = told_loss(
-        series.lost,
+    text = series.lost.text(
         unit,
         f"leaving out orders below twice their noise, of {series.examined}; that is noise, too",
     )
@@ -158,7 +157,7 @@ def _table_head(learned: LearnedTable) -> list[str]:
         f"Learned {learned.quantity} [{learned.unit}] by position and speed of the motor shaft.",
         *learned.origin,
         *learned.rule(),
-        *learned.friction_told(),
+        *learned.friction_lines(),
         f"Lost: {NOTHING_LOST}.",
     ]
 
@@ -172,7 +171,7 @@ def _map_lines(learned: LearnedTable, turn: PositionMap, unit: str) -> list[str]
     ]
     if not turn.both_directions:
         lines.append("Friction that varies with position is in it, and is wrong the other way.")
-    return [*lines, *learned.friction_told()]
+    return [*lines, *learned.friction_lines()]
 
 
 def _lost(lost: Any, unit: str) -> dict[str, Any]:

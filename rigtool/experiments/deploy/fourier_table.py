@@ -73,7 +73,7 @@ def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
     u = np.full(int(clear.sum()), floor / math.sqrt(2))
     kept = found[clear]
     position = turn.start + np.arange(count) * (2 * math.pi / count)
-    told = np.cos(np.multiply.outer(position, order[clear]) + np.angle(kept)) @ np.abs(kept)
+    series = np.cos(np.multiply.outer(position, order[clear]) + np.angle(kept)) @ np.abs(kept)
     return FourierSeries(
         order=order[clear],
         amplitude=np.abs(kept),
@@ -81,5 +81,5 @@ def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
         phase=np.angle(kept),
         phase_u=u / np.abs(kept),
         examined=highest,
-        lost=loss(told - turn.values),
+        lost=loss(series - turn.values),
     )

@@ -1,11 +1,11 @@
 """A learned table at one speed, around the turn: what a drive can hold.
 
-A drive's cogging table knows the position only. What a table says of both directions at one speed,
+A drive looks its cogging table up by position alone. The mean of a table over both directions,
 
     map(position) = (torque(position, +speed) + torque(position, -speed))/2 - mean,
 
-holds no friction, which has the sign of the speed; the mean over the turn is told beside it. Where
-one direction was learned, friction that varies with position stays in the map.
+holds no friction, which has the sign of the speed; the mean over the turn is reported separately.
+Where one direction was learned, friction that varies with position stays in the map.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class PositionMap:
 
     `u` (n,) is their standard uncertainty, in the same unit. `mean` is what was removed, `speed`
     the one the map belongs to, rad/s, negative where only that direction was learned;
-    `both_directions` says whether it is the mean of two.
+    `both_directions` is true for the mean of two.
     """
 
     start: float
@@ -68,7 +68,7 @@ class PositionMap:
 
 
 def position_map(table: LookupTable, u: Array, speed: float | None) -> PositionMap:
-    """Return what a table says at one speed, rad/s; `u` has the shape of its torque.
+    """Return the map of a table at one speed, rad/s; `u` has the shape of its torque.
 
     Without `speed` it is the only one that was learned. Raises `UsageError` where the table does
     not cover a turn, holds several speeds and none is chosen, or was not learned at this one.

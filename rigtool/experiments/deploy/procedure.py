@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,10 +18,10 @@ from rigtool.errors import HardwareError, InsufficientDataError, UsageError
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
 from rigtool.experiments.deploy.quantised_table import Sampled, interpolated_codes
 from rigtool.experiments.deploy.stored_export import in_unit
-from rigtool.experiments.learning.stored_origin import learned_table_from, told_loss
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.recipe import Recipe
-from rigtool.rigs.bench import Bench
-from rigtool.rigs.serial.drivers import driver_module
+from rigtool.rigs.operator import Operator
+from rigtool.rigs.serial.drivers import REPLAY, driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.table_store import DriveTable, EncoderZero, TableStore
 from rigtool.runfile import Run
@@ -30,7 +31,7 @@ Array = NDArray[np.float64]
 TIMEOUT = 1.0
 """Longest wait for an answer, s: a drive that writes its flash is busy."""
 
-TRIED = "residual_waveforms"
+WAVEFORMS = "residual_waveforms"
 """Table of a run with waveforms before, and with what was learned switched on."""
 
 TABLE_ON = "cogging table is on"
@@ -52,7 +53,7 @@ def deploy(
     speed: float | None,
     kt: Run | None,
     dry_run: bool,
-    bench: Bench,
+    operator: Operator,
 ) -> Deployed:
     """Store the table of a run in the drive of a recipe; with `dry_run` only look.
 
@@ -61,17 +62,17 @@ def deploy(
     `HardwareError` for a drive that keeps no table, or where storing fails: then the table that
     was there is back.
     """
-    module = _module(recipe)
+    make_table_store, usual_baud_rate = _store_of(recipe)
     assert recipe.serial is not None
     turn, remarks = _map(tables, recipe, speed, kt)
-    remarks.append(_told_ripple(tables, turn.speed))
+    remarks.append(_ripple_remark(tables, turn.speed))
     remarks = [*remarks, *_origin_remarks(tables, recipe)]
     settings = recipe.serial
-    baud_rate = settings.baud_rate or module.BAUD_RATE
+    baud_rate = settings.baud_rate or usual_baud_rate
     with Line(
-        settings.port, baud_rate, timeout=TIMEOUT, spy=bench.spy, driver=settings.driver
+        settings.port, baud_rate, timeout=TIMEOUT, spy=operator.spy, driver=settings.driver
     ) as line:
-        store: TableStore = module.make_table_store(line, recipe)
+        store = make_table_store(line, recipe)
         identity = store.connect()
         _require_same_drive(tables, identity)
         zero = store.zero()
@@ -86,7 +87,11 @@ def deploy(
         plan = [f"{identity} on {settings.port}", *_plan(turn, sampled, zero, before)]
         if dry_run:
             return Deployed((*plan, "nothing was changed"), tuple(remarks))
-        _permit(bench, [*plan, *remarks])
+        operator.permit(
+            "\n".join([*plan, *remarks]),
+            "the drive's table would be replaced",
+            "Store this in the drive's flash now?",
+        )
         store.store(new, before)
         retries = line.counts.retries
     done = f"stored and read back: {store.size} codes and their scale are in the drive's flash"
@@ -95,29 +100,29 @@ def deploy(
     return Deployed((*plan, done), tuple(remarks))
 
 
-def _module(recipe: Recipe) -> Any:
-    """Return the driver of a drive that keeps a table."""
+def _store_of(recipe: Recipe) -> tuple[Callable[[Line, Recipe], TableStore], int]:
+    """Return what makes the table store of the recipe's drive, and the usual baud rate, bit/s."""
     if recipe.rig.source != "serial" or recipe.serial is None:
         raise UsageError(
             f"the rig {recipe.rig.name} is {recipe.rig.source}: a table is stored in a drive; give "
             "a recipe with rig.source = serial"
         )
     name = recipe.serial.driver
-    if name == "replay":
+    if name == REPLAY:
         raise UsageError("serial.driver is replay: a record has no memory to store a table in")
-    module = driver_module(name)
-    if not hasattr(module, "make_table_store"):
+    found = driver(name)
+    if found.make_table_store is None:
         raise HardwareError(
             f"{name} keeps no table that can be stored over its line: rigtool adds a learned table "
             "as feed-forward while it runs; to use it elsewhere, export it"
         )
-    return module
+    return found.make_table_store, found.baud_rates[0]
 
 
 def _map(
     tables: Run, recipe: Recipe, speed: float | None, kt: Run | None
 ) -> tuple[PositionMap, list[str]]:
-    """Return what the drive is to add, in A, and what has to be said of it."""
+    """Return the map that the drive is to add, in A, and remarks."""
     assert recipe.serial is not None
     learned = learned_table_from(tables)
     for run in (tables, kt):
@@ -130,7 +135,7 @@ def _map(
     peak, limit = float(np.abs(turn.values).max()), recipe.serial.limits.current
     if peak > limit:
         raise UsageError(
-            f"{tables.path}: asks for up to {peak:.4g} A, beyond serial.limits.current = "
+            f"{tables.path}: takes up to {peak:.4g} A, beyond serial.limits.current = "
             f"{limit:g} A: a table of cogging is far smaller; look at how it was learned"
         )
     remarks = []
@@ -138,28 +143,28 @@ def _map(
         remarks.append(f"the mean over the turn, {turn.mean:.4g} A, is left out")
     if not turn.both_directions:
         remarks.append("one direction alone: friction that varies with position is in the map")
-    return turn, remarks + learned.friction_told()
+    return turn, remarks + learned.friction_lines()
 
 
-def _told_ripple(tables: Run, speed: float) -> str:
-    """Say what the table left of the ripple when it was tried, at the learned speed next to this.
+def _ripple_remark(tables: Run, speed: float) -> str:
+    """State the ripple with and without the table while learning, at the speed next to this one.
 
     Raises `InsufficientDataError` where it left no less than there was.
     """
-    if TRIED not in tables.tables:
-        return "the table was not tried while it was learned: what it leaves of ripple is not known"
-    tried = tables.table(TRIED).columns
+    if WAVEFORMS not in tables.tables:
+        return "the table was not tried while it was learned: its effect on ripple is not known"
+    tried = tables.table(WAVEFORMS).columns
     distance = np.abs(np.abs(tried["speed"].values) - abs(speed))
     next_to = distance == distance.min()
     before, after = (_ripple(tried[name].values[next_to]) for name in ("before", "residual"))
-    told = f"from {before * 1e3:.3g} to {after * 1e3:.3g} mN m (rms, mean of directions)"
+    change = f"from {before * 1e3:.3g} to {after * 1e3:.3g} mN m (rms, mean of directions)"
     if after >= before:
         raise InsufficientDataError(
-            f"{tables.path}: with the table switched on, ripple went {told}: it would make the "
+            f"{tables.path}: with the table switched on, ripple went {change}: it would make the "
             "motor run worse. [rig.controller] has to be the loop that the drive closes, and "
             "ilc_learn.robustness_hz below its bandwidth: correct them, and learn again"
         )
-    return f"when the table was tried while learning, ripple went {told}"
+    return f"when the table was tried while learning, ripple went {change}"
 
 
 def _ripple(waveforms: Array) -> float:
@@ -173,12 +178,12 @@ def _line_facts(run: Run) -> dict[str, Any]:
 
 
 def _origin_remarks(tables: Run, recipe: Recipe) -> list[str]:
-    """Say, or refuse, where a table was learned through something else than this drive."""
+    """Refuse a table that was learned through another kind of drive; return remarks."""
     assert recipe.serial is not None
     facts = _line_facts(tables)
     if not facts:
         return [
-            "the run does not say which drive it was learned with: position zero and direction "
+            "the run does not state with which drive it was learned: position zero and direction "
             "have to be those of this drive"
         ]
     driver = facts.get("driver")
@@ -226,20 +231,6 @@ def _plan(turn: PositionMap, sampled: Sampled, zero: EncoderZero, before: DriveT
         f"of the encoder that the drive looks its table up by, which counts {direction} the "
         "position does",
         f"{stored.codes.size} codes, scale {stored.scale:.6g} A; lost "
-        + told_loss(sampled.loss, "A", "rounding"),
+        + sampled.loss.text("A", "rounding"),
         f"the table that is there is {was}; {change} codes change",
     ]
-
-
-def _permit(bench: Bench, plan: list[str]) -> None:
-    """Show what is about to be stored; raises `UsageError` unless that is agreed to."""
-    bench.operator.say("\n".join(plan))
-    if bench.yes:
-        return
-    if not bench.operator.present:
-        raise UsageError(
-            "the drive's table would be replaced now, and nobody is at the terminal to agree: look "
-            "at --dry-run, then add --yes"
-        )
-    if not bench.operator.agrees("Store this in the drive's flash now?"):
-        raise UsageError("not agreed to: nothing was stored")

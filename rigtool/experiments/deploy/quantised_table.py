@@ -30,6 +30,10 @@ class Loss:
     largest: float
     rms: float
 
+    def text(self, unit: str, by: str) -> str:
+        """State what was lost by which step, in the unit of the table."""
+        return f"by {by}, largest {self.largest:.2g} {unit}, rms {self.rms:.2g} {unit}"
+
 
 def loss(difference: Array) -> Loss:
     """Return the loss of differences (n,)."""

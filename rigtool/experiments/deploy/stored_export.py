@@ -1,4 +1,4 @@
-"""`export` of learned tables: which format, and the file of it."""
+"""`export` of learned tables: the choice of the format, and its file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from rigtool.errors import UsageError
 from rigtool.experiments.deploy import drive_formats as texts
 from rigtool.experiments.deploy.c_header import header
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
-from rigtool.experiments.learning.stored_origin import LearnedTable, learned_table_from
+from rigtool.experiments.learning.learned_table import LearnedTable
+from rigtool.experiments.learning.stored_table import learned_table_from
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.runfile import Run
 from rigtool.runfile.export import write_new
 
@@ -32,7 +34,7 @@ MAPS = ("moteus", "odrive", "fourier")
 
 
 def chosen_format(run: Run, output: Path, part: str | None, wanted: str | None) -> str | None:
-    """Return the format of a learned table that is asked for; None where it is the run's own.
+    """Return the chosen format of a learned table; None for the run's own formats.
 
     Raises `UsageError` where format, file and run do not go together.
     """
@@ -83,7 +85,7 @@ def export_table(
                 raise UsageError(f"{option} is for {', '.join(MAPS)}: {wanted} holds all speeds")
         contents, lost = _table_contents(learned, output, wanted)
     write_new(output, overwrite, lambda path: _write(path, contents))
-    remarks += learned.friction_told()
+    remarks += learned.friction_lines()
     return (f"lost {lost}", *remarks)
 
 
@@ -104,8 +106,7 @@ def in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | Non
             f"--kt is missing: {wanted} takes {needed}, the table holds {learned.unit}; give a run "
             "of calibrate-kt of the motor"
         )
-    kt.require_command("calibrate-kt")
-    constant = kt.result("torque_constant_mean").value
+    constant = torque_per_ampere(kt).value
     return turn.scaled(1 / constant if needed == "A" else constant)
 
 
@@ -122,7 +123,7 @@ def _table_contents(
     learned: LearnedTable, output: Path, wanted: str
 ) -> tuple[str | dict[str, Any], str]:
     if wanted in ("c", "c-int16"):
-        return header(learned, output, short=wanted == "c-int16")
+        return header(learned, output.stem, short=wanted == "c-int16")
     if output.suffix == ".mat":
         return texts.table_matlab(learned)
     return texts.table_csv(learned) if output.suffix == ".csv" else texts.table_json(learned)

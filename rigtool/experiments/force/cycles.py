@@ -1,9 +1,9 @@
 """Force from motor current: cycles of a hanging load, their scatter, their peak [chapter 8].
 
-A load F at an arm r asks for the torque T(a) = F r sin(a) at the output angle a. Each cycle lifts
+A load F at an arm r takes the torque T(a) = F r sin(a) at the output angle a. Each cycle lifts
 it (rising stroke) and lowers it (falling stroke). T is read at one angle of each rising stroke, and
-as a curve over the whole up-and-down. Friction that grows with load adds to one stroke and is
-missing in the other, thesis section 8.2:
+as a curve over the whole up-and-down. Friction that grows with load adds to one stroke and
+subtracts from the other [8.2]:
 
     T_lifting = T_load + T_ef,  T_lowering = T_load - T_ef,  T_ef = (T_lifting - T_lowering) / 2
 
@@ -21,16 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.checks import require_signals
 
 Array = NDArray[np.float64]
-
-FILTER_ORDER = 2
-"""Of the Butterworth, which acts twice: forward and backward."""
-
-KEPT_RATE = 125
-"""Samples for each period of the cut-off that are enough: thinned out to these, the low-pass has
-its gain within 1e-4 below the cut-off and within 2e-4 above."""
 
 HYSTERESIS = 0.1
 """Part of the stroke by which the position must pass the middle to count as having passed."""
@@ -100,45 +93,6 @@ class Peaks:
     lifting_torque: Array
     lowering_angle: Array
     lowering_torque: Array
-
-
-def lowpass(time: ArrayLike, signal: ArrayLike, cutoff_hz: float) -> Array:
-    """Filter a signal (n,) without phase shift, as the thesis does at 5 Hz [8.1].
-
-    A Butterworth of second order runs forward and backward, so that the gain at `cutoff_hz` is one
-    half. Raises `InsufficientDataError` where the rate or the length does not allow that.
-    """
-    t, values = require_signals(2, time=time, signal=signal)
-    return lowpass_at(1 / require_rising(t), values, cutoff_hz)
-
-
-def lowpass_at(rate: float, values: Array, cutoff_hz: float) -> Array:
-    """Do what `lowpass` does, for signals (..., n) of a known rate, Hz.
-
-    Raises `InsufficientDataError` as it does.
-    """
-    from scipy.signal import butter, sosfiltfilt
-
-    if not cutoff_hz < rate / 2:
-        raise InsufficientDataError(
-            f"a low-pass of {cutoff_hz} Hz needs signals above {2 * cutoff_hz} Hz, these have "
-            f"{rate:.4g} Hz: record more often, or lower lowpass_hz"
-        )
-    length = round(rate / cutoff_hz)  # the filter's memory: what happens at the ends stays there
-    size = values.shape[-1]
-    if size < 4 * length:
-        raise InsufficientDataError(
-            f"{size} samples ({size / rate:.3g} s) are too few for a low-pass of "
-            f"{cutoff_hz} Hz, {4 * length} are needed: record for longer, or raise lowpass_hz"
-        )
-    sections = butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos")
-    filtered: Array = sosfiltfilt(sections, values, padlen=length)
-    return filtered
-
-
-def kept_factor(rate: float, cutoff_hz: float) -> int:
-    """Return by how much samples may be thinned out before the low-pass, see `KEPT_RATE`."""
-    return max(1, math.floor(rate / (KEPT_RATE * cutoff_hz) * (1 + 1e-6)))
 
 
 def find_cycles(position: ArrayLike) -> list[Cycle]:
@@ -290,8 +244,8 @@ def find_peak(angle: ArrayLike, torque: ArrayLike) -> Peak:
         if not first <= centre <= last or np.count_nonzero(near) < 5:
             break
         offset = a[near] - centre
-        # Weights that fade to the window's ends: no point enters or leaves it with a jump, so the
-        # window comes to rest also on an oscillating curve.
+        # Weights fade to the ends of the window: no point enters or leaves it with a jump, so that
+        # the window comes to rest on an oscillating curve, too.
         weight = 1 - (offset / PEAK_HALF_WIDTH) ** 2
         cubic = np.polyfit(offset, values[near], 3, w=weight)
         if cubic[1] >= 0:

@@ -21,7 +21,7 @@ from rigtool.experiments.imported_load.imported_accuracy import (
     REFERENCE,
     WIDE,
     Accuracy,
-    Signals,
+    LoadSignals,
     accuracy,
     accuracy_columns,
     carries,
@@ -29,7 +29,7 @@ from rigtool.experiments.imported_load.imported_accuracy import (
     levels_of,
     read_signals,
 )
-from rigtool.experiments.imported_load.model import Estimate, LoadModel
+from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
 from rigtool.experiments.imported_load.stored import RANDOM, WIDE_MODEL, load_model_from
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
@@ -44,10 +44,10 @@ LEFT_OUT, RANDOM_HALF = 0, 1
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """One run: its signals and what the model says of them."""
+    """One run: its signals and the model's estimate from them."""
 
-    signals: Signals
-    estimate: Estimate
+    signals: LoadSignals
+    estimate: TorqueEstimate
 
 
 def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None) -> Outcome:
@@ -65,7 +65,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
         signals = read_signals(run, recording, kt, model.bandwidth_hz)
         if signals.effort_unit != unit:
             raise UsageError(
-                f"{run.path}: its motor is told in {signals.effort_unit}, the tables were learned "
+                f"{run.path}: its effort is in {signals.effort_unit}, the tables were learned "
                 f"in {unit}: give --kt to both commands or to neither"
             )
         estimate = model.estimate(signals.effort, signals.path)
@@ -98,12 +98,12 @@ def _also_learned(runs: Sequence[Run], tables: Run) -> list[str]:
         return []
     return [
         f"the tables were learned from {len(both)} of these runs ({both[0]}, ...): errors there "
-        "tell less than those of runs that were kept from learning"
+        "show less than those of runs that were kept from learning"
     ]
 
 
 def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]:
-    """Return what must be said about samples without an estimate; raise where none has one."""
+    """Return notes on samples without an estimate; raise where no sample has one."""
     rows = np.concatenate([item.signals.counts for item in measured])
     still = np.concatenate([item.estimate.still for item in measured])[rows]
     inside = np.concatenate([item.estimate.inside for item in measured])[rows]
@@ -130,7 +130,7 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
 
 
 def _own_results(measured: Sequence[Measured]) -> dict[str, Quantity]:
-    """Return what is known without a sensor."""
+    """Return the results that need no sensor."""
     rows = [item.signals.counts for item in measured]
     inside = np.concatenate([m.estimate.inside[r] for m, r in zip(measured, rows, strict=True)])
     still = np.concatenate([m.estimate.still[r] for m, r in zip(measured, rows, strict=True)])
@@ -238,7 +238,7 @@ def _accuracy_results(found: Accuracy) -> dict[str, Quantity]:
 
 
 def _accuracy_table(rows: Sequence[tuple[int, float, Accuracy]], tables: Run) -> Table:
-    """Return errors by split and bandwidth: of these runs, and what learning says of its own."""
+    """Return errors by split and bandwidth: of these runs, and of those that were learned from."""
     split = [float(kind) for kind, _, _ in rows]
     bandwidth = [bandwidth for _, bandwidth, _ in rows]
     columns = accuracy_columns([item for _, _, item in rows])

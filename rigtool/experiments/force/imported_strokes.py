@@ -1,8 +1,8 @@
 """Closing strokes of imported runs: a Table 8 at one position, and how far repeats disagree.
 
-Strokes of one run repeat each other: same positions, same speeds, same load. By how much the torque
-from effort differs between them, less what the sensor says, is a limit that no function of motion
-and effort gets below.
+Strokes of one run repeat each other: same positions, same speeds, same load. The difference of the
+torque from effort between them, less that of the sensor, is a limit for any function of motion and
+effort.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.imported_load.imported_accuracy import FAST, Signals
-from rigtool.experiments.imported_load.model import Estimate
+from rigtool.experiments.imported_load.imported_accuracy import FAST, LoadSignals
+from rigtool.experiments.imported_load.model import TorqueEstimate
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 CELLS = 25
 """Positions along the stroke at which repeats are compared."""
 
-FEWEST = 2
+REPEATS = 2
 """Strokes, or runs, that have a scatter."""
 
 
@@ -40,7 +40,9 @@ class Strokes:
     sensor: Array
 
 
-def read_strokes(items: Sequence[tuple[Signals, Estimate]], direction: int) -> list[Strokes]:
+def read_strokes(
+    items: Sequence[tuple[LoadSignals, TorqueEstimate]], direction: int
+) -> list[Strokes]:
     """Return the fast strokes against the load of each run, at common positions."""
     found = []
     for signals, _ in items:
@@ -71,7 +73,7 @@ def read_strokes(items: Sequence[tuple[Signals, Estimate]], direction: int) -> l
     return strokes
 
 
-def _sensor(signals: Signals) -> Array:
+def _sensor(signals: LoadSignals) -> Array:
     if signals.reference is None:
         raise ValueError("strokes are compared with a sensor")
     return signals.reference
@@ -101,9 +103,9 @@ def levels_table(strokes: Sequence[Strokes], numbers: Sequence[int]) -> Table | 
             continue
         every, applied = np.concatenate(torque), float(np.mean(np.concatenate(sensor)))
         mean, runs = float(every.mean()), len(torque)
-        std = float(every.std(ddof=1)) if every.size >= FEWEST else math.nan
+        std = float(every.std(ddof=1)) if every.size >= REPEATS else math.nan
         # Runs disagree by more than the strokes of one: they are what repeats the measurement.
-        u = float(np.std(errors, ddof=1)) / math.sqrt(runs) if runs >= FEWEST else math.nan
+        u = float(np.std(errors, ddof=1)) / math.sqrt(runs) if runs >= REPEATS else math.nan
         error = mean - applied
         percent = (100 / applied) if applied else math.nan
         rows.append(
@@ -142,7 +144,7 @@ def scatter_results(strokes: Sequence[Strokes]) -> tuple[dict[str, Quantity], li
             means.append(float(np.nanmean(error)))
         for cell in error.T:
             known = cell[np.isfinite(cell)]
-            if known.size >= FEWEST:
+            if known.size >= REPEATS:
                 squares += float(np.sum((known - known.mean()) ** 2))
                 dof += known.size - 1
     found, notes = {}, []
@@ -150,7 +152,7 @@ def scatter_results(strokes: Sequence[Strokes]) -> tuple[dict[str, Quantity], li
     if dof:
         within = math.sqrt(squares / dof)
         found["scatter_between_strokes"] = Quantity(within, "N m", reason=reason)
-    if len(means) >= FEWEST:
+    if len(means) >= REPEATS:
         between = float(np.std(means, ddof=1))
         found["scatter_between_runs"] = Quantity(between, "N m", reason=reason)
     if len(found) == 2:

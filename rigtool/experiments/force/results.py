@@ -1,10 +1,10 @@
-"""Loads of `measure-force` with their uncertainty: Tables 8 and 9, and what no load shows."""
+"""Loads of `measure-force` with their uncertainty: Tables 8 and 9, and the unloaded cycles."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from rigtool.experiments.force.cycles import (
     statistics,
     up_and_down,
 )
+from rigtool.experiments.load_disturbance.cycles import LoadedCycles
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -25,13 +26,13 @@ from rigtool.runfile import Column, Table
 Array = NDArray[np.float64]
 
 GRID_COUNTS = 10
-"""Distance of the points at which curves are stored, quad counts."""
+"""Distance between the points of stored curves, quad counts."""
 
 ZERO_AGAIN = "zero_again"
 """Recording without load after all loads (correction full): zero is known before and after."""
 
 SIGNIFICANCE = 0.05
-"""Shapiro-Wilk probability below which readings are said not to be normally distributed."""
+"""Shapiro-Wilk probability below which readings are reported as not normally distributed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +40,9 @@ class Reading:
     """One recording, filtered: signals (n,), its cycles, and the torque read in each (cycles,).
 
     `position` in quad counts of the motor; `torque` at the output and `feedforward` (of the learned
-    table) at the motor, N m. `method_u` is the standard uncertainty at the output of what a reading
-    holds beside the load by the way it is made, N m.
+    table) at the motor, N m. `method_u` N m is the standard uncertainty at the output by the errors
+    that the method adds to a reading. `whole` holds the same cycles superimposed on one period,
+    where loads are read from whole strokes.
     """
 
     name: str
@@ -52,14 +54,56 @@ class Reading:
     cycles: list[Cycle]
     values: Array
     method_u: float = 0.0
+    whole: LoadedCycles | None = None
 
     def strokes(self, signal: Array, grid: Array) -> tuple[Array, Array]:
         """Return a signal over position of the rising and of the falling strokes."""
         return curves(self.position, signal, self.cycles, grid)
 
 
+@dataclass(frozen=True)
+class LoadRow:
+    """One load of Table 8 or 9, as `COLUMNS` describes its numbers; NaN where there is no value."""
+
+    applied_force: float
+    applied_torque: float
+    mean_torque: float
+    mean_torque_u: float
+    mean_torque_dof: float
+    std_torque: float
+    std_torque_u: float
+    error_torque: float
+    error_percent: float
+    cycles: float
+    effective_cycles: float
+
+    def blank(self) -> LoadRow:
+        """Return the row without what was measured."""
+        measured = (f.name for f in fields(self) if not f.name.startswith("applied_"))
+        return replace(self, **dict.fromkeys(measured, math.nan))
+
+
+COLUMNS = {
+    "applied_force": ("N", ""),
+    "applied_torque": ("N m", "at the angle of the reading"),
+    "mean_torque": ("N m", "at the output"),
+    "mean_torque_u": (
+        "N m",
+        "standard uncertainty: scatter, torque constant, zero reading or learned table, method",
+    ),
+    "mean_torque_dof": ("1", "effective degrees of freedom of mean_torque_u"),
+    "std_torque": ("N m", "S of single readings"),
+    "std_torque_u": ("N m", ""),
+    "error_torque": ("N m", "mean - applied"),
+    "error_percent": ("%", "of the applied torque"),
+    "cycles": ("1", "readings"),
+    "effective_cycles": ("1", "independent readings among them"),
+}
+"""Unit and description of each number of a load."""
+
+
 def applied_torque(recipe: Recipe, force: float, angle: float | Array) -> Array:
-    """Return the torque that a force asks for at an output angle, N m, in the order of `angle`.
+    """Return the torque that a force takes at an output angle, N m, in the order of `angle`.
 
     At the grasper force * length * sin(angle) [8.1], on the pulley force * radius.
     """
@@ -74,10 +118,10 @@ def stroke_grid(recipe: Recipe) -> Array:
     return np.linspace(0, span, max(2, round(span / GRID_COUNTS) + 1))
 
 
-def loads_outcome(
+def load_rows(
     loads: Sequence[Reading], recipe: Recipe, constant: Quantity, table_u: float
-) -> Outcome:
-    """Return Table 8 or 9 and the figures of the unloaded cycles.
+) -> list[LoadRow]:
+    """Return Table 8 or 9, load by load, from readings at one angle of the rising strokes.
 
     `loads` begin with the one without force; `constant` is the torque constant at one rotor angle
     and `table_u` the standard uncertainty of the learned table where torque is read, N m.
@@ -85,21 +129,47 @@ def loads_outcome(
     angle = math.radians(recipe.measure_force.measure_angle)
     unloaded = statistics(loads[0].values, 0.0)
     zero = unloaded.mean if recipe.measure_force.zero else 0.0
-    rows = [unloaded] + [
-        statistics(load.values - zero, float(applied_torque(recipe, load.force, angle)))
-        for load in loads[1:]
-    ]
-    # The error of the table is in the zero reading as well and goes with it; what makes the zero
-    # reading uncertain comes instead.
+    # The zero reading contains the error of the table, too, and removes it; its own uncertainty
+    # takes the place of the table's.
     zero_u = math.hypot(unloaded.u, loads[0].method_u) / recipe.rig.torque_factor
     offset_u = zero_u if recipe.measure_force.zero else table_u
-    judged = normality(loads[0].values)
+    rows = []
+    for load in loads:
+        if load is loads[0]:
+            found, own_u = unloaded, table_u
+        else:
+            applied = float(applied_torque(recipe, load.force, angle))
+            found, own_u = statistics(load.values - zero, applied), offset_u
+        mean = _mean_quantity(found, recipe, constant, own_u, load.method_u)
+        rows.append(
+            LoadRow(
+                applied_force=load.force,
+                applied_torque=found.mean - found.error,
+                mean_torque=mean.value,
+                mean_torque_u=mean.u or 0.0,
+                mean_torque_dof=math.nan if mean.dof is None else mean.dof,
+                std_torque=found.std,
+                # S / sqrt(2 (n - 1)) for normal readings (GUM E.4.3)
+                std_torque_u=found.std / math.sqrt(2 * (found.count - 1)),
+                error_torque=found.error,
+                error_percent=found.error_percent,
+                cycles=found.count,
+                effective_cycles=found.effective_count,
+            )
+        )
+    return rows
+
+
+def loads_outcome(loads: Sequence[Reading], rows: Sequence[LoadRow], recipe: Recipe) -> Outcome:
+    """Return Table 8 or 9 and the figures of the unloaded cycles, from readings and their rows."""
+    unloaded, judged = rows[0], normality(loads[0].values)
+    mean_dof = None if math.isnan(unloaded.mean_torque_dof) else unloaded.mean_torque_dof
     results = {
         "std_torque_no_load": Quantity(
-            unloaded.std, "N m", _std_u(unloaded), float(unloaded.count - 1)
+            unloaded.std_torque, "N m", unloaded.std_torque_u, float(unloaded.cycles - 1)
         ),
-        "mean_torque_no_load": _mean_quantity(
-            unloaded, recipe, constant, table_u, loads[0].method_u
+        "mean_torque_no_load": Quantity(
+            unloaded.mean_torque, "N m", unloaded.mean_torque_u, mean_dof
         ),
         "normality_p": Quantity(judged.p, "1", reason="a probability is not measured"),
     }
@@ -114,7 +184,9 @@ def loads_outcome(
         description="normal probability plot of the readings without load",
     )
     tables = {
-        "loads": _loads_table(loads, rows, recipe, constant, table_u, offset_u),
+        "loads": loads_table(
+            rows, COLUMNS, "torque read from current while rising, by load; the first has none"
+        ),
         "values": _values_table(loads),
         "probability_plot": probability,
         **_curve_tables(loads, recipe),
@@ -122,51 +194,21 @@ def loads_outcome(
     return Outcome(results, tables, tuple(_load_notes(loads, rows, judged.p)))
 
 
-def _loads_table(
-    loads: Sequence[Reading],
-    rows: Sequence[LoadStatistics],
-    recipe: Recipe,
-    constant: Quantity,
-    table_u: float,
-    offset_u: float,
+def loads_table(
+    rows: Sequence[LoadRow], columns: Mapping[str, tuple[str, str]], description: str
 ) -> Table:
-    means = [
-        _mean_quantity(row, recipe, constant, offset_u if number else table_u, load.method_u)
-        for number, (row, load) in enumerate(zip(rows, loads, strict=True))
-    ]
-    columns = {
-        "load": Column(np.arange(len(loads)), "1", "in the order of measurement"),
-        "applied_force": Column(np.array([load.force for load in loads]), "N"),
-        "applied_torque": Column(
-            np.array([row.mean - row.error for row in rows]), "N m", "at the angle of the reading"
-        ),
-        "mean_torque": Column(np.array([mean.value for mean in means]), "N m", "at the output"),
-        "mean_torque_u": Column(
-            np.array([mean.u for mean in means]),
-            "N m",
-            "standard uncertainty: scatter, torque constant, zero reading or learned table, method",
-        ),
-        "mean_torque_dof": Column(
-            np.array([math.nan if mean.dof is None else mean.dof for mean in means]),
-            "1",
-            "effective degrees of freedom of mean_torque_u",
-        ),
-        "std_torque": Column(np.array([row.std for row in rows]), "N m", "S of single readings"),
-        "std_torque_u": Column(np.array([_std_u(row) for row in rows]), "N m"),
-        "error_torque": Column(np.array([row.error for row in rows]), "N m", "mean - applied"),
-        "error_percent": Column(
-            np.array([row.error_percent for row in rows]), "%", "of the applied torque"
-        ),
-        "cycles": Column(np.array([row.count for row in rows]), "1", "readings"),
-        "effective_cycles": Column(
-            np.array([row.effective_count for row in rows]), "1", "independent readings among them"
-        ),
-    }
+    """Return the table of loads; `columns` are the numbers of a row by unit and description."""
     return Table(
         axes=("load",),
-        columns=columns,
+        columns={
+            "load": Column(np.arange(len(rows)), "1", "in the order of measurement"),
+            **{
+                name: Column(np.array([getattr(row, name) for row in rows]), unit, about)
+                for name, (unit, about) in columns.items()
+            },
+        },
         signal="mean_torque",
-        description="torque read from current while rising, by load; the first has none",
+        description=description,
     )
 
 
@@ -190,11 +232,6 @@ def _mean_quantity(
     return Quantity(
         row.mean, "N m", float(uncertainty(torque)), degrees if math.isfinite(degrees) else None
     )
-
-
-def _std_u(row: LoadStatistics) -> float:
-    """Return the standard uncertainty of S for normal readings, S / sqrt(2 (n - 1)) (GUM E.4.3)."""
-    return row.std / math.sqrt(2 * (row.count - 1))
 
 
 def _values_table(loads: Sequence[Reading]) -> Table:
@@ -259,21 +296,21 @@ def _curve_tables(loads: Sequence[Reading], recipe: Recipe) -> dict[str, Table]:
     }
 
 
-def _load_notes(loads: Sequence[Reading], rows: Sequence[LoadStatistics], p: float) -> list[str]:
+def _load_notes(loads: Sequence[Reading], rows: Sequence[LoadRow], p: float) -> list[str]:
     notes = []
     if p < SIGNIFICANCE:
         notes.append(
             f"the readings without load are not normally distributed (Shapiro-Wilk p = {p:.2g}): "
-            "their S says little about how often they are far off"
+            "their S shows little of how often they are far off"
         )
     for load, row in zip(loads, rows, strict=True):
-        if row.count < load.asked_cycles:
+        if row.cycles < load.asked_cycles:
             notes.append(
-                f"{load.name}: {row.count} whole cycles of {load.asked_cycles} that were asked for"
+                f"{load.name}: {row.cycles} whole cycles of {load.asked_cycles} in the recipe"
             )
-        if row.effective_count < row.count / 2:
+        if row.effective_cycles < row.cycles / 2:
             notes.append(
-                f"{load.name}: readings follow each other, {row.count} of them count as "
-                f"{row.effective_count:.3g} independent ones"
+                f"{load.name}: readings follow each other, {row.cycles} of them count as "
+                f"{row.effective_cycles:.3g} independent ones"
             )
     return notes

@@ -10,23 +10,22 @@ band.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force.results import ZERO_AGAIN, Reading
+from rigtool.experiments.force.results import COLUMNS, LoadRow, Reading, loads_table
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
-from rigtool.experiments.load_disturbance.model import Comparison, Disturbance
-from rigtool.experiments.load_disturbance.reading import DeadBand, LoadReading, dead_band, read_load
+from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
+from rigtool.experiments.load_disturbance.reading import LoadReading, dead_band, read_load
 from rigtool.experiments.load_disturbance.stored import disturbance_from, load_friction
-from rigtool.experiments.load_disturbance.stored_recordings import cycles_of
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
-from rigtool.runfile import Column, Recording, Run, Table
+from rigtool.runfile import Recording, Run
 
 Array = NDArray[np.float64]
 
@@ -66,148 +65,218 @@ def without_load_friction(
     return found, np.array(us)
 
 
-def load_outcome(base: Outcome, friction_u: Array, thesis: Outcome) -> Outcome:
-    """Return the outcome of readings `without_load_friction` with the u of what was taken off.
+def load_outcome(
+    base: Outcome, found: Sequence[LoadRow], friction_u: Array, thesis: Sequence[LoadRow]
+) -> Outcome:
+    """Return the outcome `base` of readings `without_load_friction` with the u of the correction.
 
-    `thesis` is that of the same readings with it.
-    Raises `InsufficientDataError` where all loads are beyond the learned ones.
+    `found` are the rows of these readings, `thesis` those of the readings as they were. Raises
+    `InsufficientDataError` where all loads are beyond the learned ones.
     """
-    table, outside = base.tables["loads"], np.isnan(friction_u)
-    if outside[1:].all():
+    if np.isnan(friction_u[1:]).all():
         raise InsufficientDataError(
             "all loads are beyond those that friction was learned with: learn with larger loads in "
             "[ilc_learn.loads]"
         )
-    kept = ("load", "applied_force", "applied_torque")
-    columns = {
-        name: column if name in kept else _blanked(column, outside)
-        for name, column in table.columns.items()
+    rows = [
+        row.blank()
+        if math.isnan(u)
+        else replace(row, mean_torque_u=math.hypot(row.mean_torque_u, u))
+        for row, u in zip(found, friction_u.tolist(), strict=True)
+    ]
+    described = {
+        "mean_torque_u": "standard uncertainty: as for --correction none, and the friction's"
     }
-    whole_u = np.hypot(columns["mean_torque_u"].values, friction_u)
-    columns["mean_torque_u"] = Column(
-        whole_u, "N m", "standard uncertainty: as for --correction none, and the friction's"
-    )
-    about = "torque read while rising, without the friction that grows with load; NaN: not learned"
-    count = {"loads_outside": Quantity(float(outside.sum()), "1", reason="a count")}
-    return Outcome(
-        {**base.results, **count},
-        {
-            **base.tables,
-            "loads": Table(table.axes, columns, table.signal, about),
-            **_uncorrected(thesis),
-        },
+    return _with_rows(
+        base,
+        rows,
+        thesis,
+        described,
+        "torque read while rising, without the friction that grows with load; NaN: not learned",
         ("--correction load: friction that grows with load is taken off", *base.notes),
     )
 
 
-def _blanked(column: Column, where: NDArray[np.bool_]) -> Column:
-    return Column(np.where(where, math.nan, column.values), column.unit, column.description)
+def _with_rows(
+    base: Outcome,
+    rows: Sequence[LoadRow],
+    thesis: Sequence[LoadRow],
+    described: Mapping[str, str],
+    about: str,
+    notes: tuple[str, ...],
+) -> Outcome:
+    """Return an outcome with corrected rows, and those of the thesis under a name of their own."""
+    units = COLUMNS | (WHOLE_COLUMNS if isinstance(rows[-1], WholeRow) else {})
+    columns = {name: (unit, described.get(name, text)) for name, (unit, text) in units.items()}
+    outside = sum(math.isnan(row.mean_torque) for row in rows)
+    return Outcome(
+        {**base.results, "loads_outside": Quantity(float(outside), "1", reason="a count")},
+        {
+            **base.tables,
+            "loads": loads_table(rows, columns, about),
+            "loads_uncorrected": loads_table(thesis, COLUMNS, "the same loads, --correction none"),
+        },
+        notes,
+    )
 
 
 # -- full
 
 
 @dataclass(frozen=True)
-class _Row:
-    """A load: its dead band, and what was read, or why nothing was."""
+class WholeRow(LoadRow):
+    """A load read from whole strokes, as `WHOLE_COLUMNS` describes what it adds to `LoadRow`."""
 
-    band: DeadBand
-    reading: LoadReading | None
-    reason: str = ""
+    dead_band_middle: float = math.nan
+    dead_band: float = math.nan
+    angle_mean_torque: float = math.nan
+    angle_std_torque: float = math.nan
+    angle_error_percent: float = math.nan
+
+
+WHOLE_COLUMNS = {
+    "dead_band_middle": ("N m", "mean of lifting and lowering at the angle, as read, less zero"),
+    "dead_band": ("N m", "half of lifting less lowering: what friction may hold at a standstill"),
+    "angle_mean_torque": ("N m", "mean of readings at the angle, rising, with the same correction"),
+    "angle_std_torque": ("N m", "S of these"),
+    "angle_error_percent": ("%", "their error, of the applied torque"),
+}
+
+WHOLE_TEXTS = {
+    "mean_torque": "load at the angle of the reading, from whole strokes up and down",
+    "mean_torque_u": "standard uncertainty: scatter, zero, disturbance, misfit, temperature, "
+    "samples of current",
+    "std_torque": "S of single cycles",
+    "cycles": "cycles read",
+}
 
 
 def full_outcome(
-    run: Run, base: Outcome, recipe: Recipe, kt: Run, tables: Run, sampled_u: float
+    base: Outcome,
+    loads: Sequence[Reading],
+    again: Sequence[LoadedCycles],
+    thesis: Sequence[LoadRow],
+    recipe: Recipe,
+    tables: Run,
+    drift: Drift,
+    sampled_u: float,
 ) -> Outcome:
-    """Return the outcome with its table of loads read from whole strokes.
+    """Return the outcome with its loads read from whole strokes.
 
-    `base` is that of the thesis's way; `sampled_u` N m, at the output, is the standard uncertainty
-    by how the rig takes its samples of current. Where the motion is slower than any that was
-    learned, loads have a dead band and no value. Raises `InsufficientDataError` where no load can
-    be read though the motion was learned.
+    `base` and the rows `thesis` are those of the thesis's way, from the same `loads`; `again` are
+    the cycles without load after all loads. `drift` is that of the motor's temperature since
+    learning, `sampled_u` N m, at the output, the standard uncertainty by how the rig takes its
+    samples of current. Where the motion is slower than any
+    that was learned, loads have a dead band and no value. Raises `InsufficientDataError` where no
+    load can be read though the motion was learned.
     """
     disturbance = corrects(tables, recipe)
     slow = slower_than_learned(disturbance, recipe)
-    unloaded, loaded = _recordings(run)
-    speed = 2 * math.pi * recipe.measure_force.speed_rev_per_s * recipe.rig.angle_ratio
-    zero = [cycles_of(recording, recipe, kt, speed) for recording in unloaded]
-    rows = [
-        _read(disturbance, recording, cycles_of(recording, recipe, kt, speed), zero, recipe, slow)
-        for recording in loaded
-    ]
-    outside = [row for row in rows if row.reading is None]
-    if rows and len(outside) == len(rows) and not slow:
-        raise InsufficientDataError(f"no load can be read: {outside[0].reason}")
-    warmth, remarks = _temperature(unloaded, kt, tables)
-    results = {
-        **base.results,
-        "loads_outside": Quantity(float(len(outside)), "1", reason="a count"),
-    }
+    zero = [*(_whole(load) for load in loads if load.force == 0), *again]
+    settings = recipe.measure_force
+    angle, margin = math.radians(settings.measure_angle), math.radians(settings.turn_angle)
+    rows: list[LoadRow] = [WholeRow(**vars(row)) for row in thesis[:1]]
+    reasons = []
+    for load, row in zip(loads[1:], thesis[1:], strict=True):
+        pair = LoadedPair.of(_whole(load), zero, margin)
+        band = dead_band(pair, angle)
+        blank = WholeRow(**vars(row.blank()), dead_band_middle=band.middle, dead_band=band.half)
+        try:
+            if slow:
+                raise InsufficientDataError(slow)
+            reading = _read(disturbance, pair, angle, load.name)
+        except InsufficientDataError as error:  # costs its own row only
+            rows.append(blank)
+            reasons.append(str(error))
+            continue
+        rows.append(_row(blank, reading, math.sin(angle), drift.u, sampled_u))
+    if reasons and len(reasons) == len(loads) - 1 and not slow:
+        raise InsufficientDataError(f"no load can be read: {reasons[0]}")
     notes = (
         f"--correction full: loads read from whole strokes with the disturbance of "
         f"{tables.path.name} taken off; zero from {len(zero)} recording(s)",
-        *(f"no value: {reason}" for reason in dict.fromkeys(row.reason for row in outside)),
-        *remarks,
+        *(f"no value: {reason}" for reason in dict.fromkeys(reasons)),
+        drift.remark,
         *base.notes,
     )
-    loads = _loads_table(base.tables["loads"], rows, recipe, warmth, sampled_u)
-    return Outcome(results, {**base.tables, "loads": loads, **_uncorrected(base)}, notes)
+    about = (
+        "torque of each load with the disturbance taken off; the first has none. NaN: outside what "
+        "was learned"
+    )
+    return _with_rows(base, rows, thesis, WHOLE_TEXTS, about, notes)
 
 
-def _recordings(run: Run) -> tuple[list[Recording], list[Recording]]:
-    """Return the recordings without load, and those with, in the order of the table."""
-    found = run.recordings_named("load_")
-    again = run.recordings_named(ZERO_AGAIN)
-    unloaded = [r for r in found if r.condition("force") == 0]
-    return unloaded + again, [r for r in found if r.condition("force") > 0]
+def _whole(load: Reading) -> LoadedCycles:
+    assert load.whole is not None
+    return load.whole
 
 
-def _temperature(unloaded: Sequence[Recording], kt: Run, tables: Run) -> tuple[float, list[str]]:
-    """Return the relative u that being warmer than while learning brings, and what to say of it."""
+def _read(disturbance: Disturbance, pair: LoadedPair, angle: float, name: str) -> LoadReading:
+    """Return the load of a recording; `InsufficientDataError` where it cannot be read."""
+    try:
+        found = read_load(disturbance, pair, angle)
+    except InsufficientDataError as error:
+        raise InsufficientDataError(f"{name}: {error}") from None
+    if found.moment > BEYOND * disturbance.torque:
+        raise InsufficientDataError(
+            f"{name}: the load is {found.moment * 1e3:.4g} mN m, learned were loads up to "
+            f"{disturbance.torque * 1e3:.4g} mN m: learn with larger loads in [ilc_learn.loads]"
+        )
+    return found
+
+
+def _row(
+    blank: WholeRow, reading: LoadReading, sine: float, drift_u: float, sampled_u: float
+) -> WholeRow:
+    """Return the row of a load that was read, at an angle of this sine."""
+    mean, applied, count = sine * reading.moment, blank.applied_torque, len(reading.cycles)
+    scatter = sine * float(reading.cycles.std(ddof=1))
+    at_angle = sine * reading.at_angle
+    own = sine * reading.components["scatter"]
+    return replace(
+        blank,
+        mean_torque=mean,
+        mean_torque_u=math.hypot(sine * reading.u, drift_u * mean, sampled_u),
+        mean_torque_dof=reading.dof,
+        std_torque=scatter,
+        std_torque_u=scatter / math.sqrt(2 * (count - 1)),
+        error_torque=mean - applied,
+        error_percent=100 * (mean / applied - 1),
+        cycles=float(count),
+        effective_cycles=(scatter / own) ** 2 if own else math.nan,
+        angle_mean_torque=float(at_angle.mean()),
+        angle_std_torque=float(at_angle.std(ddof=1)),
+        angle_error_percent=100 * (float(at_angle.mean()) / applied - 1),
+    )
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Change of the motor's temperature since learning: the relative u that it brings, a remark."""
+
+    u: float
+    remark: str
+
+
+def temperature_drift(unloaded: Sequence[Recording], kt: Run, tables: Run) -> Drift:
+    """Return the drift from the learned loads to recordings without load."""
     now = float(np.mean([np.mean(recording.read("temperature")) for recording in unloaded]))
     warmer = now - tables.result("learned_temperature").value
     slope = kt.results.get("torque_constant_temperature_coefficient")
+    text = f"the motor is {warmer:+.2g} K from where loads were learned"
     if slope is None:
-        return 0.0, [
-            f"the motor is {warmer:+.2g} K from where loads were learned; {kt.path.name} tells no "
-            "temperature coefficient, so nothing is corrected for it"
-        ]
-    return abs(warmer) * (slope.u or 0.0), [
-        f"the motor is {warmer:+.2g} K from where loads were learned; its constant is corrected by "
-        f"{100 * warmer * slope.value:+.2g} %"
-    ]
-
-
-def _read(
-    disturbance: Disturbance,
-    recording: Recording,
-    cycles: LoadedCycles,
-    zero: Sequence[LoadedCycles],
-    recipe: Recipe,
-    slow: str,
-) -> _Row:
-    """Read one load; a load that cannot be read costs its own row only.
-
-    `slow` says why none has a value, where the motion is too slow.
-    """
-    settings = recipe.measure_force
-    angle = math.radians(settings.measure_angle)
-    comparison = Comparison.of(cycles, zero, math.radians(settings.turn_angle))
-    band = dead_band(comparison, angle)
-    if slow:
-        return _Row(band, None, slow)
-    try:
-        found = read_load(disturbance, comparison, angle)
-    except InsufficientDataError as error:
-        return _Row(band, None, f"{recording.name}: {error}")
-    if found.moment > BEYOND * disturbance.torque:
-        return _Row(
-            band,
-            None,
-            f"{recording.name}: the load is {found.moment * 1e3:.4g} mN m, learned were loads up "
-            f"to {disturbance.torque * 1e3:.4g} mN m: learn with larger loads in [ilc_learn.loads]",
+        return Drift(
+            0.0,
+            f"{text}; {kt.path.name} states no temperature coefficient, so nothing is corrected "
+            "for it",
         )
-    return _Row(band, found)
+    percent = 100 * warmer * slope.value
+    return Drift(
+        abs(warmer) * (slope.u or 0.0), f"{text}; its constant is corrected by {percent:+.2g} %"
+    )
+
+
+# -- what both need
 
 
 def corrects(tables: Run, recipe: Recipe) -> Disturbance:
@@ -241,106 +310,3 @@ def slower_than_learned(disturbance: Disturbance, recipe: Recipe) -> str:
         "on: closer to standstill friction may hold any part of the load within its dead band; "
         "move faster, or learn with a lower speed in [ilc_learn.loads]"
     )
-
-
-def _loads_table(
-    base: Table, rows: Sequence[_Row], recipe: Recipe, warmth: float, sampled_u: float
-) -> Table:
-    """Return the table of loads with what was read; the first row, without load, stays."""
-    angle = math.sin(math.radians(recipe.measure_force.measure_angle))
-    columns = {name: base[name].astype(np.float64).copy() for name in base.columns}
-    more = {
-        name: np.full(len(rows) + 1, math.nan)
-        for name in (
-            "dead_band_middle",
-            "dead_band",
-            "angle_mean_torque",
-            "angle_std_torque",
-            "angle_error_percent",
-        )
-    }
-    for number, row in enumerate(rows, start=1):
-        applied = columns["applied_torque"][number]
-        values = _row_values(row.reading, angle, applied, warmth, sampled_u)
-        values |= {"dead_band_middle": row.band.middle, "dead_band": row.band.half}
-        for name, value in values.items():
-            (columns if name in columns else more)[name][number] = value
-    described = {name: column.description for name, column in base.columns.items()} | {
-        "mean_torque": "load at the angle of the reading, from whole strokes up and down",
-        "mean_torque_u": "standard uncertainty: scatter, zero, disturbance, misfit, temperature, "
-        "samples of current",
-        "std_torque": "S of single cycles",
-        "cycles": "cycles read",
-    }
-    table = {
-        name: Column(values, base.columns[name].unit, described[name])
-        for name, values in columns.items()
-    }
-    units = {"angle_error_percent": "%"}
-    about = {
-        "dead_band_middle": "mean of lifting and lowering at the angle, as read, less zero",
-        "dead_band": "half of lifting less lowering: what friction may hold at a standstill",
-        "angle_mean_torque": "mean of readings at the angle, rising, with the same correction",
-        "angle_std_torque": "S of these",
-        "angle_error_percent": "their error, of the applied torque",
-    }
-    table |= {
-        name: Column(values, units.get(name, "N m"), about[name]) for name, values in more.items()
-    }
-    return Table(
-        base.axes,
-        table,
-        base.signal,
-        "torque of each load with the disturbance taken off; the first has none. NaN: outside what "
-        "was learned",
-    )
-
-
-def _row_values(
-    reading: LoadReading | None, sine: float, applied: float, warmth: float, sampled_u: float
-) -> dict[str, float]:
-    """Return the columns of a load; NaN where it could not be read."""
-    names = (
-        "mean_torque",
-        "mean_torque_u",
-        "mean_torque_dof",
-        "std_torque",
-        "std_torque_u",
-        "error_torque",
-        "error_percent",
-        "cycles",
-        "effective_cycles",
-    )
-    if reading is None:
-        return dict.fromkeys(names, math.nan)
-    mean, count = sine * reading.moment, len(reading.cycles)
-    scatter = sine * float(reading.cycles.std(ddof=1))
-    at_angle = sine * reading.at_angle
-    own = sine * reading.components["scatter"]
-    u = math.hypot(sine * reading.u, warmth * mean, sampled_u)
-    values = (
-        mean,
-        u,
-        reading.dof,
-        scatter,
-        scatter / math.sqrt(2 * (count - 1)),
-        mean - applied,
-        100 * (mean / applied - 1),
-        float(count),
-        (scatter / own) ** 2 if own else math.nan,
-    )
-    return dict(zip(names, values, strict=True)) | {
-        "angle_mean_torque": float(at_angle.mean()),
-        "angle_std_torque": float(at_angle.std(ddof=1)),
-        "angle_error_percent": 100 * (float(at_angle.mean()) / applied - 1),
-    }
-
-
-def _uncorrected(base: Outcome) -> dict[str, Table]:
-    """Return the table of loads as the thesis reads them, under a name of its own."""
-    table = base.tables["loads"]
-    return {
-        "loads_uncorrected": Table(
-            table.axes, table.columns, table.signal, "the same loads, --correction none"
-        )
-    }

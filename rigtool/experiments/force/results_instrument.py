@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 def instrument_outcome(extra: Mapping[str, Reading], recipe: Recipe, constant: Quantity) -> Outcome:
     """Return load friction from `hysteresis` and stiffness from `shift`, where they were recorded.
 
-    Where a load shows no peak within the stroke, its results are left out and a note says why.
+    Where a load shows no peak within the stroke, its results are left out and a note states the
+    reason.
     """
     results: dict[str, Quantity] = {}
     tables: dict[str, Table] = {}

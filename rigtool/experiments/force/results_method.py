@@ -1,8 +1,9 @@
-"""What a reading of `measure-force` holds beside the load by the way it is made.
+"""Errors that the method of `measure-force` adds to a reading.
 
-The low-pass remembers the ends of the stroke; a drive tells its current in steps; a loop that is
-driven by set points one by one may measure at a moment that is not like the rest of its period.
-Each is found from the signals, and is in the uncertainty, or there is no reading.
+The low-pass carries the ends of the stroke into the reading; a drive reports its current in steps;
+a loop that is driven by single set points may sample a moment that differs from the rest of its
+period. Each error is estimated from the signals and included in the uncertainty; where it is too
+large, there is no reading.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ Array = NDArray[np.float64]
 
 UNSTEADY = 0.3
 """Part by which the speed at the reading, low-passed as the torque is, may differ from its set
-point: beyond, the reading is more of the stroke's ends than of the place."""
+point: beyond, the reading shows the ends of the stroke rather than the place."""
 
 SLOW = 0.5
-"""Up-and-downs in a period of the low-pass: with more, it takes the strokes away themselves."""
+"""Up-and-downs in a period of the low-pass: with more, it removes the strokes themselves."""
 
-TOLD = 0.01
+NOTEWORTHY = 0.01
 """Part of the smallest load from which on what samples lack is worth a note."""
 
 
@@ -48,7 +49,7 @@ def require_slow_strokes(recipe: Recipe, motion: Triangle) -> None:
 def lacking_torque(
     run: Run, recipe: Recipe, torque_constant: float, forces: Sequence[float]
 ) -> tuple[float, tuple[str, ...]]:
-    """Return what the rig's loop leaves out of its samples, N m at the output, and what to say.
+    """Return the torque that the samples of the rig's loop lack, N m at the output, and remarks.
 
     Raises `InsufficientDataError` where that is too much against the largest of the `forces`, N.
     """
@@ -67,7 +68,7 @@ def lacking_torque(
         raise InsufficientDataError(
             f"{text}: more than {limit * 1e3:.3g} mN m, {LIMIT:.0%} of the largest load; {REMEDY}"
         )
-    if lacking > TOLD * min(applied, default=0.0):
+    if lacking > NOTEWORTHY * min(applied, default=0.0):
         return lacking, (f"{text}, which is in the uncertainty of each load: {REMEDY}",)
     return lacking, ()
 
@@ -75,7 +76,7 @@ def lacking_torque(
 def unsteady_torque(
     angle: Array, torque: Array, fed: Array, *, rate: float, cycles: list[Cycle], recipe: Recipe
 ) -> float:
-    """Return what the low-pass brings to a reading from the ends of its stroke, N m at the output.
+    """Return the error that the low-pass brings from the ends of a stroke, N m at the output.
 
     `angle`, `torque` and the torque that was `fed` forward for the inertia (n,) are those of the
     output, low-passed, at `rate` Hz. Where the shaft turns around within the low-pass's memory,
@@ -124,6 +125,6 @@ def _slopes(first: Array, second: Array, values: Array) -> tuple[float, float]:
 
 
 def resolution_u(recording: Recording, recipe: Recipe, torque_constant: float) -> float:
-    """Return the standard uncertainty by the steps in which current is told, N m at the output."""
+    """Return the standard uncertainty by the steps of reported current, N m at the output."""
     step = resolution(recording, recipe.measure_force.record_every)
     return recipe.rig.torque_factor * torque_constant * step / math.sqrt(12)

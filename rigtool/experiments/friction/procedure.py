@@ -19,27 +19,12 @@ from rigtool.experiments.friction.procedure_analysis import (
     analyse,
     estimate,
 )
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe, Stribeck
 from rigtool.rigs import Feedforward, Load, Rig, Task
 from rigtool.rigs.motion import CurrentRamp, SpeedProfile
 from rigtool.runfile import RecordingSpec, Run, RunWriter
-
-__all__ = [
-    "BARE_MOTOR",
-    "COMMAND",
-    "NEEDED",
-    "analyse",
-    "analyse_imported",
-    "measure",
-    "recordings",
-    "rig_needs",
-]
-
-COMMAND = "stribeck"
-NEEDED = ("kt",)
-BARE_MOTOR = True
 
 RUN_UP = 1.0
 """From standstill to the highest speed, s."""
@@ -71,11 +56,12 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
         "feedforward_current",
         "temperature",
     )
-    force = recipe.stribeck.radial_force
-    return (
-        *(RecordingSpec(name, names) for name in (HOLDS, *SWEEPS)),
-        RecordingSpec(BREAKAWAY, names, {"radial_force": (0.0, "N")}),
-        RecordingSpec(BREAKAWAY_LOADED, names, {"radial_force": (force, "N")}),
+    force, every = recipe.stribeck.radial_force, recipe.stribeck.record_every
+    conditions = {BREAKAWAY: {"radial_force": (0.0, "N")}}
+    conditions[BREAKAWAY_LOADED] = {"radial_force": (force, "N")}
+    return tuple(
+        RecordingSpec(name, names, conditions.get(name, {}), every)
+        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
     )
 
 
@@ -183,3 +169,15 @@ def _record_ramp(
             if shaft.origin is None:
                 shaft.origin = float(encoder[0])
             shaft.angle = (float(encoder[-1]) - shaft.origin) * 2 * math.pi / counts
+
+
+PROCEDURE = Procedure(
+    "stribeck",
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    bare_motor=True,
+    analyse_imported=analyse_imported,
+    rig_needs=rig_needs,
+)

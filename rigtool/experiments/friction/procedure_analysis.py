@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.between_set_points import LIMIT, REMEDY, Lacking, resolution
+from rigtool.experiments.controller_torque import controller_torque
 from rigtool.experiments.friction.breakaway import Breakaway, Ramp, around_turn, find_ramps
 from rigtool.experiments.friction.friction_tables import (
     breakaway_table,
@@ -41,6 +42,7 @@ from rigtool.experiments.friction.stribeck_fit import (
 )
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.torque_per_ampere import mean_constant_note, torque_per_ampere
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run, Table
 
@@ -67,6 +69,7 @@ def estimate(holds: Recording, recipe: Recipe, kt: Run) -> Estimate:
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     """Return friction from whatever recordings the runs hold; what is missing goes into notes."""
     found = Found(Scale.of(kt))
+    found.notes.append(mean_constant_note(torque_per_ampere(kt)))
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
         for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
@@ -114,14 +117,6 @@ def _has(run: Run, name: str) -> bool:
 # -- holds and sweeps
 
 
-def _torque(recording: Recording, scale: Scale) -> Array:
-    """Return the controller's torque: set point without feed-forward, N m."""
-    current = recording.read("current_setpoint")
-    if recording.has("feedforward_current"):
-        current = current - recording.read("feedforward_current")
-    return scale.value * current
-
-
 def _angle(recording: Recording, recipe: Recipe) -> Array:
     return recording.read("encoder") * (2 * np.pi / recipe.rig.encoder_counts)
 
@@ -136,7 +131,7 @@ def _fit_holds(
         found = find_holds(
             time=recording.read("time"),
             angle=_angle(recording, recipe),
-            torque=_torque(recording, scale),
+            torque=controller_torque(recording, scale.value),
             setpoint=recording.read("position_setpoint")
             if recording.has("position_setpoint")
             else None,
@@ -236,7 +231,7 @@ def _sweeps(
             curves[recording_name] = torque_speed_curve(
                 time=recording.read("time"),
                 setpoint=recording.read("position_setpoint"),
-                torque=_torque(recording, found.scale),
+                torque=controller_torque(recording, found.scale.value),
                 inertia=recipe.rig.nominal_inertia,
             )
             found.tables[table] = torque_speed_table(curves[recording_name], label)
@@ -294,7 +289,7 @@ def _breakaway(
     telling: Table | None = None
     for recording in recordings:
         time, angle = recording.read("time"), _angle(recording, recipe)
-        torque = _torque(recording, scale)
+        torque = controller_torque(recording, scale.value)
         threshold = recipe.stribeck.breakaway_angle
         here = find_ramps(time=time, angle=angle, torque=torque, threshold=threshold)
         telling = telling or ramp_table(here, time, angle, torque)

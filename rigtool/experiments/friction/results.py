@@ -39,14 +39,9 @@ class Scale:
 
     @classmethod
     def of(cls, kt: Run) -> Scale:
-        """Take the one constant value that the controller assumes, and what that costs [7.1.1]."""
+        """Take the mean torque constant of a calibration [7.1.1]."""
         mean = torque_per_ampere(kt)
-        relative = (mean.u or 0.0) / mean.value
-        if "torque_constant_constant_error" in kt.results:
-            # The motor may have any temperature of the range: a rectangular distribution.
-            error = kt.result("torque_constant_constant_error").value
-            relative = math.hypot(relative, error / math.sqrt(3))
-        return cls(mean.value, relative)
+        return cls(mean.value, (mean.u or 0.0) / mean.value)
 
     def quantity(self, estimate: Estimate, unit: str, dof: float | None) -> Quantity:
         """Combine scatter with the uncertainty that is common to all torques."""

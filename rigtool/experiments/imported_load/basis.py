@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force.cycles import lowpass_at
 from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.lowpass import lowpass
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ WORK_RATE = 10
 """Samples for each period of the cut-off at which functions are computed, at most."""
 
 ROW_RATE = 50.0
-"""Rows per second that are kept, after the low-pass, at least: neighbours tell next to nothing."""
+"""Rows per second that are kept after the low-pass, at least: closer neighbours add nothing."""
 
 SPEED_BAND = 2
 """The position passes this many times the bandwidth before it is differentiated."""
@@ -46,7 +46,7 @@ ORDERS = tuple(k / 2 for k in range(1, 9))
 """Orders of the encoder's turn; halves are of teeth that meet again every second turn."""
 
 TURNS = 2.0
-"""Fewer turns than this tell no orders: position says it all."""
+"""Turns below which orders are left out: splines of position cover them."""
 
 LENGTHS = tuple(2.0**-k for k in range(3, 8))
 """Lengths of pre-sliding that are tried, in parts of the stroke."""
@@ -61,11 +61,11 @@ SPLINE_COUNT = {
     "reversal": 5,
     "load_reversal": 5,
 }
-"""Splines along the stroke, of groups that go with position; how smooth is for the data to say."""
+"""Splines along the stroke of groups that vary with position; the data choose how smooth."""
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class ShaftPath:
     """How a shaft moved: rows (n,) at even times, s; position in rad or m, speed, acceleration.
 
     `direction` is near 1 or -1 while moving; `reversed_at` (n,) is the position of the last
@@ -86,13 +86,13 @@ class Path:
 
     def thin(self, fine: Array) -> Array:
         """Return signals (..., m) low-passed, at the rows (..., n)."""
-        thinned: Array = lowpass_at(self.rate, fine, self.bandwidth_hz)[..., :: self.factor]
+        thinned: Array = lowpass(self.rate, fine, self.bandwidth_hz)[..., :: self.factor]
         return thinned
 
 
 @dataclass(frozen=True)
 class Scales:
-    """What makes position, speed and torque numbers near 1; `turn` is 0 where orders tell nothing.
+    """What makes position, speed and torque numbers near 1; `turn` is 0 where orders are left out.
 
     `low` and `high` bound the position, `standstill` is the speed below which the direction is
     undetermined, `lengths` are those of pre-sliding, in the unit of position.
@@ -121,7 +121,7 @@ def block_means(values: Array, size: int) -> Array:
 
 def follow(
     time: ArrayLike, position: ArrayLike, bandwidth_hz: float, *signals: ArrayLike
-) -> tuple[Path, list[Array]]:
+) -> tuple[ShaftPath, list[Array]]:
     """Return the path of a recording, and other signals at its rows, low-passed without phase.
 
     Signals are (n,), at a constant rate. Raises `InsufficientDataError` where rate or length do not
@@ -134,13 +134,13 @@ def follow(
     t, p, *rest = (block_means(values, size) for values in (t, p, *rest))
     rate = 1 / (step * size)
     factor = max(1, round(rate / ROW_RATE))
-    smooth = lowpass_at(rate, p, min(SPEED_BAND * bandwidth_hz, 0.45 * rate))
+    smooth = lowpass(rate, p, min(SPEED_BAND * bandwidth_hz, 0.45 * rate))
     speed = np.gradient(smooth, 1 / rate)
     rows = slice(None, None, factor)
-    slow = np.gradient(lowpass_at(rate, p, bandwidth_hz), 1 / rate)
-    path = Path(
+    slow = np.gradient(lowpass(rate, p, bandwidth_hz), 1 / rate)
+    path = ShaftPath(
         time=t[rows],
-        position=lowpass_at(rate, p, bandwidth_hz)[rows],
+        position=lowpass(rate, p, bandwidth_hz)[rows],
         speed=slow[rows],
         acceleration=np.gradient(slow, 1 / rate)[rows],
         regular=~_transient(speed, round(rate / bandwidth_hz))[rows],
@@ -163,7 +163,7 @@ def _transient(speed: Array, memory: int) -> NDArray[np.bool_]:
     return spread
 
 
-def find_scales(paths: Sequence[Path], torques: Sequence[Array], turn: float) -> Scales:
+def find_scales(paths: Sequence[ShaftPath], torques: Sequence[Array], turn: float) -> Scales:
     """Return the scales of recordings; `turn` is one turn of the encoder in the unit of position.
 
     Raises `InsufficientDataError` where nothing moves or no load acts.
@@ -200,7 +200,7 @@ def splines(place: Array, count: int) -> Array:
 
 
 def motion_functions(
-    path: Path, scales: Scales, sign: int, *, alone: bool = False
+    path: ShaftPath, scales: Scales, sign: int, *, alone: bool = False
 ) -> dict[str, Array]:
     """Return the functions of one direction by group, each (n, columns), at the rows of a path.
 
@@ -277,7 +277,7 @@ def size_of(group: str) -> int:
     return SPLINE_COUNT.get(group) or sizes.get(group, len(LENGTHS))
 
 
-def _since_reversal(path: Path, scales: Scales) -> Array:
+def _since_reversal(path: ShaftPath, scales: Scales) -> Array:
     """Return exp(-way since the last reversal / length), one row a length, (k, m)."""
     speed, place = path.fine_speed, path.fine_position
     sign = np.where(np.abs(speed) >= scales.standstill, np.sign(speed), 0.0)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.imported import effort_of, position_of
-from rigtool.experiments.imported_load.basis import Path, follow
+from rigtool.experiments.imported_load.basis import ShaftPath, follow
 from rigtool.experiments.imported_load.learning import Observation, level_numbers
-from rigtool.experiments.imported_load.model import Estimate
+from rigtool.experiments.imported_load.model import TorqueEstimate
 from rigtool.runfile import Column, Recording, Run
 
 Array = NDArray[np.float64]
@@ -29,13 +29,13 @@ FAST = 0.25
 """Strokes count as moving fast from this speed of the output on, rad/s; from the same paper."""
 
 WIDE = 50.0
-"""The bandwidth of the same paper, Hz, at which accuracy is told as well."""
+"""The bandwidth of the same paper, Hz, at which accuracy is reported as well."""
 
 NORMAL_95 = 1.959963984540054
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
+class LoadSignals:
     """What an analysis reads of a recording, at the rows (n,) of its path.
 
     `output_speed` is that of the output where it has an encoder of its own, else of the motor;
@@ -43,7 +43,7 @@ class Signals:
     `counts` are all rows but those at the ends.
     """
 
-    path: Path
+    path: ShaftPath
     effort: Array
     effort_unit: str
     output_speed: Array
@@ -59,12 +59,14 @@ class Signals:
 
 
 def carries(recordings: Sequence[Recording], bandwidth_hz: float) -> bool:
-    """Say whether the sampling carries a bandwidth."""
+    """Return whether the sampling carries a bandwidth."""
     steps = [np.median(np.diff(item.read("time", 0, 1000))) for item in recordings]
     return float(max(steps)) * bandwidth_hz < 0.2
 
 
-def read_signals(run: Run, recording: Recording, kt: Run | None, bandwidth_hz: float) -> Signals:
+def read_signals(
+    run: Run, recording: Recording, kt: Run | None, bandwidth_hz: float
+) -> LoadSignals:
     """Return the signals of a recording at a bandwidth.
 
     Raises `InsufficientDataError` where it is too short or too slow for that.
@@ -87,7 +89,7 @@ def read_signals(run: Run, recording: Recording, kt: Run | None, bandwidth_hz: f
     # As the motor's sign, so that one direction has one sign everywhere
     speed = np.gradient(output, path.time)
     sign = math.copysign(1.0, float(np.sum(speed * path.speed)))
-    return Signals(
+    return LoadSignals(
         path=path,
         effort=values,
         effort_unit=effort.unit,
@@ -98,7 +100,7 @@ def read_signals(run: Run, recording: Recording, kt: Run | None, bandwidth_hz: f
     )
 
 
-def levels_of(signals: Sequence[Signals]) -> list[int]:
+def levels_of(signals: Sequence[LoadSignals]) -> list[int]:
     """Return the number of the load level of each recording, by its mean reference torque."""
     means = []
     for item in signals:
@@ -113,7 +115,7 @@ class Judged:
     """Errors of one recording, N m, at the rows (n,) that count; NaN where there is no estimate.
 
     `closing` and `opening` are fast strokes against the load and with it, `moving` is whatever is
-    not near standstill; `sure` says whether the 95 % interval holds the sensor's value.
+    not near standstill; `sure` marks 95 % intervals that hold the sensor's value.
     """
 
     error: Array
@@ -139,7 +141,7 @@ class Accuracy:
     asked: int
 
 
-def judge(signals: Signals, estimate: Estimate, direction: int) -> Judged:
+def judge(signals: LoadSignals, estimate: TorqueEstimate, direction: int) -> Judged:
     """Compare an estimate with the sensor; `ValueError` without one."""
     if signals.reference is None:
         raise ValueError(f"nothing to compare with without {REFERENCE}")

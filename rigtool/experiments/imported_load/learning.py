@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.imported_load.basis import Path, Scales, find_scales, motion_functions
-from rigtool.experiments.imported_load.model import SIGNS, Design, LoadModel
+from rigtool.experiments.imported_load.basis import Scales, ShaftPath, find_scales, motion_functions
+from rigtool.experiments.imported_load.model import SIGNS, DesignMatrix, LoadModel
 from rigtool.experiments.imported_load.region import learn_region, torque_range
 from rigtool.experiments.imported_load.side import HeldOut, Rows
 from rigtool.numerics.jackknife import standard_uncertainty
@@ -36,17 +36,17 @@ APART = 0.02
 """Part of the highest load by which levels differ, at least."""
 
 CELLS = 20
-"""Parts of the stroke in which friction that grows with load is told."""
+"""Parts of the stroke for which friction that grows with load is reported."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
     """One recording at a known load: rows (n,) of effort and torque, both as low-passed as `path`.
 
-    `used` says which rows may serve; `level` is a number that recordings at one load share.
+    `used` marks the rows in use; `level` is a number that recordings at one load share.
     """
 
-    path: Path
+    path: ShaftPath
     effort: Array
     torque: Array
     used: Mask
@@ -57,7 +57,7 @@ class Observation:
 class Validation:
     """Rows (n,) of levels that were left out of the learning: torque, error and u in N m.
 
-    `speed` tells the direction, `recording` the number of the observation.
+    `speed` has the sign of the direction, `recording` the number of the observation.
     """
 
     torque: Array
@@ -104,7 +104,7 @@ def level_numbers(torques: Sequence[float]) -> list[int]:
     return [int(level) for level in levels]
 
 
-def learn(
+def learn_load_model(
     observations: Sequence[Observation],
     *,
     turn: float = 0.0,
@@ -114,7 +114,7 @@ def learn(
 
     `turn` is one turn of the encoder in the unit of position, 0 where it has none. A model to be
     `like` gives its choices of functions. Raises `InsufficientDataError` where the recordings do
-    not tell how effort grows with load.
+    not show how effort grows with load.
     """
     paths = [item.path for item in observations]
     scales = find_scales(paths, [item.torque for item in observations], turn)
@@ -176,7 +176,7 @@ class _Moving:
                 mask = sign * path.speed[used] > 0
                 functions = motion_functions(path, scales, sign)
                 names = list(functions)
-                design = Design.joined({n: f[used][mask] for n, f in functions.items()})
+                design = DesignMatrix.joined({n: f[used][mask] for n, f in functions.items()})
                 if not columns.size:
                     columns = np.zeros((len(torque), design.columns.shape[1]))
                     slopes = columns.copy()
@@ -232,13 +232,13 @@ class _Moving:
 
     def validation(self, held: Sequence[HeldOut]) -> Validation:
         """Return the errors in folds that were left out."""
-        told, unit = self.both([item.told for item in held]), self.scales.torque
+        resolved, unit = self.both([item.resolved for item in held]), self.scales.torque
         return Validation(
-            torque=self.torque[told] * unit,
-            error=self.both([item.error for item in held])[told] * unit,
-            u=self.both([item.u for item in held])[told] * unit,
-            speed=self.speed[told] * self.scales.speed,
-            recording=self.recording[told],
+            torque=self.torque[resolved] * unit,
+            error=self.both([item.error for item in held])[resolved] * unit,
+            u=self.both([item.u for item in held])[resolved] * unit,
+            speed=self.speed[resolved] * self.scales.speed,
+            recording=self.recording[resolved],
         )
 
 
@@ -276,8 +276,8 @@ def _folds(observations: Sequence[Observation]) -> tuple[list[int], int]:
     levels = sorted({item.level for item in observations})
     if len(levels) < 2:
         raise InsufficientDataError(
-            f"{len(observations)} recordings are at one load: how effort grows with load is not "
-            "told; give recordings at two loads or more, at best at five"
+            f"{len(observations)} recordings are at one load and do not show how effort "
+            "grows with load; give recordings at two loads or more, at best at five"
         )
     if len(levels) > 2:
         folds = min(FOLDS, len(levels))

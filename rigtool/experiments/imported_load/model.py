@@ -2,12 +2,12 @@
 
     effort = f0(motion) + torque g1(motion) + torque^2 g2(motion) + torque^3 g3(motion)
 
-The functions are those of `load_basis`, each a sum of smooth ones; `load_learning` finds their
-weights. Friction that grows with load is the part of g1 that changes sign with the direction;
-compliance shifts f0 along the position, which to first order is part of g1, too.
+The functions are those of `basis`, each a sum of smooth ones; `learning` finds their weights.
+Friction that grows with load is the part of g1 that changes sign with the direction; compliance
+shifts f0 along the position, which to first order is part of g1, too.
 
-Outside the region that was learned there is no estimate (`load_region`). Near standstill friction
-is undetermined: the dead band tells between which torques the load may be.
+Outside the region that was learned there is no estimate (`region`). Near standstill friction
+is undetermined: the dead band bounds the load instead.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.imported_load.basis import LOAD_POWER, Path, Scales, motion_functions
+from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
 from rigtool.experiments.imported_load.region import Region
 
 Array = NDArray[np.float64]
@@ -41,12 +41,12 @@ HALVINGS = 40
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class TorqueEstimate:
     """Torque, N m, and its standard uncertainty at each row (n,): NaN where there is none.
 
-    `inside` says where it was learned; `low` and `high` (n,) bound the torque where friction hides
-    it, NaN elsewhere and where nothing bounds it. `still` marks those rows: near standstill, or so
-    soon after a reversal that effort hardly depends on the load yet.
+    `inside` marks rows within the learned region; `low` and `high` (n,) bound the torque where
+    friction hides it, NaN elsewhere and where nothing bounds it. `still` marks those rows: near
+    standstill, or so soon after a reversal that effort hardly depends on the load yet.
     """
 
     torque: Array
@@ -82,7 +82,7 @@ class Side:
 
         All without unit. By halving the range of torques; NaN where the effort is that of none.
         """
-        design = Design.joined({name: functions[name] for name in self.degree})
+        design = DesignMatrix.joined({name: functions[name] for name in self.degree})
         parts = design.polynomial(self.weights)
         low, high = (np.full(len(effort), edge) for edge in torque_range)
         bottom, top = polynomial_at(parts, low), polynomial_at(parts, high)
@@ -115,7 +115,7 @@ class LoadModel:
     direction: int
     region: Region
 
-    def estimate(self, effort: Array, path: Path) -> Estimate:
+    def estimate(self, effort: Array, path: ShaftPath) -> TorqueEstimate:
         """Return the torque at the rows (n,) of a path whose effort is given."""
         speed, unit = path.speed / self.scales.speed, self.scales.torque
         torque, u, slope_share = (np.full(len(speed), np.nan) for _ in range(3))
@@ -134,7 +134,7 @@ class LoadModel:
         place = (path.position - self.scales.low) / (self.scales.high - self.scales.low)
         inside = self.region.holds(place, speed, torque) & path.regular & ~still
         low, high = self._dead_band(effort, path, still)
-        return Estimate(
+        return TorqueEstimate(
             torque=np.where(inside, torque, np.nan) * unit,
             u=np.where(inside, u, np.nan) * unit,
             inside=inside,
@@ -143,7 +143,7 @@ class LoadModel:
             high=high,
         )
 
-    def _dead_band(self, effort: Array, path: Path, still: Mask) -> tuple[Array, Array]:
+    def _dead_band(self, effort: Array, path: ShaftPath, still: Mask) -> tuple[Array, Array]:
         """Return the torques (n,) between which the load is where friction may act either way."""
         edges = np.full((2, len(effort)), np.nan)
         if still.any():
@@ -158,17 +158,17 @@ class LoadModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class DesignMatrix:
     """Functions of motion as columns (n, k); each goes with the torque to its `power` (k,)."""
 
     columns: Array
     power: NDArray[np.intp]
 
     @staticmethod
-    def joined(functions: Mapping[str, Array]) -> Design:
+    def joined(functions: Mapping[str, Array]) -> DesignMatrix:
         """Return the columns of all groups, (n, columns) each, side by side."""
         power = [np.full(f.shape[1], LOAD_POWER.get(name, 0)) for name, f in functions.items()]
-        return Design(np.hstack(list(functions.values())), np.concatenate(power))
+        return DesignMatrix(np.hstack(list(functions.values())), np.concatenate(power))
 
     def polynomial(self, weights: Array) -> Array:
         """Return the effort's parts by power of the torque, (powers, n)."""

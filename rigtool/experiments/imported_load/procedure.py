@@ -1,7 +1,7 @@
 """Implementation D on imported runs: effort by motion and load, from runs with a reference torque.
 
 For instruments on other people's rigs whose runs hold `reference_torque`, a sensor at the load. The
-model is learned from the motor's current (or torque) and its own encoder; `imported_force` then
+model is learned from the motor's current (or torque) and its own encoder; `measure-force` then
 measures with it, without the sensor.
 """
 
@@ -20,7 +20,7 @@ from rigtool.experiments.imported_load.imported_accuracy import (
     REFERENCE,
     WIDE,
     Accuracy,
-    Signals,
+    LoadSignals,
     accuracy,
     accuracy_columns,
     carries,
@@ -32,20 +32,15 @@ from rigtool.experiments.imported_load.learning import (
     Learned,
     Observation,
     Validation,
-    learn,
+    learn_load_model,
 )
 from rigtool.experiments.imported_load.model import LoadModel
 from rigtool.experiments.imported_load.stored import RANDOM, WIDE_MODEL, tables_of
-from rigtool.experiments.learning.procedure import COMMAND, NEEDED, analyse, measure, recordings
+from rigtool.experiments.learning.procedure import PROCEDURE as LEARNING
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.recipe.commands import MeasureForce
 from rigtool.runfile import Column, Run, Table
-
-__all__ = ["COMMAND", "NEEDED", "analyse", "analyse_imported", "measure", "recordings"]
-
-IMPORTED_SETTINGS = {"measure_force.lowpass_hz": "bandwidth_hz"}
-"""What `--set` may change for imported runs, and what `analyse_imported` calls it."""
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -65,7 +60,7 @@ def analyse_imported(
     """Learn effort by motion and load, from signals with this bandwidth.
 
     Raises `RunFileError` for runs without a reference torque, `InsufficientDataError` where they do
-    not tell how effort grows with load, `UsageError` for options of the bench's own rig.
+    not show how effort grows with load, `UsageError` for options of the bench's own rig.
     """
     for name, given in (("friction", friction), ("plant", plant)):
         if given is not None:
@@ -75,7 +70,7 @@ def analyse_imported(
     for run, recording in zip(runs, recordings_, strict=True):
         if not recording.has(REFERENCE):
             raise RunFileError(
-                f"{run.path}: has no channel {REFERENCE}, so it tells nothing of the load: learn "
+                f"{run.path}: has no channel {REFERENCE}, so it does not show the load: learn "
                 "from runs with a sensor at the load, imported with that channel mapped"
             )
     signals = [
@@ -85,7 +80,7 @@ def analyse_imported(
     levels = levels_of(signals)
     observations = [item.observation(n) for item, n in zip(signals, levels, strict=True)]
     turn = 0.0 if is_linear(recordings_[0]) else 2 * math.pi
-    learned = learn(observations, turn=turn)
+    learned = learn_load_model(observations, turn=turn)
     model = learned.model
     unit = signals[0].effort_unit
     tables = tables_of(model, unit)
@@ -97,7 +92,7 @@ def analyse_imported(
         ]
         again = [item.observation(level) for item, level in zip(wide, levels, strict=True)]
         random.append(_random_split(wide, again, model, turn))
-        tables |= tables_of(learn(again, turn=turn, like=model).model, unit, WIDE_MODEL)
+        tables |= tables_of(learn_load_model(again, turn=turn, like=model).model, unit, WIDE_MODEL)
     tables |= {
         "load_friction": _friction_table(learned),
         "left_out": _level_table(learned.validation, levels, model.direction),
@@ -107,20 +102,20 @@ def analyse_imported(
 
 
 def _random_split(
-    signals: Sequence[Signals],
+    signals: Sequence[LoadSignals],
     observations: Sequence[Observation],
     model: LoadModel,
     turn: float,
 ) -> tuple[float, Accuracy]:
     """Learn from half of the samples, chosen at random; return bandwidth and errors of the rest.
 
-    Neighbouring samples being alike, this tells less than levels that were left out; publications
-    split so.
+    As neighbouring samples are alike, this proves less than levels that were left out; publications
+    split in this way.
     """
     random = np.random.default_rng(SEED)
     halves = [random.random(len(item.used)) < 0.5 for item in observations]
     chosen = [replace(o, used=o.used & h) for o, h in zip(observations, halves, strict=True)]
-    half = learn(chosen, turn=turn, like=model).model
+    half = learn_load_model(chosen, turn=turn, like=model).model
     judged = []
     for item, rest in zip(signals, halves, strict=True):
         estimate = half.estimate(item.effort, item.path)
@@ -128,7 +123,7 @@ def _random_split(
     return signals[0].path.bandwidth_hz, accuracy(judged)
 
 
-# -- what is told
+# -- what is reported
 
 
 def _results(learned: Learned, levels: Sequence[int]) -> dict[str, Quantity]:
@@ -217,3 +212,10 @@ def _random_table(found: Sequence[tuple[float, Accuracy]]) -> Table:
         "rmse_closing",
         "errors at random halves of the samples, learned from the other half",
     )
+
+
+PROCEDURE = replace(
+    LEARNING,
+    analyse_imported=analyse_imported,
+    imported_settings={"measure_force.lowpass_hz": "bandwidth_hz"},
+)

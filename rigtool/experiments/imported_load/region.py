@@ -30,7 +30,7 @@ class Region:
     reach: Array
 
     def holds(self, place: Array, speed: Array, torque: Array) -> NDArray[np.bool_]:
-        """Say for points (n,) whether they are inside; NaN is outside."""
+        """Return which points (n,) are inside; NaN is outside."""
         points = np.column_stack([place, speed, torque])
         finite = np.isfinite(points).all(axis=1)
         far = np.nan_to_num(points, nan=0.0, posinf=0.0, neginf=0.0) @ normals().T

@@ -61,7 +61,7 @@ LOG_CHI2 = 1.270362845461478
 class HeldOut:
     """Rows (n,) of folds that were left out: error and u of the torque, without unit.
 
-    `told` (n,) says where effort depends enough on the load; elsewhere errors mean nothing. `slope`
+    `resolved` (n,) marks rows where effort depends enough on the load for an error. `slope`
     (n,) of effort by torque is that of all rows, `slopes` (folds, n) those without each fold.
     """
 
@@ -69,7 +69,7 @@ class HeldOut:
     u: Array
     slope: Array
     slopes: Array
-    told: Mask
+    resolved: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ class Rows:
     def choose(self, levels: int, without: int | None = None) -> dict[str, float]:
         """Return the degree of each group that is of use, one group after the other.
 
-        A fold to be `without` has no say. A power of the torque needs more levels than it is high.
+        A fold to be `without` is not used. A power of the torque needs more levels than it is high.
         """
         sums = self.sums.without(without)
         names = [name for name in self.groups if LOAD_POWER.get(name, 0) < levels]
@@ -230,14 +230,14 @@ class Rows:
         variance += scatter_variance(scatter, self.speed, self.torque)
         factor = self._factor(np.abs(residual) / np.sqrt(variance))
         usual = float(np.median(np.abs(slope)))
-        told = np.abs(slope) >= FLAT * usual
-        safe = np.where(told, slope, usual)
+        resolved = np.abs(slope) >= FLAT * usual
+        safe = np.where(resolved, slope, usual)
         held = HeldOut(
             error=-residual / safe,
             u=factor * np.sqrt(variance) / np.abs(safe),
             slope=self.slopes[:, use] @ weights,
             slopes=slopes,
-            told=told,
+            resolved=resolved,
         )
         size = self.size[use]
         covariance = _covariance(self.sums.inverse(use, penalty), scores[:, use])
@@ -247,7 +247,7 @@ class Rows:
             covariance=covariance / np.outer(size, size),
             scatter=scatter,
             factor=factor,
-            common=_between(held.error[told], self.recording[told]),
+            common=_between(held.error[resolved], self.recording[resolved]),
             slope=usual,
         )
         return side, held

@@ -1,6 +1,6 @@
-"""A load model in run files: how `ilc-learn --implementation D` writes it, others read it.
+"""A load model in run files: how `ilc-learn --implementation D` writes it and others read it.
 
-For runs of other rigs; what is learned on the bench's own rig is in `load_tables`.
+For runs of other rigs; `load_disturbance` holds what is learned on the bench's own rig.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rigtool.runfile import Column, Run, Table
 Array = NDArray[np.float64]
 
 MODEL = "load_model"
-"""The table that says that a run holds such a model; the names of its others begin likewise."""
+"""The first table of a model; the names of its other tables begin likewise."""
 
 WIDE_MODEL = "wide_load_model"
 """The same for a model of a wider bandwidth."""

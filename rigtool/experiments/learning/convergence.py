@@ -1,4 +1,4 @@
-"""Learning run after run: what each one found, and when nothing is left to learn [Fig. 44, 45].
+"""Learning run by run: what each run found, and when nothing is left to learn [Fig. 44, 45].
 
     f(k+1) = Q (f(k) + p L q(k))
 
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def carried_noise(runs: int, factor: float) -> float:
-    """Return g after so many updates with the learning factor p."""
+    """Return g after this number of updates with the learning factor p."""
     carried = 0.0
     for _ in range(runs):
         carried = (1 - factor) ** 2 * carried + factor**2
@@ -37,7 +37,7 @@ def carried_noise(runs: int, factor: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LearningRun:
-    """What a run found, of one or more speeds together, within the band of Q.
+    """Result of one learning run, all its speeds together, within the band of Q.
 
     `rms` and `peak` are of what repeats, `scatter` is the rms of a single cycle around the mean, in
     the unit of the signal. `ratio` is the power that another update would change over the power
@@ -62,7 +62,7 @@ class LearningRun:
 class Cycles:
     """Repeated cycles of one speed: `signal` (m, n), `before` (n,) fed forward, period in s.
 
-    `used` (n,) says which part of a cycle the table reaches and counts.
+    `used` (n,) marks the part of a cycle that the table covers; only that part counts.
     """
 
     period: float
@@ -79,13 +79,13 @@ def learning_run(
 ) -> LearningRun:
     """Judge one run: the cycles of all its speeds, after so many `updates`.
 
-    Rms, peak and scatter are of the cycles `shown` (m, n), where others than the signals. Standard
-    uncertainties by the jackknife: cycle i is left out at all speeds at once.
+    Rms, peak and scatter are those of the cycles `shown` (m, n), if given, else of the signals.
+    Standard uncertainties by the jackknife: cycle i is left out at all speeds at once.
     """
-    told = [c.signal for c in found] if shown is None else shown
+    judged = [c.signal for c in found] if shown is None else shown
     smoothed = [
         learning.smoothed(signal, c.period)[:, c.used]
-        for signal, c in zip(told, found, strict=True)
+        for signal, c in zip(judged, found, strict=True)
     ]
     count = min(len(cycles) for cycles in smoothed)
     mean = [cycles.mean(axis=0) for cycles in smoothed]

@@ -34,7 +34,7 @@ UNIT_CIRCLE_MARGIN = 1e-9
 
 
 class Inverse(Protocol):
-    """A learning filter L, whichever way it was made."""
+    """A learning filter L, designed in either way."""
 
     @property
     def advance(self) -> int:

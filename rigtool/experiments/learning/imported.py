@@ -1,7 +1,7 @@
-"""`ilc-learn` on imported runs: a position map learned from what another rig's motor asked for.
+"""`ilc-learn` on imported runs: a map by position, learned from the torque of another rig's motor.
 
-A motor that turns slowly and steadily asks for the torque that its friction and cogging need. What
-repeats from turn to turn is learned: its mean, and the orders of rotation that stand out of the
+The torque of a motor that turns slowly and steadily is that of its friction and cogging. The part
+that repeats from turn to turn is learned: its mean, and the orders of rotation that exceed the
 scatter. Everything is a function of the measured position: there is no set point.
 """
 
@@ -52,7 +52,7 @@ def analyse_imported(
     """Learn a map of the turn from runs under one condition; a row for each speed.
 
     Raises `UsageError` for runs under several conditions, `InsufficientDataError` where no turn is
-    repeated or nothing stands out of the scatter.
+    repeated or nothing exceeds the scatter.
     """
     for name, given in (("friction", friction), ("plant", plant)):
         if given is not None:
@@ -111,10 +111,10 @@ class _Row:
         self.examined = ORDERS if group.gap == 0 else min(ORDERS, int(1 / (2 * group.gap)))
         spectrum = turn_spectrum(group.torque, self.examined)
         floor = _steadied(spectrum.noise_floor)
-        told = np.flatnonzero(spectrum.amplitude > CLEAR * floor)
-        self.order = told + 1
-        self.amplitude, self.phase = spectrum.amplitude[told], spectrum.phase[told]
-        self.floor, self.dof = floor[told], 2.0 * (turns - 1)
+        clear = np.flatnonzero(spectrum.amplitude > CLEAR * floor)
+        self.order = clear + 1
+        self.amplitude, self.phase = spectrum.amplitude[clear], spectrum.phase[clear]
+        self.floor, self.dof = floor[clear], 2.0 * (turns - 1)
         means = group.torque.mean(axis=1)
         self.mean = float(means.mean())
         self.mean_u = float(means.std(ddof=1)) / math.sqrt(turns)
@@ -149,8 +149,8 @@ class _Row:
 def _steadied(floor: Array) -> Array:
     """Return noise floors (m,) of which none is smaller than the rms of those around it.
 
-    Few turns tell the scatter of an order badly: of two, one in five orders of mere noise has
-    less than half the scatter that its amplitude shows.
+    Few turns estimate the scatter of an order badly: with two turns, one order of pure noise in
+    five shows less than half the scatter that corresponds to its amplitude.
     """
     window = np.ones(2 * NEIGHBOURS + 1)
     around = np.convolve(floor**2, window, "same") / np.convolve(floor**0, window, "same")
@@ -161,7 +161,7 @@ def _steadied(floor: Array) -> Array:
 def _learn(group: Group) -> _Row:
     if len(group.torque) < 2:
         raise InsufficientDataError(
-            f"one turn at {group.label()}: what repeats cannot be told from what does not: give "
+            f"one turn at {group.label()} does not separate what repeats from what does not: give "
             "two runs or more, or record more turns"
         )
     row = _Row(group)
@@ -169,7 +169,7 @@ def _learn(group: Group) -> _Row:
     by_chance = math.sqrt(math.log(row.examined / BY_CHANCE))
     if not (row.amplitude > by_chance * row.floor).any():
         raise InsufficientDataError(
-            f"no order of rotation stands out of the scatter at {group.label()}: there is nothing "
+            f"no order of rotation exceeds the scatter at {group.label()}: there is nothing "
             "to learn, or too few turns"
         )
     return row

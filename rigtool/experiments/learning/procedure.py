@@ -1,24 +1,26 @@
 """`ilc-learn`: learn the repeatable disturbance [7.2.4].
 
-How to learn is the recipe's `ilc_learn.implementation`; each is a module of its own.
+The recipe's `ilc_learn.implementation` states how; each way is a module of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import ModuleType
+from typing import Any
 
 from rigtool.errors import UsageError
 from rigtool.experiments.between_set_points import remark
-from rigtool.experiments.learning.implementations import a_one_speed as one_speed
-from rigtool.experiments.learning.implementations import b_all_speeds as all_speeds
-from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
-from rigtool.experiments.learning.implementations import d_known_loads as known_loads
-from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
-from rigtool.experiments.learning.imported import analyse_imported as analyse_imported
+from rigtool.experiments.learning.implementations.a_one_speed import OneSpeed
+from rigtool.experiments.learning.implementations.b_all_speeds import AllSpeeds
+from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
+from rigtool.experiments.learning.implementations.d_known_loads import KnownLoads
+from rigtool.experiments.learning.implementations.skeleton import Implementation
+from rigtool.experiments.learning.implementations.standard_trajectory import RepeatedMove
+from rigtool.experiments.learning.imported import analyse_imported
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
@@ -26,61 +28,57 @@ from rigtool.runfile import RecordingSpec, Run, RunWriter
 
 COMMAND = "ilc-learn"
 
-NEEDED = ("kt",)
 
-IMPLEMENTATIONS: dict[str, tuple[str, ModuleType]] = {
-    "A": ("turning at one speed, by position, amplitude and phase by speed", one_speed),
-    "B": ("turning, both directions, by position and speed", all_speeds),
-    "C": ("limited angle, both directions, by position and speed", limited_angle),
-    "D": ("as C, and known loads: torque as a third input", known_loads),
-    "standard": ("a repeated move, by time", trajectory),
+IMPLEMENTATIONS: dict[str, type[Implementation[Any]]] = {
+    "A": OneSpeed,
+    "B": AllSpeeds,
+    "C": LimitedAngle,
+    "D": KnownLoads,
+    "standard": RepeatedMove,
 }
-"""Ways to learn that exist, by the thesis's letter: what they do, and their module."""
-
-BARE = ("A", "B")
-"""Implementations that turn the shaft round and round: no instrument can follow."""
+"""Ways to learn that exist, by the thesis's letter."""
 
 
 def require_implementation(name: str) -> None:
     """Raise `UsageError` unless learning of this name exists."""
     if name not in IMPLEMENTATIONS:
-        known = ", ".join(f"{key} ({what})" for key, (what, _) in IMPLEMENTATIONS.items())
+        known = ", ".join(f"{key} ({way.ABOUT})" for key, way in IMPLEMENTATIONS.items())
         raise UsageError(f"--implementation {name} does not exist yet; there is {known}")
 
 
 def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:
-    """Return the options with what the command line asks for put above the recipe.
+    """Return the options with the choices of the command line, which override the recipe.
 
     Raises `UsageError` for learning that does not exist.
     """
     if name is not None:
         require_implementation(name)
         options = options.with_override(f"ilc_learn.implementation={name}")
-        if name in BARE:
+        if IMPLEMENTATIONS[name].BARE_MOTOR:
             options = options.with_override("rig.attachment=pulley")
     return options.with_override("ilc_learn.validation=true") if validate else options
 
 
-def _module(recipe: Recipe) -> ModuleType:
+def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
     name = recipe.ilc_learn.implementation
     require_implementation(name)
-    if name in BARE and recipe.rig.attachment != "pulley":
+    implementation = IMPLEMENTATIONS[name]
+    if implementation.BARE_MOTOR and recipe.rig.attachment != "pulley":
         raise UsageError(
             f"implementation {name} turns the shaft round and round, which the "
-            f"{recipe.rig.attachment} cannot: take it off, and say --set rig.attachment=pulley"
+            f"{recipe.rig.attachment} cannot: take it off, and add --set rig.attachment=pulley"
         )
-    return IMPLEMENTATIONS[name][1]
+    return implementation
 
 
 def rig_needs(recipe: Recipe) -> tuple[str, ...]:
     """Return what a rig has to offer for motions that are only known once something is learned."""
-    return ("signal",) if recipe.ilc_learn.implementation == "standard" else ("table",)
+    return (_implementation(recipe).RIG_NEED,)
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """List what the implementation records."""
-    specs: tuple[RecordingSpec, ...] = _module(recipe).recordings(recipe)
-    return specs
+    return _implementation(recipe).recordings(recipe)
 
 
 def measure(
@@ -93,7 +91,7 @@ def measure(
     plant: Run | None = None,
 ) -> None:
     """Learn, and record what remains with what was learned switched on."""
-    _module(recipe).measure(rig, recipe, recorder, kt=kt, friction=friction, plant=plant)
+    _implementation(recipe).measure(rig, recipe, recorder, kt=kt, friction=friction, plant=plant)
 
 
 def analyse(
@@ -104,6 +102,17 @@ def analyse(
     friction: Run | None = None,
     plant: Run | None = None,
 ) -> Outcome:
-    """Learn from the stored signals, and say what remained."""
-    outcome: Outcome = _module(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
+    """Learn from the stored signals, and report what remained."""
+    outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
     return replace(outcome, notes=(*outcome.notes, *remark(runs, torque_per_ampere(kt).value)))
+
+
+PROCEDURE = Procedure(
+    COMMAND,
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    analyse_imported=analyse_imported,
+    rig_needs=rig_needs,
+)

@@ -20,16 +20,16 @@ FREQUENCIES = 400
 """Points of the frequency axis, from DC to half the sampling rate."""
 
 COMPUTED = "follows exactly from the recipe's controller and nominal inertia; nothing was measured"
-BOUNDED = "convergence_bound says what the plant's uncertainty makes of it"
+BOUNDED = "convergence_bound states its largest value over the plant's uncertainty"
 IS_BOUND = "is itself the bound at 95 % for the plant"
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class FilterDesign:
     """L, Q and p for a loop, and the convergence criterion, which holds.
 
     `controller` is C(z): L times C is the inverse of the process sensitivity, for learning on the
-    error [eq. 3]. `origin` says what the plant rests on.
+    error [eq. 3]. `origin` states where the plant is from.
     """
 
     learning: Learning
@@ -59,7 +59,7 @@ class Design:
         return results
 
     def notes(self) -> tuple[str, ...]:
-        """Say what T rests on, and what L is."""
+        """State where T is from, and what L is."""
         return self.origin
 
     def tables(self) -> dict[str, Table]:
@@ -105,17 +105,15 @@ class Design:
         }
 
 
-def design(recipe: Recipe, plant: Run | None = None) -> Design:
+def design_filters(recipe: Recipe, plant: Run | None = None) -> FilterDesign:
     """Return the filters for the recipe's loop, from the plant that identify-plant measured.
 
-    Without `plant` it is the nominal inertia. `ilc_learn.learning_filter` says which L. Raises
+    Without `plant` it is the nominal inertia. `ilc_learn.learning_filter` selects L. Raises
     `InsufficientDataError` where the loop is unstable or learning would not converge, `UsageError`
     where L needs a plant that is not given, `RunFileError` where the plant is that of another rig.
     """
     settings, rig = recipe.ilc_learn, recipe.rig
-    nominal = position_loop(
-        **rig.controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
-    )
+    nominal = position_loop(**rig.loop_design)
     measured = None if plant is None else measured_loop(plant, recipe, nominal.controller)
     loop = nominal if measured is None else measured.loop
     if not loop.stable:
@@ -140,11 +138,11 @@ def design(recipe: Recipe, plant: Run | None = None) -> Design:
         frequency = np.union1d(frequency, measured.frequency)
     criterion = convergence(learning, frequency)
     criterion.require()
-    return Design(learning, criterion, nominal.controller, _origin(recipe, plant, learning))
+    return FilterDesign(learning, criterion, nominal.controller, _origin(recipe, plant, learning))
 
 
 def _inverse(recipe: Recipe, system: TransferFunction, measured: MeasuredLoop | None) -> Inverse:
-    """Return L as the recipe asks for it."""
+    """Return the L that the recipe selects."""
     settings = recipe.ilc_learn
     if settings.learning_filter == "zpetc":
         return zpetc(system, settings.cancel_radius)
@@ -216,8 +214,8 @@ def _origin(recipe: Recipe, plant: Run | None, learning: Learning) -> tuple[str,
     ]
     if inertia.u is None:
         notes.append(
-            "the plant was measured without --kt: the bound of the convergence criterion leaves "
-            "the uncertainty of the torque constant out"
+            "the plant was measured without --kt: the bound of the convergence criterion does "
+            "not include the uncertainty of the torque constant"
         )
     if isinstance(learning.inverse, InverseResponse):
         last = learning.inverse.last_line

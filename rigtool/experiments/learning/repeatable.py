@@ -1,4 +1,4 @@
-"""What of repeated cycles repeats, order by order, and what may be chance.
+"""The repeatable part of cycles, order by order, and the part that may be chance.
 
 A cycle i of m is a sum of orders, c_ki the complex amplitude of order k. With the mean C_k over
 cycles and the scatter s_k^2 of single ones, the mean of noise alone has the power s_k^2/m, so that
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LEVEL = 0.01
-"""Part of what is called repeatable that may be chance."""
+"""Largest part of the orders reported as repeatable that may be chance."""
 
 NEGLIGIBLE = 1e-9
 """Order relative to the strongest one below which it is rounding."""
@@ -39,7 +39,7 @@ class Repeatability:
     cycles: int
 
     def kept(self) -> NDArray[np.bool_]:
-        """Say of each order (k,) whether it repeats; see the module."""
+        """Return for each order (k,) whether it repeats, by the procedure of this module."""
         from scipy.special import fdtrc
 
         real = np.full(self.mean.size, 2.0)

@@ -89,7 +89,7 @@ class Remaining:
         }
 
     def notes(self, table: LookupTable) -> tuple[str, ...]:
-        """Say so where the moves were made with another table than the one reported."""
+        """Report moves that were made with another table than the one in the results."""
         speeds = np.array([row.speed for row in self.after])
         here = table.evaluate(
             np.tile(self.position, len(speeds)), np.repeat(speeds, len(self.position))

@@ -1,4 +1,4 @@
-"""Learned tables in run files: how `ilc-learn` writes them and others read them."""
+"""Learned tables in run files: how `ilc-learn` writes them and other commands read them."""
 
 from __future__ import annotations
 
@@ -10,17 +10,15 @@ from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import RunFileError
+from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS, LearnedTable
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward
 from rigtool.runfile import Column, Run, Table
 
-COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
-"""Results that say with which friction feed-forward a table was learned, where with any."""
-
 PERIOD = "lookup_period"
-"""Result that says after which angle a table repeats, rad, where it does."""
+"""Result that states the angle after which a periodic table repeats, rad."""
 
 
 TRAJECTORY = "trajectory"
@@ -122,6 +120,34 @@ def stored_table_from(run: Run) -> LookupTable:
         ) from None
 
 
+def learned_table_from(run: Run) -> LearnedTable:
+    """Return the learned table of a run of ilc-learn; raises `RunFileError` where it has none."""
+    table = stored_table_from(run)
+    stored = run.table("lookup")
+    signal = stored.columns[stored.signal]
+    made = run.provenance
+    return LearnedTable(
+        table=table,
+        u=np.asarray(stored["u"], dtype=np.float64),
+        quantity=stored.signal,
+        unit=signal.unit,
+        friction={n: run.results[n] for n in (COULOMB, VISCOUS) if n in run.results},
+        band_hz=_band(run),
+        origin=(
+            f"Rig {run.rig or 'unknown'}; learned on {made['date']}, rigtool {made['version']}.",
+            f"File {run.path.name}, content sha256 {run.content_sha256}.",
+        ),
+    )
+
+
+def _band(run: Run) -> float | None:
+    """Return the cut-off of Q, Hz; a table outlives the recipes that this version reads."""
+    try:
+        return None if run.recipe is None else run.recipe.ilc_learn.robustness_hz
+    except RunFileError:
+        return None
+
+
 def feedforward(
     inertia: float, results: Mapping[str, Quantity], table: LookupTable | None = None
 ) -> Feedforward:
@@ -160,7 +186,9 @@ def require_rig(tables: Run, recipe: Recipe) -> None:
     tables.require_command("ilc-learn")
     learned = tables.recipe
     if learned is None:
-        raise RunFileError(f"{tables.path}: does not say on which rig it was learned: learn again")
+        raise RunFileError(
+            f"{tables.path}: does not state on which rig it was learned: learn again"
+        )
     for what, there, here in (
         ("rig", learned.rig.name, recipe.rig.name),
         ("attachment", learned.rig.attachment, recipe.rig.attachment),

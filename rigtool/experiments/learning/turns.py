@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.repeatable import only_kept, repeatability
-from rigtool.experiments.learning.rows import Moves, Row
+from rigtool.experiments.learning.rows import Row
 from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.moves import Moves
 
 Array = NDArray[np.float64]
 

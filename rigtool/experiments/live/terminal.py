@@ -1,7 +1,7 @@
 """Signals drawn while they are recorded, at the terminal or in a window.
 
-At the terminal it is a line a channel, newest on the right; the window is a process of its own,
-`live_window`. Whoever measures hands blocks to a `Feed` and never waits for a drawing.
+The terminal shows a line for each channel, the newest sample on the right; the window is a process
+of its own (`window`). A measurement hands blocks to a `Feed` and never waits for a drawing.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ READY = "ready"
 
 
 class View(Protocol):
-    """What draws."""
+    """A drawing of the signals."""
 
     def show(self, recording: str, block: Mapping[str, Any]) -> None:
         """Draw a block of a recording; may take its time. Raises `OSError` where it is gone."""
@@ -78,7 +78,8 @@ def open_live(where: Literal["terminal", "window"]) -> Iterator[Feed]:
 class Feed:
     """Hands blocks to a view from a thread of its own.
 
-    Never waits and never fails: what is too much is left out, and a view that is gone stays gone.
+    It never waits and never fails: blocks beyond its capacity are dropped, and a closed view stays
+    closed.
     """
 
     def __init__(self, view: View) -> None:
@@ -125,13 +126,13 @@ class Window:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        said: list[bytes] = []
+        replies: list[bytes] = []
         assert self._process.stdout is not None
         read = self._process.stdout.readline
-        listener = threading.Thread(target=lambda: said.append(read()), daemon=True)
+        listener = threading.Thread(target=lambda: replies.append(read()), daemon=True)
         listener.start()
         listener.join(OPENING)
-        answer = said[0].decode("utf-8", "replace").strip() if said else "it does not start"
+        answer = replies[0].decode("utf-8", "replace").strip() if replies else "it does not start"
         if answer != READY:
             self.__exit__()
             raise UsageError(

@@ -1,7 +1,7 @@
 """The window of `--live-window`, in a process of its own: signals of the last seconds by channel.
 
-Run with `python -m`; reads pickled `(recording, block)` from stdin until it ends, and says `ready`
-or what is wrong on stdout.
+Run with `python -m`; reads pickled `(recording, block)` from stdin until it ends, and prints
+`ready` or what is wrong to stdout.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-SHOWN = 20.0
-"""Time that is shown, s."""
+SPAN = 20.0
+"""Time span of the plots, s."""
 
 REDRAW = 0.4
 """Time between two drawings, s: each takes about 0.09 s of a core."""
@@ -65,7 +65,7 @@ class Panel:
             self._blocks.clear()
             self._set_up([name for name in block if name != "time"])
         self._blocks.append(block)
-        while self._blocks[0]["time"][-1] < block["time"][-1] - SHOWN:
+        while self._blocks[0]["time"][-1] < block["time"][-1] - SPAN:
             self._blocks.popleft()
 
     def draw(self) -> None:
@@ -73,7 +73,7 @@ class Panel:
         if not self._blocks:
             return
         time = np.concatenate([block["time"] for block in self._blocks])
-        shown = time >= time[-1] - SHOWN
+        shown = time >= time[-1] - SPAN
         time = time[shown]
         breaks = np.flatnonzero(np.diff(time) > GAP) + 1
         self._figure.suptitle(f"{self._recording}, {time[-1]:.1f} s", x=0.02, ha="left")
@@ -85,7 +85,7 @@ class Panel:
             axes.set_title(f"{values[-1]:.5g}", loc="right", fontsize="medium", weight="bold")
             axes.relim()
             axes.autoscale_view(scalex=False)
-            axes.set_xlim(time[0], max(time[-1], time[0] + SHOWN))
+            axes.set_xlim(time[0], max(time[-1], time[0] + SPAN))
 
     def _set_up(self, names: list[str]) -> None:
         self._figure.clear()
@@ -136,7 +136,7 @@ class _Inbox:
             self.ended = True
 
     def empty_into(self, panel: Panel) -> bool:
-        """Hand on what has come; say whether that was anything."""
+        """Hand on the blocks that have come; return whether there were any."""
         come = bool(self._blocks)
         while self._blocks:
             panel.add(*self._blocks.popleft())
@@ -148,7 +148,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the measurement, and that this
     try:
         figure = _open()
-    except Exception as error:  # whatever a toolkit says
+    except Exception as error:  # whatever a toolkit raises
         print(" ".join(str(error).split()) or type(error).__name__, flush=True)
         return 1
     if hasattr(os, "nice"):
@@ -184,7 +184,11 @@ def _open() -> Any:
     if type(figure.canvas.manager) is FigureManagerBase:  # one that shows nothing
         raise RuntimeError(
             "matplotlib finds no desktop (DISPLAY), or no toolkit such as tkinter"
-            + (f", or is told to use {told}" if (told := os.environ.get("MPLBACKEND")) else "")
+            + (
+                f", or MPLBACKEND selects {backend}"
+                if (backend := os.environ.get("MPLBACKEND"))
+                else ""
+            )
         )
     return figure
 

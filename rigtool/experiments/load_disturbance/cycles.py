@@ -1,4 +1,4 @@
-"""Cycles of a load laid over each other [8.2], with all that a model of its disturbance looks at.
+"""Superimposed cycles of a load [8.2], with all signals that a model of its disturbance needs.
 
 All signals are on one period of a motion that repeats, so that the low-pass is a product with its
 spectrum: without phase shift, ends or delay, and the same for what is measured and what is
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.learning.rows import cut_moves
 from rigtool.experiments.load_disturbance.tendon import contact
+from rigtool.numerics.moves import cut_moves
 from rigtool.numerics.steady_mean import steady_mean
 
 Array = NDArray[np.float64]
@@ -31,8 +31,8 @@ POINTS = 16
 
 
 @dataclass(frozen=True)
-class Drive:
-    """How a motor drives the output, as the bench knows it.
+class Transmission:
+    """How a motor drives the output, by the recipe.
 
     `angle_ratio` motor angle per output angle, `torque_factor` output torque per motor torque,
     `inertia` on the motor shaft kg m2, `arm` where the load hangs m, `bandwidth_hz` of the reading.
@@ -55,7 +55,7 @@ class LoadedCycles:
     less what its own inertia takes, at the output.
     """
 
-    drive: Drive
+    transmission: Transmission
     speed: float
     period: float
     torque_per_ampere: float
@@ -69,7 +69,7 @@ class LoadedCycles:
     @property
     def output_angle(self) -> Array:
         """The rotor's angle at the output (n,), rad: the grasper's, were the tendon stiff."""
-        angle: Array = self.angle / self.drive.angle_ratio
+        angle: Array = self.angle / self.transmission.angle_ratio
         return angle
 
     @property
@@ -85,7 +85,7 @@ class LoadedCycles:
 
     def lowpass(self, signals: Array) -> Array:
         """Low-pass signals (..., n) on the period at the bandwidth of the reading."""
-        return lowpass_periodic(signals, self.period, self.drive.bandwidth_hz)
+        return lowpass_periodic(signals, self.period, self.transmission.bandwidth_hz)
 
     def crossing(self, angle: float, direction: int) -> float:
         """Return at which point of the period the rotor passes an angle, rad, as a fraction of n.
@@ -113,7 +113,7 @@ def lowpass_periodic(signals: Array, period: float, cutoff_hz: float, slopes: in
     """Low-pass signals (..., n) that repeat with a period, s, and differentiate them `slopes`
     times.
 
-    The gain is that of `force.lowpass`: a Butterworth of second order forward and backward.
+    The gain is that of `numerics.lowpass`, a Butterworth of second order forward and backward.
     """
     count = signals.shape[-1]
     frequency = np.arange(count // 2 + 1) / period
@@ -128,7 +128,7 @@ def loaded_cycles(
     rotor: Array,
     current: Array,
     *,
-    drive: Drive,
+    transmission: Transmission,
     speed: float,
     torque_constant: float,
     moves: int,
@@ -142,24 +142,24 @@ def loaded_cycles(
     cut = cut_moves(time, setpoint, current, moves)
     turned = cut_moves(time, setpoint, rotor, moves)
     period, finest = cut.period, cut.torque.shape[1]
-    wanted = max(FEWEST_POINTS, POINTS * drive.bandwidth_hz * period)
+    wanted = max(FEWEST_POINTS, POINTS * transmission.bandwidth_hz * period)
     count = min(2 ** math.ceil(math.log2(wanted)), finest)
     angle = _resampled(steady_mean(turned.torque), count)
     acceleration = lowpass_periodic(angle, period, MOTION_HZ, slopes=2)
     rotor_speed = lowpass_periodic(angle, period, MOTION_HZ, slopes=1)
     currents = _resampled(cut.torque, count)
-    motor = torque_constant * currents - drive.inertia * acceleration
+    motor = torque_constant * currents - transmission.inertia * acceleration
     return LoadedCycles(
-        drive=drive,
+        transmission=transmission,
         speed=speed,
         period=period,
-        torque_per_ampere=drive.torque_factor * torque_constant,
+        torque_per_ampere=transmission.torque_factor * torque_constant,
         setpoint=cut.setpoint[:: finest // count],
         angle=lowpass_periodic(angle, period, MOTION_HZ),
         rotor_speed=rotor_speed,
         direction=contact(rotor_speed, period),
         current=lowpass_periodic(steady_mean(currents), period, MOTION_HZ),
-        torque=drive.torque_factor * motor,
+        torque=transmission.torque_factor * motor,
     )
 
 

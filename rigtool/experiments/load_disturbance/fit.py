@@ -1,14 +1,14 @@
-"""How the disturbance of a load is fitted to what known loads show.
+"""Fit of the disturbance of a load to recordings at known loads.
 
 Stiffness, damping and friction of the tendon enter as they are, coefficients linearly: least
 squares over the first three, the rest being solved for at each step (variable projection: G. H.
 Golub and V. Pereyra, SIAM J. Numer. Anal. 10(2) 413-432, 1973). Each coefficient has a spread, see
-`disturbance_terms`, which acts as one more observation of zero: where the data tell nothing it
-stays near zero, and its uncertainty says so.
+`terms`, which acts as one more observation of zero: where the data do not determine a coefficient,
+it stays near zero, with an uncertainty near its spread.
 
-What differs from one recording to the next by itself (friction level, by direction: 'instrument
-friction changes in time') is fitted for each recording and forgotten; so is the scatter of the
-cycles without load, which all loads of a speed have in common.
+What changes from one recording to the next (the friction level of each direction: 'instrument
+friction changes in time') is fitted for each recording and dropped; so is the scatter of the cycles
+without load, which all loads of a speed have in common.
 """
 
 from __future__ import annotations
@@ -18,26 +18,27 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import constants
 
 from rigtool.experiments.load_disturbance.model import (
-    Comparison,
     Disturbance,
+    LoadedPair,
     state_under,
     tendon_parameters,
 )
-from rigtool.experiments.load_disturbance.tendon import GRAVITY, Tendon
+from rigtool.experiments.load_disturbance.tendon import Tendon
 from rigtool.experiments.load_disturbance.terms import Sizes, State, Term, depends_on_load, terms
 
 Array = NDArray[np.float64]
 
 MODEL_ERROR = 2e-3
-"""Of the peak of a load: what such a model is trusted to describe at a single point, relative."""
+"""Error of the model at a single point, relative to the peak of a load."""
 
 SOFTEST, STIFFEST = 1.0, 1e-3
 """Stretch of the tendon under the largest load with which the search begins and ends, rad."""
 
-TRIED = 13
-"""Stiffnesses between these that are tried first."""
+SCANNED_STIFFNESSES = 13
+"""Number of stiffnesses between these at which the search begins."""
 
 DAMPING, DAMPING_SPREAD = 0.1, 1.5
 """Damping ratio of the largest load that the search starts with, and its logarithm's spread."""
@@ -50,22 +51,22 @@ STEP = 1e-3
 """For derivatives by the tendon's parameters, relative to what the search starts with."""
 
 
-def learn(comparisons: Sequence[Comparison], moments: Sequence[float]) -> Disturbance:
-    """Learn from comparisons whose loads have these moments, N m.
+def fit_disturbance(pairs: Sequence[LoadedPair], moments: Sequence[float]) -> Disturbance:
+    """Learn from pairs whose loads have these moments, N m.
 
     The loads of one speed are compared with one and the same motion without load.
     """
-    problem = _Problem(comparisons, moments)
+    problem = _Problem(pairs, moments)
     tendon = problem.fit()
     coefficient, covariance = problem.solution(tendon)
     return Disturbance(problem.terms, tendon, coefficient, covariance, max(moments), problem.speeds)
 
 
-def relearned(
-    disturbance: Disturbance, comparisons: Sequence[Comparison], moments: Sequence[float]
+def refit_disturbance(
+    disturbance: Disturbance, pairs: Sequence[LoadedPair], moments: Sequence[float]
 ) -> Disturbance:
-    """Learn the coefficients again with the same tendon from other, or fewer, comparisons."""
-    problem = _Problem(comparisons, moments, disturbance.terms)
+    """Learn the coefficients again with the same tendon from other, or fewer, pairs."""
+    problem = _Problem(pairs, moments, disturbance.terms)
     coefficient, covariance = problem.solution(disturbance.tendon)
     return Disturbance(
         problem.terms, disturbance.tendon, coefficient, covariance, max(moments), problem.speeds
@@ -73,55 +74,55 @@ def relearned(
 
 
 class _Problem:
-    """Rows of all comparisons, weighted; columns: terms, and what a recording has by itself."""
+    """Rows of all pairs, weighted; columns: terms, and what a recording has by itself."""
 
     def __init__(
         self,
-        comparisons: Sequence[Comparison],
+        pairs: Sequence[LoadedPair],
         moments: Sequence[float],
         listed: tuple[Term, ...] | None = None,
     ) -> None:
-        self.comparisons, self.moments = comparisons, moments
-        self.sizes = sizes_of(comparisons, moments)
-        self.speeds = tuple(sorted({c.loaded.speed for c in comparisons}))
+        self.pairs, self.moments = pairs, moments
+        self.sizes = sizes_of(pairs, moments)
+        self.speeds = tuple(sorted({c.loaded.speed for c in pairs}))
         self.terms = terms(self.sizes, self.speeds) if listed is None else listed
         self._moving = np.array([depends_on_load(term) for term in self.terms])
         self._weight, self._rows, spread = [], [], []
-        for comparison, moment in zip(comparisons, moments, strict=True):
-            sigma = math.hypot(comparison.noise(), MODEL_ERROR * moment)
-            share = comparison.independent / len(comparison.rows)
+        for pair, moment in zip(pairs, moments, strict=True):
+            sigma = math.hypot(pair.noise(), MODEL_ERROR * moment)
+            share = pair.independent / len(pair.rows)
             self._weight.append(math.sqrt(share) / sigma)
-            self._rows.append(len(comparison.rows))
-            spread += [comparison.scatter()] * 3
-        zeros = {each.loaded.speed: each.zero_noise() for each in comparisons}
+            self._rows.append(len(pair.rows))
+            spread += [pair.scatter()] * 3
+        zeros = {each.loaded.speed: each.zero_noise() for each in pairs}
         self._zero = {speed: number for number, speed in enumerate(zeros)}
         self._spread = np.array([t.spread for t in self.terms] + spread + list(zeros.values()))
         self._still = self._still_part()
         self._right = np.concatenate(
             [
-                weight * comparison.torque[comparison.rows]
-                for weight, comparison in zip(self._weight, comparisons, strict=True)
+                weight * pair.torque[pair.rows]
+                for weight, pair in zip(self._weight, pairs, strict=True)
             ]
         )
         self._basis = self._projection()
 
     def _still_part(self) -> Array:
-        """Fill in the columns that do not depend on the tendon, (rows, columns)."""
+        """Return the columns that do not depend on the tendon, (rows, columns)."""
         count = len(self.terms)
         matrix = np.zeros((sum(self._rows), len(self._spread)))
         first = 0
         still = [t for t, moves in zip(self.terms, self._moving, strict=True) if not moves]
-        for number, comparison in enumerate(self.comparisons):
+        for number, pair in enumerate(self.pairs):
             block = matrix[first : (first := first + self._rows[number])]
-            rest = np.zeros(len(comparison.loaded.setpoint))
-            states = [State.of(c, rest, rest) for c in (comparison.loaded, comparison.unloaded[0])]
-            rows = comparison.rows
-            block[:, np.flatnonzero(~self._moving)] = comparison.design(still, *states)[:, rows].T
+            rest = np.zeros(len(pair.loaded.setpoint))
+            states = [State.of(c, rest, rest) for c in (pair.loaded, pair.unloaded[0])]
+            rows = pair.rows
+            block[:, np.flatnonzero(~self._moving)] = pair.design(still, *states)[:, rows].T
             own = count + 3 * number
-            block[:, own : own + 3] = comparison.nuisance[:, rows].T
-            zero = count + 3 * len(self.comparisons)
-            zero += self._zero[comparison.loaded.speed]
-            block[:, zero] = comparison.zero_error[rows]
+            block[:, own : own + 3] = pair.nuisance[:, rows].T
+            zero = count + 3 * len(self.pairs)
+            zero += self._zero[pair.loaded.speed]
+            block[:, zero] = pair.zero_error[rows]
             block *= self._weight[number]
         return matrix
 
@@ -131,10 +132,10 @@ class _Problem:
         columns, right = np.empty((len(self._right), len(moving))), self._right.copy()
         rest = {
             speed: state_under(cycles, tendon, 0.0)
-            for speed, cycles in {c.loaded.speed: c.unloaded[0] for c in self.comparisons}.items()
+            for speed, cycles in {c.loaded.speed: c.unloaded[0] for c in self.pairs}.items()
         }
         first = 0
-        for number, (each, moment) in enumerate(zip(self.comparisons, self.moments, strict=True)):
+        for number, (each, moment) in enumerate(zip(self.pairs, self.moments, strict=True)):
             here = slice(first, first := first + self._rows[number])
             loaded, unloaded = state_under(each.loaded, tendon, moment), rest[each.loaded.speed]
             rows, weight = each.rows, self._weight[number]
@@ -177,10 +178,10 @@ class _Problem:
         from scipy.optimize import least_squares
 
         load, tip = self.sizes.load, TIP_FRICTION * self.sizes.friction
-        inertia = load * self.comparisons[0].loaded.drive.arm / GRAVITY
+        inertia = load * self.pairs[0].loaded.transmission.arm / constants.g
         tried = [
             Tendon(k, 2 * DAMPING * math.sqrt(k * inertia), tip)
-            for k in (load / np.geomspace(STIFFEST, SOFTEST, TRIED)).tolist()
+            for k in (load / np.geomspace(STIFFEST, SOFTEST, SCANNED_STIFFNESSES)).tolist()
         ]
         start = min(tried, key=lambda each: float(np.sum(self.residual(each) ** 2)))
 
@@ -228,17 +229,17 @@ class _Problem:
         every = np.concatenate([size, self._spread])
         normal = whole.T @ whole + np.diag(known**2)
         covariance = np.linalg.inv(normal) * np.outer(every, every)
-        chi2 = float(np.sum(left**2)) / sum(c.independent for c in self.comparisons)
+        chi2 = float(np.sum(left**2)) / sum(c.independent for c in self.pairs)
         kept = 3 + len(self.terms)
         return value[: len(self.terms)], max(1.0, chi2) * covariance[:kept, :kept]
 
 
-def sizes_of(comparisons: Sequence[Comparison], moments: Sequence[float]) -> Sizes:
+def sizes_of(pairs: Sequence[LoadedPair], moments: Sequence[float]) -> Sizes:
     """Return what spreads are relative to, from the cycles themselves."""
     friction, ripple = [], []
-    for comparison in comparisons:
-        cycles, rows = comparison.unloaded[0], comparison.rows
-        torque = cycles.lowpass(comparison.unloaded_torque)[rows]
+    for pair in pairs:
+        cycles, rows = pair.unloaded[0], pair.rows
+        torque = cycles.lowpass(pair.unloaded_torque)[rows]
         direction = cycles.turning[rows]
         up, down = torque[direction > 0], torque[direction < 0]
         friction.append((up.mean() - down.mean()) / 2)
@@ -247,6 +248,6 @@ def sizes_of(comparisons: Sequence[Comparison], moments: Sequence[float]) -> Siz
         load=max(moments),
         friction=max(float(np.mean(friction)), MODEL_ERROR * max(moments)),
         ripple=max(float(np.mean(ripple)), MODEL_ERROR * max(moments)),
-        current=max(float(np.abs(c.loaded.current).max()) for c in comparisons),
-        speed=max(float(np.abs(c.loaded.rotor_speed).max()) for c in comparisons),
+        current=max(float(np.abs(c.loaded.current).max()) for c in pairs),
+        speed=max(float(np.abs(c.loaded.rotor_speed).max()) for c in pairs),
     )

@@ -5,9 +5,9 @@ The motor's torque with a load, less that of the same motion without, is
     y = s - s0 + sum over terms of coefficient (function with load - function without load)
 
 s and s0 are the torques that the tendon carries (`tendon`), the functions those of
-`disturbance_terms`. Both sides pass the same low-pass and are compared over the straight part of
-the strokes. What differs from one recording to the next by itself (friction level, by direction:
-'instrument friction changes in time') is fitted for each recording and forgotten; so is the scatter
+`terms`. Both sides pass the same low-pass and are compared over the straight part of
+the strokes. What changes from one recording to the next (the friction level of each direction:
+'instrument friction changes in time') is fitted for each recording and dropped; so is the scatter
 of the cycles without load, which all loads of a speed have in common.
 """
 
@@ -33,7 +33,7 @@ ROWS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class LoadedPair:
     """A load beside the same motion without it.
 
     `unloaded` are all recordings of the motion without load, `rows` (r,) the points of the period
@@ -45,17 +45,17 @@ class Comparison:
     rows: NDArray[np.intp]
 
     @staticmethod
-    def of(loaded: LoadedCycles, unloaded: Sequence[LoadedCycles], margin: float) -> Comparison:
+    def of(loaded: LoadedCycles, unloaded: Sequence[LoadedCycles], margin: float) -> LoadedPair:
         """Compare with recordings of the same motion without load.
 
         `margin` is the output angle, rad, that is left out at both ends of the stroke.
         """
-        left_out = margin * loaded.drive.angle_ratio
+        left_out = margin * loaded.transmission.angle_ratio
         low, high = loaded.setpoint.min() + left_out, loaded.setpoint.max() - left_out
         inside = np.flatnonzero((loaded.setpoint > low) & (loaded.setpoint < high))
-        wanted = ROWS * loaded.drive.bandwidth_hz * loaded.period
+        wanted = ROWS * loaded.transmission.bandwidth_hz * loaded.period
         step = max(1, int(len(loaded.setpoint) / wanted))
-        return Comparison(loaded, tuple(unloaded), inside[::step])
+        return LoadedPair(loaded, tuple(unloaded), inside[::step])
 
     @cached_property
     def unloaded_torque(self) -> Array:
@@ -81,9 +81,10 @@ class Comparison:
 
     @property
     def independent(self) -> float:
-        """Points among the compared ones that the low-pass leaves independent."""
-        used = len(self.rows) * self.rows_apart / len(self.loaded.setpoint)
-        return min(len(self.rows), 2 * self.loaded.drive.bandwidth_hz * self.loaded.period * used)
+        """Number of compared points that are independent after the low-pass."""
+        loaded, rows = self.loaded, len(self.rows)
+        used = rows * self.rows_apart / len(loaded.setpoint)
+        return min(rows, 2 * loaded.transmission.bandwidth_hz * loaded.period * used)
 
     @property
     def rows_apart(self) -> int:
@@ -122,7 +123,7 @@ class Comparison:
 
 def state_under(cycles: LoadedCycles, tendon: Tendon, moment: float) -> State:
     """Return the state along a cycle with a load of this moment, N m."""
-    angle, arm = cycles.output_angle, cycles.drive.arm
+    angle, arm = cycles.output_angle, cycles.transmission.arm
     return State.of(cycles, *swing(angle, cycles.period, tendon, moment, arm))
 
 
@@ -142,26 +143,26 @@ class Disturbance:
     torque: float
     speeds: tuple[float, ...]
 
-    def expectation(self, comparison: Comparison) -> Callable[[float], Array]:
-        """Return the function of a load's moment, N m, that `expected` is, to be asked often."""
-        loaded, speed = comparison.loaded, comparison.loaded.speed
+    def expectation(self, pair: LoadedPair) -> Callable[[float], Array]:
+        """Return `expected` as a function of a load's moment, N m, for many evaluations."""
+        loaded, speed = pair.loaded, pair.loaded.speed
 
         def whole(state: State) -> Array:
             added: Array = self.coefficient @ functions(self.terms, state, speed)
             return state.carried + added
 
-        rest = whole(state_under(comparison.unloaded[0], self.tendon, 0.0))
+        rest = whole(state_under(pair.unloaded[0], self.tendon, 0.0))
         return lambda moment: loaded.lowpass(whole(state_under(loaded, self.tendon, moment)) - rest)
 
-    def expected(self, comparison: Comparison, moment: float) -> Array:
+    def expected(self, pair: LoadedPair, moment: float) -> Array:
         """Return what a load of this moment, N m, adds to the motor's torque, low-passed (n,)."""
-        return self.expectation(comparison)(moment)
+        return self.expectation(pair)(moment)
 
-    def sensitivity(self, comparison: Comparison, moment: float) -> Array:
+    def sensitivity(self, pair: LoadedPair, moment: float) -> Array:
         """Return the derivatives of `expected` by all that is uncertain, (3 + t, n)."""
-        loaded, unloaded = comparison.states(self.tendon, moment)
-        design = comparison.design(self.terms, loaded, unloaded)
-        middle = self.expected(comparison, moment)
+        loaded, unloaded = pair.states(self.tendon, moment)
+        design = pair.design(self.terms, loaded, unloaded)
+        middle = self.expected(pair, moment)
         parameters = tendon_parameters(self.tendon)
         by_tendon = []
         for number, u in enumerate(np.sqrt(np.diag(self.covariance)[:3])):
@@ -179,7 +180,7 @@ class Disturbance:
                 self.torque,
                 self.speeds,
             )
-            by_tendon.append((other.expected(comparison, moment) - middle) / step)
+            by_tendon.append((other.expected(pair, moment) - middle) / step)
         return np.vstack([by_tendon, design])
 
 

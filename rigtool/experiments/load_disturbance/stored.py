@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.load_disturbance.model import Comparison, Disturbance, state_under
+from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair, state_under
 from rigtool.experiments.load_disturbance.tendon import Tendon
 from rigtool.experiments.load_disturbance.terms import Kind, State, Term, functions
 from rigtool.quantity import Quantity
@@ -158,7 +158,7 @@ class Grid:
     friction_u: dict[float, Array]
 
 
-def grid_of(disturbance: Disturbance, comparisons: Sequence[Comparison], recipe: Recipe) -> Grid:
+def grid_of(disturbance: Disturbance, pairs: Sequence[LoadedPair], recipe: Recipe) -> Grid:
     """Return the disturbance at angles that `measure_force` uses and loads up to the largest."""
     settings, step = recipe.measure_force, ANGLE_STEP_DEG
     turn = settings.turn_angle
@@ -171,7 +171,7 @@ def grid_of(disturbance: Disturbance, comparisons: Sequence[Comparison], recipe:
         variance = np.sum(design * np.tensordot(covariance, design, axes=1), axis=0)
         return np.tensordot(disturbance.coefficient, design, axes=1), np.sqrt(variance)
 
-    for speed, motion in {each.loaded.speed: each for each in comparisons}.items():
+    for speed, motion in {each.loaded.speed: each for each in pairs}.items():
         up, down = (_design(disturbance, motion, side, angle, load) for side in (1.0, -1.0))
         grid.torque[speed], grid.u[speed] = valued(up)
         grid.torque[-speed], grid.u[-speed] = valued(down)
@@ -238,12 +238,12 @@ def load_friction(tables: Run, speed: float, position: float, load: Array) -> tu
 
 
 def _design(
-    disturbance: Disturbance, motion: Comparison, side: float, angle: Array, load: Array
+    disturbance: Disturbance, motion: LoadedPair, side: float, angle: Array, load: Array
 ) -> Array:
     """Return the terms' differences for a direction and speed, (t, angles, loads)."""
     rest = motion.unloaded[0]
     state = state_under(rest, disturbance.tendon, 0.0)
-    ratio = rest.drive.angle_ratio
+    ratio = rest.transmission.angle_ratio
     points = [rest.crossing(a * ratio, int(side)) for a in angle.tolist()]
 
     def there(signal: Array) -> Array:

@@ -17,11 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import constants
 
 Array = NDArray[np.float64]
-
-GRAVITY = 9.80665
-"""Standard acceleration of free fall, m/s2."""
 
 CONTACT_ANGLE = 0.01
 """Angle over which a friction contact turns round, rad: small against a stroke."""
@@ -54,7 +52,7 @@ def swing(
     `angle` (n,) rad is the motor's angle at the output over a motion of this period, s, that
     repeats; `moment` N m is that of the hanging load at 90 degrees, `arm` m where it hangs.
     """
-    inertia = max(moment * arm / GRAVITY, tendon.stiffness / FASTEST**2)
+    inertia = max(moment * arm / constants.g, tendon.stiffness / FASTEST**2)
     resonance = math.sqrt(tendon.stiffness / inertia)
     count = angle.size
     finer = max(1, math.ceil(period / count * resonance / STEP))

@@ -1,4 +1,4 @@
-"""What a load adds to the motor's torque besides itself, as a few smooth functions [8.2, 9].
+"""The disturbance that a load adds to the motor's torque, as a few smooth functions [8.2, 9].
 
 Each is written at the output, N m, for the state with the load and for the one without; a model
 adds up their differences, each times a coefficient:
@@ -39,20 +39,20 @@ ONSETS = (1 / 128, 1 / 32, 1 / 8, 1 / 2)
 these, and all of them run on in proportion beyond the largest."""
 
 LOAD_FRICTION_SPREAD = 0.3
-"""Of the friction by load, per torque carried; a tenth of it for what varies with the angle."""
+"""Spread of friction by load, per torque carried; a tenth of it for orders of the angle."""
 
 GAIN_SPREAD = 0.02
-"""Of the torque per ampere: of torque factor, arm and torque constant together, relative."""
+"""Relative spread of the torque per ampere: torque factor, arm and constant together."""
 
 RIPPLE_SPREAD = 0.01
-"""Of each order of the ripple, relative to the torque: an amplifier worth its name."""
+"""Spread of each order of the ripple, relative to the torque."""
 
 FRICTION_SPREAD = 0.3
-"""Of each order of friction by angle, relative to the friction."""
+"""Spread of each order of friction by angle, relative to the friction."""
 
 
 class Kind(IntEnum):
-    """What a term is a function of; the numbers are those in run files."""
+    """Kinds of terms, by what they depend on; the numbers are those in run files."""
 
     LOAD_FRICTION = 1
     VISCOUS = 2
@@ -151,7 +151,7 @@ def terms(sizes: Sizes, speeds: Sequence[float]) -> tuple[Term, ...]:
 
 
 def depends_on_load(term: Term) -> bool:
-    """Say whether a term looks at the tendon; all others are known from the motor's signals."""
+    """Return whether a term depends on the tendon; all others follow from the motor's signals."""
     return term.kind in (Kind.LOAD_FRICTION, Kind.ANGLE_FRICTION)
 
 

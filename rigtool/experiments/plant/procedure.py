@@ -26,7 +26,7 @@ from rigtool.experiments.plant.procedure_excitation import (
     tasks,
 )
 from rigtool.experiments.plant.results import Found, outcome_of
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -34,8 +34,6 @@ from rigtool.rigs import Rig
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 Array = NDArray[np.float64]
-
-COMMAND = "identify-plant"
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -77,7 +75,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
     if not found:
         raise RunFileError(
             f"{runs[0].path}: has no recording multisine_000: give the run file in which "
-            f"{COMMAND} recorded its signals"
+            "identify-plant recorded its signals"
         )
     lines, sample_time = excited_lines(recipe), recipe.rig.sample_time
     experiments: list[Experiment] = []
@@ -162,3 +160,6 @@ def _swing(experiment: Experiment, lines: Lines, sample_time: float) -> float:
     omega = 2 * np.pi * lines / (samples_of_period * sample_time)
     amplitude = 1j * omega * answer / (samples_of_period / 2)
     return float(np.abs(periodic(lines, amplitude, samples_of_period)).max())
+
+
+PROCEDURE = Procedure("identify-plant", recordings, measure, analyse)

@@ -99,9 +99,7 @@ def multisine(recipe: Recipe, plan: Plan) -> Array:
     """
     settings, rig = recipe.identify_plant, recipe.rig
     lines, count = excited_lines(recipe), samples(recipe)
-    loop = position_loop(
-        **rig.controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
-    )
+    loop = position_loop(**rig.loop_design)
     frequency = lines / (count * rig.sample_time)
     speed = random_phases(lines, count, np.random.default_rng(plan.number))
     torque = speed / (2j * np.pi * frequency * loop.process_sensitivity.response(frequency))

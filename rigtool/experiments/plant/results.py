@@ -32,10 +32,7 @@ NOT_CALIBRATED = (
 
 def controller(recipe: Recipe) -> TransferFunction:
     """Return the recipe's controller: it is made for the nominal inertia, whatever is there."""
-    rig = recipe.rig
-    return position_loop(
-        **rig.controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
-    ).controller
+    return position_loop(**recipe.rig.loop_design).controller
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +266,9 @@ def _notes(found: Found, recipe: Recipe) -> list[str]:
         f"the nominal inertia is {nominal:.4g} kg m2, the measured one "
         f"{100 * (fit.model.inertia / nominal - 1):+.2g} % from it"
     )
-    if found.torque_constant is None:
+    if found.torque_constant is not None:
+        notes.append("torque by the torque constant at the recorded temperature of the motor")
+    else:
         notes.append(
             f"torques rest on the data sheet's torque constant, {recipe.rig.torque_constant} "
             "N m/A: inertia and friction are wrong by as much as it is; give --kt"

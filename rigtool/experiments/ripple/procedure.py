@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import remark
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     Comparison,
@@ -26,8 +27,11 @@ from rigtool.experiments.ripple.orders import (
     spectrum,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
-from rigtool.experiments.session import channels, record
-from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.experiments.torque_per_ampere import (
+    mean_constant_note,
+    torque_per_ampere,
+    with_constant,
+)
 from rigtool.numerics.welch import Welch
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -36,23 +40,6 @@ from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
 
 Array = NDArray[np.float64]
-
-__all__ = [
-    "BARE_MOTOR",
-    "COMMAND",
-    "NEEDED",
-    "analyse",
-    "analyse_imported",
-    "measure",
-    "recordings",
-]
-
-COMMAND = "fft-ripple"
-
-NEEDED = ("kt",)
-
-BARE_MOTOR = True
-"""Whole turns, over and over: no instrument can follow."""
 
 ACCELERATION = 30.0
 """Of run-up and stop, rad/s2."""
@@ -110,6 +97,7 @@ def _spec(
             "steady_from": (start, "s"),
             "steady_until": (start + turns * 2 * math.pi / speed, "s"),
         },
+        recipe.fft_ripple.record_every,
     )
 
 
@@ -125,7 +113,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
         task = Task(
             SpeedProfile((0.0, run_up, until, until + run_up), (0.0, speed, speed, 0.0)),
             load=Load(torque=conditions.get("torque", 0.0)),
-            record_every=recipe.fft_ripple.record_every,
+            record_every=spec.record_every,
         )
         record(rig, task, recorder, spec.name)
 
@@ -140,8 +128,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: fft-ripple takes one, with all its recordings")
-    constant = torque_per_ampere(kt).value
-    run = runs[0]
+    per_ampere = torque_per_ampere(kt)
+    constant, run = per_ampere.value, runs[0]
     speeds = sorted(run.recordings_named("speed_"), key=lambda r: r.condition("speed"))
     if not speeds:
         raise RunFileError(
@@ -171,7 +159,10 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     if comparisons:
         tables["power_comparison"] = _comparison_table(comparisons)
     results = {**_ripple_results(by_speed), **_comparison_results(comparisons)}
+    for name in ("repeatable_rms", "non_repeatable_rms"):
+        results[name] = with_constant(results[name], per_ampere)
     notes = [
+        mean_constant_note(per_ampere),
         *_told(speeds, by_speed, "speed", "rad/s"),
         *_told(torques, by_torque, "torque", "N m"),
         *remark(runs, constant),
@@ -371,3 +362,14 @@ def _comparison_table(comparisons: Sequence[Comparison]) -> Table:
         "correlation",
         "ripple after each start of the amplifier against the one before the first restart",
     )
+
+
+PROCEDURE = Procedure(
+    "fft-ripple",
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    bare_motor=True,  # no instrument can follow whole turns
+    analyse_imported=analyse_imported,
+)

@@ -9,7 +9,7 @@ import numpy as np
 
 from rigtool.errors import RecipeError, UsageError
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.suspension.springs import (
     LeafSprings,
     SpringCurve,
@@ -24,9 +24,6 @@ from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
 
-COMMAND = "suspension"
-BARE_MOTOR = True
-
 READING_TIME = 0.1
 """How long each reading lasts, s."""
 
@@ -40,7 +37,10 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording for each force."""
     return tuple(
         RecordingSpec(
-            f"pull_{number:03d}", channels("time", "deflection"), {"radial_force": (force, "N")}
+            f"pull_{number:03d}",
+            channels("time", "deflection"),
+            {"radial_force": (force, "N")},
+            RECORD_EVERY,
         )
         for number, force in enumerate(recipe.suspension.forces)
     )
@@ -51,7 +51,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
     _described(recipe)
     for spec in recordings(recipe):
         load = Load(radial_force=spec.conditions["radial_force"][0])
-        task = Task(CurrentSteps((0.0,), READING_TIME), load=load, record_every=RECORD_EVERY)
+        task = Task(CurrentSteps((0.0,), READING_TIME), load=load, record_every=spec.record_every)
         record(rig, task, recorder, spec.name)
 
 
@@ -171,3 +171,12 @@ def _torque_table(springs: Suspension, stiffness: float, speeds: Sequence[float]
         "inertia",
         "Torque of pulleys out of centre (Fig. 75)",
     )
+
+
+PROCEDURE = Procedure(
+    "suspension",
+    recordings,
+    measure,
+    analyse,
+    bare_motor=True,
+)

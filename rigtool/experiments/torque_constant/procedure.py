@@ -9,7 +9,7 @@ import numpy as np
 
 from rigtool.errors import RecipeError
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_constant.staircase import Plateaus, find_plateaus
 from rigtool.experiments.torque_constant.temperature_fit import (
     SAME_TEMPERATURE,
@@ -22,15 +22,14 @@ from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
 
-COMMAND = "calibrate-kt"
-BARE_MOTOR = True
 STAIRCASE = "staircase"
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording of all staircases in sequence; the bench clock runs on."""
     names = ("time", "rotor_angle", "current_setpoint", "current", "force", "temperature")
-    return (RecordingSpec(STAIRCASE, channels(*names)),)
+    every = recipe.calibrate_kt.record_every
+    return (RecordingSpec(STAIRCASE, channels(*names), record_every=every),)
 
 
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
@@ -204,3 +203,12 @@ def _extrapolation(found: Calibration, range_degc: tuple[float, float]) -> list[
         return []
     listed = ", ".join(f"{t:g}" for t in dict.fromkeys(outside))
     return [f"extrapolated to {listed} degC from {low:.3g} to {high:.3g} degC along the line"]
+
+
+PROCEDURE = Procedure(
+    "calibrate-kt",
+    recordings,
+    measure,
+    analyse,
+    bare_motor=True,
+)

@@ -20,6 +20,7 @@ from rigtool.report.figures.axes import (
     thin,
     up_and_down,
 )
+from rigtool.report.figures.plots import plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,9 +34,9 @@ POINTS = 175
 PROBABILITIES = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 
 
-def feedforward(run: Run) -> Figure:
+@plot(58, "measure-force", "Feed-forward signal at the measuring speed", "feedforward")
+def feedforward(run: Run, table: Table) -> Figure:
     """Fig. 58: feed-forward from the learned table over one up-and-down."""
-    table = run.table("feedforward")
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
     position = counts(run, table, "position")
     axes.plot(position, MILLI * table["torque"], color=style.BLUE)
@@ -43,9 +44,9 @@ def feedforward(run: Run) -> Figure:
     return figure
 
 
-def variation(run: Run) -> Figure:
+@plot(59, "measure-force", "Variation over the cycles without load", "cycles_no_load")
+def variation(run: Run, table: Table) -> Figure:
     """Fig. 59: what remains without load, all cycles in one plot."""
-    table = run.table("cycles_no_load")
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
     position, torque = counts(run, table, "position"), MILLI * table["torque"]
     # Low-passed at 5 Hz, they have nothing between these points.
@@ -57,9 +58,11 @@ def variation(run: Run) -> Figure:
     return figure
 
 
-def probability_plot(run: Run) -> Figure:
+@plot(
+    60, "measure-force", "Normal probability plot of the readings without load", "probability_plot"
+)
+def probability_plot(run: Run, table: Table) -> Figure:
     """Fig. 60: normal probability plot of the readings without load."""
-    table = run.table("probability_plot")
     quantile, value = table["quantile"], MILLI * table["value"]
     figure, axes = style.one_panel("torque without load [mN m]", "probability")
     axes.plot(value, quantile, "+", color=style.BLUE, label="readings")
@@ -74,9 +77,9 @@ def probability_plot(run: Run) -> Figure:
     return figure
 
 
-def remaining(run: Run) -> Figure:
+@plot(61, "measure-force", "Feed-forward and remaining disturbance of one cycle", "feedforward")
+def remaining(run: Run, table: Table) -> Figure:
     """Fig. 61: feed-forward (blue) and remaining disturbance (green) of one cycle."""
-    table = run.table("feedforward")
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
     position = counts(run, table, "position")
     axes.plot(position, MILLI * table["torque"], color=style.BLUE, label="feed-forward")
@@ -87,9 +90,10 @@ def remaining(run: Run) -> Figure:
     return figure
 
 
-def shift(run: Run) -> Figure:
+@plot(62, "measure-force", "High torque: the peak is shifted", "shift")
+def shift(run: Run, table: Table) -> Figure:
     """Fig. 62: a high load; its peak comes late because the instrument is soft."""
-    figure, axes, middle = _lifted(run, run.table("shift"))
+    figure, axes, middle = _lifted(run, table)
     if "peak_shift_counts" in run.results:
         late = run.results["peak_shift_counts"].value
         top = axes.get_ylim()[1]
@@ -99,9 +103,10 @@ def shift(run: Run) -> Figure:
     return figure
 
 
-def lifting_lowering(run: Run) -> Figure:
+@plot(63, "measure-force", "Lifting and lowering a mass", "hysteresis")
+def lifting_lowering(run: Run, table: Table) -> Figure:
     """Fig. 63: a mass lifted and lowered; the difference is friction that grows with load."""
-    figure, axes, middle = _lifted(run, run.table("hysteresis"))
+    figure, axes, middle = _lifted(run, table)
     for name, x in (("lifting_torque", middle), ("lowering_torque", 3 * middle)):
         if name in run.results:
             height = MILLI * run.results[name].value

@@ -8,11 +8,12 @@ import numpy as np
 
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, Array
+from rigtool.report.figures.plots import OWN, plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rigtool.runfile import Run
+    from rigtool.runfile import Run, Table
 
 SHOWN = 3
 """Runs in the figures over time: of the lowest, the middle and the highest load."""
@@ -21,9 +22,15 @@ EDGE = 1.0
 """Left out at the ends, s."""
 
 
-def by_time(run: Run) -> Figure:
+@plot(
+    OWN,
+    "measure-force",
+    "Torque at the load over time: from effort and motion, and by the sensor",
+    "series",
+    "levels",
+)
+def by_time(run: Run, series: Table, levels: Table) -> Figure:
     """Measured and estimated torque over time, with the 95 % interval."""
-    series = run.table("series")
     chosen = _chosen(series["reference"])
     figure, panels = style.panels(len(chosen), "time [s]", ["torque [mN m]"] * len(chosen), 6.2)
     time = series["time"]
@@ -44,9 +51,15 @@ def by_time(run: Run) -> Figure:
     return figure
 
 
-def hysteresis(run: Run) -> Figure:
+@plot(
+    OWN + 1,
+    "measure-force",
+    "Hysteresis: effort of the motor against torque at the load",
+    "series",
+    "levels",
+)
+def hysteresis(run: Run, series: Table, levels: Table) -> Figure:
     """Loop of the motor's effort against the sensor's torque."""
-    series = run.table("series")
     effort = series.columns["effort"]
     name = "current" if effort.unit == "A" else "torque"
     figure, axes = style.one_panel(
@@ -67,9 +80,15 @@ def hysteresis(run: Run) -> Figure:
     return figure
 
 
-def error_by_level(run: Run) -> Figure:
+@plot(
+    OWN + 2,
+    "measure-force",
+    "Error by load: median and 95 % of the samples of each run",
+    "series",
+    "levels",
+)
+def error_by_level(run: Run, series: Table, levels: Table) -> Figure:
     """Errors of single samples by the torque of their run, strokes against and with the load."""
-    series = run.table("series")
     time, speed = series["time"], series["speed"]
     middle = (time > EDGE) & (time < time[-1] - EDGE)
     error = MILLI * (series["torque"] - series["reference"])

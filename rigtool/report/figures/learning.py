@@ -20,20 +20,27 @@ from rigtool.report.figures.axes import (
     thin,
     up_and_down,
 )
+from rigtool.report.figures.plots import plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rigtool.runfile import Run
+    from rigtool.runfile import Run, Table
 
 PUBLISHED_SPEEDS_REV_PER_S = (1.0, 2.0)
 
 
-def lookup_table(run: Run) -> Figure:
+@plot(
+    50,
+    "ilc-learn",
+    "Content of the two-dimensional lookup table",
+    "lookup",
+    implementations=("B", "C", "D"),
+)
+def lookup_table(run: Run, table: Table) -> Figure:
     """Fig. 50: content of the two-dimensional table, torque by position and speed."""
     from matplotlib.figure import Figure as NewFigure
 
-    table = run.table("lookup")
     position, torque = thin(120, counts(run, table, "position"), MILLI * table["torque"])
     speeds = table["speed"]
     rows = np.arange(len(speeds))
@@ -59,9 +66,15 @@ def lookup_table(run: Run) -> Figure:
     return figure
 
 
-def residual(run: Run) -> Figure:
+@plot(
+    56,
+    "ilc-learn",
+    "Feed-forward and remaining disturbance",
+    "residual_waveforms",
+    implementations=("C", "D"),
+)
+def residual(run: Run, table: Table) -> Figure:
     """Fig. 56: feed-forward from the table (blue) and remaining disturbance (green)."""
-    table = run.table("residual_waveforms")
     speeds = np.asarray(table["speed"])
     ratio, end = _stroke(run)
     chosen = _two_speeds(speeds, ratio)

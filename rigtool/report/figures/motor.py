@@ -8,17 +8,18 @@ import numpy as np
 
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, counts
+from rigtool.report.figures.plots import plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from rigtool.runfile import Run
+    from rigtool.runfile import Run, Table
 
 
-def motor_constant(run: Run) -> Figure:
+@plot(20, "calibrate-kt", "Motor constant as function of motor temperature", "torque_constant")
+def motor_constant(run: Run, table: Table) -> Figure:
     """Fig. 20: motor constant against motor temperature, with the fitted line."""
-    table = run.table("torque_constant")
     degc, constant = table["temperature"], table["torque_constant"]
     figure, axes = style.one_panel("motor temperature [°C]", "motor constant [mN m/A]")
     axes.errorbar(
@@ -44,9 +45,9 @@ def motor_constant(run: Run) -> Figure:
     return figure
 
 
-def breakaway(run: Run) -> Figure:
+@plot(22, "stribeck", "Static friction: one slow ramp of torque", "breakaway_ramp")
+def breakaway(run: Run, table: Table) -> Figure:
     """Fig. 22: one slow ramp of torque and where the rotor goes meanwhile."""
-    table = run.table("breakaway_ramp")
     labels = ["torque [mN m]", "rotor position [quad counts]"]
     figure, (torque, position) = style.panels(2, "time [s]", labels, 4.2)
     torque.plot(table["time"], MILLI * table["torque"], color=style.BLUE)
@@ -54,9 +55,10 @@ def breakaway(run: Run) -> Figure:
     return figure
 
 
-def torque_speed(run: Run) -> Figure:
+@plot(30, "stribeck", "Torque-speed curve without compensation", "torque_speed")
+def torque_speed(run: Run, table: Table) -> Figure:
     """Fig. 30: torque against speed without compensation."""
-    figure, axes = _torque_speed(run, "torque_speed")
+    figure, axes = _torque_speed(table, table)
     if "friction_model" in run.tables:
         model = run.table("friction_model")
         axes.plot(
@@ -70,11 +72,18 @@ def torque_speed(run: Run) -> Figure:
     return figure
 
 
-def torque_speed_coulomb(run: Run) -> Figure:
+@plot(
+    32,
+    "stribeck",
+    "Torque-speed curve with Coulomb friction compensation",
+    "torque_speed",
+    "torque_speed_coulomb",
+)
+def torque_speed_coulomb(run: Run, whole: Table, table: Table) -> Figure:
     """Fig. 32: the same with Coulomb compensation; the dashed line is the viscous friction."""
-    figure, axes = _torque_speed(run, "torque_speed_coulomb")
+    figure, axes = _torque_speed(whole, table)
     viscous = run.result("viscous_friction").value
-    ends = np.array([run.table("torque_speed_coulomb")["speed"][i] for i in (0, -1)])
+    ends = table["speed"][[0, -1]]
     axes.plot(
         ends,
         MILLI * viscous * ends,
@@ -86,16 +95,22 @@ def torque_speed_coulomb(run: Run) -> Figure:
     return figure
 
 
-def torque_speed_viscous(run: Run) -> Figure:
+@plot(
+    34,
+    "stribeck",
+    "Torque-speed curve with Coulomb and viscous friction compensation",
+    "torque_speed",
+    "torque_speed_viscous",
+)
+def torque_speed_viscous(run: Run, whole: Table, table: Table) -> Figure:
     """Fig. 34: the same with Coulomb and viscous compensation: flat."""
-    return _torque_speed(run, "torque_speed_viscous")[0]
+    return _torque_speed(whole, table)[0]
 
 
-def _torque_speed(run: Run, name: str) -> tuple[Figure, Axes]:
-    table = run.table(name)
+def _torque_speed(whole: Table, table: Table) -> tuple[Figure, Axes]:
     figure, axes = style.one_panel("motor speed [rad/s]", "torque [mN m]")
     axes.plot(table["speed"], MILLI * table["torque"], color=style.BLUE, label="measured")
-    # One scale for all three, so that what compensation does can be seen.
-    highest = MILLI * np.nanmax(np.abs(run.table("torque_speed")["torque"]))
+    # One scale for all three figures shows the effect of the compensation.
+    highest = MILLI * np.nanmax(np.abs(whole["torque"]))
     axes.set_ylim(-1.1 * highest, 1.1 * highest)
     return figure, axes

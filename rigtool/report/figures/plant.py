@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.report.figures import style
+from rigtool.report.figures.plots import plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,15 +22,22 @@ PHASE = "phase [deg]"
 HEIGHT = 4.6
 
 
-def measured_plant(run: Run) -> Figure:
+@plot(
+    35,
+    "identify-plant",
+    "Frequency response of the plant, and its mass line",
+    "frequency_response",
+    "fit",
+)
+def measured_plant(run: Run, measured: Table, fit: Table) -> Figure:
     """Fig. 35: measured response of the plant with its uncertainty, and the mass line."""
     figure, magnitude, phase = _bode()
-    _measured(run.table("frequency_response"), magnitude, phase)
-    fit = _within(run, run.table("fit"))
+    _measured(measured, magnitude, phase)
+    line = _within(measured, fit)
     crossing = run.result("mass_line_crossing").value
     magnitude.plot(
-        fit["frequency"],
-        decibel(fit["mass_line"]),
+        line["frequency"],
+        decibel(line["mass_line"]),
         color=style.GREY,
         ls="--",
         label=f"mass line, 0 dB at {crossing:.3g} Hz",
@@ -38,21 +46,35 @@ def measured_plant(run: Run) -> Figure:
     return figure
 
 
-def fitted_plant(run: Run) -> Figure:
+@plot(
+    39,
+    "identify-plant",
+    "Fitted and measured frequency response of the plant",
+    "frequency_response",
+    "fit",
+)
+def fitted_plant(run: Run, measured: Table, fit: Table) -> Figure:
     """Fig. 39: simulated (the fit) and measured response of the plant."""
     figure, magnitude, phase = _bode()
-    _measured(run.table("frequency_response"), magnitude, phase)
-    fit = _within(run, run.table("fit"))
-    magnitude.plot(fit["frequency"], decibel(fit["magnitude"]), color=style.ORANGE, label="fit")
-    phase.plot(fit["frequency"], degrees(fit["phase"]), color=style.ORANGE)
+    _measured(measured, magnitude, phase)
+    line = _within(measured, fit)
+    magnitude.plot(line["frequency"], decibel(line["magnitude"]), color=style.ORANGE, label="fit")
+    phase.plot(line["frequency"], degrees(line["phase"]), color=style.ORANGE)
     style.legend_above(magnitude, 2)
     return figure
 
 
-def open_loop(run: Run) -> Figure:
+@plot(
+    76,
+    "identify-plant",
+    "Open loop and sensitivities with the measured plant",
+    "frequency_response",
+    "sensitivities",
+)
+def open_loop(run: Run, measured: Table, sensitivities: Table) -> Figure:
     """Fig. 76: controller times plant, and what it makes of the loop."""
     figure, magnitude, phase = _bode()
-    table = _within(run, run.table("sensitivities"))
+    table = _within(measured, sensitivities)
     for name, colour, label in (
         ("open_loop", style.BLUE, "open loop"),
         ("t", style.ORANGE, "T"),
@@ -65,10 +87,10 @@ def open_loop(run: Run) -> Figure:
     return figure
 
 
-def learning_filter(run: Run) -> Figure:
+@plot(40, "ilc-learn", "Complementary sensitivity T and learning filter L, its inverse", "transfer")
+def learning_filter(run: Run, whole: Table) -> Figure:
     """Fig. 40, right: T and the learning filter L, with and without its phase advance."""
     figure, magnitude, phase = _bode()
-    whole = run.table("transfer")
     # Close to half the sampling rate T goes to zero: nothing to see.
     table = _positive(whole, 0.25 * float(whole["frequency"][-1]))
     frequency = table["frequency"]
@@ -81,10 +103,11 @@ def learning_filter(run: Run) -> Figure:
     return figure
 
 
-def convergence(run: Run) -> Figure:
+@plot(41, "ilc-learn", "Convergence criterion", "convergence")
+def convergence(run: Run, whole: Table) -> Figure:
     """Fig. 41: the convergence criterion; dashed: its bound over the plant's uncertainty."""
     figure, axes = style.one_panel(FREQUENCY, "|Q (1 − p L T)| [dB]")
-    table = _positive(run.table("convergence"))
+    table = _positive(whole)
     frequency = table["frequency"]
     axes.plot(frequency, decibel(table["magnitude"]), label="criterion")
     if "bound" in table and np.isfinite(table["bound"]).any():
@@ -138,15 +161,17 @@ def _measured(table: Table, magnitude: Axes, phase: Axes) -> None:
             phase.plot(frequency[lines], turns[lines], ".", color=colour)
 
 
-def _within(run: Run, table: Table) -> dict[str, NDArray[Any]]:
+def _within(measured: Table, table: Table) -> dict[str, NDArray[Any]]:
     """Return the columns of a table around the frequencies that were measured."""
-    measured = run.table("frequency_response")["frequency"]
-    frequency = table["frequency"]
-    keep = (frequency >= measured[0] / 2) & (frequency <= 2 * measured[-1])
-    return {name: column.values[keep] for name, column in table.columns.items()}
+    low, high = measured["frequency"][[0, -1]]
+    return _between(table, low / 2, 2 * high)
 
 
 def _positive(table: Table, highest: float = np.inf) -> dict[str, NDArray[Any]]:
     """Return the columns of a table without frequency zero, up to a highest one."""
-    keep = (table["frequency"] > 0) & (table["frequency"] <= highest)
+    return _between(table, np.nextafter(0, 1), highest)
+
+
+def _between(table: Table, low: float, high: float) -> dict[str, NDArray[Any]]:
+    keep = (table["frequency"] >= low) & (table["frequency"] <= high)
     return {name: column.values[keep] for name, column in table.columns.items()}

@@ -8,6 +8,7 @@ import numpy as np
 
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import COUNTS, MILLI, TORQUE, Array, counts, thin
+from rigtool.report.figures.plots import plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,9 +21,9 @@ SPECTRA = 4
 """Speeds whose spectra are shown."""
 
 
-def power_cycles(run: Run) -> Figure:
+@plot(23, "fft-ripple", "Ripple after power off and on", "power_waveforms")
+def power_cycles(run: Run, table: Table) -> Figure:
     """Fig. 23: ripple before and after the amplifier was switched off and on."""
-    table = run.table("power_waveforms")
     figure, axes = style.one_panel(COUNTS, TORQUE)
     position, waves = _waveforms(run, table)
     for number, wave in enumerate(waves):
@@ -32,9 +33,9 @@ def power_cycles(run: Run) -> Figure:
     return figure
 
 
-def revolutions(run: Run) -> Figure:
+@plot(24, "fft-ripple", "Ripple of single revolutions", "revolutions")
+def revolutions(run: Run, table: Table) -> Figure:
     """Fig. 24: many revolutions in one plot, to show how well the ripple repeats."""
-    table = run.table("revolutions")
     figure, axes = style.one_panel(COUNTS, TORQUE)
     position, waves = _waveforms(run, table)
     axes.plot(position, waves.T, color=style.BLUE, linewidth=0.6, alpha=0.6)
@@ -42,9 +43,9 @@ def revolutions(run: Run) -> Figure:
     return figure
 
 
-def ripple_by_current(run: Run) -> Figure:
+@plot(25, "fft-ripple", "Ripple grows with motor current", "torque_waveforms")
+def ripple_by_current(run: Run, table: Table) -> Figure:
     """Fig. 25: ripple at several constant torques, on one scale."""
-    table = run.table("torque_waveforms")
     figure, axes = style.one_panel(COUNTS, TORQUE)
     position, waves = _waveforms(run, table)
     for torque, wave in zip(table["torque"], waves, strict=True):
@@ -54,11 +55,17 @@ def ripple_by_current(run: Run) -> Figure:
     return figure
 
 
-def shape_by_current(run: Run) -> Figure:
+@plot(
+    26,
+    "fft-ripple",
+    "Ripple changes its shape with motor current",
+    "torque_waveforms",
+    "torque_spectrum",
+)
+def shape_by_current(run: Run, table: Table, spectrum: Table) -> Figure:
     """Fig. 26: the same, each on its own scale, with its content by order of rotation."""
     from matplotlib.figure import Figure as NewFigure
 
-    table, spectrum = run.table("torque_waveforms"), run.table("torque_spectrum")
     torques = table["torque"]
     position, waves = _waveforms(run, table)
     figure = NewFigure(figsize=(style.WIDTH, 0.8 + 1.3 * len(torques)), layout="constrained")
@@ -78,9 +85,9 @@ def shape_by_current(run: Run) -> Figure:
     return figure
 
 
-def ripple_by_speed(run: Run) -> Figure:
+@plot(27, "fft-ripple", "Ripple at all motor speeds", "speed_waveforms")
+def ripple_by_speed(run: Run, table: Table) -> Figure:
     """Fig. 27: ripple at each speed, one above the other on one scale."""
-    table = run.table("speed_waveforms")
     position, waves = _waveforms(run, table)
     step = 1.1 * float(np.ptp(waves, axis=1).max())
     figure, axes = style.one_panel(COUNTS, "motor speed [rad/s]", 5.2)
@@ -93,12 +100,12 @@ def ripple_by_speed(run: Run) -> Figure:
     return figure
 
 
-def psd_by_speed(run: Run) -> Figure:
+@plot(28, "fft-ripple", "PSD of the ripple in Figure 27", "speed_psd")
+def psd_by_speed(run: Run, table: Table) -> Figure:
     """Fig. 28: power spectral densities of some of these signals, slow to fast.
 
     Dotted lines mark the first and second order of rotation.
     """
-    table = run.table("speed_psd")
     speeds, frequency = table["speed"], np.asarray(table["frequency"])
     rows = np.unique(np.linspace(0, len(speeds) - 1, SPECTRA).round().astype(int))
     figure, axes = style.panels(len(rows), "frequency [Hz]", [""] * len(rows), 1 + 1.1 * len(rows))

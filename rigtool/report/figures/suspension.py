@@ -6,16 +6,18 @@ import math
 from typing import TYPE_CHECKING
 
 from rigtool.report.figures import style
+from rigtool.report.figures.plots import plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rigtool.runfile import Run
+    from rigtool.runfile import Run, Table
 
 
-def spring_curve(run: Run) -> Figure:
+@plot(70, "suspension", "Spring constant of the motor's suspension", "spring_curve")
+def spring_curve(run: Run, table: Table) -> Figure:
     """Fig. 70: force against deflection, with the line whose slope is the spring constant."""
-    table, stiffness = run.table("spring_curve"), run.result("spring_constant")
+    stiffness = run.result("spring_constant")
     figure, axes = style.one_panel("deflection [mm]", "force [N]")
     axes.plot(1e3 * table["deflection"], table["force"], "o", markersize=4, label="measured")
     label = f"{stiffness.value / 1e3:.2f} kN/m"
@@ -24,9 +26,9 @@ def spring_curve(run: Run) -> Figure:
     return figure
 
 
-def eccentric_torque(run: Run) -> Figure:
+@plot(75, "suspension", "Disturbance torque due to pulley eccentricity", "eccentric_torque")
+def eccentric_torque(run: Run, table: Table) -> Figure:
     """Fig. 75: torque of the moving mass over a turn, at the slowest speed."""
-    table = run.table("eccentric_torque")
     slowest = int(abs(table["speed"]).argmin())
     turning = table["speed"][slowest] / (2 * math.pi)
     figure, axes = style.one_panel("angle [deg]", f"torque at {turning:.3g} rev/s [nN m]")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,11 +11,12 @@ from numpy.typing import NDArray
 
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, MOTOR_TORQUE, fit_height
+from rigtool.report.figures.plots import plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rigtool.runfile import Run
+    from rigtool.runfile import Run, Table
 
 Array = NDArray[np.float64]
 
@@ -26,9 +28,9 @@ FROM_TABLE = "feed-forward from the table"
 CONTROLLER = "controller"
 
 
-def tuning(run: Run) -> Figure:
+@plot(42, "ilc-learn", "Amplitude and phase tables by speed", "tuning")
+def tuning(run: Run, table: Table) -> Figure:
     """Fig. 42: amplitude and phase tables, with twice their standard uncertainty."""
-    table = run.table("tuning")
     speed = _rev_per_s(table["speed"])
     figure, axes = style.panels(2, SPEED, ["amplitude [1]", "shift [deg]"], 4.2)
     for panel, name, scale in zip(axes, ("amplitude", "shift"), (1.0, 180 / math.pi), strict=True):
@@ -43,9 +45,15 @@ def tuning(run: Run) -> Figure:
     return figure
 
 
-def iterations(run: Run) -> Figure:
+@plot(
+    44,
+    "ilc-learn",
+    "Disturbance as function of the number of learning runs",
+    "iterations",
+    implementations=("A", "standard"),
+)
+def iterations(run: Run, table: Table) -> Figure:
     """Fig. 44: amplitude of what repeats and of what does not, run by run."""
-    table = run.table("iterations")
     unit = table.columns["rms"].unit
     figure, axes = style.one_panel("learning runs made before [1]", f"rms [m{unit}]")
     axes.errorbar(
@@ -69,44 +77,33 @@ def iterations(run: Run) -> Figure:
     return figure
 
 
-def without(run: Run) -> Figure:
-    """Fig. 46: no repetitive disturbance compensation."""
-    return _sweep(run, "off")
+def torque_over_speed(variant: str, feedforward: bool, run: Run, swept: Table) -> Figure:
+    """Draw the controller's torque over the speed, on the ordinate of the one without table.
 
-
-def without_tables(run: Run) -> Figure:
-    """Fig. 47, 52: compensated, without amplitude and phase tables."""
-    return _sweep(run, "plain")
-
-
-def compensated(run: Run) -> Figure:
-    """Fig. 48: compensated, with the tables."""
-    return _sweep(run, "on")
-
-
-def disturbance_and_table(run: Run) -> Figure:
-    """Fig. 51: the disturbance without compensation, and what the table feeds forward."""
-    return _sweep(run, "off", table=True)
-
-
-def compensated_and_table(run: Run) -> Figure:
-    """Fig. 54: what remains with the table and its amplitude table, and what they feed forward."""
-    return _sweep(run, "on", table=True)
-
-
-def _sweep(run: Run, variant: str, *, table: bool = False) -> Figure:
-    """Draw the controller's torque over the speed, on the ordinate of the one without table."""
-    swept = run.table("sweep")
+    `variant` names the column of the sweep; `feedforward` adds the torque of the table.
+    """
     speed, torque = _envelope(_rev_per_s(swept["speed"]), MILLI * swept[variant])
     figure, axes = style.one_panel(SPEED, MOTOR_TORQUE)
     axes.plot(speed, torque, color=style.BLUE, linewidth=0.6, label=CONTROLLER)
-    if table:
+    if feedforward:
         fed = _envelope(_rev_per_s(swept["speed"]), MILLI * swept["table"])
         axes.plot(*fed, color=style.GREEN, linewidth=0.6, alpha=0.8, label=FROM_TABLE)
         style.legend_above(axes, 2)
     fit_height(axes, MILLI * swept["off"], torque)
     axes.set_xlim(speed[0], speed[-1])
     return figure
+
+
+for number, implementation, variant, feedforward, title in (
+    (46, "A", "off", False, "No repetitive disturbance compensation"),
+    (47, "A", "plain", False, "Implementation A, amplitude and phase tables not active"),
+    (48, "A", "on", False, "Implementation A, amplitude and phase tables active"),
+    (51, "B", "off", True, "Disturbance and feed-forward from the table"),
+    (52, "B", "plain", False, "Implementation B, torque over speed"),
+    (54, "B", "on", True, "Implementation B with amplitude table, torque over speed"),
+):
+    draw = partial(torque_over_speed, variant, feedforward)
+    plot(number, "ilc-learn", title, "sweep", implementations=(implementation,))(draw)
 
 
 def _envelope(speed: Array, torque: Array) -> tuple[Array, Array]:

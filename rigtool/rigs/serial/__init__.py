@@ -9,8 +9,8 @@ host. The `target` runs whole motions by itself and has a rig of its own.
 
 Writing a driver
 ----------------
-A driver is one module, named in `drivers.MODULES`, with `BAUD_RATE`, `probe(line)` and
-`make_drive(line, recipe)`; its class fulfils `drive.Drive`. The order of calls is
+A driver is a `drivers.Driver`, found in a module of `drivers.MODULES` or by an entry point; its
+`make_drive` returns a `drive.Drive`. The order of calls is
 
     connect, abilities, configure            nothing moves; `read` at any time from here on
     enable(mode), step, step, ..., halt      once for each motion
@@ -22,14 +22,14 @@ Rules:
   reads one reply for everything else. Both repeat a request that may be repeated (`retries=0` for
   one that may not) and count it. Raise `DamagedReply` where a checksum, length or form is wrong,
   return None from `accept` where a line answers an older question. `LineLost` is raised for you.
-- Say `HardwareError` where the drive refuses or reports an error: value, limit, remedy.
+- Raise `HardwareError` where the drive refuses or reports an error: value, limit, remedy.
 - Times that enter a sample or a command come from `Line.now()`, never from `time`: so a spy file
   plays back as it was. Nothing else may call `Line.now()`, nor anything random decide what is sent.
   An instrument has a line of its own beside the drive's, with the same clock and spy file.
 - `step` should be a single exchange where the protocol allows it: that sets the rate.
 - SI at the interface: rad and rad/s of the motor shaft, A, degC. Feed-forward comes as current: a
-  drive that takes torque multiplies it by the torque constant it is set to itself (read it from the
-  drive in `connect`), so that this current flows.
+  drive that takes torque multiplies it by its own torque constant (read from the drive in
+  `connect`), so that this current flows.
 - `configure` remembers each value it changes before it changes it; `restore` brings all of them
   back, and only those; nothing is stored in the drive's flash. Limits are set as low as asked; the
   watchdog as `watchdog` s. What the drive cannot watch is returned in words.
@@ -39,7 +39,7 @@ Emulators and tests
 -------------------
 `emulators/NAME.py` holds a subclass of `emulators.server.Emulator`: bytes in, bytes out, with the
 real device's known faults. `emulators.server.serve(emulator, faults)` puts it on a pseudo-terminal;
-`port` is what a recipe or `Line` opens. `emulators.faults.Fault` says what goes wrong and when:
+`port` is what a recipe or `Line` opens. `emulators.faults.Fault` names what goes wrong and when:
 flipped bits, lost, doubled or cut bytes, silence, reset, refusal, a pulled cable, a reply to an
 older question. `emulators.motor.Motor` is a shaft with inertia and friction to put behind it.
 """
@@ -48,49 +48,40 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rigtool.errors import HardwareError
-
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
-    from rigtool.rigs.bench import Bench
+    from rigtool.rigs.operator import Operator
     from rigtool.rigs.serial.rig import SerialRig
 
 __all__ = ["open_serial_rig"]
 
 
-def open_serial_rig(recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> SerialRig:
+def open_serial_rig(
+    recipe: Recipe, torque_constant: float, use: str, operator: Operator
+) -> SerialRig:
     """Return the rig of a recipe's [serial], not connected yet: use it as a context manager.
 
-    Raises `HardwareError` for a driver that is none.
+    Raises `RecipeError` for an unknown driver.
     """
-    from rigtool.rigs.serial.drivers import driver_module
+    from rigtool.rigs.serial.drivers import driver
     from rigtool.rigs.serial.hosted import HostedRig
 
     recipe = _as_recorded(recipe)
     assert recipe.serial is not None
-    module = driver_module(recipe.serial.driver)
-    if hasattr(module, "make_rig"):
-        rig: SerialRig = module.make_rig(recipe, torque_constant, use, bench)
-        return rig
-    if not hasattr(module, "make_drive"):
-        raise HardwareError(f"{module.__name__} is no driver: it has no make_drive")
-    return HostedRig(
-        recipe,
-        torque_constant,
-        use,
-        bench,
-        make_drive=module.make_drive,
-        baud_rate=module.BAUD_RATE,
-    )
+    found = driver(recipe.serial.driver)
+    if found.make_rig is not None:
+        return found.make_rig(recipe, torque_constant, use, operator)
+    return HostedRig(recipe, torque_constant, use, operator, found)
 
 
 def _as_recorded(recipe: Recipe) -> Recipe:
     """Return a recipe whose driver is the one of the record, where it plays one back."""
+    from rigtool.rigs.serial.drivers import REPLAY as REPLAY_DRIVER
     from rigtool.rigs.serial.line import REPLAY
     from rigtool.rigs.serial.spy import read_spy
 
     assert recipe.serial is not None
-    if recipe.serial.driver != "replay":
+    if recipe.serial.driver != REPLAY_DRIVER:
         return recipe
     path = recipe.serial.port.removeprefix(REPLAY)
     driver, _ = read_spy(path)

@@ -4,8 +4,8 @@ A drive that is driven by set points one by one measures where it gets one, alwa
 of the period. Where its loop answers each set point with a step of current, as it does to steps of
 position, that sample is off the mean of the period by an amount that grows with speed and repeats:
 it looks like friction, and no average takes it away. So every few periods the current is read once
-more, at a phase that goes through what the line leaves of the period, and compared with what the
-samples before and after it say of that moment. The mean difference is what the samples lack; where
+more, at a phase that varies over the rest of the period, and compared with the value interpolated
+between the samples before and after it. The mean difference is missing from the samples; where
 readings leave little of the period, less of it is seen, and the difference comes out larger or, of
 currents that are over sooner than a reading, smaller.
 """
@@ -28,8 +28,8 @@ GOLDEN = (math.sqrt(5) - 1) / 2
 ROOM = 1.5
 """Readings that have to fit into what is left of a period before another one is taken."""
 
-FEWEST = 8
-"""Readings at a speed from which on their mean and scatter are told."""
+MIN_READINGS = 8
+"""Readings at a speed that are needed for a mean with its scatter."""
 
 
 class Between:
@@ -65,7 +65,7 @@ class Between:
         A positive difference is current that the samples lack in the direction of motion.
         """
         for speed, (n, total, squares) in sorted(self._sums.items()):
-            if n >= FEWEST:
+            if n >= MIN_READINGS:
                 mean = total / n
                 variance = max(0.0, squares / n - mean**2) * n / (n - 1)
                 yield {
@@ -77,7 +77,7 @@ class Between:
 
 
 def _current(sample: Sample) -> float:
-    """Return the current that analyses read; what flows, where the drive does not tell it."""
+    """Return the current set point; the measured current where the drive reports no set point."""
     asked = sample.current_setpoint
     return asked if math.isfinite(asked) else sample.current
 

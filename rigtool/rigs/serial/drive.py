@@ -1,4 +1,4 @@
-"""What a motor drive on a serial line has to offer, so that the host can run motions on it."""
+"""The `Drive` protocol: a motor drive on a serial line on which the host runs motions."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Abilities:
     `channels` are those of a `Sample` that it fills: some of `current`, `current_setpoint`,
     `temperature`. Position is always there. `feedforward` says whether a current may be added in
     the modes `position` and `velocity`; `watchdog`, whether it stops by itself when the line falls
-    silent. `moves_along` says whether in mode `position` the set point goes on at its speed until
-    the next one comes; where it stands still meanwhile, each one is a step, which shows in current.
+    silent. `moves_along`: in mode `position` the set point moves on at its speed until the next one
+    comes; otherwise each set point is a step, which shows in the current.
     """
 
     modes: frozenset[Mode]
@@ -31,7 +31,7 @@ class Abilities:
 
 @dataclass(frozen=True)
 class SetPoint:
-    """What a drive is to do now: rad and rad/s of the motor shaft, A.
+    """A set point for a drive: rad and rad/s of the motor shaft, A.
 
     `current` is the whole in mode `current`, otherwise what is added (feed-forward). A drive that
     takes a torque multiplies it by its own torque constant, so that this current flows.
@@ -44,7 +44,7 @@ class SetPoint:
 
 @dataclass(frozen=True)
 class Sample:
-    """What a drive measured, at `time` of `Line.now`; NaN where it does not tell.
+    """What a drive measured, at `time` of `Line.now`; NaN for what it does not report.
 
     rad (unwrapped, on the drive's own zero), rad/s, A, degC of the motor. Signs are such that a
     positive current pushes towards a rising position.
@@ -71,7 +71,7 @@ class Drive(Protocol):
 
     @property
     def abilities(self) -> Abilities:
-        """What it can do; asked after `connect`."""
+        """What the drive can do; known after `connect`."""
         ...
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:

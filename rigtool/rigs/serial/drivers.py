@@ -1,44 +1,80 @@
-"""Which drivers there are, and what each module of one offers.
+"""Drivers by name: those of rigtool, and those that other packages add by entry points.
 
-A driver's module has
+    [project.entry-points."rigtool.drivers"]
+    acme = "rigtool_acme.driver:DRIVER"
 
-    BAUD_RATE: int                                    the usual one
-    BAUD_RATES: tuple[int, ...]                       where devices differ, all to try
-    def probe(line: Line) -> str | None               who answers, None where nobody it knows does;
-                                                      asks only, moves and changes nothing
-    def make_drive(line: Line, recipe: Recipe) -> Drive    not connected yet
-
-The target, which runs whole motions by itself, has `make_rig` instead of `make_drive`.
+A driver is imported when a recipe names it, or when `rigtool devices` asks who is there.
 """
 
 from __future__ import annotations
 
 import importlib
-import importlib.util
-from types import ModuleType
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from rigtool.errors import HardwareError
+from rigtool.errors import RecipeError
+from rigtool.plugins import load, plugins
+
+if TYPE_CHECKING:
+    from rigtool.recipe import Recipe
+    from rigtool.rigs.operator import Operator
+    from rigtool.rigs.serial.drive import Drive
+    from rigtool.rigs.serial.line import Line
+    from rigtool.rigs.serial.rig import SerialRig
+    from rigtool.rigs.serial.table_store import TableStore
 
 MODULES = {
     "odrive": "rigtool.rigs.serial.odrive.driver",
-    "moteus": "rigtool.rigs.serial.moteus.drive",
+    "moteus": "rigtool.rigs.serial.moteus.driver",
     "target": "rigtool.rigs.serial.target.driver",
     "maxon": "rigtool.rigs.serial.maxon.driver",
 }
-"""Modules by name, in the order in which they are asked who is there: those that ask in lines of
-text first, because others leave them half a line; the one that takes longest last."""
+"""Modules of rigtool's own drivers, each with its `DRIVER`, in the order in which `rigtool devices`
+asks: those that ask in lines of text first, because others leave half a line in their buffers; the
+slowest last."""
+
+PLUGINS = "rigtool.drivers"
+"""Group of the entry points with which other packages add drivers: each a `Driver`."""
+
+REPLAY = "replay"
+"""Name that stands for a file of --spy in place of a driver."""
 
 
-def driver_module(name: str) -> ModuleType:
-    """Import the module of a driver; `HardwareError` where there is none."""
-    try:
-        return importlib.import_module(MODULES[name])
-    except ModuleNotFoundError as error:
-        if error.name != MODULES[name]:
-            raise
-        raise HardwareError(f"this rigtool has no driver for {name} yet") from None
+@dataclass(frozen=True)
+class Driver:
+    """What rigtool needs of a kind of drive; either `make_drive` or `make_rig`.
+
+    `probe(line)` returns the identity of what answers, None where it is something else; it only
+    asks. `baud_rates` in bit/s has the usual one first, then others that devices may be set to.
+    `make_drive(line, recipe)` returns a drive that takes set points from the host, not connected
+    yet; `make_rig(recipe, torque_constant, use, operator)` the rig of a device that runs whole
+    motions by itself. `make_table_store(line, recipe)` is there where the drive keeps a table. A
+    drive without watchdog goes on where computer or cable fail.
+    """
+
+    probe: Callable[[Line], str | None]
+    baud_rates: tuple[int, ...]
+    make_drive: Callable[[Line, Recipe], Drive] | None = None
+    make_rig: Callable[[Recipe, float, str, Operator], SerialRig] | None = None
+    make_table_store: Callable[[Line, Recipe], TableStore] | None = None
+    has_watchdog: bool = True
 
 
-def available() -> list[str]:
-    """Return the names of the drivers there are."""
-    return [name for name, module in MODULES.items() if importlib.util.find_spec(module)]
+def driver(name: str) -> Driver:
+    """Import and return the driver that a recipe names; `RecipeError` for an unknown one."""
+    if name in MODULES:
+        found: Driver = importlib.import_module(MODULES[name]).DRIVER
+        return found
+    added = plugins(PLUGINS, frozenset({*MODULES, REPLAY}))
+    if name not in added:
+        raise RecipeError(
+            f"serial.driver {name!r} is unknown: use one of {', '.join([*known(), REPLAY])}, or "
+            "install the package that adds it"
+        )
+    return load(added[name], Driver)
+
+
+def known() -> list[str]:
+    """Return the names of all drivers, those of other packages last."""
+    return [*MODULES, *plugins(PLUGINS, frozenset({*MODULES, REPLAY}))]

@@ -5,8 +5,8 @@ runs, so that writing files does not disturb it. A tick that comes late is made 
 sample carries the time at which it was taken; how evenly is in the run's record of the line.
 
 A drive whose set point of position stands still between two of them answers each with a step of
-current. It is made to follow speeds, which the host corrects by what is left of the position; where
-it takes positions only, `between` tells what that does to the samples.
+current. It is made to follow speeds, which the host corrects by the error of position; where
+it takes positions only, `between` measures how that biases the samples.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Task
-from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move, Observe, OpenLoop
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.between import ROOM, Between, usual_time
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
 from rigtool.rigs.serial.ticks import Clock
@@ -35,16 +36,16 @@ from rigtool.rigs.serial.ticks import Clock
 Array = NDArray[np.float64]
 
 BLOCK_TIME = 0.25
-"""Signals are handed on in blocks of about this length, s."""
+"""Length of a block of signals, about, s."""
 
 RATE_READINGS = 40
-"""Readings at standstill by which the rate of a line is found."""
+"""Readings at standstill from which the rate of a line is found."""
 
 CORRECTED = 0.3
-"""Part of an error of position that is taken back in a period at most."""
+"""Part of an error of position that is corrected in a period at most."""
 
 LONGER = 1.5
-"""Period that is recommended, in times of a reading."""
+"""Recommended period, as a multiple of the time of a reading."""
 
 COLUMNS = (
     "time",
@@ -60,21 +61,18 @@ COLUMNS = (
 
 
 class HostedRig(SerialRig):
-    """A rig behind a `Drive`; `make_drive(line, recipe)` is the driver's `make_drive`."""
+    """A rig behind the `Drive` that a driver makes; the host runs the loop."""
 
     def __init__(
         self,
         recipe: Recipe,
         torque_constant: float,
         use: str,
-        bench: Bench,
-        *,
-        make_drive: Callable[[Line, Recipe], Drive],
-        baud_rate: int,
+        operator: Operator,
+        driver: Driver,
     ) -> None:
-        super().__init__(recipe, torque_constant, use, bench)
-        self._make_drive = make_drive
-        self._baud_rate = self._settings.baud_rate or baud_rate
+        super().__init__(recipe, torque_constant, use, operator)
+        self._driver = driver
         self._drive: Drive | None = None
         self._configured = False
         self._ticks = self._late = 0
@@ -90,15 +88,16 @@ class HostedRig(SerialRig):
     def _open_line(self) -> Line:
         return Line(
             self._settings.port,
-            self._baud_rate,
+            self._settings.baud_rate or self._driver.baud_rates[0],
             timeout=self._settings.watchdog / 5,
-            spy=self._bench.spy,
+            spy=self._operator.spy,
             driver=self._settings.driver,
         )
 
     def _connect(self) -> str:
         if self._drive is None:  # after a power cycle it still knows what to restore
-            self._drive = self._make_drive(self.line, self._recipe)
+            assert self._driver.make_drive is not None, "a driver makes a drive or a rig"
+            self._drive = self._driver.make_drive(self.line, self._recipe)
         identity = self._drive.connect()
         self._configured = True
         for gap in self._drive.configure(self._limits, self._settings.watchdog):
@@ -155,7 +154,7 @@ class HostedRig(SerialRig):
             return f"this {name} takes no torque feed-forward beside its set point"
         if need in ("current", "current_setpoint", "temperature") and need not in able.channels:
             more = ": add [serial.temperature]" if need == "temperature" else ""
-            return f"this {name} does not tell its {need}{more}"
+            return f"this {name} does not report its {need}{more}"
         if need in ("force", "deflection"):
             return f"{name} does not measure it: add [serial.{need}]"
         return None if need in (*NEEDS, *COLUMNS) else f"{name} does not record it"
@@ -230,7 +229,7 @@ class _Loop:
         try:
             self._ticking(stop)
         except BaseException:
-            with contextlib.suppress(HardwareError):  # leaving the rig tries again, and tells
+            with contextlib.suppress(HardwareError):  # leaving the rig tries again and reports
                 self._drive.halt()
             raise
         finally:

@@ -30,14 +30,14 @@ QUIET = 0.02
 """Silence after which what is left of an older reply has passed, s."""
 
 SNATCHED = 30
-"""Times in a row that a port may say that bytes are there and have none."""
+"""Times in a row that a port may announce bytes and deliver none."""
 
 LONGEST_REPLY = 1 << 20
-"""Bytes without an end of line after which whatever sends them is not what was expected."""
+"""Bytes without an end of line that mark the reply as damaged."""
 
 
 class LineTimeout(HardwareError):
-    """Nothing, or only a part, came within the time."""
+    """No reply, or only a part of one, came in time."""
 
 
 class DamagedReply(HardwareError):
@@ -45,12 +45,12 @@ class DamagedReply(HardwareError):
 
 
 class LineLost(HardwareError):
-    """The port is gone, or nothing sensible comes any more in spite of retries."""
+    """The port is gone, or no valid reply comes in spite of retries."""
 
 
 @dataclass
 class LineCounts:
-    """What happened on a line; goes into the run file."""
+    """Counts of what happened on a line, stored in the run file."""
 
     requests: int = 0
     retries: int = 0
@@ -69,9 +69,9 @@ class Line:
     """An open serial port, closed as a context manager. `port` may be any URL of pyserial.
 
     Raises `HardwareError` where it cannot be opened, with the remedy. Timeouts are in s. A line
-    `beside` another has its clock and its spy file, where `role` tells it apart; beside one that is
-    played back it is played back as well, whatever its port. One that is not `exclusive` is opened
-    although another program has the port.
+    `beside` another shares its clock and its spy file, in which `role` marks its events; beside a
+    line that is played back it is played back as well, whatever its port. A line that is not
+    `exclusive` is opened although another program has the port.
     """
 
     def __init__(
@@ -329,8 +329,8 @@ class Line:
             except HardwareError:
                 raise
             except (OSError, TypeError) as error:  # pyserial's port, closed meanwhile, is None
-                # Where another program took the bytes first, or the device is gone: pyserial
-                # cannot tell. The one passes, the other does not.
+                # Another program took the bytes first, which passes, or the device is gone, which
+                # does not: pyserial raises the same error.
                 self._snatched += 1
                 if "multiple access" not in str(error) or self._snatched > SNATCHED:
                     raise self._lost(error) from None

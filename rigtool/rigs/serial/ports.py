@@ -1,13 +1,13 @@
-"""Which ports there are, and what answers on them."""
+"""The serial ports of this computer, and the devices that answer on them."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.drivers import MODULES, available, driver_module
+from rigtool.rigs.serial.drivers import driver, known
 from rigtool.rigs.serial.instruments import BY_CHARACTER, instrument_module
 from rigtool.rigs.serial.instruments import MODULES as INSTRUMENTS
 from rigtool.rigs.serial.line import Line
@@ -20,7 +20,7 @@ PROBE_TIME = 0.15
 class Device:
     """A port and what is known of it: `driver` and `identity` are empty where nothing answers.
 
-    `problem` says why a port could not be asked.
+    `problem` is the reason why a port could not be asked.
     """
 
     port: str
@@ -38,33 +38,33 @@ def list_ports() -> list[tuple[str, str]]:
 
 
 def askable() -> list[str]:
-    """Return the names of drives and instruments that can be asked who they are."""
-    return [*available(), *INSTRUMENTS]
+    """Return the names of the drivers and instruments that can be probed."""
+    return [*known(), *INSTRUMENTS]
 
 
-def _asked_unless_told() -> list[str]:
+def _asked_by_default() -> list[str]:
     return [name for name in askable() if name not in BY_CHARACTER]
 
 
 def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iterator[Device]:
-    """Ask on these ports, or on all of this computer, which of these drivers' devices answers.
+    """Probe these ports, or all of this computer, for the devices of these drivers.
 
-    Only questions are asked: nothing moves and nothing is changed. Instruments that take each
-    character for a command are asked where they are named, and no one else is then.
+    Probing only asks: nothing moves and nothing is changed. Instruments that take each character
+    for a command are probed only where they are named, and alone.
     """
-    known = dict(list_ports())
-    for port in ports or known:
-        yield _ask_on(port, known.get(port, ""), drivers or _asked_unless_told())
+    described = dict(list_ports())
+    for port in ports or described:
+        yield _ask_on(port, described.get(port, ""), drivers or _asked_by_default())
 
 
 def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
     for name in drivers:
-        module = driver_module(name) if name in MODULES else instrument_module(name)
-        for baud_rate in getattr(module, "BAUD_RATES", (module.BAUD_RATE,)):
+        probe, baud_rates = _how_to_ask(name)
+        for baud_rate in baud_rates:
             try:
                 with Line(port, baud_rate, timeout=PROBE_TIME, retries=0) as line:
                     line.settle()
-                    identity = module.probe(line)
+                    identity = probe(line)
             except HardwareError as error:
                 if "cannot be opened" in str(error):
                     return Device(port, description, problem=str(error).removeprefix(f"{port}: "))
@@ -73,3 +73,12 @@ def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
             if identity:
                 return Device(port, description, name, identity)
     return Device(port, description)
+
+
+def _how_to_ask(name: str) -> tuple[Callable[[Line], str | None], tuple[int, ...]]:
+    """Return the probe of a drive or an instrument, and the baud rates to try."""
+    if name in INSTRUMENTS:
+        module = instrument_module(name)
+        return module.probe, (module.BAUD_RATE,)
+    found = driver(name)
+    return found.probe, found.baud_rates

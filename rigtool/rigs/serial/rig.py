@@ -1,4 +1,4 @@
-"""What all rigs on a serial line share: limits, permission, the operator, the way out."""
+"""What all rigs on a serial line share: limits, permission, operator, instruments, safe exit."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import constants
 
 from rigtool.errors import HardwareError
+from rigtool.interrupts import held
 from rigtool.recipe import Recipe
-from rigtool.rigs.base import NEEDS, Block, Load, Task
-from rigtool.rigs.bench import Bench
+from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
 from rigtool.rigs.motion import Move, Observe
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
 from rigtool.rigs.serial.line import Line
@@ -36,18 +38,22 @@ COMING_BACK = 10.0
 """Time in which a port must be back after its device was switched off and on, s."""
 
 
-class SerialRig(ABC):
+class SerialRig(Rig, ABC):
     """A rig behind a `Line`, as a context manager: on any exit it is stopped, off and restored.
 
     Subclasses fill in `_connect`, `_execute`, `_halt`, `_restore`, `_position` and `_reason`.
     """
 
-    def __init__(self, recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> None:
+    physical = True
+
+    def __init__(
+        self, recipe: Recipe, torque_constant: float, use: str, operator: Operator
+    ) -> None:
         assert recipe.serial is not None
         self._recipe, self._settings = recipe, recipe.serial
         self._limits = recipe.serial.limits
         self._torque_constant = torque_constant
-        self._use, self._bench = use, bench
+        self._use, self._operator = use, operator
         self._line: Line | None = None
         self._identity = ""
         self._permitted = False
@@ -55,7 +61,7 @@ class SerialRig(ABC):
         self._load = Load()
         self._clamp_angle = math.nan
         self._gauges: dict[str, Gauge] = {
-            name: open_gauge(name, settings, bench.operator, lambda: self._line)
+            name: open_gauge(name, settings, operator, lambda: self._line)
             for name, settings in (
                 ("force", recipe.serial.force),
                 ("temperature", recipe.serial.temperature),
@@ -65,8 +71,6 @@ class SerialRig(ABC):
         }
         self._unused: list[str] = []
         self.notes: list[str] = []
-        self.watcher: Callable[[Block], None] | None = None
-        """Gets what a rig tells while it moves, where the signals come later; it must not wait."""
 
     # -- for subclasses
 
@@ -92,18 +96,18 @@ class SerialRig(ABC):
 
     @abstractmethod
     def _position(self) -> float:
-        """Return where the shaft is, rad."""
+        """Return the angle of the shaft, rad."""
 
     @abstractmethod
     def _reason(self, need: str) -> str | None:
         """Return why a need or channel is not offered by what is on the line, None where it is."""
 
     def _last_resort(self) -> str:
-        """Return what stops a drive that can no longer be told, for the operator."""
+        """Return what stops a drive that cannot be reached any more, for the operator."""
         return f"Its watchdog stops it after {self._settings.watchdog:g} s of silence"
 
     def _set_load(self, load: Load) -> None:
-        """Bring about what acts from outside; the operator does, unless the rig can."""
+        """Apply a load: the operator does, unless the rig can."""
         self._ask_for_load(load)
 
     @property
@@ -112,7 +116,7 @@ class SerialRig(ABC):
         assert self._line is not None, "use the rig as a context manager"
         return self._line
 
-    # -- in and out
+    # -- connecting and leaving
 
     def __enter__(self) -> Self:
         """Connect, identify, set limits and watchdog; nothing moves."""
@@ -132,16 +136,16 @@ class SerialRig(ABC):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop, switch off, restore, let go. What fails here is said, and hides no error."""
+        """Stop, switch off, restore, let go. A failure here is reported, and hides no error."""
         problems = []
-        with safety.uninterrupted():
+        with held():
             if self._running is not None:
                 self._running.close()
             for what, act in (("stop", self._halt), ("restore its settings", self._restore)):
                 try:
                     act()
                 except HardwareError as failure:
-                    problems.append(f"the drive could not be told to {what}: {failure}")
+                    problems.append(f"the drive could not be made to {what}: {failure}")
                     break  # the line is gone: what follows would only wait
             for gauge in self._gauges.values():
                 gauge.__exit__(None, None, None)
@@ -169,7 +173,7 @@ class SerialRig(ABC):
                 "an operator reads once a motion, and the force changes with every step of "
                 "current: a gauge on a line is needed"
             )
-        alone = not self._bench.operator.present
+        alone = not self._operator.present
         if alone and isinstance(self._gauges.get(need), OperatorGauge):
             return f"an operator reads it, and {NOBODY}"
         if need in self._gauges or need == "rotor_angle":
@@ -182,7 +186,7 @@ class SerialRig(ABC):
         return reason
 
     def use_only(self, channels: Collection[str]) -> None:
-        """Leave the instruments alone that fill none of these channels; to be said before `with`.
+        """Leave the instruments alone that fill none of these channels; called before `with`.
 
         A thermometer is read in any case: the limit of temperature is watched by it.
         """
@@ -199,22 +203,23 @@ class SerialRig(ABC):
         ]
         if self.lacks("temperature"):
             notes.append("the temperature of the motor is not measured: its limit is not watched")
-        self._bench.permit("\n".join([f"{self._identity} on {self.line.port}", plan, *notes]))
+        plan = "\n".join([f"{self._identity} on {self.line.port}", plan, *notes])
+        self._operator.permit(plan, "the rig would move", "Move now?")
         self._permitted = True
 
     @property
     def position(self) -> float:
-        """Where the shaft is, rad; raises `HardwareError` where the drive does not know."""
+        """Angle of the shaft, rad; raises `HardwareError` where the drive does not know it."""
         position = self._position()
         if not math.isfinite(position):
             raise HardwareError(
-                f"{self.line.port}: the drive says its position is {position}: calibrate or home "
+                f"{self.line.port}: the drive reports the position {position}: calibrate or home "
                 "it first"
             )
         return position
 
     def report(self) -> str:
-        """Return what is to be kept about the line with a run, as JSON."""
+        """Return facts about the line and the instruments that are stored with a run, as JSON."""
         facts: dict[str, Any] = {
             "driver": self._settings.driver,
             "port": self._settings.port,
@@ -228,7 +233,7 @@ class SerialRig(ABC):
         return json.dumps(facts, sort_keys=True)
 
     def _facts(self) -> Mapping[str, Any]:
-        """Return what a subclass adds to the report."""
+        """Return the facts that a subclass adds to the report."""
         return {}
 
     # -- motions
@@ -283,11 +288,11 @@ class SerialRig(ABC):
             self.permit(f"{type(task.motion).__name__}: {found}")
 
     def _break_off(self) -> None:
-        """End a motion before its end. Errors are left to `__exit__`, which tries again, and tells.
+        """End a motion before its end; `__exit__` tries again, and reports errors.
 
         Whatever thread has the line lets go of it first.
         """
-        with safety.uninterrupted(), contextlib.suppress(HardwareError):
+        with held(), contextlib.suppress(HardwareError):
             if self._running is not None:
                 self._running.close()
             self._halt()
@@ -312,7 +317,7 @@ class SerialRig(ABC):
         """Clamp the arm with the shaft at this angle, rad."""
         degrees = math.degrees(angle)
         here = math.degrees(self._position())
-        self._bench.operator.done(
+        self._operator.done(
             f"Clamp the arm on the force gauge with the shaft at {degrees:.1f} deg (now "
             f"{here:.1f} deg)"
         )
@@ -320,14 +325,14 @@ class SerialRig(ABC):
 
     def soak(self, temperature_degc: float) -> None:
         """Wait until the motor has this temperature throughout, degC."""
-        self._bench.operator.done(
+        self._operator.done(
             f"Bring the motor to {temperature_degc:g} degC and wait until it has it throughout"
         )
 
     def power_cycle(self) -> None:
         """Switch the amplifier off and on: it calibrates itself anew."""
         self._halt()
-        self._bench.operator.done("Switch the amplifier off and on again")
+        self._operator.done("Switch the amplifier off and on again")
         self._reconnect()
 
     def _reconnect(self) -> None:
@@ -337,11 +342,11 @@ class SerialRig(ABC):
 
     def _ask_for_load(self, load: Load) -> None:
         before, self._load = self._load, load
-        # An arm that was just clamped needs no word; the rest is as it was or is to be changed.
+        # The operator knows of an arm that was just clamped.
         if load in (before, replace(before, clamped=True)):
             return
         self._halt()
-        self._bench.operator.done(describe_load(load, self._recipe.rig.attachment))
+        self._operator.done(describe_load(load, self._recipe.rig.attachment))
 
 
 def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) -> Iterator[Block]:
@@ -369,7 +374,7 @@ def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) 
             yield item
     finally:
         stop.set()
-        with safety.uninterrupted():
+        with held():
             thread.join()
 
 
@@ -378,7 +383,7 @@ def describe_load(load: Load, attachment: str) -> str:
     parts = []
     if load.force:
         where = "the grasper" if attachment == "instrument" else "the cord on the pulley"
-        parts.append(f"hang {load.force:g} N ({load.force / 9.81 * 1e3:.1f} g) on {where}")
+        parts.append(f"hang {load.force:g} N ({load.force / constants.g * 1e3:.1f} g) on {where}")
     if load.torque:
         parts.append(f"load the shaft with {load.torque * 1e3:g} mN m (weight on a cord)")
     if load.radial_force:

@@ -1,12 +1,8 @@
-"""Limits: checked before a motion is sent, watched while it runs; and switching off undisturbed."""
+"""Limits: checked before a motion is sent, watched while it runs."""
 
 from __future__ import annotations
 
-import contextlib
 import math
-import signal
-import threading
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -298,29 +294,6 @@ def _beyond(name: str, value: float, limit: float, unit: str) -> str:
         f"{name} reached {value:.4g} {unit}, beyond the limit of {limit:.4g} {unit} "
         f"(serial.limits): the motor was stopped and switched off"
     )
-
-
-@contextlib.contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Switch off undisturbed: a second Ctrl-C or SIGTERM waits until the block is left."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    waiting: list[int] = []
-    before = {
-        getattr(signal, name): signal.signal(
-            getattr(signal, name), lambda number, frame: waiting.append(number)
-        )
-        for name in names
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    for number in waiting[:1]:
-        signal.raise_signal(number)
 
 
 def speed_of_moves(limits: Limits) -> float:

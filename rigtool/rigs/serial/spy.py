@@ -7,8 +7,8 @@ host and device see the same times, so a run comes out as it was. Of an instrume
 the channel stands before the kind: `0.713 force< 4.285 N\r\n`. All times are of one clock, that
 begins when the drive's line is opened.
 
-The first line says what was at the other end: `# rigtool spy 2 driver=...`; another line with `#`
-says it of an instrument. Files of version 1 have neither instruments, `-` nor `!`.
+The first line names the driver: `# rigtool spy 2 driver=...`; another line with `#` that of an
+instrument. Files of version 1 have neither instruments, `-` nor `!`.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Spy:
         self._file.write(f"{HEAD} {VERSION} driver={driver}\n")
 
     def name(self, role: str, driver: str, port: str) -> None:
-        """Write what is on the line of an instrument."""
+        """Write the driver and the port of an instrument."""
         with self._lock:
             self._file.write(f"# {role} driver={driver} port={port!a}\n")
 
@@ -101,7 +101,7 @@ def read_spy(path: str | Path) -> tuple[str, list[Event]]:
 
 
 def _event(line: str) -> Event:
-    """Return what a line says; raises `ValueError` where it is no event."""
+    """Return the event in a line; raises `ValueError` for anything else."""
     seconds, what, text = line.split(" ", 2)
     role, kind = what[:-1], what[-1:]
     if kind not in KINDS or not kind or not (role.isalpha() or not role):
@@ -114,7 +114,7 @@ class Replay:
     """A spy file as the other end of a line, with the methods of a serial port that `Line` uses.
 
     `role` chooses one of its lines: a `HardwareError` where it has none of that name. The host has
-    to say what was said then: where it does not, a `HardwareError` tells the difference.
+    to send what it sent then: otherwise a `HardwareError` shows the difference.
     """
 
     def __init__(self, path: str | Path, role: str = "") -> None:
@@ -187,7 +187,7 @@ class Replay:
 
     @property
     def over(self) -> bool:
-        """Whether there is nothing left to say or to hear."""
+        """Whether the record is at its end."""
         return not self._events
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What a drive has to offer that keeps a table of the turn by itself."""
+"""The `TableStore` protocol: a drive that keeps a table of the turn and adds it by itself."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class EncoderZero:
 class TableStore(Protocol):
     """A drive behind a `Line` that stores a table; each method may raise `HardwareError`.
 
-    A driver's module that has `make_table_store(line, recipe)` has one. `scale_step` [A] is the
-    step in which the drive tells its scale: so what is stored can be compared exactly.
+    `scale_step` [A] is the resolution with which the drive reports its scale: a stored table can be
+    compared exactly.
     """
 
     size: int

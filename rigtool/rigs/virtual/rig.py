@@ -6,7 +6,6 @@ import math
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.recipe import Recipe
 from rigtool.recipe.virtual import Virtual
-from rigtool.rigs.base import Block, Feedforward, Load, Task
+from rigtool.rigs.base import Block, Feedforward, Load, Rig, Task
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, Observe, OpenLoop
 from rigtool.rigs.virtual import contacts, hand, kernel
 from rigtool.rigs.virtual.contacts import Grip, Outside
@@ -33,12 +32,13 @@ CONTACTS, HAND = 0xC047AC7, 0x4A4D
 """Streams of the seed for what is drawn besides the bench's own noise."""
 
 GRAVITY = 9.81
+"""Of the simulated weights, m/s2: it enters their inertia, and with it every digit of old runs."""
 SOAK_TIME = 600.0
 MOVE_SPEED = 2.0
 SETTLE_TIME = 0.5
 
 
-class VirtualRig:
+class VirtualRig(Rig):
     """A motor with encoder, amplifier and instrument that exist only as equations.
 
     `torque_constant` is what the controller assumes, N m/A. `stream` names the use (a command), so
@@ -48,7 +48,7 @@ class VirtualRig:
     def __init__(self, recipe: Recipe, torque_constant: float, stream: str) -> None:
         if recipe.virtual is None:
             raise RecipeError(
-                'the recipe says source = "virtual" but has no table [virtual]; '
+                'rig.source is "virtual" and there is no table [virtual]; '
                 "recipes/briaire-2006.toml shows one"
             )
         self._virtual: Virtual = recipe.virtual
@@ -59,16 +59,7 @@ class VirtualRig:
         self._time = 0.0
         self._clamp_angle = 0.0
         self._assumed_torque_constant = torque_constant
-        controller = recipe.rig.controller
-        self._sections = controller_sections(
-            crossover_hz=controller.crossover_hz,
-            lead_ratio=controller.lead_ratio,
-            integrator_hz=controller.integrator_hz,
-            lowpass_hz=controller.lowpass_hz,
-            lowpass_damping=controller.lowpass_damping,
-            inertia=recipe.rig.nominal_inertia,
-            sample_time=recipe.rig.sample_time,
-        )
+        self._sections = controller_sections(**recipe.rig.loop_design)
         self._section_state = np.zeros((len(self._sections), 2))
         self._setpoint: float | None = None  # of the closed loop, rad; None while it is open
         self._rotor_map = rotor_map(self._virtual, self._virtual.amplifier, self._power_cycle)
@@ -77,17 +68,6 @@ class VirtualRig:
         self._state["direction"] = 1.0
         ambient = self._virtual.thermal.ambient_degc
         self._state["winding_degc"] = self._state["housing_degc"] = ambient
-
-    def __enter__(self) -> Self:
-        """Connect: nothing to do for equations."""
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        """Let go: nothing to do for equations."""
-
-    def lacks(self, need: str) -> str | None:
-        """Return None: equations offer everything."""
-        return None
 
     @property
     def position(self) -> float:

@@ -19,13 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from rigtool.errors import RunFileError
+from rigtool.plugins import load_all, warn
 from rigtool.quantity import Quantity
 from rigtool.recipe.mapping import UNITS, Mapping
+from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays, read_vector
 from rigtool.runfile.importers.convert import conditions, irregular, stem, to_si
-from rigtool.runfile.importers.epos import is_epos, read_epos
 from rigtool.runfile.importers.plan import BINARY, plan
-from rigtool.runfile.importers.raw import Array, Raw
+from rigtool.runfile.importers.raw import Array, Importer, Raw
 from rigtool.runfile.importers.text import read_text
 from rigtool.runfile.model import Channel, Column, RecordingSpec, Table
 from rigtool.runfile.provenance import Source, file_sha256
@@ -37,8 +38,11 @@ COMMAND = "import"
 RECORDING = "imported"
 MAP = "map"
 
-SELF_DESCRIBED = ((is_epos, read_epos),)
-"""Formats whose files say what their columns mean: how one is recognised, and what reads it."""
+IMPORTERS = {"epos": epos.IMPORTER}
+"""Formats that are recognised without a mapping, in the order in which they are tried."""
+
+PLUGINS = "rigtool.importers"
+"""Group of the entry points with which other packages add formats: each an `Importer`."""
 
 LISTED = 5
 """Bad lines that a note names."""
@@ -68,7 +72,8 @@ def import_files(
     `mapping` comes with its text. All or nothing: where one file cannot be imported, nothing is
     written. Raises `UsageError` for names that do not go together, `RunFileError` for a bad source.
     """
-    names, is_folder = plan(sources, Path(output), overwrite)
+    endings = [ending for importer in importers().values() for ending in importer.endings]
+    names, is_folder = plan(sources, Path(output), overwrite, endings)
     if not is_folder:
         (source,) = names
         return [_import_file(source, Path(output), Path(output), mapping, skip_bad, overwrite)]
@@ -84,6 +89,11 @@ def import_files(
                 make_folder((folder / name).parent)
                 os.replace(Path(beside) / f"{number}.h5", folder / name)
     return done
+
+
+def importers() -> dict[str, Importer]:
+    """Return the formats that are recognised without a mapping, those of other packages last."""
+    return IMPORTERS | load_all(PLUGINS, Importer, frozenset(IMPORTERS))
 
 
 @contextmanager
@@ -142,10 +152,10 @@ def _import_file(
 
 def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, Mapping, list[str]]:
     """Return columns, the mapping with signals, and notes."""
-    for recognised, read in SELF_DESCRIBED:
-        if recognised(source):
+    for name, importer in importers().items():
+        if _recognises(name, importer, source):
             bare = Mapping(mapping=1, rig={"name": stem(source)})
-            return read(source, mapping or bare, skip_bad)
+            return importer.read(source, mapping or bare, skip_bad)
     if mapping is None or not mapping.signals:
         raise RunFileError(
             f"{source}: does not say itself what its columns mean: give --map with a mapping file "
@@ -155,6 +165,15 @@ def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, M
     if _is_binary(source):
         return read_arrays(source, mapping.file.variable, columns, skip_bad), mapping, []
     return read_text(source, mapping.file, columns, skip_bad), mapping, []
+
+
+def _recognises(name: str, importer: Importer, source: Path) -> bool:
+    """Ask an importer whether a file is of its format; one that fails does not know it."""
+    try:
+        return importer.recognises(source)
+    except Exception as error:  # an importer of anybody's may raise anything
+        warn(f"importer {name} fails at {source}: {type(error).__name__}: {error}")
+        return False
 
 
 def _is_binary(source: Path) -> bool:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import RATED, UNITS, FileLayout, Mapping, Signal
-from rigtool.runfile.importers.raw import Raw, read_bytes, require_good
+from rigtool.runfile.importers.raw import Importer, Raw, read_bytes, require_good
 from rigtool.runfile.importers.text import Lines, decode, read_numbers, split_lines
 
 OBJECTS = {
@@ -139,3 +139,6 @@ def _missing(path: Path, header: dict[str, list[str]], data: Lines, skip_bad: bo
     if not skip_bad:
         require_good(path, "line", {data.number[-1]: why})
     return [f"line {data.number[-1]}: {why}"]
+
+
+IMPORTER = Importer(is_epos, read_epos)

@@ -13,11 +13,14 @@ TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc")
 """Endings of files that are taken from a folder, in any case, text also with .gz behind."""
 
 
-def plan(sources: Sequence[str], output: Path, overwrite: bool) -> tuple[dict[Path, Path], bool]:
+def plan(
+    sources: Sequence[str], output: Path, overwrite: bool, endings: Sequence[str] = ()
+) -> tuple[dict[Path, Path], bool]:
     """Return the name of the run file for each source file, and whether `output` is a folder.
 
-    Names are below the folder; files of several folders keep theirs. Raises `RunFileError` for a
-    source that is not there, `UsageError` for names that do not go together or exist.
+    Names are relative to that folder; files of several source folders keep the folder's name.
+    `endings` are those of further formats. Raises `RunFileError` for a source that does not exist,
+    `UsageError` for names that do not go together or exist.
     """
     folders = [source for source in sources if Path(source).is_dir()]
     if not folders and len(sources) == 1:
@@ -30,7 +33,7 @@ def plan(sources: Sequence[str], output: Path, overwrite: bool) -> tuple[dict[Pa
     taken: dict[Path, Path] = {}
     for source in map(Path, sources):
         below = Path(source.resolve().name) if len(folders) > 1 and source.is_dir() else Path()
-        for file in _files(source):
+        for file in _files(source, (*TEXT, *BINARY, *endings)):
             name = below / f"{stem(file)}.h5"
             if name in taken:
                 raise UsageError(
@@ -45,13 +48,13 @@ def plan(sources: Sequence[str], output: Path, overwrite: bool) -> tuple[dict[Pa
     return names, True
 
 
-def _files(source: Path) -> list[Path]:
+def _files(source: Path, endings: tuple[str, ...]) -> list[Path]:
     if not source.is_dir():
         return [_file(source)]
-    found = sorted(path for path in source.iterdir() if path.is_file() and _is_data(path))
+    found = sorted(path for path in source.iterdir() if path.is_file() and _is_data(path, endings))
     if not found:
         raise RunFileError(
-            f"{source}: holds no file that ends in {', '.join((*TEXT, *BINARY))} (or .gz): "
+            f"{source}: holds no file that ends in {', '.join(endings)} (or .gz): "
             "give another folder, or name the files"
         )
     return found
@@ -63,6 +66,6 @@ def _file(source: Path) -> Path:
     return source
 
 
-def _is_data(path: Path) -> bool:
+def _is_data(path: Path, endings: tuple[str, ...]) -> bool:
     name = path.name.lower().removesuffix(".gz")
-    return not name.startswith(".") and name.endswith((*TEXT, *BINARY))
+    return not name.startswith(".") and name.endswith(endings)

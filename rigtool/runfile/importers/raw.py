@@ -1,10 +1,10 @@
-"""What a reader takes from somebody else's file, before it means anything."""
+"""What every importer works with: columns as they stand in a file, and the errors they share."""
 
 from __future__ import annotations
 
 import gzip
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
+from rigtool.recipe.mapping import Mapping
 
 Array = NDArray[np.float64]
 Column = int | str
@@ -45,6 +46,21 @@ class Raw:
         columns = {name: values[keep] for name, values in self.columns.items()}
         left_out = {**self.left_out, **bad}
         return Raw(columns, self.place[keep], self.line[keep], self.what, left_out)
+
+
+@dataclass(frozen=True)
+class Importer:
+    """A format whose files state themselves what their columns mean.
+
+    `recognises` looks at the first bytes of a file. `read` takes the file, a mapping (without
+    signals where the user gives none) and whether bad lines are skipped; it returns the columns,
+    the mapping with its signals, and notes. `endings` of such files, ".log" for instance, make
+    them count as data in a folder.
+    """
+
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path, Mapping, bool], tuple[Raw, Mapping, list[str]]]
+    endings: tuple[str, ...] = ()
 
 
 def require_good(path: Path, what: str, bad: dict[int, str]) -> None:

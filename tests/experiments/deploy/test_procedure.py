@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,12 +11,12 @@ import pytest
 
 from rigtool.errors import HardwareError, InsufficientDataError, UsageError
 from rigtool.experiments.deploy.position_map import position_map
-from rigtool.experiments.deploy.procedure import _told_ripple, deploy
+from rigtool.experiments.deploy.procedure import _ripple_remark, deploy
 from rigtool.experiments.deploy.stored_export import in_unit
-from rigtool.experiments.learning.implementations import turning
-from rigtool.experiments.learning.stored_origin import learned_table_from
+from rigtool.experiments.learning.implementations import bare_motor
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.ripple import procedure as fft_ripple
-from rigtool.rigs.bench import Bench, Operator
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.motor import Motor
 from rigtool.rigs.serial.emulators.server import serve
@@ -46,9 +47,9 @@ def kt():
 
 def run_deploy(port, tables, kt, *more, driver="moteus", yes=True, operator=QUIET, **options):
     recipe = serial_recipe(port, *more, driver=driver)
-    bench = Bench(yes=yes, operator=operator)
+    operator = replace(operator, yes=yes)
     given = {"speed": SPEED, "dry_run": False, **options}
-    return deploy(tables, recipe, kt=kt, bench=bench, **given)
+    return deploy(tables, recipe, kt=kt, operator=operator, **given)
 
 
 def codes(settings):
@@ -244,7 +245,7 @@ def test_dry_run_of_the_command_asks_and_changes_nothing(capsys):
     assert lines[0].startswith("moteus 1, model 0x220, firmware 1.3.5, serial 0000300")
     assert "scale 0.001 A" in lines[-2]
     assert lines[-1] == "nothing was changed"
-    assert "does not say which drive it was learned with" in err
+    assert "does not state with which drive it was learned" in err
 
 
 def test_without_a_terminal_and_without_yes_nothing_is_stored(tables, kt):
@@ -332,7 +333,7 @@ def ripple_of(path):
 
 
 def test_a_table_learned_on_the_drive_makes_it_run_evenly(tmp_path, capsys, monkeypatch):
-    for module in (turning, fft_ripple):
+    for module in (bare_motor, fft_ripple):
         monkeypatch.setattr(module, "ACCELERATION", 100.0)
         monkeypatch.setattr(module, "SETTLE_TIME", 0.1)
     device = MoteusEmulator(encoder=0.31, sign=-1)
@@ -377,4 +378,4 @@ def test_ripple_is_told_of_the_learned_speed_next_to_this(speed, told):
     columns = {name: SimpleNamespace(values=values) for name, values in columns.items()}
     table = SimpleNamespace(columns=columns)
     run = SimpleNamespace(tables={"residual_waveforms": table}, table=lambda name: table)
-    assert f"ripple went from {told} mN m" in _told_ripple(run, speed)
+    assert f"ripple went from {told} mN m" in _ripple_remark(run, speed)

@@ -18,8 +18,7 @@ from rigtool.experiments.deploy import drive_formats as texts
 from rigtool.experiments.deploy.c_header import comment, header, identifier
 from rigtool.experiments.deploy.position_map import TURN, position_map
 from rigtool.experiments.deploy.stored_export import chosen_format, export_table
-from rigtool.experiments.learning.stored_origin import LearnedTable
-from rigtool.experiments.learning.stored_table import COULOMB, VISCOUS
+from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS, LearnedTable
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter, open_run
 from tests.control import test_lookup_table
@@ -92,7 +91,7 @@ LOST = r"largest (\S+) N m, rms"
 def test_the_header_computes_what_the_table_says(tmp_path, short, keep):
     table = test_lookup_table.table()
     table = test_lookup_table.table(speed=table.speed[keep], torque=table.torque[keep])
-    text, lost = header(taken(table), tmp_path / "limited.h", short=short)
+    text, lost = header(taken(table), "limited", short=short)
     random = np.random.default_rng(1)
     low, high = table.position[[0, -1]]
     position = random.uniform(low - 0.05, high + 0.05, 3000).astype(np.float32).astype(float)
@@ -114,7 +113,7 @@ def test_the_header_computes_what_the_table_says(tmp_path, short, keep):
 @pytest.mark.parametrize("short", [False, True])
 def test_the_header_of_a_whole_turn_is_periodic(tmp_path, short):
     table, u = turning(500, start=0.3)
-    text, _ = header(taken(table, u), tmp_path / "turn.h", short=short)
+    text, _ = header(taken(table, u), "turn", short=short)
     random = np.random.default_rng(2)
     position = random.uniform(-20, 20, 3000).astype(np.float32).astype(float)
     position[:4] = [0.3, 0.3 - 1e-6, 0.3 + TURN, -1e-7]
@@ -127,7 +126,7 @@ def test_the_header_of_a_whole_turn_is_periodic(tmp_path, short):
 
 @needs_compiler
 def test_the_header_survives_what_is_no_number(tmp_path):
-    text, _ = header(taken(turning(500)[0]), tmp_path / "turn.h", short=False)
+    text, _ = header(taken(turning(500)[0]), "turn", short=False)
     odd = np.array([np.nan, np.inf, -np.inf, 1e30, 1.0, 1.0, 1.0])
     found, _ = compiled(
         tmp_path, "turn", text, odd, np.array([2, 2, 2, 2, np.nan, np.inf, -np.inf])
@@ -142,7 +141,7 @@ def test_the_header_says_what_must_be_known(tmp_path):
         COULOMB: Quantity(2.3e-3, "N m", 0.0),
         VISCOUS: Quantity(5.3e-5, "N m s/rad", 0.0),
     }
-    text, lost = header(taken(turning(500)[0], friction=friction), tmp_path / "t.h", short=False)
+    text, lost = header(taken(turning(500)[0], friction=friction), "t", short=False)
     head = text.partition("*/")[0]
     for part in ("N m", "rad/s", "bilinear", "Periodic over 6.28318531 rad", "sha256 ab", lost):
         assert part in head

@@ -11,7 +11,6 @@ from scipy import signal, stats
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force import cycles as force
-from rigtool.numerics.decimation import Decimator
 
 RATE = 500.0
 
@@ -32,56 +31,6 @@ def half_sine(
     for _ in range(200):
         torque = factor * load * np.sin(angle - torque / stiffness)
     return torque
-
-
-# --- low-pass
-
-
-def test_lowpass_is_scipys_butterworth_run_both_ways():
-    rng = np.random.default_rng(1)
-    time, noise = np.arange(2000) / RATE, rng.standard_normal(2000)
-    expected = signal.sosfiltfilt(signal.butter(2, 5.0, fs=RATE, output="sos"), noise, padlen=100)
-    np.testing.assert_allclose(force.lowpass(time, noise, 5.0), expected, rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize(("frequency", "gain"), [(0.2, 1.0), (5.0, 0.5), (50.0, 1e-4)])
-def test_lowpass_keeps_the_phase_and_halves_at_the_cutoff(frequency, gain):
-    time = np.arange(10_000) / RATE
-    sine = np.sin(2 * np.pi * frequency * time)
-    filtered = force.lowpass(time, sine, 5.0)
-    middle = slice(1000, -1000)
-    np.testing.assert_allclose(
-        filtered[middle], gain * sine[middle], rtol=0, atol=5e-5 + gain / 500
-    )
-
-
-@pytest.mark.parametrize(("highest", "tolerance"), [(5.0, 1e-4), (3990.0, 2e-4)])
-def test_thinned_out_signals_give_what_all_samples_give(highest, tolerance):
-    rate, cutoff = 8000.0, 5.0
-    factor = force.kept_factor(rate, cutoff)
-    assert factor == 12
-    time = np.arange(32_000) / rate
-    tones = np.sin(2 * np.pi * np.outer(np.linspace(0.2, highest, 60), time) + 0.4)
-    whole = force.lowpass_at(rate, tones, cutoff)[:, ::factor]
-    collected = Decimator(factor, len(tones))
-    collected.add(*tones)
-    thinned = force.lowpass_at(rate / factor, collected.finish(), cutoff)
-    middle = slice(500, -500)  # a second: a tone that is cut is none at its ends
-    np.testing.assert_allclose(thinned[:, middle], whole[:, middle], rtol=0, atol=tolerance)
-
-
-@pytest.mark.parametrize(("rate", "factor"), [(500.0, 1), (1249.0, 1), (10.0, 1), (8000.0, 12)])
-def test_enough_samples_for_each_period_of_the_cutoff_are_kept(rate, factor):
-    assert force.kept_factor(rate, 5.0) == factor
-
-
-@pytest.mark.parametrize(
-    ("count", "cutoff", "message"),
-    [(300, 5.0, "record for longer"), (1000, 250.0, "record more often"), (1, 5.0, "too few")],
-)
-def test_lowpass_refuses_what_it_cannot_filter(count, cutoff, message):
-    with pytest.raises(InsufficientDataError, match=message):
-        force.lowpass(np.arange(count) / RATE, np.zeros(count), cutoff)
 
 
 # --- cycles and readings

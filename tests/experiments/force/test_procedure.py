@@ -13,6 +13,7 @@ import pytest
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force import procedure as measure_force
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import tables_of
 from rigtool.experiments.options import CommonOptions
@@ -241,7 +242,7 @@ def test_a_stored_run_gives_the_same_again(tmp_path, inputs):
     given = inputs(recipe)
     outcome, path = measured(tmp_path, rig, given)
     again = run_command(
-        measure_force,
+        MEASURE_FORCE,
         [str(path)],
         str(tmp_path / "again.h5"),
         options=CommonOptions(),

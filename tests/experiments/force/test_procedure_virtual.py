@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from rigtool.experiments.force import procedure as measure_force
-from rigtool.experiments.learning import procedure as ilc_learn
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt
 
 PULLEY = "rig.attachment=pulley"
@@ -38,8 +38,8 @@ def force(tmp_path):
 
     def measured(*sets, seed=None):
         tables, output = tmp_path / "tables.h5", tmp_path / "force.h5"
-        run(ilc_learn, RECIPE, tables, *SHORT, *sets, seed=seed, kt=kt)
-        return run(measure_force, RECIPE, output, *SHORT, *sets, seed=seed, kt=kt, tables=tables)
+        run(ILC_LEARN, RECIPE, tables, *SHORT, *sets, seed=seed, kt=kt)
+        return run(MEASURE_FORCE, RECIPE, output, *SHORT, *sets, seed=seed, kt=kt, tables=tables)
 
     return measured
 
@@ -88,7 +88,7 @@ def test_load_friction_is_told_from_the_rest(force):
 )
 def test_refusals(tmp_path, arguments, code, message):
     kt = write_kt(tmp_path)
-    run(ilc_learn, RECIPE, tmp_path / "tables.h5", *SHORT, kt=kt)
+    run(ILC_LEARN, RECIPE, tmp_path / "tables.h5", *SHORT, kt=kt)
     before = {path.name for path in tmp_path.iterdir()}
     done = subprocess.run(
         [sys.executable, "-m", "rigtool", "measure-force", str(RECIPE), *arguments, "-o", "o.h5"],

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from rigtool.experiments.force.cycles import find_cycles, lowpass_at, readings
+from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.procedure import strokes
 from rigtool.experiments.force.results_method import unsteady_torque
+from rigtool.numerics.lowpass import lowpass
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
 
@@ -29,7 +30,7 @@ def stroked(rev_per_s, modelled, apparent=INERTIA, friction=FRICTION):
     wanted = 2 * math.pi * rev_per_s
     torque = LOAD + friction * speed / wanted + apparent * acceleration - fed
     cutoff = recipe.measure_force.lowpass_hz
-    angle, torque, fed = (lowpass_at(RATE, values, cutoff) for values in (angle, torque, fed))
+    angle, torque, fed = (lowpass(RATE, values, cutoff) for values in (angle, torque, fed))
     cycles = find_cycles(angle)
     u = unsteady_torque(angle, torque, fed, rate=RATE, cycles=cycles, recipe=recipe)
     place = math.radians(recipe.measure_force.measure_angle)

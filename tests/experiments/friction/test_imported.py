@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.friction import procedure as stribeck
+from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.session import run_command
 from rigtool.recipe.mapping import load_mapping
@@ -46,7 +46,7 @@ LINEAR = LINEAR.replace("torque", "force").replace('"N m"', '"N"')
 
 def analyse(sources, output, **inputs):
     return run_command(
-        stribeck,
+        STRIBECK,
         [str(source) for source in sources],
         str(output),
         options=CommonOptions(overwrite=True),

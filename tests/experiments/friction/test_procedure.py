@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.friction import procedure as stribeck
+from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.session import run_command
 from rigtool.recipe import Stribeck
@@ -34,7 +35,7 @@ def kt(folder):
 @pytest.fixture(scope="module")
 def measured(folder, kt):
     path = folder / "friction.h5"
-    return path, run(stribeck, RECIPE, path, *SHORT, seed=1, kt=kt)
+    return path, run(STRIBECK, RECIPE, path, *SHORT, seed=1, kt=kt)
 
 
 def extract(source, target, *names):
@@ -66,7 +67,7 @@ def extract(source, target, *names):
 def test_thesis_values_for_several_seeds(folder, kt, measured, seed):
     """[7.1.2, 7.2.1, 7.2.2]"""
     path = folder / f"seed{seed}.h5"
-    outcome = measured[1] if seed == 1 else run(stribeck, RECIPE, path, *SHORT, seed=seed, kt=kt)
+    outcome = measured[1] if seed == 1 else run(STRIBECK, RECIPE, path, *SHORT, seed=seed, kt=kt)
     results = outcome.results
     assert_allclose(results["coulomb_friction"].value, 2.3e-3, rtol=0.05)
     assert_allclose(results["viscous_friction"].value, 5.33e-5, rtol=0.05)
@@ -122,7 +123,7 @@ def test_breakaway_tables_go_around_the_turn(measured):
 
 def test_offset_and_asymmetry_are_told_apart(folder, kt):
     outcome = run(
-        stribeck,
+        STRIBECK,
         RECIPE,
         folder / "asymmetric.h5",
         *SHORT,
@@ -139,7 +140,7 @@ def test_offset_and_asymmetry_are_told_apart(folder, kt):
 
 def test_stribeck_model_where_the_data_carry_it(folder, kt):
     outcome = run(
-        stribeck, RECIPE, folder / "vs.h5", *SHORT, "virtual.motor.stribeck_velocity=2", kt=kt
+        STRIBECK, RECIPE, folder / "vs.h5", *SHORT, "virtual.motor.stribeck_velocity=2", kt=kt
     )
     results = outcome.results
     assert_allclose(results["stribeck_velocity"].value, 2.0, rtol=0.1)
@@ -159,7 +160,7 @@ def test_an_amplifier_that_fails_at_low_current_is_refused(folder, kt):
     path = folder / "idm640.h5"
     with pytest.raises(InsufficientDataError, match="Appendix C"):
         run(
-            stribeck,
+            STRIBECK,
             RECIPE,
             path,
             *SHORT,
@@ -172,21 +173,21 @@ def test_an_amplifier_that_fails_at_low_current_is_refused(folder, kt):
 
 def test_analysis_of_the_file_gives_the_same(measured, kt, folder):
     path, outcome = measured
-    again = run(stribeck, path, folder / "again.h5", kt=kt)
+    again = run(STRIBECK, path, folder / "again.h5", kt=kt)
     assert again.results == outcome.results
     assert again.notes == outcome.notes
 
 
 def test_parts_of_a_run_give_what_they_carry(measured, kt, folder):
     path, outcome = measured
-    holds = run(stribeck, extract(path, folder / "h.h5", "holds"), folder / "h_out.h5", kt=kt)
+    holds = run(STRIBECK, extract(path, folder / "h.h5", "holds"), folder / "h_out.h5", kt=kt)
     assert holds.results["coulomb_friction"].value == outcome.results["coulomb_friction"].value
     assert "static_friction" not in holds.results
     assert any("breakaway_loaded" in note for note in holds.notes)
-    sweep = run(stribeck, extract(path, folder / "s.h5", "sweep"), folder / "s_out.h5", kt=kt)
+    sweep = run(STRIBECK, extract(path, folder / "s.h5", "sweep"), folder / "s_out.h5", kt=kt)
     assert_allclose(sweep.results["coulomb_friction"].value, 2.3e-3, rtol=0.1)
     assert_allclose(sweep.results["viscous_friction"].value, 5.33e-5, rtol=0.15)
-    ramps = run(stribeck, extract(path, folder / "b.h5", "breakaway"), folder / "b_out.h5", kt=kt)
+    ramps = run(STRIBECK, extract(path, folder / "b.h5", "breakaway"), folder / "b_out.h5", kt=kt)
     assert set(ramps.results) == {
         "static_friction",
         "breakaway_torque_min",
@@ -200,7 +201,7 @@ def test_sources_are_pooled(measured, kt, folder):
     second = extract(path, folder / "p2.h5", "sweep", "breakaway_loaded")
     with open_run(kt) as opened:
         pooled = run_command(
-            stribeck,
+            STRIBECK,
             [str(first), str(second)],
             str(folder / "pooled.h5"),
             options=CommonOptions(),
@@ -212,9 +213,9 @@ def test_sources_are_pooled(measured, kt, folder):
 
 def test_a_run_without_any_of_it_is_refused(measured, kt, folder):
     again = folder / "bare.h5"
-    run(stribeck, measured[0], again, kt=kt)
+    run(STRIBECK, measured[0], again, kt=kt)
     with pytest.raises(RunFileError, match="no recording 'holds'"):
-        run(stribeck, again, folder / "none.h5", kt=kt)
+        run(STRIBECK, again, folder / "none.h5", kt=kt)
 
 
 def test_holds_are_whole_turns_and_long_enough():

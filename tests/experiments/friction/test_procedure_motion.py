@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rigtool.cli as cli
-from rigtool.experiments.session import channels
+from rigtool.experiments.procedure import channels
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Task, open_rig
 from rigtool.rigs.motion import SpeedProfile

@@ -15,7 +15,7 @@ from rigtool.experiments.imported_load.basis import (
     motion_functions,
     size_of,
 )
-from rigtool.experiments.imported_load.learning import learn, level_numbers
+from rigtool.experiments.imported_load.learning import learn_load_model, level_numbers
 from rigtool.experiments.imported_load.model import FLAT, HIGHEST_POWER, SIGNS
 from tests.experiments.imported_load.loaded_drive import (
     BANDWIDTH_HZ,
@@ -28,7 +28,7 @@ from tests.experiments.imported_load.loaded_drive import (
 
 @pytest.fixture(scope="module")
 def learned():
-    return learn(observations())
+    return learn_load_model(observations())
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def plain():
 
 @pytest.fixture(scope="module")
 def choice(plain):
-    return learn(plain).model
+    return learn_load_model(plain).model
 
 
 def errors(model, loads, seed=7, drift=0.001, frequencies=(0.12, 0.25)):
@@ -67,7 +67,7 @@ def test_intervals_hold_at_loads_that_were_not_learned():
     held, widths = [], []
     speeds = (0.1, 0.2, 0.3)
     for seed in (1, 2):
-        model = learn(observations(frequencies=speeds, seed=seed)).model
+        model = learn_load_model(observations(frequencies=speeds, seed=seed)).model
         error, u = errors(model, (0.03, 0.05, 0.07), seed=100 + seed, frequencies=speeds)
         held.append(np.mean(np.abs(error) <= 1.96 * u))
         widths.append(np.median(u))
@@ -86,7 +86,7 @@ def test_friction_by_load_is_found(learned):
 def test_which_way_the_load_resists_is_found(learned):
     assert learned.model.direction == 1
     mirrored = [replace(item, torque=-item.torque) for item in observations()]
-    assert learn(mirrored, like=learned.model).model.direction == 1
+    assert learn_load_model(mirrored, like=learned.model).model.direction == 1
 
 
 @settings(max_examples=3, deadline=None)
@@ -98,7 +98,10 @@ def test_units_and_signs_change_nothing(
 ):
     effort, torque = effort_sign * effort_unit, torque_sign * torque_unit
     other = [replace(o, effort=effort * o.effort, torque=torque * o.torque) for o in plain]
-    first, second = learn(plain, like=choice).model, learn(other, like=choice).model
+    first, second = (
+        learn_load_model(plain, like=choice).model,
+        learn_load_model(other, like=choice).model,
+    )
     item = observe(0.05, 0.25, 0, seed=3)
     one = first.estimate(item.effort, item.path)
     two = second.estimate(effort * item.effort, item.path)
@@ -158,7 +161,7 @@ def test_a_transient_is_left_out():
 
 def test_two_loads_make_a_line():
     items = observations(loads=(0.02, 0.06))
-    model = learn(items).model
+    model = learn_load_model(items).model
     assert all("squared" not in name for side in model.sides for name in side.degree)
     error, _ = errors(model, (0.04,))
     assert np.sqrt(np.mean(error**2)) < 1.5e-3
@@ -166,24 +169,24 @@ def test_two_loads_make_a_line():
 
 def test_one_load_tells_nothing():
     with pytest.raises(InsufficientDataError, match="at one load"):
-        learn(observations(loads=(0.04,)))
+        learn_load_model(observations(loads=(0.04,)))
 
 
 def test_two_loads_need_repeats():
     with pytest.raises(InsufficientDataError, match="leave nothing to judge"):
-        learn(observations(loads=(0.02, 0.06), frequencies=(0.2,)))
+        learn_load_model(observations(loads=(0.02, 0.06), frequencies=(0.2,)))
 
 
 def test_one_direction_is_not_enough():
     items = [replace(o, used=o.used & (o.path.speed > 0)) for o in observations()]
     with pytest.raises(InsufficientDataError, match="negative direction"):
-        learn(items)
+        learn_load_model(items)
 
 
 def test_no_load_is_no_load():
     items = [replace(o, torque=0 * o.torque) for o in observations(frequencies=(0.2,))]
     with pytest.raises(InsufficientDataError, match="zero throughout"):
-        learn(items)
+        learn_load_model(items)
 
 
 @given(st.lists(st.floats(0.1, 100), min_size=1, max_size=30))

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.learning import procedure as ilc_learn
 from rigtool.experiments.learning.check import procedure as ilc_check
-from rigtool.experiments.learning.stored_origin import learned_table_from
-from rigtool.experiments.learning.stored_table import lookup_table_from
+from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+from rigtool.experiments.learning.stored_table import learned_table_from, lookup_table_from
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.session import run_command
 from rigtool.quantity import Quantity
@@ -28,14 +28,14 @@ OPTIONS = CommonOptions(overwrite=True)
 
 
 def learn(sources, output, **inputs):
-    return run_command(ilc_learn, list(map(str, sources)), output, options=OPTIONS, inputs=inputs)
+    return run_command(ILC_LEARN, list(map(str, sources)), output, options=OPTIONS, inputs=inputs)
 
 
 def check(sources, tables, output, **inputs):
     with open_run(tables) as opened:
         inputs["tables"] = opened
         return run_command(
-            ilc_check, list(map(str, sources)), output, options=OPTIONS, inputs=inputs
+            ILC_CHECK, list(map(str, sources)), output, options=OPTIONS, inputs=inputs
         )
 
 
@@ -129,7 +129,7 @@ def test_torque_with_a_calibration(rig):
     with open_run(folder / "torque.h5") as run:
         table = lookup_table_from(run)
         assert np.ptp(table.torque) == pytest.approx(0.05 * 2, rel=0.3, abs=0)
-    with pytest.raises(UsageError, match=r"holds N m, the runs tell A.*with --kt"):
+    with pytest.raises(UsageError, match=r"holds N m, the runs hold A.*with --kt"):
         check([paths["off_2"]], folder / "torque.h5", folder / "no.h5")
 
 
@@ -146,7 +146,7 @@ def test_runs_that_do_not_go_together(rig):
         check([paths["off_2"], paths["on_0"]], folder / "map.h5", output)
     with open_run(folder / "map.h5") as some, pytest.raises(UsageError, match="--friction"):
         learn([paths["off_0"], paths["off_1"]], output, friction=some)
-    with pytest.raises(UsageError, match="holds N m, the runs tell A"):
+    with pytest.raises(UsageError, match="holds N m, the runs hold A"):
         check([paths["off_2"]], ROOT / "tests" / "fixtures" / "tables.h5", output)
     linear = folder / "linear"
     linear.mkdir()
@@ -162,7 +162,7 @@ def test_runs_of_noise_teach_nothing(tmp_path):
         arrays = slow_turn(n, 1)
         random = np.random.default_rng(100 + n)
         files[f"off_{n}"] = {**arrays, "i": random.normal(0, 0.1, len(arrays["i"]))}
-    with pytest.raises(InsufficientDataError, match="no order of rotation stands out"):
+    with pytest.raises(InsufficientDataError, match="no order of rotation exceeds"):
         learn(take(tmp_path, SLOW, files), tmp_path / "no.h5")
 
 

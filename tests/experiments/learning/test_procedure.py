@@ -8,6 +8,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.learning import procedure as ilc_learn
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.stored_table import (
     feedforward_from,
     lookup_table_from,
@@ -41,7 +42,7 @@ def kt(folder):
 def learned(folder, kt):
     """A short run on the thesis's rig: its path and outcome."""
     path = folder / "tables.h5"
-    return path, run(ilc_learn, RECIPE, path, *SHORT, kt=kt)
+    return path, run(ILC_LEARN, RECIPE, path, *SHORT, kt=kt)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def friction(folder):
 def compensated(folder, kt, friction):
     """Learned on a rig of friction only, which is fed forward: nothing is left to learn."""
     path = folder / "compensated.h5"
-    return path, run(ilc_learn, RECIPE, path, *SHORT, *QUIET, kt=kt, friction=friction)
+    return path, run(ILC_LEARN, RECIPE, path, *SHORT, *QUIET, kt=kt, friction=friction)
 
 
 def test_little_remains_of_the_disturbance(learned):
@@ -80,7 +81,7 @@ def test_little_remains_of_the_disturbance(learned):
 @pytest.mark.parametrize("seed", [7, 8])
 def test_other_rigs_learn_as_well(folder, kt, seed):
     outcome = run(
-        ilc_learn,
+        ILC_LEARN,
         RECIPE,
         folder / f"seed-{seed}.h5",
         *SHORT,
@@ -95,7 +96,7 @@ def test_other_rigs_learn_as_well(folder, kt, seed):
 
 def test_the_table_is_the_friction_that_is_there(folder, kt):
     """Without ripple the learned torque is Coulomb + viscous friction at any position."""
-    outcome = run(ilc_learn, RECIPE, folder / "quiet.h5", *SHORT, *QUIET, kt=kt)
+    outcome = run(ILC_LEARN, RECIPE, folder / "quiet.h5", *SHORT, *QUIET, kt=kt)
     lookup = outcome.tables["lookup"]
     speed = lookup["speed"][:, None]
     expected = COULOMB * np.sign(speed) + VISCOUS * speed
@@ -125,7 +126,7 @@ def test_one_entry_a_quad_count_over_the_constant_speed(learned):
 
 def test_the_stored_moves_give_the_same_again(learned, folder, kt):
     path, outcome = learned
-    again = run(ilc_learn, path, folder / "again.h5", kt=kt)
+    again = run(ILC_LEARN, path, folder / "again.h5", kt=kt)
     assert again.results == outcome.results
     np.testing.assert_array_equal(
         again.tables["lookup"]["torque"], outcome.tables["lookup"]["torque"]
@@ -138,7 +139,7 @@ def test_the_stored_moves_give_the_same_again(learned, folder, kt):
 
 def test_another_filter_is_told_from_the_one_that_was_recorded(learned, folder, kt):
     path, outcome = learned
-    other = run(ilc_learn, path, folder / "other.h5", "ilc_learn.robustness_hz=20", kt=kt)
+    other = run(ILC_LEARN, path, folder / "other.h5", "ilc_learn.robustness_hz=20", kt=kt)
     assert any("residual belongs to the recorded one" in note for note in other.notes)
     assert not any("residual belongs" in note for note in outcome.notes)
 
@@ -156,9 +157,9 @@ def test_friction_that_is_fed_forward_is_not_learned(compensated):
 
 def test_a_table_belongs_to_the_friction_fed_forward(compensated, learned, folder, kt, friction):
     with pytest.raises(RunFileError, match="are expected without --friction"):
-        run(ilc_learn, compensated[0], folder / "no.h5", kt=kt)
+        run(ILC_LEARN, compensated[0], folder / "no.h5", kt=kt)
     with pytest.raises(RunFileError, match="friction of 0 mN m was fed forward"):
-        run(ilc_learn, learned[0], folder / "no.h5", kt=kt, friction=friction)
+        run(ILC_LEARN, learned[0], folder / "no.h5", kt=kt, friction=friction)
     assert not (folder / "no.h5").exists()
 
 
@@ -183,14 +184,14 @@ def test_what_cannot_be_learned_from_is_refused(learned, folder, kt, override, m
 def test_learning_that_cannot_converge_does_not_even_move(folder, kt):
     output = folder / "refused.h5"
     with pytest.raises(InsufficientDataError, match="must be below 1"):
-        run(ilc_learn, RECIPE, output, *SHORT, "ilc_learn.cancel_radius=0.5", kt=kt)
+        run(ILC_LEARN, RECIPE, output, *SHORT, "ilc_learn.cancel_radius=0.5", kt=kt)
     assert not output.exists()
     assert not output.with_name("refused.h5.part").exists()
 
 
 def test_more_moves_than_were_recorded_are_refused(learned, folder, kt):
     with pytest.raises(InsufficientDataError, match=r"learn_000: 3 whole moves.* 9 are needed"):
-        run(ilc_learn, learned[0], folder / "no.h5", "ilc_learn.moves=9", kt=kt)
+        run(ILC_LEARN, learned[0], folder / "no.h5", "ilc_learn.moves=9", kt=kt)
 
 
 def test_inputs_that_do_not_fit_are_refused(learned, folder, kt, friction):

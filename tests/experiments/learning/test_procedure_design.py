@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.learning.procedure_design import design
-from rigtool.experiments.plant import procedure as identify_plant
+from rigtool.experiments.learning.procedure_design import design_filters
+from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt
@@ -29,7 +29,7 @@ def instrument(tmp_path_factory):
     folder = tmp_path_factory.mktemp("design")
     path = folder / "instrument.h5"
     short = ("identify_plant.realisations=2", "identify_plant.periods=8")
-    run(identify_plant, RECIPE, path, *short, kt=write_kt(folder))
+    run(IDENTIFY_PLANT, RECIPE, path, *short, kt=write_kt(folder))
     with open_run(path) as opened:
         yield opened
 
@@ -39,7 +39,7 @@ def recipe(*overrides):
 
 
 def test_without_a_plant_the_nominal_inertia_and_no_bound():
-    found = design(recipe())
+    found = design_filters(recipe())
     assert found.learning.measured is None
     assert np.isnan(found.tables()["convergence"]["bound"]).all()
     assert "convergence_bound" not in found.results()
@@ -50,7 +50,7 @@ def test_without_a_plant_the_nominal_inertia_and_no_bound():
 
 @pytest.mark.parametrize("kind", ["zpetc", "frf"])
 def test_with_a_plant_its_inertia_and_a_bound(plant, kind):
-    found = design(recipe(f"ilc_learn.learning_filter={kind}"), plant)
+    found = design_filters(recipe(f"ilc_learn.learning_filter={kind}"), plant)
     inertia = plant.result("inertia").value
     model = found.learning.measured.loop.plant
     # At rest the double integrator: friction is a small part at 50 Hz.
@@ -69,7 +69,7 @@ def test_with_a_plant_its_inertia_and_a_bound(plant, kind):
 
 
 def test_the_model_of_two_masses_is_taken_over(instrument):
-    found = design(load_recipe(RECIPE)[0], instrument)
+    found = design_filters(load_recipe(RECIPE)[0], instrument)
     response = found.learning.measured
     off = np.abs(response.ratio(response.frequency) - 1)
     assert off.max() < 0.1
@@ -79,7 +79,7 @@ def test_the_model_of_two_masses_is_taken_over(instrument):
 
 def test_filters_for_the_error_are_those_for_the_torque_times_the_controller(plant):
     """[eq. 3]: 1/Sp = C/T."""
-    found = design(recipe(FRF), plant)
+    found = design_filters(recipe(FRF), plant)
     frequency = np.array([5.0, 20.0, 80.0])
     loop = found.learning.measured
     plant_response = loop.ratio(frequency) * loop.loop.plant.response(frequency)
@@ -91,7 +91,7 @@ def test_filters_for_the_error_are_those_for_the_torque_times_the_controller(pla
 
 def test_the_inverse_of_a_response_needs_one():
     with pytest.raises(UsageError, match="give --plant"):
-        design(recipe(FRF))
+        design_filters(recipe(FRF))
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_the_inverse_of_a_response_needs_one():
 )
 def test_the_plant_of_another_rig_is_refused(plant, override, message):
     with pytest.raises(RunFileError, match=message):
-        design(recipe(override), plant)
+        design_filters(recipe(override), plant)
 
 
 def test_a_run_of_another_command_is_no_plant():
@@ -112,17 +112,17 @@ def test_a_run_of_another_command_is_no_plant():
         open_run(PLANT.with_name("kt.h5")) as other,
         pytest.raises(RunFileError, match="calibrate-kt"),
     ):
-        design(recipe(), other)
+        design_filters(recipe(), other)
 
 
 def test_learning_beyond_what_the_plant_carries_is_refused(plant):
     """A cut-off far above the measured lines: nobody knows what the loop does there."""
     with pytest.raises(InsufficientDataError, match="over the uncertainty of the measured plant"):
-        design(recipe("ilc_learn.robustness_hz=3000"), plant)
-    design(recipe("ilc_learn.robustness_hz=3000"))
+        design_filters(recipe("ilc_learn.robustness_hz=3000"), plant)
+    design_filters(recipe("ilc_learn.robustness_hz=3000"))
 
 
 def test_a_controller_that_is_unstable_with_the_measured_plant_is_refused(plant):
     override = "rig.controller.integrator_hz=200"
     with pytest.raises(InsufficientDataError, match=r"unstable with the measured inertia 1\.56"):
-        design(recipe(override), plant)
+        design_filters(recipe(override), plant)

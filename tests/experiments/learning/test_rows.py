@@ -1,4 +1,4 @@
-"""Cutting, learning and judging moves: closed forms, and a loop simulated by scipy."""
+"""Learning from moves, and judging them: closed forms, and a loop simulated by scipy."""
 
 import numpy as np
 import pytest
@@ -10,16 +10,14 @@ from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.filters import Learning, zpetc
 from rigtool.experiments.learning.rows import (
-    Moves,
     Row,
     assemble,
-    at_positions,
-    cut_moves,
     fit_amplitudes,
     learned_rows,
     residual,
     torque_rows,
 )
+from rigtool.numerics.moves import cut_moves
 from rigtool.rigs.motion import Triangle
 
 DT = 125e-6
@@ -57,29 +55,6 @@ def run(speed=7.3, cycles=5, noise=0.0, seed=0):
     return time, setpoint, torque + noise * np.random.default_rng(seed).normal(size=len(time))
 
 
-def test_moves_are_cut_where_the_set_point_rises_through_its_middle():
-    time, setpoint, torque = run()
-    moves = cut_moves(time, setpoint, torque, 4)
-    assert moves.period == pytest.approx(2 * motion().stroke_time, rel=1e-9, abs=0)
-    assert moves.setpoint[0] == pytest.approx(2.67 / 2, rel=1e-9, abs=0)
-    assert moves.setpoint[1] > moves.setpoint[0]
-    assert len(moves.torque) == 4
-    # All alike once the loop has run in
-    assert np.ptp(moves.torque, axis=0).max() < 1e-3 * np.abs(moves.torque).max()
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-def test_positions_are_read_on_the_half_that_was_asked_for(direction):
-    time = np.arange(40000) * DT
-    setpoint, velocity, _ = motion().setpoint(time)
-    moves = cut_moves(time, setpoint, np.sign(velocity) * np.exp(setpoint), 3)
-    found = at_positions(moves, moves.torque, POSITION, direction)
-    expected = np.broadcast_to(direction * np.exp(POSITION), found.shape)
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=0)
-    with pytest.raises(ValueError, match="within the moves' range"):
-        at_positions(moves, moves.torque, POSITION + 2, direction)
-
-
 @pytest.mark.parametrize("speed", [0.9, 7.3, 26.7])
 def test_one_update_learns_the_disturbance_at_each_position(speed):
     moves = cut_moves(*run(speed), 3)
@@ -102,20 +77,6 @@ def test_uncertainty_is_that_of_the_noise():
         assert row.non_repeatable_rms == pytest.approx(expected, rel=0.12, abs=0)
         u = np.sqrt(np.mean(row.u**2))
         assert u == pytest.approx(expected / np.sqrt(moves), rel=0.12, abs=0)
-
-
-def test_too_few_or_unlike_moves_are_refused():
-    time, setpoint, torque = run(cycles=3)
-    with pytest.raises(InsufficientDataError, match=r"2 whole moves.* 3 are needed"):
-        cut_moves(time, setpoint, torque, 3)
-    with pytest.raises(InsufficientDataError, match="torque is nan at sample 7"):
-        cut_moves(time, setpoint, np.where(np.arange(len(time)) == 7, np.nan, torque), 1)
-    with pytest.raises(InsufficientDataError, match="0 whole moves"):
-        cut_moves(time, np.zeros(len(time)), torque, 1)
-    slower, _, _ = motion(5.0, 3).setpoint(time)
-    both = np.concatenate([setpoint, slower])
-    with pytest.raises(InsufficientDataError, match="differ by more than a sample"):
-        cut_moves(np.arange(len(both)) * DT, both, np.zeros(len(both)), 3)
 
 
 def test_amplitudes_are_the_least_squares_factors():
@@ -187,7 +148,6 @@ def test_moves_know_nothing_of_the_direction_they_started_in():
     late = len(time) // 12 + 1000
     whole = cut_moves(time, setpoint, torque, 3)
     part = cut_moves(time[late:], setpoint[late:], torque[late:], 3)
-    assert isinstance(part, Moves)
     for a, b in zip(
         torque_rows(whole, 7.3, LEARNING, POSITION),
         torque_rows(part, 7.3, LEARNING, POSITION),

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rigtool.experiments.live.terminal import BARS, FORGOTTEN, INTERVAL, PLAIN, Live, sparkline
-from rigtool.experiments.session import MEANWHILE
+from rigtool.experiments.session import STATUS_ONLY
 from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
@@ -139,11 +139,11 @@ def test_target_that_keeps_its_log_is_drawn_by_what_it_tells(tmp_path, capsys, m
         on_line = [part for value in settings for part in ("--set", value)]
         code, _, err = call(capsys, *fft_ripple(tmp_path, "--live", "--yes", *on_line))
     assert code == 0, err
-    told = [line for line in err.split("\n") if MEANWHILE in line]
+    told = [line for line in err.split("\n") if STATUS_ONLY in line]
     assert len(told) >= 2
     times = [float(line.split()[-2]) for line in told]
     assert times == sorted(times)
-    drawn = err[err.index(MEANWHILE) :]
+    drawn = err[err.index(STATUS_ONLY) :]
     assert all(f"\x1b[K  {name} " in drawn for name in ("encoder", "current", "temperature"))
 
 

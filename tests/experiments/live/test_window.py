@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from rigtool.errors import UsageError
 from rigtool.experiments.live import terminal as live
 from rigtool.experiments.live.terminal import WAITING, Feed, Window, open_live
-from rigtool.experiments.live.window import POINTS, SHOWN, Panel, thinned
+from rigtool.experiments.live.window import POINTS, SPAN, Panel, thinned
 from tests.cli.test_run_commands import call
 from tests.experiments.live.test_terminal import fft_ripple
 
@@ -56,7 +56,7 @@ def test_a_plot_a_channel_with_unit_and_latest_value(panel):
     ]
     assert [axes.get_title(loc="right") for axes in figure.axes] == ["7", "0.25"]
     assert figure.get_suptitle() == "sweep, 3.2 s"
-    assert figure.axes[0].get_xlim() == (3.0, 3.0 + SHOWN)
+    assert figure.axes[0].get_xlim() == (3.0, 3.0 + SPAN)
 
 
 def test_the_last_seconds_are_shown_and_the_rest_forgotten(panel):
@@ -65,10 +65,10 @@ def test_the_last_seconds_are_shown_and_the_rest_forgotten(panel):
         panel.add("sweep", block(number / 4, current=float(number)))
     panel.draw()
     times, values = drawn(figure.axes[0])
-    assert times[0] >= times[-1] - SHOWN
-    assert times[-1] - times[0] == pytest.approx(SHOWN, abs=0.05)
+    assert times[0] >= times[-1] - SPAN
+    assert times[-1] - times[0] == pytest.approx(SPAN, abs=0.05)
     assert values[-1] == 199
-    assert len(panel._blocks) <= SHOWN * 4 + 2
+    assert len(panel._blocks) <= SPAN * 4 + 2
 
 
 def test_another_recording_or_other_channels_begin_anew(panel):

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from rigtool.experiments.load_disturbance.cycles import Drive, loaded_cycles
+from rigtool.experiments.load_disturbance.cycles import Transmission, loaded_cycles
 from rigtool.experiments.load_disturbance.tendon import Tendon, swing
 
-DRIVE = Drive(angle_ratio=0.85, torque_factor=1.18, inertia=2e-5, arm=0.02, bandwidth_hz=5.0)
+DRIVE = Transmission(angle_ratio=0.85, torque_factor=1.18, inertia=2e-5, arm=0.02, bandwidth_hz=5.0)
 CONSTANT = 0.045
 TENDON = Tendon(0.25, 1e-3, 0.8e-3)
 TURN = math.radians(20)
@@ -59,7 +59,7 @@ def cycles(
         setpoint,
         setpoint,
         current,
-        drive=DRIVE,
+        transmission=DRIVE,
         speed=rotor_speed,
         torque_constant=constant,
         moves=count,

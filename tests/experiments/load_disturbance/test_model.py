@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.load_disturbance.fit import learn, relearned
-from rigtool.experiments.load_disturbance.model import Comparison, Disturbance
+from rigtool.experiments.load_disturbance.fit import fit_disturbance, refit_disturbance
+from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
 from rigtool.experiments.load_disturbance.reading import dead_band, read_load
 from rigtool.experiments.load_disturbance.tendon import Tendon
 from tests.experiments.load_disturbance.known_drive import CONSTANT, DRIVE, TENDON, TURN, cycles
@@ -27,7 +27,7 @@ def compared(unloaded, loads, **changes):
     found = []
     for number, (speed, load) in enumerate(pairs):
         loaded = cycles(load, speed, scatter=SCATTER, seed=number, **changes)
-        found.append(Comparison.of(loaded, unloaded[speed], TURN))
+        found.append(LoadedPair.of(loaded, unloaded[speed], TURN))
     return found, [load for _, load in pairs]
 
 
@@ -38,7 +38,7 @@ def known(unloaded):
 
 @pytest.fixture(scope="module")
 def learned(known):
-    return learn(*known)
+    return fit_disturbance(*known)
 
 
 def test_the_tendon_comes_back(learned):
@@ -50,8 +50,8 @@ def test_the_tendon_comes_back(learned):
 
 @pytest.mark.parametrize("load", [0.005, 0.02, 0.05])
 def test_loads_between_the_learned_ones_are_read(learned, unloaded, load):
-    for comparison in compared(unloaded, [load])[0]:
-        found = read_load(learned, comparison, math.pi / 2)
+    for pair in compared(unloaded, [load])[0]:
+        found = read_load(learned, pair, math.pi / 2)
         assert found.moment == pytest.approx(load, abs=max(0.005 * load, 3 * found.u))
         assert found.at_angle.mean() == pytest.approx(load, rel=0.03, abs=0.1e-3)
         assert found.cycles.std(ddof=1) == pytest.approx(SCATTER, rel=1)
@@ -71,11 +71,11 @@ def test_a_friction_level_that_drifts_moves_no_reading(learned, unloaded):
 
 
 def test_a_load_left_out_of_the_learning_is_read(learned, known):
-    comparisons, moments = known
+    pairs, moments = known
     without = [i for i, moment in enumerate(moments) if moment != 0.03]
-    less = relearned(learned, [comparisons[i] for i in without], [moments[i] for i in without])
+    less = refit_disturbance(learned, [pairs[i] for i in without], [moments[i] for i in without])
     left = moments.index(0.03)
-    assert read_load(less, comparisons[left], math.pi / 2).moment == pytest.approx(0.03, rel=0.01)
+    assert read_load(less, pairs[left], math.pi / 2).moment == pytest.approx(0.03, rel=0.01)
 
 
 @pytest.mark.parametrize("load", [0.001, 0.01, 0.03, 0.04, 0.05, 0.06])
@@ -83,18 +83,18 @@ def test_a_load_that_swings_near_its_resonance_is_found(load):
     """At 50 mN m a search from the mean torque alone ends at 14 mN m, which fits less well."""
     soft = Tendon(0.1, 4e-4, 0.0)
     drive = {"friction": 0.0, "ripple": 0.0, "tendon": soft, "scatter": 0.02e-3}
-    comparison = Comparison.of(cycles(load, 1.8, **drive), [cycles(0.0, 1.8, **drive)], TURN)
-    plain = Disturbance((), soft, np.zeros(0), np.zeros((3, 3)), 0.06, (comparison.loaded.speed,))
-    found = read_load(plain, comparison, math.pi / 2)
+    pair = LoadedPair.of(cycles(load, 1.8, **drive), [cycles(0.0, 1.8, **drive)], TURN)
+    plain = Disturbance((), soft, np.zeros(0), np.zeros((3, 3)), 0.06, (pair.loaded.speed,))
+    found = read_load(plain, pair, math.pi / 2)
     assert found.moment == pytest.approx(load, rel=0.03, abs=0.05e-3)
 
 
 def test_a_load_far_beyond_the_learned_ones_is_refused(learned, unloaded):
-    comparison = compared(unloaded, [0.25], tendon=Tendon(50.0, 1e-2, 0.0))[0][0]
+    pair = compared(unloaded, [0.25], tendon=Tendon(50.0, 1e-2, 0.0))[0][0]
     with pytest.raises(
         InsufficientDataError, match="no load up to 3 times the largest learned one, 60 mN m"
     ):
-        read_load(learned, comparison, math.pi / 2)
+        read_load(learned, pair, math.pi / 2)
 
 
 def test_the_sum_of_components_is_u(learned, known):

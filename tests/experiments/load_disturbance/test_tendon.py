@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from scipy import constants
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from rigtool.experiments.load_disturbance.tendon import (
     CONTACT_ANGLE,
-    GRAVITY,
     Tendon,
     contact,
     swing,
@@ -31,7 +31,7 @@ def test_a_slow_motion_carries_what_statics_say(stiffness):
 
 def test_a_fast_motion_is_what_scipy_integrates():
     period, moment, tendon = 0.6, 0.04, Tendon(0.2, 1e-3, 0.0)
-    count, inertia = 512, 0.04 * ARM / GRAVITY
+    count, inertia = 512, 0.04 * ARM / constants.g
     time = np.arange(count) * period / count
     turn = 2 * np.pi / period
 

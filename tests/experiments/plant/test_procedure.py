@@ -7,6 +7,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.plant import procedure as identify_plant
+from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
 from rigtool.experiments.plant.procedure_excitation import (
     excited_lines,
     multisine,
@@ -53,13 +54,13 @@ def kt(folder):
 @pytest.fixture(scope="module")
 def pulley(folder, kt):
     path = folder / "pulley.h5"
-    return path, run(identify_plant, RECIPE, path, *SHORT, kt=kt)
+    return path, run(IDENTIFY_PLANT, RECIPE, path, *SHORT, kt=kt)
 
 
 @pytest.fixture(scope="module")
 def instrument(folder, kt):
     path = folder / "instrument.h5"
-    return path, run(identify_plant, RECIPE, path, *STROKES, kt=kt)
+    return path, run(IDENTIFY_PLANT, RECIPE, path, *STROKES, kt=kt)
 
 
 def motor():
@@ -73,7 +74,7 @@ def off(result, truth):
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
 def test_the_inertia_that_is_there(folder, kt, seed):
-    outcome = run(identify_plant, RECIPE, folder / f"{seed}.h5", *SHORT, seed=seed, kt=kt)
+    outcome = run(IDENTIFY_PLANT, RECIPE, folder / f"{seed}.h5", *SHORT, seed=seed, kt=kt)
     inertia, viscous = (outcome.results[name] for name in ("inertia", "viscous_friction"))
     assert off(inertia, motor().inertia) < 2
     assert inertia.u < 3e-3 * inertia.value
@@ -93,7 +94,7 @@ def test_the_inertia_that_is_there(folder, kt, seed):
     ],
 )
 def test_other_rigs(folder, kt, overrides):
-    outcome = run(identify_plant, RECIPE, folder / "other.h5", *SHORT, *overrides, kt=kt)
+    outcome = run(IDENTIFY_PLANT, RECIPE, folder / "other.h5", *SHORT, *overrides, kt=kt)
     recipe = load_recipe(RECIPE, overrides)[0]
     assert off(outcome.results["inertia"], recipe.virtual.motor.inertia) < 3
     assert off(outcome.results["viscous_friction"], recipe.virtual.motor.viscous_friction) < 4
@@ -142,13 +143,13 @@ def test_the_instrument_is_not_a_rigid_body(instrument):
 
 def test_stored_signals_give_the_same_again(pulley, folder, kt):
     path, outcome = pulley
-    again = run(identify_plant, path, folder / "again.h5", kt=kt)
+    again = run(IDENTIFY_PLANT, path, folder / "again.h5", kt=kt)
     assert again.results == outcome.results
     assert again.notes == outcome.notes
 
 
 def test_without_a_calibration_no_uncertainty_is_stated(pulley, folder):
-    outcome = run(identify_plant, pulley[0], folder / "plain.h5")
+    outcome = run(IDENTIFY_PLANT, pulley[0], folder / "plain.h5")
     inertia = outcome.results["inertia"]
     assert inertia.u is None
     assert "give --kt" in inertia.reason
@@ -182,7 +183,7 @@ def test_torque_constant_at_the_temperature_of_the_motor(kt, folder):
 def test_data_that_do_not_carry_a_plant_are_refused(folder, kt, overrides, message):
     output = folder / "refused.h5"
     with pytest.raises(InsufficientDataError, match=message):
-        run(identify_plant, RECIPE, output, *SHORT, *overrides, kt=kt)
+        run(IDENTIFY_PLANT, RECIPE, output, *SHORT, *overrides, kt=kt)
     assert not output.exists()
 
 
@@ -195,7 +196,7 @@ def test_data_that_do_not_carry_a_plant_are_refused(folder, kt, overrides, messa
 )
 def test_other_settings_than_recorded_are_refused(pulley, folder, kt, override, message):
     with pytest.raises(InsufficientDataError, match=message):
-        run(identify_plant, pulley[0], folder / "no.h5", override, kt=kt)
+        run(IDENTIFY_PLANT, pulley[0], folder / "no.h5", override, kt=kt)
 
 
 def test_another_commands_run_is_refused(pulley, folder, kt):
@@ -218,7 +219,7 @@ def test_another_commands_run_is_refused(pulley, folder, kt):
 )
 def test_settings_that_cannot_be_are_mistakes(folder, overrides, message):
     with pytest.raises(RecipeError, match=message):
-        run(identify_plant, RECIPE, folder / "mistake.h5", *overrides)
+        run(IDENTIFY_PLANT, RECIPE, folder / "mistake.h5", *overrides)
 
 
 @pytest.mark.parametrize("attachment", ["pulley", "instrument"])

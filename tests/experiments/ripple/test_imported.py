@@ -7,7 +7,7 @@ import pytest
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.ripple import procedure as fft_ripple
+from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.session import run_command
 from rigtool.recipe.mapping import load_mapping, parse_mapping
 from rigtool.runfile import open_run
@@ -33,7 +33,7 @@ missing = 0
 def analyse(sources, output, *overrides, **inputs):
     options = CommonOptions(overwrite=True, overrides=overrides)
     return run_command(
-        fft_ripple, [str(source) for source in sources], str(output), options=options, inputs=inputs
+        FFT_RIPPLE, [str(source) for source in sources], str(output), options=options, inputs=inputs
     )
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.ripple import procedure as fft_ripple
+from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt
 
@@ -29,7 +30,7 @@ def kt(folder):
 @pytest.fixture(scope="module")
 def measured(folder, kt):
     path = folder / "ripple.h5"
-    return path, run(fft_ripple, RECIPE, path, *SHORT, kt=kt)
+    return path, run(FFT_RIPPLE, RECIPE, path, *SHORT, kt=kt)
 
 
 def test_the_second_order_is_strongest_slowly_and_the_first_fast(measured):
@@ -44,7 +45,7 @@ def test_cogging_is_found_with_amplitude_and_phase(folder, kt):
     """The controller asks for the opposite of the cogging torque, within the band of T."""
     cogging = "virtual.motor.cogging=[{ order = 3, amplitude = 0.5e-3, phase = 0.6 }]"
     outcome = run(
-        fft_ripple,
+        FFT_RIPPLE,
         RECIPE,
         folder / "cogging.h5",
         *SHORT,
@@ -67,7 +68,7 @@ def test_averaging_into_few_samples_costs_no_amplitude(folder, kt):
     alone = ("fft_ripple.speeds=[3]", "fft_ripple.torques=[]", "fft_ripple.power_cycles=0")
     sets = (*SHORT, *QUIET, cogging, *alone)
     fine, coarse = (
-        run(fft_ripple, RECIPE, folder / "few.h5", *sets, f"fft_ripple.record_every={every}", kt=kt)
+        run(FFT_RIPPLE, RECIPE, folder / "few.h5", *sets, f"fft_ripple.record_every={every}", kt=kt)
         for every in (4, 128)
     )
     expected = fine.tables["speed_spectrum"]["amplitude"][0, 39]
@@ -99,7 +100,7 @@ def test_a_power_cycle_changes_the_ripple_and_nothing_else_does(folder, kt, meas
     assert results["power_cycle_correlation"].value < 0.95
     # A ripple that start-ups do not touch is the same ripple.
     cogging = "virtual.motor.cogging=[{ order = 2, amplitude = 0.5e-3, phase = 0.6 }]"
-    same = run(fft_ripple, RECIPE, folder / "same.h5", *SHORT, *QUIET, cogging, kt=kt)
+    same = run(FFT_RIPPLE, RECIPE, folder / "same.h5", *SHORT, *QUIET, cogging, kt=kt)
     assert same.results["power_cycle_correlation"].value == pytest.approx(1, rel=0, abs=2e-3)
     assert same.results["power_cycle_shift"].value == pytest.approx(0, rel=0, abs=0.01)
 
@@ -113,7 +114,7 @@ def test_psd_shows_the_orders_at_their_frequencies(measured):
 
 def test_the_stored_signals_give_the_same_again(measured, folder, kt):
     path, outcome = measured
-    again = run(fft_ripple, path, folder / "again.h5", kt=kt)
+    again = run(FFT_RIPPLE, path, folder / "again.h5", kt=kt)
     assert again.results == outcome.results
     with open_run(path) as stored:
         assert stored.recipe.rig.attachment == "pulley"  # measured on the bare motor
@@ -121,7 +122,7 @@ def test_the_stored_signals_give_the_same_again(measured, folder, kt):
 
 def test_without_power_cycles_nothing_is_compared(folder, kt):
     outcome = run(
-        fft_ripple,
+        FFT_RIPPLE,
         RECIPE,
         folder / "once.h5",
         *SHORT,
@@ -136,7 +137,7 @@ def test_without_power_cycles_nothing_is_compared(folder, kt):
 
 def test_too_short_a_recording_is_refused(measured, folder, kt):
     with pytest.raises(InsufficientDataError, match=r"speed_000: 4 whole revolutions.* 9 are"):
-        run(fft_ripple, measured[0], folder / "no.h5", "fft_ripple.revolutions=9", kt=kt)
+        run(FFT_RIPPLE, measured[0], folder / "no.h5", "fft_ripple.revolutions=9", kt=kt)
     assert not (folder / "no.h5").exists()
 
 
@@ -153,5 +154,5 @@ def test_inputs_that_do_not_fit_are_refused(measured, kt):
 def test_how_a_run_was_recorded_cannot_be_changed_afterwards(measured, folder, kt):
     """Samples are means of as many as were averaged: another number would misjudge them."""
     with pytest.raises(UsageError, match="record_every=1: a stored run stays as it was recorded"):
-        run(fft_ripple, measured[0], folder / "no.h5", "fft_ripple.record_every=1", kt=kt)
+        run(FFT_RIPPLE, measured[0], folder / "no.h5", "fft_ripple.record_every=1", kt=kt)
     assert not (folder / "no.h5").exists()

@@ -8,6 +8,7 @@ from rigtool.errors import RecipeError
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.session import run_command
 from rigtool.experiments.torque_constant import procedure as calibrate_kt
+from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.recipe import CalibrateKt, load_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run
@@ -18,13 +19,13 @@ SHORT = ("calibrate_kt.temperatures_degc=[20, 35, 50]", "calibrate_kt.record_eve
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):
     path = tmp_path_factory.mktemp("kt") / "kt.h5"
-    return path, run(calibrate_kt, RECIPE, path, *SHORT, seed=1)
+    return path, run(CALIBRATE_KT, RECIPE, path, *SHORT, seed=1)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_thesis_values_for_several_seeds(tmp_path, seed):
     """[7.1.1]"""
-    results = run(calibrate_kt, RECIPE, tmp_path / "kt.h5", *SHORT, seed=seed).results
+    results = run(CALIBRATE_KT, RECIPE, tmp_path / "kt.h5", *SHORT, seed=seed).results
     assert_allclose(results["torque_constant"].value, 45.8e-3, atol=0.1e-3, rtol=0)
     slope = results["torque_constant_temperature_coefficient"]
     assert_allclose(slope.value, -0.116e-2, atol=0.01e-2, rtol=0)
@@ -45,14 +46,14 @@ def test_thesis_values_for_several_seeds(tmp_path, seed):
     ],
 )
 def test_other_rigs(tmp_path, setting, constant):
-    results = run(calibrate_kt, RECIPE, tmp_path / "kt.h5", *SHORT, setting).results
+    results = run(CALIBRATE_KT, RECIPE, tmp_path / "kt.h5", *SHORT, setting).results
     assert_allclose(results["torque_constant"].value, constant, rtol=2e-3)
     assert abs(results["torque_constant"].value - constant) < 3 * results["torque_constant"].u
 
 
 def test_analysis_of_the_file_gives_the_same(measured, tmp_path):
     path, outcome = measured
-    again = run(calibrate_kt, path, tmp_path / "again.h5")
+    again = run(CALIBRATE_KT, path, tmp_path / "again.h5")
     assert again.results == outcome.results
     with open_run(tmp_path / "again.h5") as stored:
         assert stored.results == outcome.results
@@ -76,7 +77,7 @@ def test_runs_at_different_temperatures_are_pooled(tmp_path):
     for temperature, seed in ((20, 1), (50, 1)):
         paths.append(tmp_path / f"{temperature}.h5")
         setting = f"calibrate_kt.temperatures_degc=[{temperature}, {temperature}]"
-        one = run(calibrate_kt, RECIPE, paths[-1], setting, SHORT[1], seed=seed)
+        one = run(CALIBRATE_KT, RECIPE, paths[-1], setting, SHORT[1], seed=seed)
         assert "torque_constant" not in one.results
         assert any("second temperature" in note for note in one.notes)
         true = 45.8e-3 * (1 - 1.16e-3 * (temperature - 20))
@@ -84,7 +85,7 @@ def test_runs_at_different_temperatures_are_pooled(tmp_path):
     options = CommonOptions()
     sources = [str(path) for path in paths]
     pooled = run_command(
-        calibrate_kt, sources, str(tmp_path / "both.h5"), options=options, inputs={}
+        CALIBRATE_KT, sources, str(tmp_path / "both.h5"), options=options, inputs={}
     )
     slope = pooled.results["torque_constant_temperature_coefficient"]
     assert_allclose(slope.value, -1.16e-3, atol=1e-4, rtol=0)
@@ -93,14 +94,14 @@ def test_runs_at_different_temperatures_are_pooled(tmp_path):
 def test_one_rotor_angle_says_what_it_cannot_know(tmp_path):
     same = "calibrate_kt.temperatures_degc=[20, 20]"
     outcome = run(
-        calibrate_kt, RECIPE, tmp_path / "kt.h5", same, "calibrate_kt.rotor_positions=1", SHORT[1]
+        CALIBRATE_KT, RECIPE, tmp_path / "kt.h5", same, "calibrate_kt.rotor_positions=1", SHORT[1]
     )
     assert any("does not average out" in note for note in outcome.notes)
 
 
 def test_current_beyond_the_amplifier_is_refused(tmp_path):
     with pytest.raises(RecipeError, match=r"current_max is 12 A, rig.current_limit 10 A"):
-        run(calibrate_kt, RECIPE, tmp_path / "kt.h5", "calibrate_kt.current_max=12")
+        run(CALIBRATE_KT, RECIPE, tmp_path / "kt.h5", "calibrate_kt.current_max=12")
     assert not (tmp_path / "kt.h5").exists()
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rigtool.rigs.serial.between import EVERY, FEWEST, ROOM, Between
+from rigtool.rigs.serial.between import EVERY, MIN_READINGS, ROOM, Between
 from rigtool.rigs.serial.drive import Sample
 from tests.rigs.serial.test_hosted_bias import HOLD, emulated, perform
 
@@ -43,7 +43,7 @@ def test_readings_fill_what_is_left_of_the_period_evenly(count):
 
 def test_the_difference_is_from_the_line_between_two_samples_along_the_motion():
     between = looked(1e-3)
-    for n in range(FEWEST):
+    for n in range(MIN_READINGS):
         for speed in (12.0, -12.0):
             way = math.copysign(1.0, speed)
             ends = sample(0.0, way * 0.1), sample(0.01, way * 0.3)
@@ -52,14 +52,14 @@ def test_the_difference_is_from_the_line_between_two_samples_along_the_motion():
     (found,) = between.found()
     assert found["speed"] == 12.0
     assert found["lacking_current"] == pytest.approx(0.02, rel=1e-9)
-    count = 2 * FEWEST
+    count = 2 * MIN_READINGS
     assert found["u"] == pytest.approx(1e-3 / math.sqrt(count - 1), rel=1e-9)
     assert found["readings"] == count
 
 
 def test_few_readings_tell_nothing():
     between = looked(1e-3)
-    for _ in range(FEWEST - 1):
+    for _ in range(MIN_READINGS - 1):
         between.compare(12.0, sample(0.0, 0.1), sample(0.005, 0.2), sample(0.01, 0.1))
     assert list(between.found()) == []
 

@@ -13,14 +13,14 @@ import pytest
 
 from rigtool.errors import HardwareError
 from rigtool.rigs import Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import SpeedProfile
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import hosted
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.maxon import guard as maxon_guard
-from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.odrive import driver as odrive
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
@@ -49,7 +49,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(hosted, "BLOCK_TIME", 0.05)
     monkeypatch.setattr(maxon, "FRAME_TIMEOUT", 0.03)
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
-    monkeypatch.setattr(maxon_guard.Guard, "_tell", lambda guard, word: None)
+    monkeypatch.setattr(maxon_guard.Guard, "_send", lambda guard, word: None)
 
 
 @pytest.fixture(params=DRIVES)
@@ -82,10 +82,8 @@ def rig_of(name, port, *more):
     _, module, period = DRIVES[name]
     driver = module.__name__.split(".")[3]
     recipe = serial_recipe(port, "serial.watchdog=1.5", *more, driver=driver, sample_time=period)
-    bench = Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
-    return PatientRig(
-        recipe, 0.045, "test", bench, make_drive=module.make_drive, baud_rate=module.BAUD_RATE
-    )
+    operator = Operator(say=lambda text: None, present=False, yes=True)
+    return PatientRig(recipe, 0.045, "test", operator, module.DRIVER)
 
 
 def recorded(rig, task, got):

@@ -9,10 +9,10 @@ import pytest
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.experiments.dry_run import rehearse, require_offered
-from rigtool.experiments.friction import procedure as stribeck
+from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.rigs import NEEDS, Feedforward, Load, Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
@@ -28,10 +28,11 @@ SHORT = Task(SpeedProfile((0.0, 0.1, 0.3, 0.4), (0.0, 4.0, 4.0, 0.0)))
 BRIEF = Task(SpeedProfile((0.0, 0.05, 0.1), (0.0, 1.0, 0.0)))
 
 
-def toy_rig(port, *more, bench=None, make_drive=toy.make_drive):
+def toy_rig(port, *more, operator=None, make_drive=toy.make_drive):
     recipe = serial_recipe(port, *more, driver="odrive", sample_time=PERIOD)
-    bench = bench or Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
-    return HostedRig(recipe, 0.045, "test", bench, make_drive=make_drive, baud_rate=115200)
+    operator = operator or Operator(say=lambda text: None, present=False, yes=True)
+    driver = replace(toy.DRIVER, make_drive=make_drive)
+    return HostedRig(recipe, 0.045, "test", operator, driver)
 
 
 def perform(rig, task):
@@ -80,7 +81,7 @@ def test_drive_that_takes_speeds_only_is_held_in_position_by_the_host():
         got = perform(rig, Task(Triangle(0.0, 1.0, 4.0, 0.3, cycles=1)))
         assert rig.lacks("table") == "this odrive takes no torque feed-forward beside its set point"
         assert rig.lacks("open_loop") is not None
-        assert rig.lacks("current_setpoint") == "this odrive does not tell its current_setpoint"
+        assert rig.lacks("current_setpoint") == "this odrive does not report its current_setpoint"
         assert "add [serial.temperature]" in rig.lacks("temperature")
         assert "add [serial.force]" in rig.lacks("force")
         assert rig.lacks("closed_loop") is None
@@ -200,8 +201,7 @@ def test_line_that_is_too_slow_for_the_loop_is_refused():
 def test_operator_is_asked_for_what_the_rig_cannot_do():
     person, asked, _ = operator("y", "", "", "")
     device = toy.ToyEmulator()
-    bench = Bench(operator=person)
-    with serve(device) as server, toy_rig(server.port, bench=bench) as rig:
+    with serve(device) as server, toy_rig(server.port, operator=person) as rig:
         perform(rig, BRIEF)
         perform(rig, Task(BRIEF.motion, load=Load(torque=0.014)))
         perform(rig, Task(BRIEF.motion, load=Load(torque=0.014)))
@@ -218,11 +218,11 @@ def test_what_somebody_has_to_do_is_refused_at_the_start_where_nobody_is():
         with toy_rig(server.port, "serial.temperature.driver=operator") as rig:
             for need in ("load", "clamp", "soak", "power_cycle", "temperature"):
                 assert "nobody is at the terminal: run the command in a terminal" in rig.lacks(need)
-        somebody = Bench(operator=operator()[0])
-        with toy_rig(server.port, "serial.temperature.driver=operator", bench=somebody) as rig:
+        somebody = operator()[0]
+        with toy_rig(server.port, "serial.temperature.driver=operator", operator=somebody) as rig:
             for need in ("load", "clamp", "soak", "power_cycle", "temperature"):
                 assert rig.lacks(need) is None
-        with toy_rig(server.port, "serial.operator=false", bench=somebody) as rig:
+        with toy_rig(server.port, "serial.operator=false", operator=somebody) as rig:
             assert "serial.operator is false: nobody is there to hang a load" in rig.lacks("load")
 
 
@@ -241,12 +241,12 @@ def test_stribeck_is_refused_before_it_measures(feedforward, person, radial_forc
 
     someone = Operator(ask=lambda question: "", say=lambda text: None, present=person)
     recipe = serial_recipe("/dev/none", f"stribeck.radial_force={radial_force}", driver="odrive")
-    plan = rehearse(stribeck, recipe, 0.045, {"kt": None})
-    bench = Bench(yes=True, operator=someone)
+    plan = rehearse(STRIBECK, recipe, 0.045, {"kt": None})
+    attendant = replace(someone, yes=True)
     make = lambda line, recipe: Drive(line)  # noqa: E731
     with (
         serve(toy.ToyEmulator()) as server,
-        toy_rig(server.port, bench=bench, make_drive=make) as rig,
+        toy_rig(server.port, operator=attendant, make_drive=make) as rig,
     ):
         found = [need for need in plan.needs if need in NEEDS and rig.lacks(need)]
         if reason is None:
@@ -265,8 +265,8 @@ def test_power_cycle_brings_the_drive_back_and_its_settings_in_the_end():
             device.reset()
         return person.ask(question)
 
-    bench = Bench(operator=Operator(ask=switch_off_and_on, say=person.say, present=True))
-    with serve(device) as server, toy_rig(server.port, bench=bench) as rig:
+    attendant = Operator(ask=switch_off_and_on, say=person.say, present=True)
+    with serve(device) as server, toy_rig(server.port, operator=attendant) as rig:
         perform(rig, BRIEF)
         rig.power_cycle()
         assert device.limit == 10.0
@@ -279,7 +279,9 @@ def test_drive_that_does_not_know_where_it_is_never_moves():
     device = toy.ToyEmulator()
     with serve(device) as server, toy_rig(server.port) as rig:
         device.motor.position = float("nan")
-        with pytest.raises(HardwareError, match="position is nan: calibrate or home it first"):
+        with pytest.raises(
+            HardwareError, match="reports the position nan: calibrate or home it first"
+        ):
             perform(rig, BRIEF)
         assert device.mode is None
 
@@ -288,7 +290,7 @@ def test_what_nobody_watches_is_said():
     person, _, said = operator("y")
     with (
         serve(toy.ToyEmulator()) as server,
-        toy_rig(server.port, bench=Bench(operator=person)) as rig,
+        toy_rig(server.port, operator=person) as rig,
     ):
         perform(rig, BRIEF)
     assert "the drive has no limit of speed: the host alone watches it" in said[0]
@@ -300,7 +302,7 @@ def test_operator_reads_the_thermometer_once_a_motion():
     more = ("serial.temperature.driver=operator", "serial.temperature.offset=0.5")
     with (
         serve(toy.ToyEmulator()) as server,
-        toy_rig(server.port, *more, bench=Bench(operator=person)) as rig,
+        toy_rig(server.port, *more, operator=person) as rig,
     ):
         assert rig.lacks("temperature") is None
         got = perform(rig, BRIEF)
@@ -310,8 +312,8 @@ def test_operator_reads_the_thermometer_once_a_motion():
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
     path = tmp_path / "line.spy"
     quiet = Operator(say=lambda text: None, present=False)
-    bench = Bench(yes=True, spy=str(path), operator=quiet)
-    with serve(toy.ToyEmulator()) as server, toy_rig(server.port, bench=bench) as rig:
+    attendant = replace(quiet, yes=True, spy=str(path))
+    with serve(toy.ToyEmulator()) as server, toy_rig(server.port, operator=attendant) as rig:
         first = perform(rig, BRIEF)
     with toy_rig(f"replay://{path}") as rig:
         again = perform(rig, BRIEF)

@@ -15,12 +15,13 @@ from rigtool.experiments.friction.procedure import hold_profile
 from rigtool.experiments.friction.stribeck_fit import fit_direction
 from rigtool.recipe.commands import Stribeck
 from rigtool.rigs import Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import SpeedProfile
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.maxon import driver as maxon
-from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.odrive import driver as odrive
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulated_time import pass_time
@@ -55,9 +56,9 @@ def emulated(monkeypatch, name, period, *more, make_drive=None, **world):
     world, device = pass_time(monkeypatch, make_device, **world)
     driver = "odrive" if name == "toy" else name
     recipe = serial_recipe("none", *more, driver=driver, sample_time=period)
-    bench = Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
+    operator = Operator(say=lambda text: None, present=False, yes=True)
     make_drive = make_drive or usual
-    rig = HostedRig(recipe, CONSTANT, "test", bench, make_drive=make_drive, baud_rate=115200)
+    rig = HostedRig(recipe, CONSTANT, "test", operator, Driver(toy.probe, (115200,), make_drive))
     return world, device, rig
 
 

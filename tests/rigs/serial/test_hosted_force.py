@@ -8,8 +8,8 @@ import pytest
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force import procedure as measure_force
-from rigtool.experiments.friction import procedure as stribeck
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
+from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import tables_of
 from rigtool.quantity import Quantity
@@ -38,7 +38,7 @@ def chain(tmp_path):
                 "amplifier_gain": Quantity(1.0, "1", 0.0),
             }
             kt = written("calibrate-kt", recipe, constants, {})
-            if procedure is stribeck:
+            if procedure is STRIBECK:
                 return {"kt": kt}
             top = 2 * math.pi * recipe.measure_force.speed_rev_per_s
             speed, position = np.array([-top, top]), np.linspace(0, math.pi, 100)
@@ -53,7 +53,7 @@ def chain(tmp_path):
             used = inputs(recipe, procedure)
             rig._set_load = lambda load: setattr(device.motor, "load", load.force * 0.014)
             path = tmp_path / "run.h5"
-            options = {"command": procedure.COMMAND, "recipe": recipe, "recipe_text": ""}
+            options = {"command": procedure.command, "recipe": recipe, "recipe_text": ""}
             plan = procedure.recordings(recipe)
             with RunWriter(path, overwrite=True, recordings=plan, **options) as writer:
                 with rig:
@@ -110,7 +110,7 @@ def test_loads_and_friction_are_within_their_uncertainty(
 ):
     device, rig = force_rig(monkeypatch, name, period, rev_per_s)
     device.motor.gain_speed = stiffness
-    outcome = chain(measure_force, device, rig)
+    outcome = chain(MEASURE_FORCE, device, rig)
     loads = outcome.tables["loads"]
     assert (np.abs(loads["error_torque"][1:]) <= 2 * loads["mean_torque_u"][1:] + 1e-9).all()
     assert (np.abs(loads["error_percent"][1:]) < 2.5).all()
@@ -129,7 +129,7 @@ def test_loads_and_friction_are_within_their_uncertainty(
 )
 def test_loads_that_are_moved_too_fast_are_refused(monkeypatch, chain, period, rev_per_s, why):
     with pytest.raises(InsufficientDataError, match=why):
-        chain(measure_force, *force_rig(monkeypatch, "toy", period, rev_per_s))
+        chain(MEASURE_FORCE, *force_rig(monkeypatch, "toy", period, rev_per_s))
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_fast_loads_are_read_with_a_low_pass_and_a_gain_that_fit(
 ):
     more = (f"measure_force.lowpass_hz={lowpass_hz}", f"serial.position_gain={gain}")
     device, rig = force_rig(monkeypatch, "toy", period, rev_per_s, *more)
-    loads = chain(measure_force, device, rig).tables["loads"]
+    loads = chain(MEASURE_FORCE, device, rig).tables["loads"]
     assert (np.abs(loads["error_torque"][1:]) <= 2 * loads["mean_torque_u"][1:]).all()
     assert (np.abs(loads["error_percent"][1:]) < 1.5).all()
 
@@ -148,14 +148,14 @@ def test_fast_loads_are_read_with_a_low_pass_and_a_gain_that_fit(
 def test_steps_of_position_are_in_the_uncertainty_or_refused(monkeypatch, chain):
     options = {"make_drive": make_positions_only}
     device, rig = force_rig(monkeypatch, "toy", 0.01, 0.4, **options)
-    outcome = chain(measure_force, device, rig)
+    outcome = chain(MEASURE_FORCE, device, rig)
     read = outcome.results["mean_torque_no_load"]
     friction = device.motor.coulomb + device.motor.viscous * 0.8 * math.pi
     assert read.value > 1.5 * friction  # it is wrong,
     assert abs(read.value - friction) < 2 * read.u  # and known to be
     assert any("mN m at the output, which is in the uncertainty" in n for n in outcome.notes)
     with pytest.raises(InsufficientDataError, match=r"13\.\d mN m .* more than 3\.5 mN m, 10% of"):
-        chain(measure_force, *force_rig(monkeypatch, "toy", 0.01, 2.0, **options))
+        chain(MEASURE_FORCE, *force_rig(monkeypatch, "toy", 0.01, 2.0, **options))
 
 
 HOLDS = (
@@ -187,7 +187,7 @@ HOLDS = (
 def test_friction_is_within_its_uncertainty(monkeypatch, chain, name, period, u):
     """`u` is what viscous friction may be uncertain by, relative: a drive tells it or not."""
     _, device, rig = emulated(monkeypatch, name, period, *HOLDS)
-    found = chain(stribeck, device, rig).results
+    found = chain(STRIBECK, device, rig).results
     for result, truth in (
         ("viscous_friction", device.motor.viscous),
         ("coulomb_friction", device.motor.coulomb),
@@ -200,4 +200,4 @@ def test_friction_is_within_its_uncertainty(monkeypatch, chain, name, period, u)
 def test_friction_by_steps_of_position_is_refused(monkeypatch, chain):
     _, device, rig = emulated(monkeypatch, "toy", 0.01, *HOLDS, make_drive=make_positions_only)
     with pytest.raises(InsufficientDataError, match=r"torque between set points .* 10% of what"):
-        chain(stribeck, device, rig)
+        chain(STRIBECK, device, rig)

@@ -1,8 +1,6 @@
 """Limits: what a motion will ask, and what a running one measures."""
 
 import math
-import os
-import signal
 
 import numpy as np
 import pytest
@@ -13,8 +11,8 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import HardwareError, RecipeError, UsageError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs import Feedforward, Load, Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Move, SpeedProfile, Triangle
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.rig import describe_load
 
@@ -279,24 +277,6 @@ def test_an_encoder_that_jumps_is_a_problem_that_names_it(period, jump):
         assert "a position may also have jumped" in found
 
 
-def test_second_interrupt_waits_until_the_motor_is_off():
-    done = []
-
-    def switch_off():
-        with safety.uninterrupted():
-            os.kill(os.getpid(), signal.SIGINT)
-            done.append("off")
-        done.append("never")
-
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job ignores it
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            switch_off()
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert done == ["off"]
-
-
 # -- the operator
 
 
@@ -334,18 +314,17 @@ def test_nobody_there_is_an_error_that_says_what_was_to_do():
 def test_permission_needs_a_yes():
     for answer, agreed in (("y", True), ("yes", True), ("", False), ("no", False)):
         person, _, said = operator(answer)
-        bench = Bench(operator=person)
         if agreed:
-            bench.permit("plan")
+            person.permit("plan", "the rig would move", "Move now?")
         else:
             with pytest.raises(UsageError, match="not agreed to"):
-                bench.permit("plan")
+                person.permit("plan", "the rig would move", "Move now?")
         assert said == ["plan"]
 
 
 def test_loads_are_described_as_requests():
     assert describe_load(Load(force=2.5), "instrument") == (
-        "Hang 2.5 N (254.8 g) on the grasper, see that the arm is away from the force gauge"
+        "Hang 2.5 N (254.9 g) on the grasper, see that the arm is away from the force gauge"
     )
     text = describe_load(Load(torque=0.014, radial_force=22.0), "pulley")
     assert text.startswith("Load the shaft with 14 mN m (weight on a cord), pull the shaft")

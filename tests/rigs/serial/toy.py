@@ -9,11 +9,10 @@ import time
 
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.drive import Abilities, Sample, SetPoint
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.emulators.motor import Motor
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.line import DamagedReply
-
-BAUD_RATE = 115200
 
 
 def make_drive(line, recipe):
@@ -22,6 +21,9 @@ def make_drive(line, recipe):
 
 def probe(line):
     return line.ask(sealed("i"), lambda text: text.decode() if text.startswith(b"toy") else None)
+
+
+DRIVER = Driver(probe, (115200,), make_drive)
 
 
 def sealed(text):

@@ -1,8 +1,8 @@
 """`ilc-learn --check` on imported runs: what would a learned map have removed, and is it shifted?
 
-The runs were recorded without the map. Order by order what they ask for is compared with what the
-map says: what is left had it been added, where the map would have to be turned to, and by which
-factor it is larger now.
+The runs were recorded without the map. Their torque is compared with the map order by order: what
+would have been left with the map added, by which angle the map would have to be shifted, and by
+which factor the torque is larger now.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import effort_of, is_linear, require_one_rig, signals_of
-from rigtool.experiments.learning.stored_origin import LearnedTable, learned_table_from
+from rigtool.experiments.learning.learned_table import LearnedTable
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import (
     ORDERS,
@@ -43,7 +44,7 @@ Array = NDArray[np.float64]
 Orders = NDArray[np.complex128]
 
 FITS = "table_fits"
-"""Result that says whether a table fits: 1 or 0."""
+"""Result that states whether a table fits: 1 or 0."""
 
 
 def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None) -> Outcome:
@@ -59,7 +60,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     learned, effort = learned_table_from(tables), effort_of(recordings[0], kt)
     if effort.unit != learned.unit:
         raise UsageError(
-            f"{tables.path} holds {learned.unit}, the runs tell {effort.unit}: learn and check "
+            f"{tables.path} holds {learned.unit}, the runs hold {effort.unit}: learn and check "
             "both with --kt, or both without"
         )
     turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
@@ -80,10 +81,10 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """A run against a map, orders 1..m: what it shows, what the map says, and what is left."""
+    """A run against a map, orders 1..m: `shown` by the run, `mapped` by the map, and `left`."""
 
     shown: Spectrum
-    said: Orders
+    mapped: Orders
     left: Spectrum
     match: Match
     waveform: Array
@@ -117,7 +118,7 @@ class _Compared:
             "removed": Quantity(1 - ratio, "1", ratio_u),
             "table_shift": Quantity(self.match.shift, "rad", self.match.shift_u),
             "table_scale": Quantity(
-                self.match.scale, "1", reason="one map and one run: no repeats to tell"
+                self.match.scale, "1", reason="one map and one run: no repeats to compare"
             ),
             f"mean_{name}_change": Quantity(
                 self.mean_change,
@@ -135,7 +136,7 @@ class _Compared:
 
     def strongest(self) -> list[int]:
         """Return the strongest orders of the map that the run shows, too."""
-        strength = np.where(self.shown.clear, np.abs(self.said), 0.0)
+        strength = np.where(self.shown.clear, np.abs(self.mapped), 0.0)
         order = np.argsort(-strength, kind="stable")[:TOLD]
         return [int(i) + 1 for i in order if strength[i] > 0]
 
@@ -149,7 +150,7 @@ class _Compared:
                 "order": Column(self.shown.order, "1", "cycles a turn"),
                 "amplitude": Column(self.shown.amplitude, unit, "of the runs"),
                 "noise_floor": Column(self.shown.noise_floor, unit, floor),
-                "learned": Column(np.abs(self.said), unit, "of the map"),
+                "learned": Column(np.abs(self.mapped), unit, "of the map"),
                 "remaining": Column(self.left.amplitude, unit, "had the map been added"),
                 "remaining_noise_floor": Column(self.left.noise_floor, unit, floor),
                 "removed": Column(removed, "1", "1 - remaining/amplitude"),
@@ -162,22 +163,22 @@ class _Compared:
     def waveforms(self, learned: LearnedTable) -> Table:
         """Return run, map and what is left around the turn."""
         angle = _centres()
-        order = np.arange(1, len(self.said) + 1)
-        said = np.real(np.exp(1j * np.multiply.outer(angle, order)) @ self.said)
+        order = np.arange(1, len(self.mapped) + 1)
+        mapped = np.real(np.exp(1j * np.multiply.outer(angle, order)) @ self.mapped)
         return Table(
             ("position",),
             {
                 "position": Column(angle, "rad", "of the rotor"),
                 "ripple": Column(self.waveform, learned.unit, "of the runs, without its mean"),
-                "learned": Column(said, learned.unit, "the map, without its mean"),
-                "remaining": Column(self.waveform - said, learned.unit, "had it been added"),
+                "learned": Column(mapped, learned.unit, "the map, without its mean"),
+                "remaining": Column(self.waveform - mapped, learned.unit, "had it been added"),
             },
             "remaining",
             "mean of the turns against the map",
         )
 
     def notes(self, group: Group) -> tuple[str, ...]:
-        """Say in words what became of the map."""
+        """State in words whether the map still fits, and what changed."""
         match, removed = self.match, 1 - math.sqrt(self.left_part)
         turns, runs = (
             f"{n} {w}{'s' * (n > 1)}" for n, w in ((len(group.torque), "turn"), (group.runs, "run"))
@@ -204,28 +205,28 @@ class _Compared:
 
 def _compare(group: Group, torque: Array, learned: LearnedTable) -> _Compared:
     """Compare turns (turns, positions), NaN where none passed, with the map of their speed."""
-    said = _orders_of(learned, group.speed)
-    order = np.arange(1, said.size + 1)
+    mapped = _orders_of(learned, group.speed)
+    order = np.arange(1, mapped.size + 1)
     cells = np.exp(1j * np.multiply.outer(_centres(), order))
     # A cell has the mean over its width. Where a turn left cells out, what is left is bridged, not
     # what is there: it is smaller.
-    expected = np.real(cells @ (said * np.sinc(order / POSITIONS)))
+    expected = np.real(cells @ (mapped * np.sinc(order / POSITIONS)))
     remaining, _ = fill(torque - expected)
     means = remaining.mean(axis=1)
-    shown = turn_spectrum(remaining + expected, said.size)
+    shown = turn_spectrum(remaining + expected, mapped.size)
     there = shown.amplitude * np.exp(1j * shown.phase)
-    left = there - said
-    # What is left is noise of the runs and of the map, or what changed: the orders around tell.
+    left = there - mapped
+    # The rest is noise of the runs and of the map, or a change: neighbouring orders show the noise.
     floor = neighbours_floor(np.abs(left))
     if len(remaining) > 1:
         floor = np.maximum(shown.noise_floor, floor)
     shown = replace(shown, noise_floor=floor)
-    clear = shown.clear | (np.abs(said) > 0)
+    clear = shown.clear | (np.abs(mapped) > 0)
     return _Compared(
         shown,
-        said,
+        mapped,
         Spectrum(shown.order, np.abs(left), np.angle(left), floor),
-        match_maps(said * clear, there * clear),
+        match_maps(mapped * clear, there * clear),
         remaining.mean(axis=0) + expected - means.mean(),
         float(means.mean()) - learned.table.torque[_row(learned, group.speed)].mean(),
         float(means.std(ddof=1)) / math.sqrt(means.size) if means.size > 1 else None,

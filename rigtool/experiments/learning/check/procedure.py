@@ -17,21 +17,21 @@ from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.learning.check.imported import analyse_imported as analyse_imported
+from rigtool.experiments.learning.check.imported import analyse_imported
 from rigtool.experiments.learning.check.results import FITS, outcome_of
-from rigtool.experiments.learning.check.table_health import health, parts
+from rigtool.experiments.learning.check.table_health import judge_table, parts
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
+from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
 from rigtool.experiments.learning.implementations import signals as common
-from rigtool.experiments.learning.implementations import turning
-from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
+from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
-from rigtool.experiments.learning.stored_origin import learned_table_from
-from rigtool.experiments.learning.stored_table import COULOMB, VISCOUS, feedforward, require_rig
+from rigtool.experiments.learning.stored_table import feedforward, learned_table_from, require_rig
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import record
+from rigtool.experiments.procedure import Procedure, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig, Task
@@ -39,15 +39,8 @@ from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 Array = NDArray[np.float64]
 
-COMMAND = "ilc-check"
-
-ACCEPTS = (COMMAND, "ilc-learn")
-"""Commands whose stored runs can be checked."""
-
-NEEDED = ("kt",)
-
 MOVES = 6
-"""Moves, or turns, that are recorded at each speed, unless `--set` says otherwise."""
+"""Moves, or turns, that are recorded at each speed, unless `--set` changes it."""
 
 TURNING = ("A", "B")
 """Implementations that turn: A at one speed and in one direction. Others are checked by C's moves.
@@ -55,9 +48,9 @@ TURNING = ("A", "B")
 
 
 def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> CommonOptions:
-    """Return options under which a recipe moves as the table was learned, in short.
+    """Return options under which a recipe repeats the moves of learning, but fewer of them.
 
-    What the user sets counts above that; stored sources stay what they are.
+    Settings of the user override these; stored sources stay as they are.
     """
     if any(Path(source).suffix != ".toml" for source in sources):
         return options
@@ -87,20 +80,20 @@ def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> C
 
 
 def _one_speed(tables: Run) -> bool:
-    """Say whether a table was learned at one speed, by implementation A."""
+    """Return whether a table was learned at one speed, by implementation A."""
     return tables.recipe is not None and tables.recipe.ilc_learn.implementation == "A"
 
 
 def _filters(recipe: Recipe, plant: Run | None, tables: Run) -> Learning:
     """Return the filters that the table was learned with: those of A let less pass."""
-    filters = design(recipe, plant)
+    filters = design_filters(recipe, plant)
     if _one_speed(tables) and tables.recipe is not None:
         return one_speed.narrowed(filters, tables.recipe)
     return filters.learning
 
 
 def fits(outcome: Outcome) -> bool:
-    """Say whether the table fits; where it does not, the first note says what changed."""
+    """Return whether the table fits; if not, the first note states what changed."""
     return outcome.results[FITS].value == 1
 
 
@@ -112,8 +105,8 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     settings = recipe.ilc_learn
     if settings.implementation in TURNING:
         speeds = settings.turning.speeds_rev_per_s
-        ways = [min(speeds)] if settings.implementation == "A" else turning.both(speeds)
-        return tuple(turning.steady_specs(recipe, "check", ways))
+        ways = [min(speeds)] if settings.implementation == "A" else bare_motor.both(speeds)
+        return tuple(bare_motor.steady_specs(recipe, "check", ways))
     return tuple(limited_angle.specs(recipe, "check", settings.speeds_rev_per_s, settings.moves))
 
 
@@ -128,11 +121,11 @@ def measure(
 ) -> None:
     """Move as the table was learned: with the same feed-forward, without the table."""
     require_rig(tables, recipe)
-    design(recipe, plant)
+    design_filters(recipe, plant)
     plain = feedforward(recipe.rig.nominal_inertia, tables.results)
     for spec in recordings(recipe):
         if _turns(spec.conditions):
-            task = turning.task(recipe, spec, plain)
+            task = bare_motor.task(spec, plain)
         else:
             task = Task(limited_angle.motion(recipe, spec), plain)
         record(rig, task, recorder, spec.name)
@@ -149,7 +142,7 @@ def analyse(
     kt: Run,
     plant: Run | None = None,
 ) -> Outcome:
-    """Compare what the stored moves show with what the table says.
+    """Compare the torque of the stored moves with the table.
 
     Raises `InsufficientDataError` where they cannot be compared.
     """
@@ -168,17 +161,17 @@ def analyse(
     position = learned.table.position
     if whole:
         rows = _turned_rows(recorded, recipe, constant, learning, position)
-        turning.require_friction_fed(recorded[0], recipe, constant, fed)
+        bare_motor.require_friction_fed(recorded[0], recipe, constant, fed)
     else:
         position, rows = _moved_rows(recorded, recipe, constant, learning, learned.table)
         limited_angle.require_feedforward(recorded[0], recipe, constant, fed)
     compared = parts(learned.table, learned.u, rows, position)
-    found = health(compared, position, learned.table.period)
+    found = judge_table(compared, position, learned.table.period)
     return outcome_of(found, compared, rows, position, learned, recipe.rig.encoder_counts)
 
 
 def _turns(conditions: Mapping[str, object]) -> bool:
-    """Say whether a recording is of turns, by its conditions."""
+    """Return whether a recording holds turns, by its conditions."""
     return "revolutions" in conditions
 
 
@@ -189,8 +182,8 @@ def _turned_rows(
     learning: Learning,
     position: Array,
 ) -> list[Row]:
-    cut = [turning.turned(recording, recipe, torque_constant) for recording in recorded]
-    return [turning.learned_by(item, learning, position.size, first=True) for item in cut]
+    cut = [bare_motor.turned(recording, recipe, torque_constant) for recording in recorded]
+    return [bare_motor.learned_by(item, learning, position.size, first=True) for item in cut]
 
 
 def _moved_rows(
@@ -212,3 +205,14 @@ def _moved_rows(
     for recording in recorded:
         rows += limited_angle.rows(recording, recipe, torque_constant, learning, position)
     return position, rows
+
+
+PROCEDURE = Procedure(
+    "ilc-check",
+    recordings,
+    measure,
+    analyse,
+    needed=("kt",),
+    accepts=("ilc-learn",),
+    analyse_imported=analyse_imported,
+)

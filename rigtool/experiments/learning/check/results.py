@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.learning.check.imported import FITS as FITS
-from rigtool.experiments.learning.check.table_health import Estimate, Health, Part
+from rigtool.experiments.learning.check.table_health import Change, Part, TableHealth
+from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.rows import Row
-from rigtool.experiments.learning.stored_origin import LearnedTable
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
@@ -23,7 +23,7 @@ BOUND = "what exceeds the scatter of the mean; compare with non_repeatable_rms"
 
 
 def outcome_of(
-    found: Health,
+    found: TableHealth,
     parts: Sequence[Part],
     rows: Sequence[Row],
     position: Array,
@@ -38,8 +38,8 @@ def outcome_of(
     return Outcome(results, tables, (verdict(found, counts), *_remarks(found)))
 
 
-def _results(found: Health, counts: int, dof: float) -> dict[str, Quantity]:
-    def told(estimate: Estimate | None, unit: str, factor: float = 1.0) -> Quantity:
+def _results(found: TableHealth, counts: int, dof: float) -> dict[str, Quantity]:
+    def quantity(estimate: Change | None, unit: str, factor: float = 1.0) -> Quantity:
         if estimate is None:
             return Quantity(math.nan, unit, reason=NO_PATTERN)
         return Quantity(estimate.value * factor, unit, estimate.u * factor, dof)
@@ -47,39 +47,39 @@ def _results(found: Health, counts: int, dof: float) -> dict[str, Quantity]:
     per_count = counts / (2 * math.pi)
     results = {
         FITS: Quantity(float(found.fits), "1", reason="a verdict: 1 it fits, 0 it does not"),
-        "table_shift": told(found.shift, "rad"),
-        "table_shift_counts": told(found.shift, "count", per_count),
-        "table_scale": told(found.scale, "1"),
-        "offset_change": told(found.offset, "N m"),
-        "shape_difference": told(found.unexplained, "1"),
+        "table_shift": quantity(found.shift, "rad"),
+        "table_shift_counts": quantity(found.shift, "count", per_count),
+        "table_scale": quantity(found.scale, "1"),
+        "offset_change": quantity(found.offset, "N m"),
+        "shape_difference": quantity(found.unexplained, "1"),
         "mismatch_rms": Quantity(found.mismatch, "N m", reason=BOUND),
         "pattern_mismatch_rms": Quantity(found.shape, "N m", reason=BOUND),
         "shifted_mismatch_rms": Quantity(found.shifted, "N m", reason=BOUND),
         "non_repeatable_rms": Quantity(found.limit, "N m", found.limit / math.sqrt(2 * dof), dof),
     }
     if found.friction is not None:
-        results["friction_change"] = told(found.friction, "N m")
+        results["friction_change"] = quantity(found.friction, "N m")
     return results
 
 
-def verdict(found: Health, counts: int) -> str:
-    """Say in words whether the table fits, what changed, and whether shifting it would do."""
+def verdict(found: TableHealth, counts: int) -> str:
+    """State in words whether the table fits, what changed, and whether a shift would mend it."""
     limit = f"a single move scatters by {found.limit * 1e3:.2g} mN m rms"
     off = f"the table is off by {found.mismatch * 1e3:.2g} mN m rms"
     if found.fits:
         return f"the table fits: {limit}, {off} beyond what scatter explains"
     changes = [*_pattern(found, counts), *_means(found)]
-    told = "; ".join(changes) or "a little of everything changed"
+    changed = "; ".join(changes) or "a little of everything changed"
     remedy = ""
     if not found.shift_would_do:
         remedy = "; shifting it would not do: learn again"
     elif found.friction_changed or found.offset_changed:
         remedy = "; shifting alone would not do: learn again"
-    return f"the table does not fit, {off} while {limit}: {told}{remedy}"
+    return f"the table does not fit, {off} while {limit}: {changed}{remedy}"
 
 
-def _pattern(found: Health, counts: int) -> list[str]:
-    """Say what became of the pattern; nothing where it still fits."""
+def _pattern(found: TableHealth, counts: int) -> list[str]:
+    """State how the pattern changed; nothing where it still fits."""
     if found.pattern_fits:
         return []
     if found.scale_would_do and found.scale is not None:
@@ -94,15 +94,15 @@ def _pattern(found: Health, counts: int) -> list[str]:
     if not found.whole_turn and found.shift is not None:
         what += (
             f" (or it is shifted by {math.degrees(found.shift.value):.3g} deg, or by more than "
-            f"{math.degrees(found.reach):.3g}: a part of the turn cannot tell)"
+            f"{math.degrees(found.reach):.3g}: a part of the turn does not show which)"
         )
     return [f"{what}; shift and scale leave {found.unexplained.value:.0%} of its variance"]
 
 
-def _shifted(shift: Estimate, left: float, counts: int) -> str:
+def _shifted(shift: Change, left: float, counts: int) -> str:
     degrees, u = math.degrees(shift.value), math.degrees(shift.u)
     steps, steps_u = (x * counts / (2 * math.pi) for x in (shift.value, shift.u))
-    rest = f"{left * 1e3:.2g} mN m rms" if left > 0 else "nothing that stands out of the scatter"
+    rest = f"{left * 1e3:.2g} mN m rms" if left > 0 else "nothing above the scatter"
     half = abs(abs(shift.value) - math.pi) <= max(3 * shift.u, 1e-2)
     return (
         f"it is the same pattern, shifted by {'half a turn, ' if half else ''}{degrees:.2f} +- "
@@ -111,7 +111,7 @@ def _shifted(shift: Estimate, left: float, counts: int) -> str:
     )
 
 
-def _means(found: Health) -> list[str]:
+def _means(found: TableHealth) -> list[str]:
     changes = []
     if found.friction_changed and found.friction is not None:
         change, u = found.friction.value * 1e3, found.friction.u * 1e3
@@ -123,15 +123,15 @@ def _means(found: Health) -> list[str]:
     return changes
 
 
-def _remarks(found: Health) -> list[str]:
+def _remarks(found: TableHealth) -> list[str]:
     remarks = ["the table was off while recording; positive shift: the pattern is at larger angles"]
     if found.friction is None:
-        remarks.append("one direction alone: friction and offset cannot be told apart")
+        remarks.append("one direction alone: friction and offset cannot be separated")
     return remarks
 
 
 def _by_speed(rows: Sequence[Row], position: Array, learned: LearnedTable) -> Table:
-    off = [row.mean - _said(row, position, learned) for row in rows]
+    off = [row.mean - _tabulated(row, position, learned) for row in rows]
     return Table(
         ("speed",),
         {
@@ -159,9 +159,9 @@ def _waveforms(rows: Sequence[Row], position: Array, learned: LearnedTable) -> T
                 np.stack([row.mean for row in rows]), "N m", "as it would be learned now"
             ),
             "learned": Column(
-                np.stack([_said(row, position, learned) for row in rows]),
+                np.stack([_tabulated(row, position, learned) for row in rows]),
                 "N m",
-                "as the table says",
+                "by the table",
             ),
             "u": Column(np.stack([row.u for row in rows]), "N m", "standard uncertainty of now"),
         },
@@ -170,5 +170,5 @@ def _waveforms(rows: Sequence[Row], position: Array, learned: LearnedTable) -> T
     )
 
 
-def _said(row: Row, position: Array, learned: LearnedTable) -> Array:
+def _tabulated(row: Row, position: Array, learned: LearnedTable) -> Array:
     return learned.table.evaluate(position, np.full(position.size, row.speed))

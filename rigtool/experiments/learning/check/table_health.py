@@ -1,14 +1,14 @@
 """Does a learned table still fit the rig? What changed, and would shifting it do?
 
-What was learned at one speed and both directions, and what is there now, are taken apart into what
-has the sign of the speed (friction) and what has not (cogging, ripple of the amplifier):
+The torque learned at one speed in both directions, and the torque now, are separated into the part
+that has the sign of the speed (friction) and the part that has not (cogging, amplifier's ripple):
 
     even = (T(+v) + T(-v))/2,   odd = (T(+v) - T(-v))/2,   each without its mean over the position
 
     now(p) = scale * learned(p - shift) + what neither explains
 
 Shift and scale are common to all parts, by least squares: all shifts are tried in steps of an
-entry, the best one is refined. Means are told by themselves: the mean of odd is friction, that of
+entry, the best one is refined. Means are reported separately: the mean of odd is friction, that of
 even an offset. Uncertainties are from the scatter of the moves; the noise that the table itself was
 learned with counts as that of the moves does, in the proportion of their standard uncertainties.
 
@@ -66,7 +66,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Change:
     """A number with its standard uncertainty."""
 
     value: float
@@ -79,13 +79,13 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Health:
+class TableHealth:
     """What became of a table; torques in N m, angles in rad.
 
     `shift` is where the learned pattern is now against where it was, looked for up to `reach`, and
     `scale` its factor there; both None where the table holds no pattern above its noise. On a
     range (not `whole_turn`) another pattern may look like a shifted one. `friction` and `offset`
-    are changes of the means; `friction` is None where one direction cannot tell.
+    are changes of the means; `friction` is None for one direction, which does not show it.
 
     The following are rms over position with the scatter of the means taken off: `mismatch` of the
     table as it is, `shape` of its pattern without means, of which `even` and `odd` are parts,
@@ -94,19 +94,19 @@ class Health:
     `pattern` the rms of the pattern now, `limit` the scatter of a single move.
     """
 
-    shift: Estimate | None
+    shift: Change | None
     whole_turn: bool
     reach: float
-    scale: Estimate | None
-    friction: Estimate | None
-    offset: Estimate
+    scale: Change | None
+    friction: Change | None
+    offset: Change
     mismatch: float
     shape: float
     scaled: float
     shifted: float
     even: float
     odd: float
-    unexplained: Estimate
+    unexplained: Change
     pattern: float
     limit: float
 
@@ -122,7 +122,7 @@ class Health:
 
     @property
     def shift_would_do(self) -> bool:
-        """Whether the pattern is the same one, elsewhere, as far as a whole turn tells."""
+        """Whether the pattern is the same but shifted, which only a whole turn shows."""
         if self.pattern_fits or self.scale_would_do or self.shift is None:
             return False
         return self.whole_turn and self._explains(self.shifted)
@@ -133,7 +133,7 @@ class Health:
         return not self.pattern_fits and self.scale is not None and self._explains(self.scaled)
 
     def _explains(self, left: float) -> bool:
-        """Say whether a change that leaves this much, rms, is what became of the pattern."""
+        """Return whether a change that leaves this rms explains the pattern now."""
         return left <= min(self.limit, math.sqrt(1 - ALIKE) * self.pattern)
 
     @property
@@ -146,7 +146,7 @@ class Health:
         """Whether the mean of both directions differs by more than its share of the limit."""
         return self._beyond(self.offset)
 
-    def _beyond(self, change: Estimate) -> bool:
+    def _beyond(self, change: Change) -> bool:
         # Pattern, friction and offset add up as squares: below a half, none makes a mismatch.
         least = self.limit / 2
         if not self.whole_turn and not self.pattern_fits:
@@ -155,7 +155,7 @@ class Health:
 
 
 def parts(table: LookupTable, u: Array, rows: Sequence[Row], position: Array) -> list[Part]:
-    """Lay rows (at `position` (n,), rad) beside what the table says there; `u` as its torque.
+    """Pair rows (at `position` (n,), rad) with the table there; `u` has the shape of its torque.
 
     Raises `InsufficientDataError` for one move, which has no scatter, and where the table does not
     cover a speed.
@@ -194,8 +194,8 @@ def _parities(forward: Part, backward: Part) -> list[Part]:
     ]
 
 
-def health(parts: Sequence[Part], position: Array, period: float | None) -> Health:
-    """Compare what a table says with what is there now; `position` (n,) rad, equal steps.
+def judge_table(parts: Sequence[Part], position: Array, period: float | None) -> TableHealth:
+    """Compare a table with the torque now; `position` (n,) rad in equal steps.
 
     `period` is that of the table, rad, where it has one. Raises `InsufficientDataError` where moves
     scatter more than the table holds.
@@ -214,7 +214,7 @@ def health(parts: Sequence[Part], position: Array, period: float | None) -> Heal
     if limit >= held:
         raise InsufficientDataError(
             f"a single move scatters by {limit:.3g} N m rms, the table holds {held:.3g} N m: "
-            "nothing can be told of it; look for what disturbs the moves, or learn again"
+            "they do not resolve it; look for what disturbs the moves, or learn again"
         )
     # The table's own noise, in the proportion of the moves'.
     wider = math.sqrt(noise.sum() / max(means.sum(), np.finfo(float).tiny))
@@ -227,29 +227,29 @@ def health(parts: Sequence[Part], position: Array, period: float | None) -> Heal
     off, change = now - learned, (now - learned).mean(axis=1)
     scatter = wider * moves.mean(axis=2).std(axis=0, ddof=1) / math.sqrt(count)
 
-    def mean_change(chosen: NDArray[np.bool_]) -> Estimate:
-        return Estimate(
+    def mean_change(chosen: NDArray[np.bool_]) -> Change:
+        return Change(
             float(change[chosen].mean()), float(np.linalg.norm(scatter[chosen]) / chosen.sum())
         )
 
     pattern = excess(_varying(now))
     there = _varying(learned)
-    told = excess(there) > 0
-    fit = _fit(learned, now, moves, position, period, told)
+    patterned = excess(there) > 0
+    fit = _fit(learned, now, moves, position, period, patterned)
     factor = float(np.sum(there * now) / max(np.sum(there**2), np.finfo(float).tiny))
     left = fit.now - fit.scale * fit.learned
     power = max(pattern**2, np.finfo(float).tiny)
     influence = 2 * np.mean(left * fit.moves, axis=2).sum(axis=1) / speeds
-    unexplained = Estimate(
+    unexplained = Change(
         excess(left) ** 2 / power,
         wider * float(influence.std(ddof=1)) / math.sqrt(count) / power,
     )
     u = np.maximum(wider * fit.each.std(axis=0, ddof=1) / math.sqrt(count), fit.misfit_u)
-    return Health(
-        shift=Estimate(fit.shift, float(u[1])) if told else None,
+    return TableHealth(
+        shift=Change(fit.shift, float(u[1])) if patterned else None,
         whole_turn=period is not None,
         reach=fit.reach,
-        scale=Estimate(fit.scale, float(u[0])) if told else None,
+        scale=Change(fit.scale, float(u[0])) if patterned else None,
         friction=mean_change(odd) if odd.any() else None,
         offset=mean_change(~odd),
         mismatch=excess(off),
@@ -269,7 +269,7 @@ class _Fit:
     """Shift, rad, and scale; patterns (parts, w) and moves (moves, parts, w) where both are known.
 
     `learned` is shifted, not scaled. `each` (moves, 2) is what each move adds to scale and shift,
-    `misfit_u` (2,) their standard uncertainty that what is left between the patterns tells.
+    `misfit_u` (2,) is their standard uncertainty by the remaining difference of the patterns.
     """
 
     shift: float
@@ -283,9 +283,9 @@ class _Fit:
 
 
 def _fit(
-    learned: Array, now: Array, moves: Array, position: Array, period: float | None, told: bool
+    learned: Array, now: Array, moves: Array, position: Array, period: float | None, patterned: bool
 ) -> _Fit:
-    """Fit shift and scale of learned and present torque (parts, n), where a pattern is `told`."""
+    """Fit shift and scale of learned and present torque (parts, n), if the table is `patterned`."""
     step = float(position[1] - position[0])
     margin = 0 if period is not None else int(REACH * position.size)
     window = slice(margin, position.size - margin)
@@ -298,7 +298,7 @@ def _fit(
 
     varying = _varying(moves[..., window])
     reach = period / 2 if period is not None else margin * step
-    if not told:
+    if not patterned:
         none = np.zeros((len(moves), 2))
         return _Fit(0.0, 1.0, reach, pattern(0.0), there, varying, none, none[0])
     for _ in range(4):
@@ -316,16 +316,16 @@ def _fit(
     return _Fit(shift, float(scale), reach, pattern(shift), there, varying, each, misfit_u)
 
 
-def _misfit(left: Array, told_by: Array, pattern: Array) -> float:
-    """Return by how much an estimate differs where the coarse half of the pattern alone tells it.
+def _misfit(left: Array, slope: Array, pattern: Array) -> float:
+    """Return by how much an estimate from the coarse half of the pattern alone differs.
 
-    `left` of the pattern, its derivative `told_by` by what is estimated, and `pattern`: (parts, w).
-    Coarse are the lowest orders that hold half of the variance. A quirk of the encoder that comes
-    back in every move is fine: it has much to say of a shift, and does not show in the scatter.
+    (parts, w) each: `left` of the pattern, the `slope` of the pattern by the estimated number, and
+    `pattern`. Coarse are the lowest orders that hold half of the variance. An error of the encoder
+    that repeats in every move is fine: it acts on a shift, and does not show in the scatter.
     """
     power = np.cumsum(np.sum(np.abs(np.fft.rfft(pattern)) ** 2, axis=0))
     coarse = int(np.searchsorted(power, power[-1] / 2)) + 1
-    lefts, by = (np.fft.rfft(values)[:, :coarse] for values in (left, told_by))
+    lefts, by = (np.fft.rfft(values)[:, :coarse] for values in (left, slope))
     return abs(float(np.real(np.sum(np.conj(by) * lefts)) / np.sum(np.abs(by) ** 2)))
 
 
@@ -336,7 +336,7 @@ def _varying(values: Array) -> Array:
 
 
 def _leftovers(learned: Array, there: Array, margin: int) -> Array:
-    """Return what each shift leaves of the variance of patterns `there`, best scale above zero.
+    """Return the part of the variance of patterns `there` that each shift leaves, scale above 0.
 
     Shifts are entries: -margin..margin on a range, 0..n-1 where patterns are periodic (no margin).
     """

@@ -15,69 +15,201 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
-from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.errors import RunFileError
+from rigtool.experiments.controller_torque import CHANNELS, naming
 from rigtool.experiments.learning.convergence import Cycles, LearningRun, learning_run
 from rigtool.experiments.learning.filters import Learning
-from rigtool.experiments.learning.implementations import runs as iterations
 from rigtool.experiments.learning.implementations import signals as common
+from rigtool.experiments.learning.implementations.runs import (
+    iterations_table,
+    kind_of,
+    last_to_learn_from,
+    runs_at_most,
+    spread,
+)
+from rigtool.experiments.learning.implementations.skeleton import Implementation, Report
 from rigtool.experiments.learning.implementations.validation import (
     Steady,
     midpoints,
     steady_outcome,
 )
-from rigtool.experiments.learning.procedure_design import design
 from rigtool.experiments.learning.results_residual import Remaining
 from rigtool.experiments.learning.rows import (
     Amplitudes,
-    Moves,
     Row,
     assemble,
-    at_positions,
-    cut_moves,
     fit_amplitudes,
     learned_rows,
     torque_rows,
 )
-from rigtool.experiments.learning.stored_table import feedforward, friction_results, tables_of
-from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
-from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.experiments.learning.stored_table import tables_of
+from rigtool.experiments.procedure import channels
+from rigtool.numerics.moves import Moves, at_positions, cut_moves
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
-from rigtool.rigs import Feedforward, Rig, Task
+from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import Triangle
-from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter, Table
+from rigtool.runfile import Recording, RecordingSpec, Run, Table
 
 Array = NDArray[np.float64]
 
-# -- measuring
+
+@dataclass(frozen=True, eq=False)
+class TaughtMoves:
+    """The table, its standard uncertainty, the first run's moves by speed, and all runs judged."""
+
+    table: LookupTable
+    u: Array
+    amplitudes: Amplitudes
+    moves: dict[float, Moves]
+    history: list[LearningRun]
 
 
-def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
-    """List the learning runs, the low-speed runs and the validation runs."""
-    settings = recipe.ilc_learn
-    speeds, low = settings.speeds_rev_per_s, settings.low_speeds_rev_per_s
-    later = [
-        spec
-        for updates in range(1, iterations.runs_at_most(recipe))
-        for spec in specs(recipe, iterations.kind_of(updates), speeds, settings.moves)
-    ]
-    between = midpoints((*low, *speeds)) if settings.validation else ()
-    return (
-        *specs(recipe, "learn", speeds, settings.moves),
-        *specs(recipe, "low", low, settings.low_speed_moves),
-        *later,
-        *specs(recipe, "validate", speeds, settings.moves),
-        *specs(recipe, "off", between, settings.moves),
-        *specs(recipe, "on", between, settings.moves),
-    )
+class LimitedAngle(Implementation[TaughtMoves]):
+    """Learning from moves to and fro."""
+
+    ABOUT = "limited angle, both directions, by position and speed"
+
+    @staticmethod
+    def kinds(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
+        """Return the learning runs, the low-speed runs and the validation runs."""
+        settings = recipe.ilc_learn
+        speeds, low = settings.speeds_rev_per_s, settings.low_speeds_rev_per_s
+        between = midpoints((*low, *speeds)) if settings.validation else ()
+        later = [kind_of(updates) for updates in range(1, runs_at_most(recipe))]
+        return {
+            "learn": specs(recipe, "learn", speeds, settings.moves),
+            "low": specs(recipe, "low", low, settings.low_speed_moves),
+            **{kind: specs(recipe, kind, speeds, settings.moves) for kind in (*later, "validate")},
+            **{kind: specs(recipe, kind, between, settings.moves) for kind in ("off", "on")},
+        }
+
+    def task(self, spec: RecordingSpec, fed: Feedforward) -> Task:
+        """Return the moves of a recording with this fed forward."""
+        return Task(motion(self.recipe, spec), fed)
+
+    def fed(self, taught: TaughtMoves) -> Feedforward:
+        """Return the feed-forward with the table on."""
+        return replace(self.plain, table=taught.table)
+
+    def require_friction_fed(self, recording: Recording) -> None:
+        """Raise `RunFileError` unless the friction that is given was fed forward."""
+        require_feedforward(recording, self.recipe, self.torque_constant, self.friction)
+
+    def learn(
+        self, runs: Sequence[Sequence[Recording]], slower: Sequence[Recording]
+    ) -> TaughtMoves:
+        """Make the table from the learning runs and from those at the low speeds."""
+        settings, learning = self.recipe.ilc_learn, self.learning
+        position = positions(self.recipe, settings.turn_angle)
+        cut = [[(r.condition("speed"), *self._moves(r)) for r in run] for run in runs]
+        history = [
+            learning_run([self._cycles(m, before) for _, m, before in run], learning, updates)
+            for updates, run in enumerate(cut)
+        ]
+        rows: list[Row] = []
+        low_rows: list[Row] = []
+        last = last_to_learn_from(history)
+        for speed, moves, before in cut[last]:
+            rows += learned_rows(moves, speed, learning, position, before if last else 0.0)
+        for recording in slower:
+            moves, _ = self._moves(recording, settings.low_speed_moves)
+            low_rows += learned_rows(moves, recording.condition("speed"), learning, position)
+        rows.sort(key=lambda row: row.speed)
+        amplitudes = fit_amplitudes(low_rows, rows)
+        wider = math.sqrt(spread(last + 1, learning.factor))
+        u = wider * np.stack([row.u for row in rows])
+        first = {speed: moves for speed, moves, _ in cut[0]}
+        return TaughtMoves(assemble(position, rows, amplitudes), u, amplitudes, first, history)
+
+    def report(
+        self, run: Run, taught: TaughtMoves, recorded: Sequence[Sequence[Recording]]
+    ) -> Report:
+        """Report the table, and what remained with it switched on."""
+        remaining = self._remaining(taught, common.found(run, "validate"))
+        between = steady_outcome(self._validated(run, remaining))
+        repeated: dict[str, Table] = {}
+        if runs_at_most(self.recipe) > 1:
+            repeated["iterations"] = iterations_table(taught.history, "N m", "controller torque")
+        table = taught.table
+        low, high = math.degrees(table.position[0]), math.degrees(table.position[-1])
+        return Report(
+            {**remaining.results(), **between.results},
+            {
+                **tables_of(table, taught.u, taught.amplitudes),
+                **remaining.tables(),
+                **repeated,
+                **between.tables,
+            },
+            (
+                f"learned from {low:.4g} to {high:.4g} deg of the motor at up to "
+                f"{table.speed[-1]:.4g} rad/s; the table does not extrapolate",
+            ),
+            remaining.notes(table),
+            between,
+        )
+
+    def _moves(self, recording: Recording, moves: int | None = None) -> tuple[Moves, Array]:
+        count = self.recipe.ilc_learn.moves if moves is None else moves
+        return _moves(recording, self.recipe, self.torque_constant, count)
+
+    def _cycles(self, moves: Moves, before: Array) -> Cycles:
+        """Return moves as cycles, of which the part counts where the table is learned."""
+        position = positions(self.recipe, self.recipe.ilc_learn.end_angle)
+        used = (moves.setpoint >= position[0]) & (moves.setpoint <= position[-1])
+        return Cycles(moves.period, moves.torque, before, used)
+
+    def _remaining(self, taught: TaughtMoves, validate: Sequence[Recording]) -> Remaining:
+        """Compare the moves with the table switched on with those that it was learned from."""
+        position = positions(self.recipe, self.recipe.ilc_learn.end_angle)
+        found: list[tuple[Row, Row, Array]] = []
+        for recording in validate:
+            speed = recording.condition("speed")
+            if speed not in taught.moves:
+                raise RunFileError(
+                    f"recording {recording.name}: its speed of {speed:.4g} rad/s was not learned, "
+                    f"only {', '.join(f'{known:.4g}' for known in taught.moves)}: record both at "
+                    "one speed"
+                )
+            after, table = self._moves(recording)
+            applied = [at_positions(after, table, position, sign) for sign in (-1, 1)]
+            found += zip(
+                torque_rows(taught.moves[speed], speed, self.learning, position),
+                torque_rows(after, speed, self.learning, position),
+                applied,
+                strict=True,
+            )
+        found.sort(key=lambda item: item[0].speed)
+        rows_before, rows_after, torques = zip(*found, strict=True)
+        return Remaining(position, rows_before, rows_after, np.stack(torques))
+
+    def _validated(self, run: Run, remaining: Remaining) -> list[Steady]:
+        """Compare moves without and with the table, at learned speeds and in between."""
+        position = positions(self.recipe, self.recipe.ilc_learn.end_angle)
+        off, on = (
+            [
+                row
+                for r in common.filled(run, kind)
+                for row in torque_rows(
+                    self._moves(r)[0], r.condition("speed"), self.learning, position
+                )
+            ]
+            for kind in ("off", "on")
+        )
+        if not on:
+            return []
+        known = zip(remaining.before, remaining.after, strict=True)
+        return [
+            *(Steady(before, after, "learned") for before, after in known),
+            *(Steady(before, after) for before, after in zip(off, on, strict=True)),
+        ]
 
 
 def specs(
     recipe: Recipe, kind: str, speeds_rev_per_s: Iterable[float], moves: int
 ) -> list[RecordingSpec]:
     """Return recordings of moves to and fro at these speeds of the output, rev/s."""
-    recorded = channels(*common.CHANNELS)
+    recorded = channels(*CHANNELS)
     ratio = recipe.rig.angle_ratio
     return [
         RecordingSpec(
@@ -92,43 +224,6 @@ def specs(
     ]
 
 
-def measure(
-    rig: Rig,
-    recipe: Recipe,
-    recorder: RunWriter,
-    *,
-    kt: Run,
-    friction: Run | None = None,
-    plant: Run | None = None,
-) -> None:
-    """Learn at each speed, build the table, and move again with the table switched on."""
-    learning = design(recipe, plant).learning
-    constant = torque_per_ampere(kt).value
-    plain = feedforward(recipe.rig.nominal_inertia, friction_results(friction))
-    kinds: dict[str, list[RecordingSpec]] = {}
-    for spec in recordings(recipe):
-        kinds.setdefault(spec.name.rpartition("_")[0], []).append(spec)
-
-    def move(kind: str, fed: Feedforward) -> list[Recording]:
-        specs = kinds.get(kind, [])
-        for spec in specs:
-            record(rig, Task(motion(recipe, spec), fed), recorder, spec.name)
-        return [recorder.recording(spec.name) for spec in specs]
-
-    first = move("learn", plain)
-    low = move("low", plain)
-    learned = iterations.run_by_run(
-        recipe,
-        first,
-        lambda runs: _learn(runs, low, recipe, constant, learning),
-        lambda kind, so_far: move(kind, replace(plain, table=so_far.table)),
-    )
-    compensated = replace(plain, table=learned.table)
-    move("validate", compensated)
-    move("off", plain)
-    move("on", compensated)
-
-
 def motion(recipe: Recipe, spec: RecordingSpec) -> Triangle:
     """Return the moves of a recording: one more than is used, since the first one runs in."""
     settings, ratio = recipe.ilc_learn, recipe.rig.angle_ratio
@@ -141,140 +236,6 @@ def motion(recipe: Recipe, spec: RecordingSpec) -> Triangle:
     )
 
 
-# -- analysing
-
-
-def analyse(
-    runs: Sequence[Run],
-    recipe: Recipe,
-    *,
-    kt: Run,
-    friction: Run | None = None,
-    plant: Run | None = None,
-) -> Outcome:
-    """Learn from the stored moves, and say what remained with the table switched on."""
-    run, constant, filters = (
-        common.only_run(runs),
-        torque_per_ampere(kt).value,
-        design(recipe, plant),
-    )
-    fed = friction_results(friction)
-    recorded = iterations.recorded_runs(run, recipe)
-    require_feedforward(recorded[0][0], recipe, constant, fed)
-    learned = _learn(recorded, common.filled(run, "low"), recipe, constant, filters.learning)
-    remaining = _remaining(
-        learned, common.found(run, "validate"), recipe, constant, filters.learning
-    )
-    between = steady_outcome(_validated(run, remaining, recipe, constant, filters.learning))
-    repeated: dict[str, Table] = {}
-    if iterations.runs_at_most(recipe) > 1:
-        repeated["iterations"] = iterations.iterations_table(
-            learned.history, "N m", "controller torque"
-        )
-    return Outcome(
-        {**remaining.results(), **between.results, **filters.results(), **fed},
-        {
-            **tables_of(learned.table, learned.u, learned.amplitudes),
-            **remaining.tables(),
-            **repeated,
-            **between.tables,
-            **filters.tables(),
-        },
-        (
-            *_notes(learned.table),
-            *filters.notes(),
-            *remaining.notes(learned.table),
-            *iterations.iterations_notes(
-                learned.history, 1e3, "mN m", iterations.runs_at_most(recipe)
-            ),
-            *between.notes,
-        ),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Learned:
-    """The table, its standard uncertainty, the first run's moves by speed, and all runs judged."""
-
-    table: LookupTable
-    u: Array
-    amplitudes: Amplitudes
-    moves: dict[float, Moves]
-    history: list[LearningRun]
-
-
-def _learn(
-    runs: Sequence[Sequence[Recording]],
-    low: Sequence[Recording],
-    recipe: Recipe,
-    torque_constant: float,
-    learning: Learning,
-) -> _Learned:
-    """Make the table from the learning runs and from those at the low speeds."""
-    settings = recipe.ilc_learn
-    position = positions(recipe, settings.turn_angle)
-    cut = [
-        [(r.condition("speed"), *_moves(r, recipe, torque_constant, settings.moves)) for r in run]
-        for run in runs
-    ]
-    history = [
-        learning_run([_cycles(recipe, m, before) for _, m, before in run], learning, updates)
-        for updates, run in enumerate(cut)
-    ]
-    rows: list[Row] = []
-    low_rows: list[Row] = []
-    last = iterations.last_to_learn_from(history)
-    for speed, moves, before in cut[last]:
-        rows += learned_rows(moves, speed, learning, position, before if last else 0.0)
-    for recording in low:
-        moves, _ = _moves(recording, recipe, torque_constant, settings.low_speed_moves)
-        low_rows += learned_rows(moves, recording.condition("speed"), learning, position)
-    rows.sort(key=lambda row: row.speed)
-    amplitudes = fit_amplitudes(low_rows, rows)
-    wider = math.sqrt(iterations.spread(last + 1, learning.factor))
-    u = wider * np.stack([row.u for row in rows])
-    first = {speed: moves for speed, moves, _ in cut[0]}
-    return _Learned(assemble(position, rows, amplitudes), u, amplitudes, first, history)
-
-
-def _cycles(recipe: Recipe, moves: Moves, before: Array) -> Cycles:
-    """Return moves as cycles, of which the part counts where the table is learned."""
-    position = positions(recipe, recipe.ilc_learn.end_angle)
-    used = (moves.setpoint >= position[0]) & (moves.setpoint <= position[-1])
-    return Cycles(moves.period, moves.torque, before, used)
-
-
-def _remaining(
-    learned: _Learned,
-    validate: Sequence[Recording],
-    recipe: Recipe,
-    torque_constant: float,
-    learning: Learning,
-) -> Remaining:
-    """Compare the moves with the table switched on with those that it was learned from."""
-    settings = recipe.ilc_learn
-    position = positions(recipe, settings.end_angle)
-    found: list[tuple[Row, Row, Array]] = []
-    for recording in validate:
-        speed = recording.condition("speed")
-        if speed not in learned.moves:
-            raise RunFileError(
-                f"recording {recording.name}: its speed of {speed:.4g} rad/s was not learned, only "
-                f"{', '.join(f'{known:.4g}' for known in learned.moves)}: record both at one speed"
-            )
-        after, table = _moves(recording, recipe, torque_constant, settings.moves)
-        applied = [at_positions(after, table, position, sign) for sign in (-1, 1)]
-        found += zip(
-            torque_rows(learned.moves[speed], speed, learning, position),
-            torque_rows(after, speed, learning, position),
-            applied,
-            strict=True,
-        )
-    found.sort(key=lambda item: item[0].speed)
-    rows_before, rows_after, torques = zip(*found, strict=True)
-    return Remaining(position, rows_before, rows_after, np.stack(torques))
-
-
 def rows(
     recording: Recording,
     recipe: Recipe,
@@ -285,38 +246,6 @@ def rows(
     """Return what one update learns from a recording at these positions, falling moves first."""
     moves, _ = _moves(recording, recipe, torque_constant, recipe.ilc_learn.moves)
     return learned_rows(moves, recording.condition("speed"), learning, position)
-
-
-def _validated(
-    run: Run,
-    remaining: Remaining,
-    recipe: Recipe,
-    torque_constant: float,
-    learning: Learning,
-) -> list[Steady]:
-    """Compare moves without and with the table, at learned speeds and in between."""
-    settings = recipe.ilc_learn
-    position = positions(recipe, settings.end_angle)
-    off, on = (
-        [
-            row
-            for recording in common.filled(run, kind)
-            for row in torque_rows(
-                _moves(recording, recipe, torque_constant, settings.moves)[0],
-                recording.condition("speed"),
-                learning,
-                position,
-            )
-        ]
-        for kind in ("off", "on")
-    )
-    if not on:
-        return []
-    known = zip(remaining.before, remaining.after, strict=True)
-    return [
-        *(Steady(before, after, "learned") for before, after in known),
-        *(Steady(before, after) for before, after in zip(off, on, strict=True)),
-    ]
 
 
 def positions(recipe: Recipe, end_angle: float) -> Array:
@@ -335,12 +264,10 @@ def _moves(
     recording: Recording, recipe: Recipe, torque_constant: float, moves: int
 ) -> tuple[Moves, Array]:
     """Cut a recording into moves of the controller's torque; return what the table added, too."""
-    found = common.signals(recording, recipe, torque_constant)
-    try:
-        cut = cut_moves(found.time, found.setpoint, found.controller, moves)
-        table = cut_moves(found.time, found.setpoint, found.learned, moves=1)
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"recording {recording.name}: {error}") from None
+    found = common.signals(recording, recipe)
+    with naming(recording):
+        cut = cut_moves(found.time, found.setpoint, torque_constant * found.controller, moves)
+        table = cut_moves(found.time, found.setpoint, torque_constant * found.learned, moves=1)
     return cut, table.torque[0]
 
 
@@ -358,11 +285,3 @@ def require_feedforward(
     recorded = torque_constant * float(np.mean(current[1:][straight])) if straight.any() else 0.0
     speed = recording.condition("speed")
     common.require_friction_fed(recording.name, recorded, speed, fed)
-
-
-def _notes(table: LookupTable) -> tuple[str, ...]:
-    low, high = math.degrees(table.position[0]), math.degrees(table.position[-1])
-    return (
-        f"learned from {low:.4g} to {high:.4g} deg of the motor at up to "
-        f"{table.speed[-1]:.4g} rad/s; the table does not extrapolate",
-    )

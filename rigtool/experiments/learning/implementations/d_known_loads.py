@@ -4,7 +4,7 @@ First C learns by position and speed. Then known loads are lifted and lowered at
 each speed beginning and ending without load; from these the disturbance of a load is learned
 (`experiments.load_disturbance.model`): friction that grows with load, stiffness of the tendon,
 ripple by current. Both go into one run file: the table is fed forward while moving, the disturbance
-tells afterwards which load the motor's torque stands for.
+converts the motor's torque into a load afterwards.
 """
 
 from __future__ import annotations
@@ -16,10 +16,12 @@ from typing import Any
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
-from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
+from rigtool.experiments.controller_torque import loop_signals, naming
+from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
-from rigtool.experiments.load_disturbance.fit import learn, relearned
-from rigtool.experiments.load_disturbance.model import Comparison, Disturbance
+from rigtool.experiments.load_disturbance.cycles import LoadedCycles
+from rigtool.experiments.load_disturbance.fit import fit_disturbance, refit_disturbance
+from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
 from rigtool.experiments.load_disturbance.reading import read_load
 from rigtool.experiments.load_disturbance.stored import (
     Grid,
@@ -30,21 +32,15 @@ from rigtool.experiments.load_disturbance.stored import (
 )
 from rigtool.experiments.load_disturbance.stored_recordings import CHANNELS, cycles_of
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
+from rigtool.experiments.procedure import channels, record
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
 
-COMMAND = "ilc-learn"
 LOADED = "known"
-"""How names of recordings of known loads begin."""
-
-
-def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
-    """List what implementation C records, then the known loads at each speed."""
-    return (*limited_angle.recordings(recipe), *_loaded(recipe))
+"""First part of the names of recordings of known loads."""
 
 
 def _loaded(recipe: Recipe) -> list[RecordingSpec]:
@@ -58,61 +54,71 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
                 "force": (force, "N"),
                 "cycles": (float(settings.cycles), "1"),
             },
+            settings.record_every,
         )
         for row, speed in enumerate(settings.speeds_rev_per_s)
         for number, force in enumerate((0.0, *settings.forces, 0.0))
     ]
 
 
-def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Run) -> None:
-    """Learn the table, then lift and lower the known loads."""
-    _require_instrument(recipe)
-    limited_angle.measure(rig, recipe, recorder, **inputs)
-    plain = feedforward(recipe.rig.nominal_inertia, friction_results(inputs.get("friction")))
-    settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
-    for spec in _loaded(recipe):
-        motion = Triangle(
-            low=0.0,
-            high=math.radians(settings.angle) * ratio,
-            speed=spec.conditions["speed"][0],
-            turn_angle=math.radians(settings.turn_angle) * ratio,
-            cycles=int(spec.conditions["cycles"][0]),
-        )
-        load = Load(force=spec.conditions["force"][0])
-        every = recipe.ilc_learn.loads.record_every
-        record(rig, Task(motion, plain, load, record_every=every), recorder, spec.name)
+class KnownLoads(LimitedAngle):
+    """Learning as implementation C does, and then from known loads."""
 
+    ABOUT = "as C, and known loads: torque as a third input"
 
-def analyse(runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
-    """Learn the table from its moves, and the disturbance from the known loads.
+    @classmethod
+    def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
+        """List what implementation C records, then the known loads at each speed."""
+        return (*super().recordings(recipe), *_loaded(recipe))
 
-    Raises `InsufficientDataError` where the loads do not carry it.
-    """
-    _require_instrument(recipe)
-    table = limited_angle.analyse(runs, recipe, **inputs)
-    loads = _learn_loads(runs[0], recipe, inputs["kt"])
-    return Outcome(
-        {**table.results, **loads.results},
-        {**table.tables, **loads.tables},
-        (*table.notes, *loads.notes),
-    )
+    def require(self, recipe: Recipe, friction: Run | None) -> None:
+        """Raise `RecipeError` without the instrument."""
+        if recipe.rig.attachment != "instrument":
+            raise RecipeError(
+                "implementation D learns what an instrument does to a load; rig.attachment is "
+                f"{recipe.rig.attachment}: attach the instrument, or learn with implementation C"
+            )
 
+    @classmethod
+    def measure(cls, rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Any) -> None:
+        """Learn the table, then lift and lower the known loads."""
+        super().measure(rig, recipe, recorder, **inputs)
+        plain = feedforward(recipe.rig.nominal_inertia, friction_results(inputs.get("friction")))
+        settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
+        for spec in _loaded(recipe):
+            motion = Triangle(
+                low=0.0,
+                high=math.radians(settings.angle) * ratio,
+                speed=spec.conditions["speed"][0],
+                turn_angle=math.radians(settings.turn_angle) * ratio,
+                cycles=int(spec.conditions["cycles"][0]),
+            )
+            load = Load(force=spec.conditions["force"][0])
+            task = Task(motion, plain, load, record_every=spec.record_every)
+            record(rig, task, recorder, spec.name)
 
-def _require_instrument(recipe: Recipe) -> None:
-    if recipe.rig.attachment != "instrument":
-        raise RecipeError(
-            f"implementation D learns what an instrument does to a load; rig.attachment is "
-            f"{recipe.rig.attachment}: attach the instrument, or learn with implementation C"
+    @classmethod
+    def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
+        """Learn the table from its moves, and the disturbance from the known loads.
+
+        Raises `InsufficientDataError` where the loads do not carry it.
+        """
+        table = super().analyse(runs, recipe, **inputs)
+        loads = _learn_loads(runs[0], recipe, inputs["kt"])
+        return Outcome(
+            {**table.results, **loads.results},
+            {**table.tables, **loads.tables},
+            (*table.notes, *loads.notes),
         )
 
 
 def _learn_loads(run: Run, recipe: Recipe, kt: Run) -> Outcome:
-    comparisons, moments = _compared(run, recipe, kt)
-    disturbance = learn(comparisons, moments)
-    grid = grid_of(disturbance, comparisons, recipe)
+    pairs, moments = _pairs(run, recipe, kt)
+    disturbance = fit_disturbance(pairs, moments)
+    grid = grid_of(disturbance, pairs, recipe)
     return Outcome(
         {
-            **_tendon_results(disturbance, comparisons, moments),
+            **_tendon_results(disturbance, pairs, moments),
             "load_friction_coefficient": _friction_coefficient(grid, recipe),
             "learned_torque": Quantity(
                 disturbance.torque, "N m", reason="a bound of what was learned, not measured"
@@ -124,9 +130,9 @@ def _learn_loads(run: Run, recipe: Recipe, kt: Run) -> Outcome:
         {
             **grid_tables(grid, recipe),
             **model_tables(disturbance),
-            "left_out": _left_out(disturbance, comparisons, moments, recipe),
+            "left_out": _left_out(disturbance, pairs, moments, recipe),
         },
-        _notes(disturbance, comparisons, recipe),
+        _notes(disturbance, pairs, recipe),
     )
 
 
@@ -136,30 +142,36 @@ def _temperature(run: Run) -> float:
     return float(np.mean([np.mean(recording.read("temperature")) for recording in recorded]))
 
 
-def _compared(run: Run, recipe: Recipe, kt: Run) -> tuple[list[Comparison], list[float]]:
+def _pairs(run: Run, recipe: Recipe, kt: Run) -> tuple[list[LoadedPair], list[float]]:
     """Return each load beside the same motion without, and its moment, N m."""
     recorded = run.recordings_named(f"{LOADED}_")
     by_speed: dict[float, list[Recording]] = {}
     for recording in recorded:
         by_speed.setdefault(recording.condition("speed"), []).append(recording)
-    comparisons, moments = [], []
+    pairs, moments = [], []
     margin = math.radians(recipe.measure_force.turn_angle)
     for speed, group in by_speed.items():
-        cycles = {r.name: cycles_of(r, recipe, kt, speed) for r in group}
+        cycles = {r.name: _cycles(r, recipe, kt, speed) for r in group}
         unloaded = [cycles[r.name] for r in group if r.condition("force") == 0]
         loaded = [r for r in group if r.condition("force") > 0]
         if loaded and not unloaded:
             raise RunFileError(
                 f"{run.path}: nothing was recorded without load at {speed:.4g} rad/s: learn again"
             )
-        comparisons += [Comparison.of(cycles[r.name], unloaded, margin) for r in loaded]
+        pairs += [LoadedPair.of(cycles[r.name], unloaded, margin) for r in loaded]
         moments += [r.condition("force") * recipe.rig.load_arm for r in loaded]
     if len(set(moments)) < 2:
         raise RunFileError(
             f"{run.path}: holds {len(set(moments))} known loads, 2 are needed: give the run file "
             "in which ilc-learn --implementation D recorded its signals"
         )
-    return comparisons, moments
+    return pairs, moments
+
+
+def _cycles(recording: Recording, recipe: Recipe, kt: Run, speed: float) -> LoadedCycles:
+    with naming(recording):
+        signals = loop_signals(recording, recipe)
+    return cycles_of(recording, signals, recipe, kt, speed)
 
 
 def _friction_coefficient(grid: Grid, recipe: Recipe) -> Quantity:
@@ -174,7 +186,7 @@ def _friction_coefficient(grid: Grid, recipe: Recipe) -> Quantity:
 
 
 def _tendon_results(
-    disturbance: Disturbance, comparisons: list[Comparison], moments: list[float]
+    disturbance: Disturbance, pairs: list[LoadedPair], moments: list[float]
 ) -> dict[str, Quantity]:
     """Return the tendon's parameters, its stiffness also by the slowest and fastest speed alone.
 
@@ -183,15 +195,15 @@ def _tendon_results(
     results, speeds = tendon_results(disturbance), disturbance.speeds
     if len(speeds) > 1:
         for name, speed in (("shift", speeds[0]), ("resonance", speeds[-1])):
-            own = [i for i, each in enumerate(comparisons) if each.loaded.speed == speed]
-            alone = learn([comparisons[i] for i in own], [moments[i] for i in own])
+            own = [i for i, each in enumerate(pairs) if each.loaded.speed == speed]
+            alone = fit_disturbance([pairs[i] for i in own], [moments[i] for i in own])
             results[f"tendon_stiffness_{name}"] = tendon_results(alone)["tendon_stiffness"]
     return results
 
 
 def _left_out(
     disturbance: Disturbance,
-    comparisons: list[Comparison],
+    pairs: list[LoadedPair],
     moments: list[float],
     recipe: Recipe,
 ) -> Table:
@@ -201,15 +213,15 @@ def _left_out(
     error, u = np.full((2, len(speeds), len(loads)), math.nan)
     for column, moment in enumerate(loads):
         others = [i for i, m in enumerate(moments) if m != moment]
-        less = relearned(
-            disturbance, [comparisons[i] for i in others], [moments[i] for i in others]
+        less = refit_disturbance(
+            disturbance, [pairs[i] for i in others], [moments[i] for i in others]
         )
-        for comparison, there in zip(comparisons, moments, strict=True):
+        for pair, there in zip(pairs, moments, strict=True):
             if there != moment:
                 continue
-            row = speeds.index(comparison.loaded.speed)
+            row = speeds.index(pair.loaded.speed)
             try:
-                found = read_load(less, comparison, angle)
+                found = read_load(less, pair, angle)
             except InsufficientDataError:
                 continue
             error[row, column] = 100 * (found.moment / moment - 1)
@@ -228,12 +240,10 @@ def _left_out(
     )
 
 
-def _notes(
-    disturbance: Disturbance, comparisons: list[Comparison], recipe: Recipe
-) -> tuple[str, ...]:
+def _notes(disturbance: Disturbance, pairs: list[LoadedPair], recipe: Recipe) -> tuple[str, ...]:
     ratio = 2 * math.pi * recipe.rig.angle_ratio
     slow, fast = disturbance.speeds[0] / ratio, disturbance.speeds[-1] / ratio
     return (
         f"loads were learned up to {disturbance.torque * 1e3:.4g} mN m from {slow:.3g} to "
-        f"{fast:.3g} rev/s: measure-force corrects loads and speeds within, and says where not",
+        f"{fast:.3g} rev/s: measure-force corrects those within this range and reports others",
     )

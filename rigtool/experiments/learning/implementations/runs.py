@@ -1,9 +1,8 @@
-"""Learning in several runs: their recordings, the table `iterations`, what is left [Fig. 44]."""
+"""Learning in several runs: their recordings, the table `iterations`, the rest [Fig. 44]."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -13,38 +12,7 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Recording, Run, Table
 
 DEFAULT_RUNS = {"A": 10, "standard": 10}
-"""[Fig. 44]; the other implementations make one run at each speed."""
-
-
-class Taught(Protocol):
-    """What learning runs teach, with all of them judged."""
-
-    @property
-    def history(self) -> Sequence[LearningRun]:
-        """The runs so far."""
-
-
-_Recorded = TypeVar("_Recorded")
-_Taught = TypeVar("_Taught", bound=Taught)
-
-
-def run_by_run(
-    recipe: Recipe,
-    first: _Recorded,
-    learn: Callable[[Sequence[_Recorded]], _Taught],
-    again: Callable[[str, _Taught], _Recorded],
-) -> _Taught:
-    """Learn from a first run, then from more, until nothing is left to learn or all are made.
-
-    `learn` takes all runs so far; `again` makes one more of a kind with what was learned. Returns
-    what the last `learn` did.
-    """
-    runs = [first]
-    while True:
-        learned = learn(runs)
-        if len(runs) == runs_at_most(recipe) or learned.history[-1].finished:
-            return learned
-        runs.append(again(kind_of(len(runs)), learned))
+"""Learning runs [Fig. 44]; the other implementations make one at each speed."""
 
 
 def runs_at_most(recipe: Recipe) -> int:
@@ -54,7 +22,7 @@ def runs_at_most(recipe: Recipe) -> int:
 
 
 def kind_of(updates: int) -> str:
-    """Return the kind of the recordings of a learning run after so many updates."""
+    """Return the kind of the recordings of a learning run after this number of updates."""
     return "learn" if updates == 0 else f"iterate_{updates:02d}"
 
 
@@ -65,7 +33,7 @@ def recorded_runs(run: Run, recipe: Recipe) -> list[list[Recording]]:
 
 
 def last_to_learn_from(history: Sequence[LearningRun]) -> int:
-    """Return the run whose update is the last one: not one that found nothing left to learn."""
+    """Return the run of the last update; a run that found nothing left to learn has none."""
     last = len(history) - 1
     return last - 1 if last > 0 and history[last].finished else last
 
@@ -76,7 +44,7 @@ def spread(updates: int, factor: float) -> float:
 
 
 def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Table:
-    """Return amplitude against iteration; `what` says of which signal."""
+    """Return amplitude against iteration; `what` names the signal."""
 
     def column(read: Callable[[LearningRun], float], text: str, of: str = unit) -> Column:
         return Column(np.array([read(run) for run in history]), of, text)
@@ -109,7 +77,7 @@ def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Ta
 def iterations_notes(
     history: Sequence[LearningRun], scale: float, unit: str, most: int
 ) -> tuple[str, ...]:
-    """Say why learning ended, and what is left; `scale` turns the signal's unit into `unit`."""
+    """State why learning ended, and what is left; `scale` converts the signal's unit to `unit`."""
     learned = len(history) > 1 and history[-1].finished
     rest = f"{history[-1].scatter * scale:.3g} {unit} rms in a single cycle"
     if history[0].finished:

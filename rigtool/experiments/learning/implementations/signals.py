@@ -1,74 +1,25 @@
-"""What all implementations share: channels, a look at a recording's health, names of recordings."""
+"""What all implementations share: signals of healthy recordings, names of recordings."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.errors import RunFileError, UsageError
+from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
 from rigtool.experiments.learning.stored_table import feedforward
-from rigtool.experiments.loop_health import require_health
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
-Array = NDArray[np.float64]
-
-CHANNELS = (
-    "time",
-    "current_setpoint",
-    "feedforward_current",
-    "table_current",
-    "position_setpoint",
-    "encoder",
-)
-"""What is recorded while the table is by position."""
+REMEDY = "lower the speed, or raise ilc_learn.turn_angle"
+"""What to do where the controller saturates while it learns."""
 
 
-@dataclass(frozen=True, eq=False)
-class Signals:
-    """Signals of a recording (n,): s, rad, and N m of the controller and of what was learned."""
-
-    time: Array
-    setpoint: Array
-    rotor: Array
-    controller: Array
-    learned: Array
-
-
-def signals(
-    recording: Recording, recipe: Recipe, torque_constant: float, added: str = "table_current"
-) -> Signals:
-    """Read a recording after a look at its health; `added` is the channel of what was learned.
-
-    Controller torque = torque constant * (set point - feed-forward - added). Raises
-    `InsufficientDataError` where the controller saturates, or does not hold the rotor.
-    """
-    asked, setpoint = recording.read("current_setpoint"), recording.read("position_setpoint")
-    rotor = recording.read("encoder") * (2 * math.pi / recipe.rig.encoder_counts)
-    learned = recording.read(added)
-    controller = asked - recording.read("feedforward_current") - learned
-    try:
-        require_health(
-            recipe,
-            largest_current=float(np.abs(asked).max(initial=0)),
-            largest_controller=float(np.abs(controller).max(initial=0)),
-            distance=float(np.abs(setpoint - rotor).max(initial=0)),
-            remedy="lower the speed, or raise ilc_learn.turn_angle",
-        )
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"recording {recording.name}: {error}") from None
-    return Signals(
-        recording.read("time"),
-        setpoint,
-        rotor,
-        torque_constant * controller,
-        torque_constant * learned,
-    )
+def signals(recording: Recording, recipe: Recipe) -> LoopSignals:
+    """Read a recording; `InsufficientDataError` names it where the loop was not healthy."""
+    with naming(recording):
+        return loop_signals(recording, recipe, REMEDY)
 
 
 def require_friction_fed(

@@ -11,50 +11,127 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.control.position_loop import TransferFunction
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.controller_torque import CHANNELS, SIGNAL, TABLE
 from rigtool.experiments.learning.convergence import Cycles, LearningRun, learning_run
 from rigtool.experiments.learning.filters import Learning
-from rigtool.experiments.learning.implementations import runs as iterations
 from rigtool.experiments.learning.implementations import signals as common
-from rigtool.experiments.learning.procedure_design import Design, design
-from rigtool.experiments.learning.stored_table import TRAJECTORY, feedforward, friction_results
-from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import channels, record
-from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.experiments.learning.implementations.runs import (
+    iterations_table,
+    kind_of,
+    last_to_learn_from,
+    runs_at_most,
+    spread,
+)
+from rigtool.experiments.learning.implementations.skeleton import Implementation, Report
+from rigtool.experiments.learning.stored_table import TRAJECTORY
+from rigtool.experiments.procedure import channels
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
-from rigtool.rigs import Feedforward, Rig, Task
+from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import Triangle
-from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
+from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table
 
 Array = NDArray[np.float64]
-
-ADDED = "signal_current"
 
 RUN_IN = 1
 """Moves that are made first and left out."""
 
-# -- measuring
+
+@dataclass(frozen=True, eq=False)
+class _Moves:
+    """A run's moves: error (m, n) rad, and the same as cycles of torque C e."""
+
+    setpoint: Array
+    error: Array
+    cycles: Cycles
 
 
-def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
-    """List the learning runs, and one with the final signal."""
-    most = iterations.runs_at_most(recipe)
-    kinds = [*(iterations.kind_of(updates) for updates in range(most)), "validate"]
-    names = [ADDED if name == "table_current" else name for name in common.CHANNELS]
-    motion = move(recipe)
-    conditions = {
-        "speed": (motion.speed, "rad/s"),
-        "moves": (float(motion.cycles - RUN_IN), "1"),
-        "samples": (float(samples(recipe)), "1"),
-    }
-    return tuple(RecordingSpec(f"{kind}_000", channels(*names), conditions) for kind in kinds)
+@dataclass(frozen=True, eq=False)
+class TaughtSignal:
+    """The learned signal (n,) N m, its standard uncertainty, and all runs."""
+
+    torque: Array
+    u: Array
+    runs: list[_Moves]
+    history: list[LearningRun]
+
+
+class RepeatedMove(Implementation[TaughtSignal]):
+    """Learning by time along one move."""
+
+    ABOUT = "a repeated move, by time"
+    RIG_NEED = "signal"
+    UNIT = "mrad"
+
+    @staticmethod
+    def kinds(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
+        """Return the learning runs, and one with the final signal."""
+        kinds = [*(kind_of(updates) for updates in range(runs_at_most(recipe))), "validate"]
+        recorded = channels(*(SIGNAL if name == TABLE else name for name in CHANNELS))
+        motion = move(recipe)
+        conditions = {
+            "speed": (motion.speed, "rad/s"),
+            "moves": (float(motion.cycles - RUN_IN), "1"),
+            "samples": (float(samples(recipe)), "1"),
+        }
+        return {kind: [RecordingSpec(f"{kind}_000", recorded, conditions)] for kind in kinds}
+
+    def task(self, spec: RecordingSpec, fed: Feedforward) -> Task:
+        """Return the move with this fed forward; acceleration is learned, not modelled."""
+        return Task(move(self.recipe), replace(fed, inertia=0.0))
+
+    def fed(self, taught: TaughtSignal) -> Feedforward:
+        """Return the feed-forward with the learned signal."""
+        return replace(self.plain, signal=taught.torque)
+
+    def learn(
+        self, runs: Sequence[Sequence[Recording]], slower: Sequence[Recording]
+    ) -> TaughtSignal:
+        """Return the signal that all runs so far teach."""
+        learning = self.learning
+        cut = [self._cut(run[0]) for run in runs]
+        history = [_judge(run, learning, updates) for updates, run in enumerate(cut)]
+        last = last_to_learn_from(history)
+        cycles = cut[last].cycles
+        each = learning.updated(cycles.signal, cycles.period, cycles.before)
+        variance = spread(last + 1, learning.factor)
+        u = np.sqrt(variance * each.var(axis=0, ddof=1) / len(each))
+        return TaughtSignal(each.mean(axis=0), u, cut, history)
+
+    def report(
+        self, run: Run, taught: TaughtSignal, recorded: Sequence[Sequence[Recording]]
+    ) -> Report:
+        """Report what error remained, run by run."""
+        final = self._cut(common.found(run, "validate")[0])
+        history, first = taught.history, taught.history[0]
+        check = _judge(final, self.learning, len(history))
+        if len(history) == 1 or not history[-1].finished:
+            history = [*history, check]
+        ratio = check.rms / first.rms
+        relative = math.hypot(check.rms_u / check.rms, first.rms_u / first.rms)
+        dof = float(len(final.error) - 1)
+        return Report(
+            {
+                "error_peak": Quantity(check.peak, "rad", check.peak_u, dof),
+                "error_rms": Quantity(check.rms, "rad", check.rms_u, dof),
+                "error_reduction": Quantity(1 - ratio, "1", ratio * relative, dof),
+            },
+            {
+                TRAJECTORY: _trajectory(taught, final, self.recipe, self.learning),
+                "iterations": iterations_table(history, "rad", "error"),
+            },
+            ("learned by time: what was learned holds for this one move only",),
+        )
+
+    def _cut(self, recording: Recording) -> _Moves:
+        return _cut(recording, self.recipe, self.torque_constant, self.filters.controller)
 
 
 def samples(recipe: Recipe) -> int:
@@ -73,117 +150,6 @@ def move(recipe: Recipe) -> Triangle:
     return Triangle(0.0, angle, speed, turn, settings.moves + RUN_IN)
 
 
-def measure(
-    rig: Rig,
-    recipe: Recipe,
-    recorder: RunWriter,
-    *,
-    kt: Run,
-    friction: Run | None = None,
-    plant: Run | None = None,
-) -> None:
-    """Make the move again and again, each run with what was learned so far."""
-    filters = design(recipe, plant)
-    constant = torque_per_ampere(kt).value
-    friction_alone = feedforward(0.0, friction_results(friction))
-
-    def perform(kind: str, signal: Array | None) -> Recording:
-        fed = Feedforward(
-            coulomb=friction_alone.coulomb, viscous=friction_alone.viscous, signal=signal
-        )
-        record(rig, Task(move(recipe), fed), recorder, f"{kind}_000")
-        return recorder.recording(f"{kind}_000")
-
-    learned = iterations.run_by_run(
-        recipe,
-        perform("learn", None),
-        lambda runs: _learn(runs, recipe, constant, filters),
-        lambda kind, so_far: perform(kind, so_far.torque),
-    )
-    perform("validate", learned.torque)
-
-
-# -- analysing
-
-
-@dataclass(frozen=True, eq=False)
-class _Moves:
-    """A run's moves: error (m, n) rad, and the same as cycles of torque C e."""
-
-    setpoint: Array
-    error: Array
-    cycles: Cycles
-
-
-@dataclass(frozen=True, eq=False)
-class _Learned:
-    """The learned signal (n,) N m, its standard uncertainty, and all runs."""
-
-    torque: Array
-    u: Array
-    runs: list[_Moves]
-    history: list[LearningRun]
-
-
-def analyse(
-    runs: Sequence[Run],
-    recipe: Recipe,
-    *,
-    kt: Run,
-    friction: Run | None = None,
-    plant: Run | None = None,
-) -> Outcome:
-    """Learn from the stored moves, and say what error remained, run by run."""
-    run, filters = common.only_run(runs), design(recipe, plant)
-    constant, fed = torque_per_ampere(kt).value, friction_results(friction)
-    recorded = [recordings[0] for recordings in iterations.recorded_runs(run, recipe)]
-    learned = _learn(recorded, recipe, constant, filters)
-    final = _cut(common.found(run, "validate")[0], recipe, constant, filters.controller)
-    updates = len(learned.history)
-    check = _judge(final, filters.learning, updates)
-    history = learned.history
-    if updates == 1 or not history[-1].finished:
-        history = [*history, check]
-    first = learned.history[0]
-    ratio = check.rms / first.rms
-    relative = math.hypot(check.rms_u / check.rms, first.rms_u / first.rms)
-    dof = float(len(final.error) - 1)
-    results = {
-        "error_peak": Quantity(check.peak, "rad", check.peak_u, dof),
-        "error_rms": Quantity(check.rms, "rad", check.rms_u, dof),
-        "error_reduction": Quantity(1 - ratio, "1", ratio * relative, dof),
-        **filters.results(),
-        **fed,
-    }
-    tables = {
-        TRAJECTORY: _trajectory(learned, final, recipe, filters.learning),
-        "iterations": iterations.iterations_table(history, "rad", "error"),
-        **filters.tables(),
-    }
-    most = iterations.runs_at_most(recipe)
-    notes = (
-        "learned by time: what was learned holds for this one move only",
-        *filters.notes(),
-        *iterations.iterations_notes(learned.history, 1e3, "mrad", most),
-    )
-    return Outcome(results, tables, notes)
-
-
-def _learn(
-    recorded: Sequence[Recording], recipe: Recipe, torque_constant: float, filters: Design
-) -> _Learned:
-    """Return what all runs so far teach."""
-    learning = filters.learning
-    runs = [_cut(r, recipe, torque_constant, filters.controller) for r in recorded]
-    history = [_judge(run, learning, updates) for updates, run in enumerate(runs)]
-    last = iterations.last_to_learn_from(history)
-    cycles = runs[last].cycles
-    each = learning.updated(cycles.signal, cycles.period, cycles.before)
-    spread = iterations.spread(last + 1, learning.factor)
-    u = np.sqrt(spread * each.var(axis=0, ddof=1) / len(each))
-    return _Learned(each.mean(axis=0), u, runs, history)
-
-
 def _judge(run: _Moves, learning: Learning, updates: int) -> LearningRun:
     return learning_run([run.cycles], learning, updates, shown=[_centred(run.error)])
 
@@ -198,7 +164,7 @@ def _cut(
     recording: Recording, recipe: Recipe, torque_constant: float, controller: TransferFunction
 ) -> _Moves:
     """Cut a recording into moves of a whole number of samples."""
-    found = common.signals(recording, recipe, torque_constant, ADDED)
+    found = common.signals(recording, recipe)
     count, moves = (int(recording.condition(name)) for name in ("samples", "moves"))
     if len(found.time) < (moves + RUN_IN) * count:
         raise InsufficientDataError(
@@ -207,7 +173,7 @@ def _cut(
         )
     used = slice(RUN_IN * count, (RUN_IN + moves) * count)
     error = (found.setpoint - found.rotor)[used].reshape(moves, count)
-    before = found.learned[used].reshape(moves, count).mean(axis=0)
+    before = (torque_constant * found.learned)[used].reshape(moves, count).mean(axis=0)
     period = count * recipe.rig.sample_time
     torque = _through(error, period, controller)
     everything = np.ones(count, dtype=np.bool_)
@@ -225,7 +191,7 @@ def _through(error: Array, period: float, controller: TransferFunction) -> Array
     return torque
 
 
-def _trajectory(learned: _Learned, final: _Moves, recipe: Recipe, learning: Learning) -> Table:
+def _trajectory(learned: TaughtSignal, final: _Moves, recipe: Recipe, learning: Learning) -> Table:
     count = learned.torque.size
     period = final.cycles.period
 

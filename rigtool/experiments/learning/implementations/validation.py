@@ -1,4 +1,4 @@
-"""What remains at any speed, table off and on: steady moves, and a sweep [Fig. 46-48, 52, 54]."""
+"""Remaining torque at any speed, table off and on: steady moves, a sweep [Fig. 46-48, 52, 54]."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def midpoints(speeds: Sequence[float]) -> tuple[float, ...]:
 class Steady:
     """Controller torque at one speed and direction, table off (`before`) and on (`after`).
 
-    `kind` says what is known of the speed: `learned`, `tuned` (amplitude, phase) or `between`.
+    `kind` of the speed is `learned`, `tuned` (amplitude and phase) or `between` such speeds.
     """
 
     before: Row
@@ -164,8 +164,8 @@ class Sweep:
     def _results(self, by_speed: Table) -> dict[str, Quantity]:
         """Return the rms over the whole sweep, and the level: each speed counts by its ratio.
 
-        The level is the geometric mean of the rms in all bins: where few bins stand out, it says
-        what remains at all the others.
+        The level is the geometric mean of the rms in all bins: where few bins are large, it shows
+        what remains in all others.
         """
         reason = "one sweep; contains what does not repeat"
         results = {}

@@ -125,7 +125,7 @@ class Server:
         raise NotImplementedError
 
     def _ready(self, timeout: float) -> bool:
-        """Say whether bytes have come; wait for them, or until those that wait can be sent."""
+        """Wait until bytes come or waiting ones can be sent; return whether bytes have come."""
         raise NotImplementedError
 
     def _read(self) -> bytes:

@@ -201,7 +201,7 @@ class TargetEmulator(Emulator):
         slot = Slot(number)
         data = bytes(self._growing.get(slot, b""))
         if len(data) != size or zlib.crc32(data) != crc:
-            raise _Refused(f"slot {number}: another CRC-32 than COMMIT says", Refusal.BAD_CRC)
+            raise _Refused(f"slot {number}: its CRC-32 is not that of COMMIT", Refusal.BAD_CRC)
         self._take(slot, data)
         self._objects[slot] = data
         self._growing.pop(slot, None)
@@ -297,7 +297,7 @@ class TargetEmulator(Emulator):
         self._signals = self._rig().perform(self._task)
         self._started = time.monotonic()
         self.state = State.RUNNING
-        self._proceed()  # the approach, and the first samples: STATUS tells where it is
+        self._proceed()  # the approach and the first samples, so that STATUS knows the position
         return b""
 
     def _status(self, payload: bytes) -> bytes:

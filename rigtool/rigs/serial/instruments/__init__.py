@@ -1,7 +1,7 @@
 """Instruments beside the drive: force gauges and thermometers, or an operator who reads one.
 
 A gauge fills one channel (`force` [N], `temperature` [degC] or `deflection` [m]). It reads on its
-own line, in its own thread, and is asked afterwards what it read at the times of the samples.
+own line, in its own thread; its readings at the times of the samples are taken afterwards.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rigtool.errors import RecipeError
 from rigtool.recipe.serial import Instrument
 from rigtool.rigs.base import CHANNELS
-from rigtool.rigs.bench import Operator
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.line import Line
 
 Array = NDArray[np.float64]
@@ -37,11 +37,11 @@ class Gauge(Protocol):
 
     @property
     def name(self) -> str:
-        """Who reads it, and where, for the operator."""
+        """The instrument and its port, for the operator."""
         ...
 
     def begin(self, moment: float) -> None:
-        """A recording is about to begin, at `moment` of the drive's line: an operator is asked."""
+        """Prepare for a recording that begins at `moment` of the drive's line, s."""
         ...
 
     def at(self, moments: Array) -> Array:
@@ -53,7 +53,7 @@ class Gauge(Protocol):
         ...
 
     def report(self) -> dict[str, Any]:
-        """Return what is to be kept about the instrument with a run."""
+        """Return facts about the instrument that are stored with a run."""
         ...
 
 
@@ -72,7 +72,7 @@ class OperatorGauge:
 
     @property
     def name(self) -> str:
-        """Say that somebody is asked."""
+        """How the operator reads it."""
         return "by the operator, once a recording"
 
     def begin(self, moment: float) -> None:
@@ -90,7 +90,7 @@ class OperatorGauge:
         return None
 
     def report(self) -> dict[str, Any]:
-        """Return that somebody read it."""
+        """Return driver, scale and offset."""
         settings = self._settings
         return {"driver": "operator", "scale": settings.scale, "offset": settings.offset}
 
@@ -105,12 +105,12 @@ MODULES = {
 }
 """Modules by name: each has BAUD_RATE and `make_reader(line, channel)`, see `readings.Reader`.
 
-`probe(line)` says who answers, None where it is somebody else; asked in this order.
+`probe(line)` returns the identity of what answers, None for another device; in this order.
 """
 
 BY_CHARACTER = ("mecmesin", "sauter")
-"""Those to which each character is a command: a question meant for others may set or zero them, so
-nobody else is asked on their port, and they are asked only by name."""
+"""Instruments to which each character is a command: a question for another device may set or zero
+them. They are probed only by name, and no other device is probed on their port then."""
 
 
 def instrument_module(name: str) -> ModuleType:

@@ -41,7 +41,7 @@ FIRST = 20.0
 """Time in which the first readings must have come, s: multimeters take up to 3 s for one."""
 
 BEFORE = 3
-"""Readings that must have come at first: then the last but one can be judged as a spike."""
+"""Readings that must have come at first: the last but one can then be checked for a spike."""
 
 SPIKE = 20.0
 """Times the usual difference of two readings by which one may lie beyond both its neighbours."""
@@ -53,7 +53,7 @@ ENOUGH = 10
 """Differences that are needed for that."""
 
 STILL = 30
-"""Readings of which fewer than `ENOUGH` differ, so that they hardly change."""
+"""Readings of which fewer than `ENOUGH` differ, which means that readings hardly change."""
 
 
 class LineGauge:
@@ -85,13 +85,13 @@ class LineGauge:
         self._error, self._lost = "", math.inf  # why and when reading ended before its time
         self._finished = False
         self._judged = -math.inf  # readings until then were looked at as spikes, s
-        self._told = ""
+        self._reason = ""
         self._flags: dict[str, int] = {}
         self._identity = ""
         self._count = self._discarded = self._missing = 0
         self._spikes = 0
 
-    # -- in and out
+    # -- connecting and leaving
 
     def __enter__(self) -> Self:
         """Connect and read until the first value is there; raises `HardwareError`."""
@@ -136,8 +136,8 @@ class LineGauge:
         if come < BEFORE:
             raise HardwareError(
                 self._error
-                or f"{self._name}: {come} readings within {FIRST:g} s, {BEFORE} are needed to tell "
-                "a damaged one: look at its rate"
+                or f"{self._name}: {come} readings within {FIRST:g} s, {BEFORE} are needed to "
+                "find a damaged one: look at its rate"
             )
 
     @property
@@ -162,10 +162,10 @@ class LineGauge:
                 raise HardwareError(self._error)
             old = max(0, bisect_left(self._times, moment - NEAR[self._channel]) - USUAL)
             del self._times[:old], self._values[:old], self._flagged[:old]
-            self._told = ""
+            self._reason = ""
 
     def at(self, moments: Array) -> Array:
-        """Return the last readings (n,) until moments (n,) of the line's clock, s.
+        """Return the last reading (n,) at each of the moments (n,) of the line's clock, s.
 
         NaN where they are old, or where the instrument had no value; see `problem`.
         """
@@ -185,15 +185,15 @@ class LineGauge:
         if len(times) > 1:
             self._judged = max(self._judged, times[-2])
         if len(times) and not covered and (lost or self._channel in SLOW):
-            alone[-1] = True  # nothing tells yet whether it is one
+            alone[-1] = True  # it may be one: no reading has followed yet
         found = latest(times[~alone], values[~alone], moments, near)
         lacking = int(np.count_nonzero(np.isnan(found)))
         self._missing += lacking
         if lost:
-            self._told = self._error
+            self._reason = self._error
         elif lacking:
-            why = f"its last word was: {flag}" if flag else "silence, or damaged lines"
-            self._told = (
+            why = f"it last sent: {flag}" if flag else "silence, or damaged lines"
+            self._reason = (
                 f"{self._name}: {lacking} samples have no reading near them: {why}; look at the "
                 "instrument, its range, cable and battery"
             )
@@ -212,7 +212,7 @@ class LineGauge:
         return self._covers(moment) or self._heard >= moment + WAIT
 
     def _covers(self, moment: float) -> bool:
-        """Say whether two readings follow soon: the second tells if the first is a spike."""
+        """Return whether two readings follow soon: the second shows if the first is a spike."""
         return self._end(moment) - bisect_left(self._times, moment) >= 2
 
     def _end(self, moment: float) -> int:
@@ -222,10 +222,10 @@ class LineGauge:
 
     def problem(self) -> str | None:
         """Return why the run cannot go on: readings are missing or the line is lost, or None."""
-        return self._told or None
+        return self._reason or None
 
     def report(self) -> dict[str, Any]:
-        """Return what is to be kept about the instrument with a run."""
+        """Return facts about the instrument that are stored with a run."""
         counts = self._line.counts.as_dict() if self._line is not None else {}
         return {
             "driver": self._settings.driver,
@@ -309,7 +309,7 @@ def latest(times: Array, values: Array, moments: Array, near: float) -> Array:
 
 
 def spikes(values: Array, resolution: float = 0.0, finest: float = 0.0) -> NDArray[np.bool_]:
-    """Tell readings (n,) that lie alone, far beyond both neighbours: a damaged digit, not a force.
+    """Return (n,) which readings lie alone, far beyond both neighbours: a damaged digit.
 
     Far is `SPIKE` times the usual difference of neighbours, at least the `resolution`; where they
     hardly ever change it is `SPIKE` times the `finest` step that they can show. A step is no spike,

@@ -73,7 +73,7 @@ def _describe(reply: str) -> str:
 
 
 def probe(line: Line) -> str | None:
-    """Return who answers on the line, None where it is nothing that speaks KCP."""
+    """Return the identity of the instrument that speaks KCP, None for another device."""
 
     def accept(reply: bytes) -> str | None:
         text = reply.decode("latin-1").strip()

@@ -79,7 +79,7 @@ make_reader = Mark10
 
 
 def probe(line: Line) -> str | None:
-    """Return who answers on the line, None where it is no Mark-10 gauge."""
+    """Return the identity of the Mark-10 gauge that answers, None for another device."""
 
     def take() -> str | None:
         # The first CR ends what another question has left in the gauge.

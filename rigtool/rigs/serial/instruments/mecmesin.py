@@ -1,7 +1,7 @@
 """Mecmesin force gauges AFG and CFG+: `?` asks for the reading, `U` for the unit, `M` for the mode.
 
-An AFG that knows no `U` is set to N (`b`). Which sign a push has is not documented: it is handed on
-as sent. Source: manual of the CFG+; the form of its readings is not in there.
+An AFG that knows no `U` is set to N (`b`). The sign of a push is not documented: readings keep the
+sign that the gauge sends. Source: manual of the CFG+; the form of its readings is not in there.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ BAUD_RATE = 9600
 UNITS = ("mN", "N", "kN", "gf", "kgf", "ozf", "lbf")
 MODES = ("Normal", "MaxC", "MaxT")
 SET = 3
-"""Times that an AFG is told its unit: it does not say whether it has understood."""
+"""Times that an AFG is sent its unit: it does not acknowledge it."""
 
 _REPLY = re.compile(r"([+-]? ?\d+\.?\d*) ?([A-Za-z]*)", re.ASCII)
 
 
 def parse(line: bytes, unit: str, channel: str, form: Form) -> Reading:
-    """Return the reading in a line, in `unit` where it says none.
+    """Return the reading in a line, in `unit` where it names none.
 
     Raises `DamagedReply`, or `HardwareError` where its unit is not that of the channel.
     """
@@ -85,6 +85,6 @@ make_reader = Mecmesin
 
 
 def probe(line: Line) -> str | None:
-    """Return who answers on the line, None where it is no Mecmesin gauge that knows its unit."""
+    """Return the identity of a Mecmesin gauge that knows its unit, None for another device."""
     unit = line.exchange(b"U", lambda: as_text(next_line(line, line.timeout)))
     return f"Mecmesin force gauge, in {unit}" if unit in UNITS else None

@@ -1,6 +1,6 @@
-"""What instruments send: numbers, units, and words for what is no reading.
+"""What instruments send: numbers, units, and words in place of a number.
 
-A line that is not exactly as it must be is `DamagedReply`, never a number that is nearly right.
+A line that differs from the protocol raises `DamagedReply`; it never becomes a number.
 """
 
 from __future__ import annotations
@@ -13,27 +13,26 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
+from scipy import constants
+
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.line import QUIET, DamagedReply, Line, LineTimeout
 
 T = TypeVar("T")
 
-STANDARD_GRAVITY = 9.80665
-POUND_FORCE = 0.45359237 * STANDARD_GRAVITY
-
 FORCES = {
     "n": 1.0,
     "mn": 1e-3,
     "kn": 1e3,
-    "gf": 1e-3 * STANDARD_GRAVITY,
-    "kgf": STANDARD_GRAVITY,
-    "ozf": POUND_FORCE / 16,
-    "lbf": POUND_FORCE,
+    "gf": 1e-3 * constants.g,
+    "kgf": constants.g,
+    "ozf": constants.pound_force / 16,
+    "lbf": constants.pound_force,
     # scales show the mass that weighs as much
-    "g": 1e-3 * STANDARD_GRAVITY,
-    "kg": STANDARD_GRAVITY,
-    "oz": POUND_FORCE / 16,
-    "lb": POUND_FORCE,
+    "g": 1e-3 * constants.g,
+    "kg": constants.g,
+    "oz": constants.pound_force / 16,
+    "lb": constants.pound_force,
 }
 """N in a unit of force; capitals differ from maker to maker (lbF, kgF)."""
 
@@ -84,7 +83,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Reading:
-    """A value in the unit of the channel; `flag` says what is wrong with it.
+    """A value in the unit of the channel; `flag` names what is wrong with it.
 
     Only an unstable reading has a value all the same.
     """
@@ -94,9 +93,9 @@ class Reading:
 
 
 class Reader(Protocol):
-    """What speaks to one kind of instrument, on a line that is open.
+    """Reads one kind of instrument on an open line.
 
-    `streams`: it sends by itself; `pause`: time to leave between two questions, s.
+    `streams`: the instrument sends by itself; `pause`: time between two requests, s.
     """
 
     streams: bool
@@ -113,7 +112,7 @@ class Reader(Protocol):
         ...
 
     def connect(self) -> str:
-        """Return who answers, in a line. Raises `HardwareError` where it is set up wrongly."""
+        """Return the identity in a line. Raises `HardwareError` where it is set up wrongly."""
         ...
 
     def read(self) -> Reading:
@@ -144,12 +143,12 @@ def number(text: str) -> float:
 
 
 def flag_of(text: str) -> str | None:
-    """Return what a word says in place of a number, None where it is no such word."""
+    """Return the flag that a word in place of a number stands for, None for any other word."""
     return _WORDS.get(text.strip().lower())
 
 
 def as_text(line: bytes) -> str:
-    """Return a line as text; raises `DamagedReply` where it is none, or too long for one."""
+    """Return a line as text; raises `DamagedReply` for bytes that are no text, or too many."""
     text = line.strip(b" \r\n").decode("latin-1")
     if not text.isprintable() or len(text) > LONGEST:
         raise DamagedReply(f"{line[:40]!r} is not a reading")
@@ -252,7 +251,7 @@ LEARNING = 5
 class Form:
     """Holds readings to the form of the first: an instrument does not change its decimals.
 
-    Protocols without a checksum leave nothing else to tell a line that lost a digit.
+    Protocols without a checksum show a lost digit in no other way.
     """
 
     def __init__(self) -> None:
@@ -272,8 +271,8 @@ class Form:
             if first is not None and first == self._form and not math.isnan(reading.value):
                 self._learning = False
                 return
-        said = f"says {reading.flag!r}" if reading and reading.flag else "changes its decimals"
-        raise HardwareError(f"the instrument {said}: it must read before a run can begin")
+        problem = f"sends {reading.flag!r}" if reading and reading.flag else "changes its decimals"
+        raise HardwareError(f"the instrument {problem}: it must read before a run can begin")
 
     def resolution(self, channel: str) -> float:
         """Return a step of the last decimal in the unit of the channel, 0 where decimals vary."""
@@ -285,7 +284,7 @@ class Form:
     def finest(self, channel: str, unit: str) -> float:
         """Return the step of the last decimal, where decimals vary, by the first readings.
 
-        `unit` is that of readings that say none.
+        `unit` is that of readings without one.
         """
         if self._form is None or not math.isfinite(self._finest):
             return 0.0

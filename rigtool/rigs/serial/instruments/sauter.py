@@ -1,6 +1,6 @@
 """Sauter FH and FL force gauges: `9` is answered by 7 characters without an end, `0011.70`.
 
-The first says the direction, 1 pull, 0 push; here a push is positive. The unit is not sent: the
+The first is the direction, 1 pull, 0 push; here a push is positive. The unit is not sent: the
 gauge must be set to N. Source: FH interface description, manuals of FH and FL.
 """
 
@@ -53,7 +53,7 @@ make_reader = Sauter
 
 
 def probe(line: Line) -> str | None:
-    """Return who answers on the line, None where it is no Sauter gauge."""
+    """Return the identity of the Sauter gauge that answers, None for another device."""
     line.write(b"9")
     try:
         reply = line.read_exactly(LENGTH)

@@ -1,7 +1,7 @@
 """SCPI multimeters and thermometers (`READ?`), Hart 1502A and its kin (`FETC?`, `t: 25.587 C`).
 
-Temperature comes in the unit that the instrument says it is set to (`UNIT:TEMP?`), in the one
-behind the number, or else in degC. Force and deflection come as volts or whatever it measures: the
+Temperature comes in the unit that the instrument reports (`UNIT:TEMP?`), in the one behind the
+number, or else in degC. Force and deflection come as volts or whatever it measures: the
 recipe's scale and offset make N and m of them. Values of 9.9e37 and beyond are overload (IEEE
 488.2, SCPI). Sources: manuals of Fluke 1521, 1522 and 1529, Keysight B2961A.
 """
@@ -41,7 +41,7 @@ _REPLY = re.compile(r"(?:t: *)?(\S+?)(?: +([A-Za-z]+))?", re.ASCII)
 
 
 def parse(line: bytes, channel: str, unit: str, form: Form) -> Reading:
-    """Return the reading in a line; `unit` of temperature where it says none.
+    """Return the reading in a line; `unit` is that of a temperature without one.
 
     Raises `DamagedReply`, or `HardwareError` for a unit of something else.
     """
@@ -75,7 +75,7 @@ class Scpi(Polled):
         return self._form.finest(self._channel, units[self._channel])
 
     def connect(self) -> str:
-        """Return what the instrument says it is, or that it answers.
+        """Return the identity of the instrument, or the request that it answers.
 
         Raises `HardwareError` where nothing does, or it measures no temperature.
         """
@@ -111,7 +111,7 @@ make_reader = Scpi
 
 
 def probe(line: Line) -> str | None:
-    """Return what an instrument says it is, None where it does not know the question."""
+    """Return the identity of the instrument, None where it does not know the question."""
 
     def accept(reply: bytes) -> str | None:
         text = as_text(reply)

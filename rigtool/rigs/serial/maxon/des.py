@@ -1,4 +1,4 @@
-"""DES 70/10: commands by op code, parameters in its RAM. Known from others' programs only."""
+"""DES 70/10: commands by op code, parameters in its RAM. Source: programs of others only."""
 
 from __future__ import annotations
 
@@ -127,8 +127,8 @@ class DesDrive(MaxonDrive[int]):
         status = self._read(STATUS)
         if status & STATUS_ENABLED:
             raise HardwareError(
-                f"{self.line.port}: the drive stays on (status {status:#06x}) though it was told to"
-                " switch off: its enable input decides; configure it so that software does"
+                f"{self.line.port}: the drive stays on (status {status:#06x}) though software "
+                "switched it off: its enable input decides; configure it so that software does"
             )
 
     def _require_on(self, status: int) -> None:

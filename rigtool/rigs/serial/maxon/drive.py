@@ -1,4 +1,4 @@
-"""What all maxon drives share: samples that are taken again, settings that come back, the end."""
+"""What all maxon drives share: repeated samples, restored settings, switching off."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ STATE_PAUSE = 0.01
 """How often, and how far apart [s], a state is asked for that a drive is to reach."""
 
 NO_WATCHDOG = (
-    "has no watchdog on this line: if the computer or the cable fails, it goes on as it was told "
-    "last, until you stop it. If rigtool is killed or hangs, another process switches it off"
+    "has no watchdog on this line: if the computer or the cable fails, it follows its last "
+    "set point until you stop it. If rigtool is killed or hangs, another process switches it off"
 )
 
 
@@ -54,7 +54,7 @@ class MaxonDrive(ABC, Generic[Place]):
 
     @abstractmethod
     def _require_on(self, status: int) -> None:
-        """Raise `HardwareError` where a status says that the drive is not switched on."""
+        """Raise `HardwareError` for the status of a drive that is not switched on."""
 
     @abstractmethod
     def _confirm(self) -> None:
@@ -77,7 +77,7 @@ class MaxonDrive(ABC, Generic[Place]):
         """Change a setting."""
 
     def enable(self, mode: Mode) -> None:
-        """Switch on in a mode, with set points of zero, once the guard is told."""
+        """Switch on in a mode, with set points of zero, once the guard watches."""
         if self.guard is not None:
             self.guard.watch()
         self._switch_on(mode)
@@ -95,8 +95,8 @@ class MaxonDrive(ABC, Generic[Place]):
     def _undisturbed(self, then: Callable[[], None]) -> tuple[Sample, int]:
         """Measure, do what follows, and do both again where anything had to be repeated.
 
-        Answers do not say which question they belong to: a late one would be taken for the next.
-        `then` would notice, since its answer is of another kind.
+        Answers do not name their question: a late one would be taken for the next. `then` notices
+        it, since its answer is of another kind.
         """
         for _ in range(SAMPLE_ATTEMPTS):
             before = self.line.counts.retries
@@ -121,7 +121,7 @@ class MaxonDrive(ABC, Generic[Place]):
                     if self.guard is not None:
                         self.guard.rest()
                     return
-                problem = HardwareError("it says that it is still on")
+                problem = HardwareError("it reports that it is still on")
             except HardwareError as error:
                 problem = error
         raise HardwareError(f"{self.line.port}: the drive was not switched off ({problem})")
@@ -157,7 +157,7 @@ class MaxonDrive(ABC, Generic[Place]):
         found = self._read_setting(place)
         if found != value:
             raise HardwareError(
-                f"{self.line.port}: the drive was told that its {name} be {value}, and has {found}:"
+                f"{self.line.port}: its {name} was set to {value}, and the drive has {found}:"
                 " set it with maxon's program"
             )
 

@@ -1,8 +1,8 @@
 """maxon drives on a serial line: EPOS4, EPOS2 and DES 70/10; docs/bench-maxon.md.
 
-Which of them is there is found by asking: the single byte that is an op code to those in lock-step
+The kind is found by asking: the single byte that is an op code to those in lock-step
 is nothing to an EPOS4. All of them are driven by current and by speed; none has a watchdog on
-this line, so a process beside this one watches over it (`maxon_guard`).
+this line, so a process beside this one watches over it (`guard_process`).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.rigs.serial.drive import Drive
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
 from rigtool.rigs.serial.maxon.des import DesDrive, read_status
 from rigtool.rigs.serial.maxon.epos import Epos2Drive, Epos4Drive, EposDrive
@@ -24,13 +25,11 @@ from rigtool.rigs.serial.maxon.frames import (
 from rigtool.rigs.serial.maxon.guard import Guard
 from rigtool.rigs.serial.maxon.objects import DEVICE_TYPE, EPOS2_ACCESS, EPOS4_ACCESS, Objects
 
-BAUD_RATE = 115200
-"""The usual one of EPOS; a DES has 38400."""
-
 BAUD_RATES = (115200, 38400)
+"""Of an EPOS and of a DES, as they are delivered, bit/s."""
 
 SILENCE, SHORTEST_SILENCE = 2.0, 1.0
-"""Multiple of `serial.watchdog`, and time [s], after which the guard hears too little: the host
+"""Silence that the guard accepts: multiple of `serial.watchdog`, and time [s] at least. The host
 gives up first, and switching on takes a while."""
 
 FACTORY_NODE = 1
@@ -38,7 +37,7 @@ FACTORY_NODE = 1
 
 
 def probe(line: Line) -> str | None:
-    """Return who answers; None where no maxon drive does."""
+    """Return the identity of the maxon drive that answers, None for another device."""
     found = _find(line, FACTORY_NODE)
     if found is None:
         return None
@@ -51,21 +50,21 @@ def probe(line: Line) -> str | None:
 def make_drive(line: Line, recipe: Recipe) -> Drive:
     """Return the driver of what answers on a line; raises `HardwareError` where nothing does.
 
-    Raises `RecipeError` where the recipe does not say that there is an emergency stop.
+    Raises `RecipeError` for a recipe without an emergency stop.
     """
     assert recipe.serial is not None
     settings, node = recipe.serial, recipe.serial.node or FACTORY_NODE
     if not settings.emergency_stop:
         raise RecipeError(
             f"{line.port}: maxon drives have no watchdog on this line: where computer or cable "
-            "fail, the motor goes on as it was told last. Wire the enable or STO input, or the "
-            "supply, to an emergency stop within reach, try it, and say serial.emergency_stop = "
+            "fail, the motor follows its last set point. Wire the enable or STO input, or the "
+            "supply, to an emergency stop within reach, try it, and set serial.emergency_stop = "
             "true"
         )
     drive = drive_on(line, node, recipe.rig.encoder_counts)
     if not line.replays:
         silence = max(SHORTEST_SILENCE, SILENCE * settings.watchdog)
-        drive.guard = Guard(settings.port, settings.baud_rate or BAUD_RATE, node, silence)
+        drive.guard = Guard(settings.port, settings.baud_rate or BAUD_RATES[0], node, silence)
     return drive
 
 
@@ -85,7 +84,7 @@ def drive_on(line: Line, node: int, encoder_counts: int) -> DesDrive | EposDrive
 
 
 def _find(line: Line, node: int) -> Objects | LockStepFrames | None:
-    """Ask who is there; asks twice, since another question may have left half a frame behind."""
+    """Ask twice what is there: another question may have left half a frame behind."""
     for attempt in range(2):
         if attempt:
             line.pause(SPARE * FRAME_TIMEOUT)
@@ -117,3 +116,6 @@ def _introduced(line: Line, ready: bytes, node: int) -> Objects | LockStepFrames
     objects = Objects(DleFrames(line), EPOS4_ACCESS, node)
     objects.read(DEVICE_TYPE, retries=0)
     return objects
+
+
+DRIVER = Driver(probe, BAUD_RATES, make_drive, has_watchdog=False)

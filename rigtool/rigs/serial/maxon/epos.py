@@ -50,12 +50,12 @@ class EposDrive(MaxonDrive[Entry]):
         self._objects = objects
         self._mode: Mode = "velocity"
         self._device_type = 0
-        self._tells_demand = True
+        self._reports_demand = True
         self._speed_unit = RPM
 
     @staticmethod
     def identity(objects: Objects, family: str) -> str:
-        """Return what the drive says it is, in a line."""
+        """Return family, product code and serial number in a line."""
         product, serial = objects.find(od.PRODUCT), objects.find(od.SERIAL)
         parts = [f"maxon {family}"]
         if product is not None:
@@ -67,11 +67,11 @@ class EposDrive(MaxonDrive[Entry]):
     @property
     def abilities(self) -> Abilities:
         """Current and speed; feed-forward where the family has a torque offset."""
-        told = {"current", "current_setpoint"} if self._tells_demand else {"current"}
+        channels = {"current", "current_setpoint"} if self._reports_demand else {"current"}
         return Abilities(
             modes=frozenset(self.modes),
             feedforward=self._feeds_forward,
-            channels=frozenset(told),
+            channels=frozenset(channels),
             watchdog=False,
         )
 
@@ -83,7 +83,7 @@ class EposDrive(MaxonDrive[Entry]):
         identity = self.identity(self._objects, self.family)
         self._require_no_fault(self._objects.read(od.STATUS))
         self._require_encoder(self._objects.find(self.encoder_entry))
-        self._tells_demand = self._objects.find(self.demand_entry) is not None
+        self._reports_demand = self._objects.find(self.demand_entry) is not None
         return identity
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
@@ -124,7 +124,7 @@ class EposDrive(MaxonDrive[Entry]):
         asked = self.line.now()
         position = self._objects.read(od.POSITION)
         answered = self.line.now()
-        demand = self._objects.read(self.demand_entry) * 1e-3 if self._tells_demand else math.nan
+        demand = self._objects.read(self.demand_entry) * 1e-3 if self._reports_demand else math.nan
         sample = Sample(
             (asked + answered) / 2,
             position * self._count,

@@ -1,8 +1,8 @@
-"""What stops a maxon drive where rigtool is killed or hangs: another process on the same computer.
+"""Stops a maxon drive when rigtool is killed or hangs, by another process on the same computer.
 
-No drive of maxon's has a watchdog on its serial line. So while one is on, rigtool tells a process
-of its own, over a pipe, that it lives. Where that falls silent, or the pipe ends, the process
-opens the port itself and switches the drive off. It does nothing against a computer or a cable
+No maxon drive has a watchdog on its serial line. While one is on, rigtool sends a sign of life over
+a pipe to a second process. When the pipe falls silent or ends, that process opens the port itself
+and switches the drive off. It does nothing against a computer or a cable
 that fails: `serial.emergency_stop` is for those.
 """
 
@@ -10,29 +10,20 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
-import signal
 import subprocess
 import sys
 import threading
-import time
 
 from rigtool.errors import HardwareError
 
 ON, OFF = b"1", b"0"
 READY = b"r"
 
-PATIENCE = 30.0
-"""Time for which a guard tries to switch the drive off, s: the port may have to come back."""
-
-PAUSE = 0.05
-"""Between its attempts, s."""
-
 
 class Guard:
     """The host's end: starts the process when it is first needed.
 
-    `silence` [s] is how long it may be told nothing while the drive is on.
+    `silence` [s] is the longest time without a sign of life while the drive is on.
     """
 
     def __init__(self, port: str, baud_rate: int, node: int, silence: float) -> None:
@@ -42,34 +33,34 @@ class Guard:
         self.process: subprocess.Popen[bytes] | None = None
 
     def watch(self) -> None:
-        """Tell that the drive is on, or about to be, and this program lives.
+        """Announce that the drive is on, or about to be.
 
-        Raises `HardwareError` where nobody is there to be told.
+        Raises `HardwareError` where the process is gone.
         """
         if self._pipe is None:
             self._start()
         self._on = True
-        self._tell(ON)
+        self._send(ON)
 
     def beat(self) -> None:
-        """Tell that this program lives, if the drive is on."""
+        """Send a sign of life, if the drive is on."""
         if self._on:
-            self._tell(ON)
+            self._send(ON)
 
     def rest(self) -> None:
-        """Tell that the drive is off."""
+        """Announce that the drive is off."""
         if self._on:
             self._on = False
             with contextlib.suppress(HardwareError):  # it is not needed any more
-                self._tell(OFF)
+                self._send(OFF)
 
     def close(self) -> None:
-        """Let the process go."""
+        """Close the pipe: the process ends."""
         if self._pipe is not None:
             os.close(self._pipe)
             self._pipe = None
 
-    def _tell(self, word: bytes) -> None:
+    def _send(self, word: bytes) -> None:
         try:
             if self._pipe is None:
                 raise BrokenPipeError
@@ -78,8 +69,8 @@ class Guard:
             self.close()
             raise HardwareError(
                 f"{self._arguments[0]}: the process that would switch the drive off where this one "
-                "fails is gone: it was ended, or heard nothing for "
-                f"{float(self._arguments[-1]):.3g} s and switched it off (raise serial.watchdog)"
+                "fails is gone: it was ended, or received nothing for "
+                f"{float(self._arguments[-1]):.3g} s and acted (raise serial.watchdog)"
             ) from None
 
     def _start(self) -> None:
@@ -89,7 +80,7 @@ class Guard:
         answer, their_answer = os.pipe()
         # a Ctrl-C or Ctrl-Z at the terminal is not for it
         self.process = process = subprocess.Popen(
-            [sys.executable, "-m", "rigtool.rigs.serial.maxon.guard", *self._arguments],
+            [sys.executable, "-m", "rigtool.rigs.serial.maxon.guard_process", *self._arguments],
             stdin=theirs,
             stdout=their_answer,
             start_new_session=True,
@@ -105,61 +96,3 @@ class Guard:
                 f"{self._arguments[0]}: the process that would switch the drive off where this one "
                 "is killed cannot be started"
             )
-
-
-def main(port: str, baud_rate: str, node: str, silence: str) -> None:
-    """Watch over standard input, and switch the drive off where that ends or falls silent."""
-    from rigtool.rigs.serial.maxon import driver as _  # noqa: F401  so that it is there in time
-
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # it ends with the program that it watches
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
-    words: queue.Queue[bytes] = queue.Queue()
-    threading.Thread(target=_listen, args=(words,), daemon=True).start()
-    os.write(1, READY)
-    os.close(1)
-    on = False
-    while True:
-        try:
-            word = words.get(timeout=float(silence) if on else None)
-        except queue.Empty:
-            break
-        if not word:
-            break
-        on = word[-1:] == ON
-    if on:
-        switch_off(port, int(baud_rate), int(node))
-
-
-def _listen(words: queue.Queue[bytes]) -> None:
-    while True:
-        word = os.read(0, 64)
-        words.put(word)
-        if not word:
-            return
-
-
-def switch_off(port: str, baud_rate: int, node: int) -> None:
-    """Open a port, whoever has it, and switch off what is there; tell on stderr how it went."""
-    from rigtool.rigs.serial.line import Line
-    from rigtool.rigs.serial.maxon.driver import drive_on
-
-    deadline = time.monotonic() + PATIENCE
-    told = f"{port}: rigtool was killed, hangs or lost the line while the drive was on: "
-    while True:
-        try:
-            with Line(port, baud_rate, timeout=0.1, exclusive=False) as line:
-                drive_on(line, node, encoder_counts=4).halt()
-            told += "it is switched off now"
-            break
-        except HardwareError as error:
-            if time.monotonic() > deadline:
-                told += f"it could not be switched off ({error}): switch off its supply"
-                break
-        time.sleep(PAUSE)
-    with contextlib.suppress(OSError):
-        print(told, file=sys.stderr, flush=True)
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

@@ -1,7 +1,7 @@
 """Objects of an EPOS: where values are, of what kind, and how they are read and written.
 
 EPOS4 objects: [maxon, EPOS4 Firmware Specification] as others use them; EPOS2 objects from
-implementations of others only. Neither was tried on hardware: docs/bench-maxon.md says more.
+implementations of others only. Neither was tried on hardware: see docs/bench-maxon.md.
 """
 
 from __future__ import annotations

@@ -8,36 +8,37 @@ point along at that speed.
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rigtool.errors import HardwareError
-from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.moteus.link import Link
-from rigtool.rigs.serial.table_store import TableStore
-
-BAUD_RATE = 921600
-USUAL_NODE = 1
-"""Address that a drive leaves the factory with; 0, which the recipe has by default, is none."""
-
-PROBED_NODES = range(1, 5)
+from rigtool.rigs.serial.moteus.registers import (
+    COMMAND,
+    COMMAND_INTEGRAL,
+    COMMAND_TIMEOUT,
+    CONTROL_TORQUE,
+    CURRENT,
+    FAULT,
+    FAULTY,
+    IDENTITY,
+    IN_POSITION,
+    MODE,
+    MOTOR_TEMPERATURE,
+    POSITION,
+    SERIAL_NUMBER,
+    STOPPED,
+    TIMED_OUT,
+    TORQUE,
+    VELOCITY,
+)
 
 TURN = 2 * math.pi
-
-MODE, POSITION, VELOCITY, TORQUE, CURRENT = range(5)
-MOTOR_TEMPERATURE, FAULT = 0x00A, 0x00F
-COMMAND = 0x020
-"""First of position, velocity, feed-forward torque, kp scale, kd scale, largest torque."""
-COMMAND_TIMEOUT, COMMAND_INTEGRAL, CONTROL_TORQUE = 0x027, 0x02B, 0x034
-IDENTITY, SERIAL_NUMBER = 0x100, 0x120
-
-STOPPED, FAULTY, IN_POSITION, TIMED_OUT = 0, 1, 10, 11
 
 STATE = (
     frames.read(MODE, 5)
@@ -84,31 +85,8 @@ FAULTS = {
 }
 
 
-def probe(line: Line) -> str | None:
-    """Return who answers on a line, None where no moteus does."""
-    for node in PROBED_NODES:
-        link = Link(line, node)
-        with contextlib.suppress(HardwareError):
-            return _identity(link)
-        if line.counts.bytes_received == 0:
-            return None
-    return None
-
-
-def make_drive(line: Line, recipe: Recipe) -> Moteus:
-    """Return the drive that a recipe's [serial] names, not connected yet."""
-    assert recipe.serial is not None
-    return Moteus(line, recipe.serial.node or USUAL_NODE)
-
-
-def make_table_store(line: Line, recipe: Recipe) -> TableStore:
-    """Return the table in the drive that a recipe's [serial] names, not connected yet."""
-    from rigtool.rigs.serial.moteus.table import MoteusTable
-
-    return MoteusTable(make_drive(line, recipe))
-
-
-def _identity(link: Link) -> str:
+def read_identity(link: Link) -> str:
+    """Return model, firmware and serial number of the drive in a line."""
     question = frames.read(IDENTITY, 2, frames.INT32) + frames.read(SERIAL_NUMBER, 3, frames.INT32)
     numbers = (IDENTITY, IDENTITY + 1, *range(SERIAL_NUMBER, SERIAL_NUMBER + 3))
     found = link.query(question, numbers)
@@ -151,7 +129,7 @@ class Moteus:
     def connect(self) -> str:
         """Identify the drive; raises `HardwareError` for one that cannot be measured with."""
         self.link.find_seal(STATE)
-        identity = _identity(self.link)
+        identity = read_identity(self.link)
         state = self.link.query(STATE, EXPECTED)
         if state[MODE] == FAULTY:
             raise HardwareError(
@@ -171,8 +149,8 @@ class Moteus:
         for name in ("servo.voltage_mode_control", "servo.fixed_voltage_mode"):
             if number(name) != 0:
                 raise HardwareError(
-                    f"{name} is on: the drive controls voltage, so its current says nothing of "
-                    "torque; set it to 0"
+                    f"{name} is on: the drive controls voltage, so torque does not follow from its "
+                    "current; set it to 0"
                 )
         ratio = number("motor_position.rotor_to_output_ratio")
         if not ratio > 0:
@@ -190,7 +168,7 @@ class Moteus:
 
     @property
     def motor(self) -> Motor:
-        """What the drive knows of its motor; once connected."""
+        """What the drive knows of its motor, read by `connect`."""
         assert self._motor is not None, "connect first"
         return self._motor
 
@@ -364,7 +342,7 @@ class Moteus:
             raise HardwareError(f"moteus {self.link.node} stopped by itself: {_fault(state)}")
         if state[MODE] == TIMED_OUT:
             raise HardwareError(
-                f"moteus {self.link.node} stopped: its watchdog heard nothing for "
+                f"moteus {self.link.node} stopped: its watchdog received nothing for "
                 f"{self._watchdog:g} s; raise serial.watchdog, or find what holds up the line"
             )
         raise HardwareError(
@@ -386,7 +364,7 @@ class Moteus:
             if state[MODE] == STOPPED:
                 return
         raise HardwareError(
-            f"moteus {self.link.node} was told to stop and is still in mode {state[MODE]:g}: "
+            f"moteus {self.link.node} was sent a stop and is still in mode {state[MODE]:g}: "
             "switch its supply off"
         )
 

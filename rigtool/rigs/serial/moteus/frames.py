@@ -72,7 +72,7 @@ def unsealed(line: bytes) -> bytes:
 
 
 def has_seal(line: bytes) -> bool:
-    """Say whether a line ends with a checksum, right or wrong."""
+    """Return whether a line ends with a checksum, right or wrong."""
     return line[-4:-2] == b" *"
 
 

@@ -32,7 +32,7 @@ TEXT_TIMEOUT = 0.5
 
 
 class Refused(HardwareError):
-    """The drive does not do what a request asks."""
+    """The drive refuses a request."""
 
 
 class Link:
@@ -137,13 +137,13 @@ class Link:
         return self._talk(f"conf get {name}", lambda answer: answer != "OK")
 
     def number(self, name: str) -> float:
-        """Return a setting as number; raises `HardwareError` where it is none."""
+        """Return a setting as number; raises `HardwareError` for anything else."""
         text = self.get(name)
         try:
             return float(text)
         except ValueError:
             raise HardwareError(
-                f"moteus {self.node} says {text!r} for {name}, which is no number"
+                f"moteus {self.node} reports {text!r} for {name}, which is not a number"
             ) from None
 
     def set(self, name: str, value: str) -> None:

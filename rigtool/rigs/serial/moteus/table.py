@@ -11,9 +11,10 @@ import math
 import numpy as np
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial import safety
-from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.interrupts import held
 from rigtool.rigs.serial.moteus import frames
+from rigtool.rigs.serial.moteus.drive import Moteus
+from rigtool.rigs.serial.moteus.registers import MODE, POSITION, STOPPED, TIMED_OUT
 from rigtool.rigs.serial.table_store import DriveTable, EncoderZero
 
 SCALE = "motor.cogging_dq_scale"
@@ -35,19 +36,19 @@ class MoteusTable:
     size, largest_code = 1024, 127
     scale_step = PRINTED
 
-    def __init__(self, drive: moteus.Moteus) -> None:
+    def __init__(self, drive: Moteus) -> None:
         self._drive, self.link = drive, drive.link
 
     def connect(self) -> str:
         """Identify the drive.
 
-        Raises `HardwareError` for one that runs, or whose position means nothing.
+        Raises `HardwareError` for one that runs, or whose position is not referenced to the rotor.
         """
         identity = self._drive.connect()
-        state = self.link.query(frames.read(moteus.MODE) + frames.read(HOMED), (moteus.MODE, HOMED))
-        if state[moteus.MODE] not in (moteus.STOPPED, moteus.TIMED_OUT):
+        state = self.link.query(frames.read(MODE) + frames.read(HOMED), (MODE, HOMED))
+        if state[MODE] not in (STOPPED, TIMED_OUT):
             raise HardwareError(
-                f"{identity}: is switched on, mode {state[moteus.MODE]:g}: stop what turns it; a "
+                f"{identity}: is switched on, mode {state[MODE]:g}: stop what turns it; a "
                 "table is stored at standstill"
             )
         if state[HOMED] == 0:
@@ -60,19 +61,19 @@ class MoteusTable:
     def zero(self) -> EncoderZero:
         """Measure how the encoder that the table goes by belongs to the position.
 
-        Raises `HardwareError` for a direction that is none.
+        Raises `HardwareError` for a direction other than 1 or -1.
         """
         source = int(self.link.number("motor_position.commutation_source"))
         sign = int(self.link.number("motor_position.output.sign"))
         if sign not in (1, -1):
             raise HardwareError(f"motor_position.output.sign is {sign}: must be 1 or -1")
         encoder = ENCODER + 2 * source
-        question = frames.read(moteus.POSITION) + frames.read(encoder)
+        question = frames.read(POSITION) + frames.read(encoder)
         ratio = self._drive.motor.ratio
         offsets = np.empty(READINGS)
         for i in range(READINGS):
-            found = self.link.query(question, (moteus.POSITION, encoder))
-            offsets[i] = found[encoder] - sign * found[moteus.POSITION] / ratio
+            found = self.link.query(question, (POSITION, encoder))
+            offsets[i] = found[encoder] - sign * found[POSITION] / ratio
         around = np.exp(2j * np.pi * offsets)
         middle = float(np.angle(around.mean()))
         scatter = float(np.std(np.angle(around * np.exp(-1j * middle)), ddof=1))
@@ -91,7 +92,7 @@ class MoteusTable:
             self._keep()
             self._require(table)
         except BaseException as error:
-            with safety.uninterrupted():
+            with held():
                 error.add_note(self._bring_back(before))
             raise
 

@@ -18,6 +18,7 @@ from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line
 from rigtool.rigs.serial.odrive.settings import Settings, as_said
 from rigtool.rigs.serial.odrive.text import (
@@ -29,8 +30,6 @@ from rigtool.rigs.serial.odrive.text import (
     identify,
     number,
 )
-
-BAUD_RATE = 115200
 
 TURN = 2 * math.pi
 
@@ -45,13 +44,13 @@ PASSTHROUGH = 1
 GIMBAL = 2
 
 HALTS = 2
-"""Times that stopping and restoring are tried, each with the retries of the line."""
+"""Attempts to stop and to restore, each with the retries of the line."""
 
 ATTEMPTS = 3
-"""Times that a state is asked for: the request may be lost in silence."""
+"""Requests for a state: one may be lost without an error."""
 
 POLLS = 20
-"""Times that the state is looked at, every `POLL` s, before it is asked for again."""
+"""Readings of the state, `POLL` s apart, before it is requested again."""
 
 POLL = 0.005
 
@@ -60,17 +59,6 @@ CORRECTED = 0.3
 
 TEMPERATURE_EVERY = 50
 """Samples for which one reading of the thermistor holds."""
-
-
-def probe(line: Line) -> str | None:
-    """Return who answers; asks only."""
-    return str(identify(line, retries=0))
-
-
-def make_drive(line: Line, recipe: Recipe) -> ODrive:
-    """Return the drive that a recipe names, not connected yet."""
-    assert recipe.serial is not None
-    return ODrive(line, recipe.serial.node, recipe.rig.sample_time)
 
 
 class ODrive:
@@ -92,7 +80,7 @@ class ODrive:
         self._control_mode = 0
         self._settings = Settings(self._talk, f"axis{axis}.")
 
-    # -- who is there
+    # -- identity
 
     def connect(self) -> str:
         """Identify it and read what it is set to; nothing changes.
@@ -118,7 +106,7 @@ class ODrive:
         found = self._talk.get_first(*map(self._name, self._dialect.direction))
         if found is None and self._dialect is DIALECT_05:
             raise HardwareError(
-                f"axis {self._axis} does not tell its direction: update its firmware"
+                f"axis {self._axis} does not report its direction: update its firmware"
             )
         self._direction = -1.0 if found and number(found[1]) < 0 else 1.0
         self._find_thermistor()
@@ -126,7 +114,7 @@ class ODrive:
 
     @property
     def abilities(self) -> Abilities:
-        """Everything; temperature where a thermistor is set up."""
+        """All modes; temperature where a thermistor is set up."""
         temperature = {"temperature"} if self._thermistor else set()
         return Abilities(
             frozenset({"position", "velocity", "current"}),
@@ -150,7 +138,7 @@ class ODrive:
             )
 
     def _has_fault(self) -> bool:
-        """Say whether there is an error other than the watchdog's, which is ours to clear."""
+        """Return whether there is an error other than the watchdog's, which is ours to clear."""
         codes = self._errors()
         main = codes.pop(self._dialect.errors[0])
         return bool(main & ~self._dialect.watchdog_error or any(codes.values()))
@@ -253,7 +241,7 @@ class ODrive:
             self._talk.put(self._name("controller.input_pos"), f"{position / TURN:.7f}")
 
     def _reach(self, state: int) -> bool:
-        """Ask for a state until it is reached; say whether it was. Feeds the watchdog."""
+        """Request a state until it is reached; return whether it was. Feeds the watchdog."""
         feed = f"u {self._axis}"
         for _ in range(ATTEMPTS):
             if self._state() == state:
@@ -284,7 +272,7 @@ class ODrive:
         letter, echo = COMMANDS[control_mode]
         commands = [f"{letter} {self._axis} {value:.7f} {rest}"]
         echoes = [(f"controller.{echo}", value)]
-        if control_mode != self._control_mode:  # the command itself says so to 0.5; to 0.6, perhaps
+        if control_mode != self._control_mode:  # for firmware 0.6
             commands.insert(0, f"w {self._name(CONTROL_MODE)} {control_mode}")
             echoes.append((CONTROL_MODE, control_mode))
         sample = self._measure(commands, echoes)
@@ -372,7 +360,7 @@ class ODrive:
 
 
 def _persist(act: Callable[[], None]) -> None:
-    """Do what has to be done, again where it fails."""
+    """Act; try again where that fails."""
     for attempt in range(HALTS):
         try:
             return act()
@@ -394,3 +382,17 @@ def _state(replies: list[str]) -> int:
 
 def _numbers(replies: list[str]) -> list[float]:
     return [number(word) for reply in replies for word in reply.split()]
+
+
+def probe(line: Line) -> str | None:
+    """Return the identity of the ODrive that answers."""
+    return str(identify(line, retries=0))
+
+
+def make_drive(line: Line, recipe: Recipe) -> ODrive:
+    """Return the drive that a recipe names, not connected yet."""
+    assert recipe.serial is not None
+    return ODrive(line, recipe.serial.node, recipe.rig.sample_time)
+
+
+DRIVER = Driver(probe, (115200,), make_drive)

@@ -9,7 +9,7 @@ from rigtool.rigs.serial.odrive.text import Talk, agrees, number
 class Settings:
     """Properties below `prefix` that are not as their owner left them.
 
-    A value is written only where it differs, since the drive tells no more than 9 characters of
+    A value is written only where it differs, since the drive reports no more than 9 characters of
     what was there. What was there at first is what comes back, also after the drive was reset.
     """
 
@@ -29,7 +29,7 @@ class Settings:
         return now
 
     def lower(self, name: str, value: float) -> bool:
-        """Set a limit unless it is as low already; say whether it was set."""
+        """Set a limit unless it is as low already; return whether it was set."""
         now = self.remember(name)
         if number(now) <= value:
             self._ours[name] = now
@@ -52,7 +52,7 @@ class Settings:
             if not agrees(now, number(text)):
                 raise HardwareError(
                     f"{self._prefix}{name} is {now}, not {text} as it was set: the drive was reset "
-                    "(look at its supply), or somebody else changes it"
+                    "(look at its supply), or another program changes it"
                 )
 
     def restore(self, feed: str) -> None:
@@ -71,7 +71,7 @@ class Settings:
 
 
 def as_said(now: str, value: float) -> str:
-    """Return a value in the form of `now`, as the drive says it: a truth in words, or a number."""
+    """Return a value as text in the form of `now`: true or false, or a number."""
     if now.lower() in ("true", "false"):
         return "true" if value else "false"
     return f"{value:.7g}"

@@ -74,7 +74,7 @@ AXIS_ERRORS_06 = {
 
 
 class Refused(HardwareError):
-    """The drive understood, and does not do it."""
+    """The drive refuses a request."""
 
 
 class Missing(Refused):
@@ -97,7 +97,7 @@ class Dialect:
 
     @property
     def watchdog_error(self) -> int:
-        """The bit of the first of `errors` that says that the watchdog ran out."""
+        """The bit of the first of `errors` that reports that the watchdog ran out."""
         return next(n for n, name in self.error_names.items() if name == "WATCHDOG_TIMER_EXPIRED")
 
 
@@ -164,7 +164,7 @@ def unseal(line: bytes) -> str:
 
 
 def number(text: str) -> float:
-    """Return the number that a reply says, true and false among them; else `DamagedReply`."""
+    """Return the number in a reply, 1 for true, 0 for false; raises `DamagedReply`."""
     words = {"true": 1.0, "false": 0.0}
     try:
         return words[text.lower()] if text.lower() in words else float(text)
@@ -173,7 +173,7 @@ def number(text: str) -> float:
 
 
 def agrees(text: str, value: float) -> bool:
-    """Say whether a reply is this value: of a 32-bit float, cut after 9 characters."""
+    """Return whether a reply is this value, as a 32-bit float cut after 9 characters."""
     _, point, decimals = text.partition(".")
     cut = 1.05 * 10.0 ** -len(decimals) if point else 0.0
     read = number(text)
@@ -199,8 +199,8 @@ class Talk:
     ) -> T:
         """Send commands, which have no reply, then questions; return what is understood.
 
-        A reply does not say what it answers: whatever is not as expected - the number of words,
-        something left over - has the whole asked again, as has a `DamagedReply` of `understand`.
+        A reply does not name its question: an unexpected number of words, bytes left over, or a
+        `DamagedReply` of `understand` repeats the whole exchange.
         Raises `Refused` where the drive does, `Missing` for a property that it does not have.
         """
         first = list(questions) if self.at_once else [questions[0]]
@@ -217,7 +217,7 @@ class Talk:
         return self._line.exchange(request, receive)
 
     def get(self, name: str) -> str:
-        """Return a property as it is said."""
+        """Return a property as the drive prints it."""
         return self.ask([f"r {name}"], lambda replies: replies[0])
 
     def get_first(self, *names: str) -> tuple[str, str] | None:
@@ -273,7 +273,7 @@ def _require_form(question: str, text: str) -> None:
 
 
 def identify(line: Line, retries: int | None = None) -> Identity:
-    """Ask who is there. Raises `HardwareError` where it is no ODrive, or too old a one."""
+    """Return the identity of the drive; raises `HardwareError` for firmware before 0.5.1."""
 
     def receive() -> Identity:
         text = ""

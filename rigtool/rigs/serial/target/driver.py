@@ -1,6 +1,6 @@
 """A target that runs motions by itself: a microcontroller or real-time PC with the 8 kHz loop.
 
-What to do goes up as descriptions, the log comes down after the run or while it goes on. The link
+Motions are uploaded as descriptions; the log is downloaded after the run or streamed. The link
 is specified in docs/target-link.md.
 """
 
@@ -19,8 +19,9 @@ from rigtool.control.position_loop import controller_sections
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import CHANNELS, Block, Load, Task
-from rigtool.rigs.bench import Bench
 from rigtool.rigs.motion import Move
+from rigtool.rigs.operator import Operator
+from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
 from rigtool.rigs.serial.safety import Watch, speed_of_moves
@@ -35,16 +36,16 @@ Array = NDArray[np.float64]
 BAUD_RATE = 115200
 
 SMALLEST_CHUNK = 64
-"""Payload below which a line that damages frames is not worth going on with, bytes."""
+"""Payload of a frame at least, bytes, however many frames a line damages."""
 
 POLL = 0.02
-"""Time between two questions for the state while a motion runs, s."""
+"""Time between two requests for the state while a motion runs, s."""
 
 UPLOADS = 3
-"""Times that something longer than a frame is carried until its CRC-32 is right."""
+"""Attempts to transfer something longer than a frame with the right CRC-32."""
 
 PATIENCE = 60.0
-"""Time beyond the motion's own in which it must be over: the approach is in it, s."""
+"""Time that a motion may take beyond its duration, for the approach, s."""
 
 _NEEDED = {
     "open_loop": Ability.OPEN_LOOP,
@@ -59,16 +60,11 @@ _NEEDED = {
 
 
 def probe(line: Line) -> str | None:
-    """Return who answers on the line, None where it is no target.
+    """Return the identity of the target that answers, None where something else does.
 
-    A HELLO ends a session that another host has: ports are opened exclusively, so there is none.
+    A HELLO ends the session of another host; ports are opened exclusively, so there is no other.
     """
     return _describe(Talk(line, timeout=line.timeout, retries=1).hello())
-
-
-def make_rig(recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> TargetRig:
-    """Return the rig, not connected yet."""
-    return TargetRig(recipe, torque_constant, use, bench)
 
 
 class TargetRig(SerialRig):
@@ -77,8 +73,10 @@ class TargetRig(SerialRig):
     _talk: Talk
     _hello: link.Hello
 
-    def __init__(self, recipe: Recipe, torque_constant: float, use: str, bench: Bench) -> None:
-        super().__init__(recipe, torque_constant, use, bench)
+    def __init__(
+        self, recipe: Recipe, torque_constant: float, use: str, operator: Operator
+    ) -> None:
+        super().__init__(recipe, torque_constant, use, operator)
         self._in_session = False
         self._up: dict[Slot, bytes] = {}  # what the target has
         self._arrived: list[tuple[int, bytes]] = []  # streamed, and not yet in a log
@@ -90,7 +88,7 @@ class TargetRig(SerialRig):
         return Line(
             self._settings.port,
             self._settings.baud_rate or BAUD_RATE,
-            spy=self._bench.spy,
+            spy=self._operator.spy,
             driver="target",
         )
 
@@ -105,16 +103,7 @@ class TargetRig(SerialRig):
         self._require_match(hello)
         self._chunk = hello.max_payload - link.CHUNK.size
         rig = self._recipe.rig
-        controller = rig.controller
-        sections = controller_sections(
-            crossover_hz=controller.crossover_hz,
-            lead_ratio=controller.lead_ratio,
-            integrator_hz=controller.integrator_hz,
-            lowpass_hz=controller.lowpass_hz,
-            lowpass_damping=controller.lowpass_damping,
-            inertia=rig.nominal_inertia,
-            sample_time=rig.sample_time,
-        )
+        sections = controller_sections(**rig.loop_design)
         setup = link.RigSetup(
             self._torque_constant,
             rig.sample_time,
@@ -168,7 +157,7 @@ class TargetRig(SerialRig):
         ability = _NEEDED.get(need)
         if ability is None or ability in self._hello.abilities:
             return None
-        return "the target does not say that it can"
+        return "the target does not offer it"
 
     def _facts(self) -> dict[str, int]:
         return {
@@ -266,17 +255,17 @@ class TargetRig(SerialRig):
 
     def _watch_over(self, status: Status, watch: Watch, until: float) -> None:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
-        told = {
+        measured = {
             "time": np.array([status.time]),
             "encoder": np.array([status.position * counts]),
             "current": np.array([status.current]),
             "temperature": np.array([status.temperature]),
         }
         if self.watcher is not None and not self._talk.streaming:
-            self.watcher(told)
-        problem = watch.problem(told)
+            self.watcher(measured)
+        problem = watch.problem(measured)
         if problem is None and self.line.now() > until:
-            problem = f"{self.line.port}: the motion does not come to its end: it was stopped"
+            problem = f"{self.line.port}: the motion did not end in time: it was stopped"
         if problem:
             self._call(Kind.STOP)
             raise HardwareError(problem)
@@ -330,7 +319,7 @@ class TargetRig(SerialRig):
         return status
 
     def _put(self, slot: Slot, data: bytes) -> None:
-        """Bring an object up, unless it is there already."""
+        """Upload an object, unless the target has it already."""
         if self._up.get(slot) == data:
             return
         self._up.pop(slot, None)
@@ -372,7 +361,7 @@ class TargetRig(SerialRig):
         )
 
     def matches(self, first: int, count: int, data: bytes) -> bool:
-        """Say whether these are the samples in the target's log, by their CRC-32."""
+        """Return whether these are the samples in the target's log, by their CRC-32."""
         reply = self._call(Kind.DIGEST, link.DIGEST.pack(first, count))
         return reply == link.CRC32.pack(zlib.crc32(data))
 
@@ -396,3 +385,6 @@ def _describe(hello: link.Hello) -> str:
         f"{hello.name}, link version {hello.version}, {1 / hello.sample_time:g} Hz, log of "
         f"{hello.log_bytes / 2**20:.3g} MiB"
     )
+
+
+DRIVER = Driver(probe, (BAUD_RATE,), make_rig=TargetRig)

@@ -60,7 +60,7 @@ class Kind(enum.IntEnum):
 
 
 class Slot(enum.IntEnum):
-    """Objects that go up in chunks."""
+    """Objects that are uploaded in chunks."""
 
     RIG = 1
     LIMITS = 2
@@ -109,7 +109,7 @@ class Ability(enum.IntFlag):
 
 @dataclass(frozen=True)
 class Hello:
-    """A target introduces itself."""
+    """A target's reply to HELLO."""
 
     boot: int
     abilities: Ability
@@ -239,7 +239,7 @@ def sample_type(mask: int) -> np.dtype[np.void]:
 
 @dataclass(frozen=True)
 class RigSetup:
-    """What a target has to know of the rig; `use` names what it is used for."""
+    """The rig as a target needs it; `use` names the command."""
 
     torque_constant: float
     sample_time: float
@@ -329,7 +329,7 @@ def unpack_table(data: bytes) -> LookupTable | None:
 
 
 def pack_motion(motion: Motion | OpenLoop | Observe) -> bytes:
-    """Return the object of slot MOTION: a byte that says which, then its numbers.
+    """Return the object of slot MOTION: a byte for its kind, then its numbers.
 
     Raises `TypeError` for a motion that the link does not know.
     """

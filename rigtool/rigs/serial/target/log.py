@@ -1,4 +1,4 @@
-"""The log of one motion on a target, put together from what is streamed and what is read."""
+"""The log of one motion on a target, put together from streamed and downloaded samples."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Memory(Protocol):
     """The log in the memory of a target."""
 
     def read_log(self, first: int, count: int, size: int) -> bytes:
-        """Return samples of `size` bytes as they are there by CRC-32."""
+        """Return samples of `size` bytes, verified by CRC-32."""
         ...
 
     def matches(self, first: int, count: int, data: bytes) -> bool:
-        """Say whether these are the samples that are there, by their CRC-32."""
+        """Return whether the target's log holds these samples, by their CRC-32."""
         ...
 
 

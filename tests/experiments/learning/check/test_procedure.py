@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.learning import procedure as ilc_learn
 from rigtool.experiments.learning.check import procedure as ilc_check
-from rigtool.experiments.learning.stored_origin import learned_table_from
+from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.options import CommonOptions
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
@@ -45,7 +46,7 @@ def kt(folder):
 def turned(request, folder, kt):
     """Return a table of whole turns, and the seed of its rig."""
     path = folder / f"turned-{request.param}.h5"
-    run(ilc_learn, RECIPE, path, *TURNING, seed=request.param, kt=kt)
+    run(ILC_LEARN, RECIPE, path, *TURNING, seed=request.param, kt=kt)
     return path, request.param
 
 
@@ -53,7 +54,7 @@ def turned(request, folder, kt):
 def moved(request, folder, kt):
     """Return a table of a range, with the instrument, and the seed of its rig."""
     path = folder / f"moved-{request.param}.h5"
-    run(ilc_learn, RECIPE, path, *MOVING, seed=request.param, kt=kt)
+    run(ILC_LEARN, RECIPE, path, *MOVING, seed=request.param, kt=kt)
     return path, request.param
 
 
@@ -61,7 +62,7 @@ def check(tables, folder, kt, *overrides, seed=None, source=RECIPE):
     with open_run(tables) as stored:
         options = ilc_check.as_learned(CommonOptions(overrides=overrides), [str(source)], stored)
     inputs = {"tables": tables, "kt": kt}
-    return run(ilc_check, source, folder / "check.h5", *options.overrides, seed=seed, **inputs)
+    return run(ILC_CHECK, source, folder / "check.h5", *options.overrides, seed=seed, **inputs)
 
 
 def test_an_unchanged_rig_fits(unchanged):
@@ -119,6 +120,7 @@ class Slipped:
             size=recording.size,
             conditions=recording.conditions,
             condition=recording.condition,
+            has=recording.has,
             read=lambda channel: recording.read(channel) + added.get(channel, 0.0),
         )
 
@@ -155,7 +157,7 @@ def test_an_instrument_is_checked_on_its_range(moved, folder, kt):
     power = check(tables, folder, kt, "virtual.power_cycle=1", seed=seed)
     assert not ilc_check.fits(power)
     assert "another shape" in power.notes[0]
-    assert "a part of the turn cannot tell" in power.notes[0]
+    assert "a part of the turn does not show which" in power.notes[0]
     stiff = check(tables, folder, kt, "virtual.instrument.friction=12.6e-3", seed=seed)
     assert not ilc_check.fits(stiff)
     assert "friction has changed by +2" in stiff.notes[0]
@@ -176,7 +178,7 @@ def test_stored_runs_are_checked_as_well(turned, unchanged, folder, kt):
 def test_it_moves_in_short_as_was_learned(folder, kt):
     path = folder / "three.h5"
     speeds = "ilc_learn.turning.speeds_rev_per_s=[1, 2, 3]"
-    run(ilc_learn, RECIPE, path, *TURNING, speeds, "ilc_learn.turning.revolutions=3", kt=kt)
+    run(ILC_LEARN, RECIPE, path, *TURNING, speeds, "ilc_learn.turning.revolutions=3", kt=kt)
     with open_run(path) as tables:
         options = ilc_check.as_learned(CommonOptions(), [str(RECIPE)], tables)
         recipe = load_recipe(RECIPE, [PULLEY, *options.overrides])[0]
@@ -203,7 +205,7 @@ def test_a_table_of_one_speed_is_checked_there_within_its_band(folder, kt, frict
     path = folder / "one.h5"
     speeds = "ilc_learn.turning.speeds_rev_per_s=[1, 4]"
     one = ("ilc_learn.implementation=A", "ilc_learn.iterations=1")
-    run(ilc_learn, RECIPE, path, *TURNING, speeds, *one, kt=kt, friction=friction)
+    run(ILC_LEARN, RECIPE, path, *TURNING, speeds, *one, kt=kt, friction=friction)
     same = check(path, folder, kt)
     assert ilc_check.fits(same)
     assert same.tables["table_health"]["speed"] == pytest.approx([2 * np.pi], rel=1e-9)
@@ -214,10 +216,10 @@ def test_a_table_of_one_speed_is_checked_there_within_its_band(folder, kt, frict
 
 def test_friction_that_was_fed_forward_is_again(folder, kt, friction):
     path = folder / "compensated.h5"
-    run(ilc_learn, RECIPE, path, *TURNING, kt=kt, friction=friction)
+    run(ILC_LEARN, RECIPE, path, *TURNING, kt=kt, friction=friction)
     assert ilc_check.fits(check(path, folder, kt))
     plain = folder / "plain.h5"
-    run(ilc_learn, RECIPE, plain, *TURNING, kt=kt)
+    run(ILC_LEARN, RECIPE, plain, *TURNING, kt=kt)
     with pytest.raises(RunFileError, match="was fed forward"):
         check(path, folder, kt, source=plain)
 
@@ -233,7 +235,7 @@ def test_what_cannot_be_compared_is_refused(turned, moved, folder, kt):
     with pytest.raises(RunFileError, match="needed is one of ilc-check or ilc-learn"):
         check(tables, folder, kt, source=kt)
     with pytest.raises(UsageError, match="--kt is missing"):
-        run(ilc_check, RECIPE, folder / "no.h5", PULLEY, tables=tables)
+        run(ILC_CHECK, RECIPE, folder / "no.h5", PULLEY, tables=tables)
     assert not (folder / "no.h5").exists()
     with open_run(other) as range_, open_run(tables) as turns, open_run(kt) as k:
         recipe = load_recipe(RECIPE, [PULLEY])[0]

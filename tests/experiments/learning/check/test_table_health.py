@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.learning.check.table_health import health, parts
+from rigtool.experiments.learning.check.table_health import judge_table, parts
 from rigtool.experiments.learning.rows import Row
 
 TURN = 2 * math.pi
@@ -69,7 +69,7 @@ def now(table, seed=0, *, shift=0.0, scale=1.0, friction=0.0, offset=0.0, other=
 
 
 def checked(table, u, rows):
-    return health(parts(table, u, rows, table.position), table.position, table.period)
+    return judge_table(parts(table, u, rows, table.position), table.position, table.period)
 
 
 SEEDS = range(6)
@@ -209,7 +209,7 @@ def test_uncertainties_hold(seed):
 
 def test_a_scatter_above_the_table_tells_nothing():
     table, u = learned()
-    with pytest.raises(InsufficientDataError, match="nothing can be told"):
+    with pytest.raises(InsufficientDataError, match="they do not resolve it"):
         checked(table, u, now(table, scatter=5e-3))
 
 

@@ -8,8 +8,10 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.force import procedure as measure_force
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
+from rigtool.experiments.force.results import COLUMNS, LoadRow
 from rigtool.experiments.force.results_corrected import load_outcome
-from rigtool.experiments.learning import procedure as ilc_learn
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.load_disturbance.stored import (
     COVARIANCE,
     TERMS,
@@ -48,11 +50,11 @@ def rig(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rig")
     sets = ("virtual.instrument.stiffness=0.13", "virtual.instrument.load_friction=0.2")
     tables = folder / "tables.h5"
-    learned = run(ilc_learn, RECIPE, tables, *sets, *D, kt=KT)
+    learned = run(ILC_LEARN, RECIPE, tables, *sets, *D, kt=KT)
 
     def measured(*more, source=RECIPE, tables=tables, output="force.h5"):
         own = (*sets, *FORCE) if source == RECIPE else ()
-        return run(measure_force, source, folder / output, *own, *more, kt=KT, tables=tables)
+        return run(MEASURE_FORCE, source, folder / output, *own, *more, kt=KT, tables=tables)
 
     measured.learned, measured.folder, measured.tables = learned, folder, tables
     return measured
@@ -150,13 +152,15 @@ def test_a_load_beyond_the_learned_ones_has_no_value(rig):
 
 def test_a_reading_beyond_the_friction_that_was_learned_has_no_value(rig):
     thesis = rig(at(1))
-    found = load_outcome(thesis, np.array([0.0, 1e-4, math.nan]), thesis)
+    table = thesis.tables["loads"]
+    rows = [LoadRow(*(float(table[name][i]) for name in COLUMNS)) for i in range(3)]
+    found = load_outcome(thesis, rows, np.array([0.0, 1e-4, math.nan]), rows)
     loads = found.tables["loads"]
     assert np.isfinite(loads["mean_torque"]).tolist() == [True, True, False]
     assert np.isfinite(loads["applied_torque"]).all()
     assert found.results["loads_outside"].value == 1
     with pytest.raises(InsufficientDataError, match="beyond those that friction was learned with"):
-        load_outcome(thesis, np.array([0.0, math.nan, math.nan]), thesis)
+        load_outcome(thesis, rows, np.array([0.0, math.nan, math.nan]), rows)
 
 
 def test_a_speed_beyond_the_learned_ones_is_refused_before_it_moves(rig):
@@ -180,14 +184,14 @@ def test_closer_to_standstill_than_learned_there_is_a_dead_band_and_no_value(rig
 def test_tables_without_known_loads_correct_nothing(rig, tmp_path):
     plain = tmp_path / "plain.h5"
     sets = (*D, "ilc_learn.implementation=C")
-    run(ilc_learn, RECIPE, plain, *sets, kt=KT)
+    run(ILC_LEARN, RECIPE, plain, *sets, kt=KT)
     with pytest.raises(RunFileError, match="learn with --implementation D"):
         rig(FULL, at(1), tables=plain)
 
 
 def test_known_loads_need_an_instrument(tmp_path, rig):
     with pytest.raises(RecipeError, match="attach the instrument"):
-        run(ilc_learn, RECIPE, tmp_path / "d.h5", *D, "rig.attachment=pulley", kt=KT)
+        run(ILC_LEARN, RECIPE, tmp_path / "d.h5", *D, "rig.attachment=pulley", kt=KT)
 
 
 def test_the_disturbance_is_read_back_as_it_was_stored(rig):

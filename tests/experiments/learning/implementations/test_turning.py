@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.learning import procedure as ilc_learn
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
 from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
-from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.stored_table import lookup_table_from, require_same_rig
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
@@ -61,9 +61,9 @@ def proof(request, folder, kt, friction):
     """A and B on one rig, short but whole."""
     seed, path = request.param, folder / f"b-{request.param}.h5"
     settings = (*SHORT, "ilc_learn.iterations=1")
-    b = run(ilc_learn, RECIPE, path, *settings, using("B"), seed=seed, kt=kt)
+    b = run(ILC_LEARN, RECIPE, path, *settings, using("B"), seed=seed, kt=kt)
     a = run(
-        ilc_learn,
+        ILC_LEARN,
         RECIPE,
         folder / f"a-{seed}.h5",
         *SHORT,
@@ -80,7 +80,7 @@ def learned(folder, kt):
     """B on the first rig, and its path."""
     path = folder / "b.h5"
     settings = (*SHORT, "ilc_learn.iterations=1", "ilc_learn.turning.revolutions=20")
-    return path, run(ilc_learn, RECIPE, path, *settings, using("B"), kt=kt)
+    return path, run(ILC_LEARN, RECIPE, path, *settings, using("B"), kt=kt)
 
 
 # -- the proof
@@ -150,7 +150,7 @@ def test_two_common_ways_leave_three_times_as_much(learned, kt):
 
 def test_the_stored_turns_give_the_same_again(learned, folder, kt):
     path, outcome = learned
-    again = run(ilc_learn, path, folder / "again.h5", kt=kt)
+    again = run(ILC_LEARN, path, folder / "again.h5", kt=kt)
     assert again.results == outcome.results
     for name in outcome.tables:
         for column in outcome.tables[name].columns:
@@ -163,7 +163,7 @@ def test_the_stored_turns_give_the_same_again(learned, folder, kt):
 
 
 def test_another_filter_is_told_from_the_one_that_was_recorded(learned, folder, kt):
-    other = run(ilc_learn, learned[0], folder / "other.h5", "ilc_learn.robustness_hz=10", kt=kt)
+    other = run(ILC_LEARN, learned[0], folder / "other.h5", "ilc_learn.robustness_hz=10", kt=kt)
     assert any("residual belongs to the recorded one" in note for note in other.notes)
 
 
@@ -185,7 +185,7 @@ def test_where_nothing_repeats_the_table_is_zero_and_says_so(folder, kt, frictio
         "ilc_learn.turning.revolutions=20",
     )
     outcome = run(
-        ilc_learn, RECIPE, folder / "zero.h5", *quiet, *slow, using("B"), kt=kt, friction=friction
+        ILC_LEARN, RECIPE, folder / "zero.h5", *quiet, *slow, using("B"), kt=kt, friction=friction
     )
     rms = np.sqrt(np.mean(outcome.tables["lookup"]["torque"] ** 2, axis=1))
     assert (rms < 0.05e-3).all()
@@ -199,7 +199,7 @@ def test_several_runs_stop_by_themselves(folder, kt):
     """A small factor needs several; what was planned beyond the last is not made."""
     path = folder / "several.h5"
     outcome = run(
-        ilc_learn,
+        ILC_LEARN,
         RECIPE,
         path,
         *SHORT,
@@ -219,7 +219,7 @@ def test_several_runs_stop_by_themselves(folder, kt):
     assert 4 <= made < 12
     assert table["ratio"][-1] <= table["limit"][-1]
     assert any(f"learning ended after {made - 1} updates" in note for note in outcome.notes)
-    again = run(ilc_learn, path, folder / "several-again.h5", kt=kt)
+    again = run(ILC_LEARN, path, folder / "several-again.h5", kt=kt)
     np.testing.assert_array_equal(
         again.tables["lookup"]["torque"], outcome.tables["lookup"]["torque"]
     )
@@ -229,11 +229,11 @@ def test_recordings_that_do_not_fit_are_refused(learned, folder, kt, friction):
     path = learned[0]
     output = folder / "no.h5"
     with pytest.raises(RunFileError, match="friction of 0 mN m was fed forward"):
-        run(ilc_learn, path, output, kt=kt, friction=friction)
+        run(ILC_LEARN, path, output, kt=kt, friction=friction)
     with pytest.raises(InsufficientDataError, match=r"learn_000: 20.* turns .* 30 are needed"):
-        run(ilc_learn, path, output, "ilc_learn.turning.revolutions=30", kt=kt)
+        run(ILC_LEARN, path, output, "ilc_learn.turning.revolutions=30", kt=kt)
     with pytest.raises(RunFileError, match="has no recording tune_000"):
-        run(ilc_learn, path, output, using("A"), kt=kt, friction=write_zero_friction(folder))
+        run(ILC_LEARN, path, output, using("A"), kt=kt, friction=write_zero_friction(folder))
     assert not output.exists()
 
 
@@ -248,7 +248,7 @@ def write_zero_friction(folder):
 
 def test_an_instrument_cannot_turn_round_and_round(folder, kt):
     with pytest.raises(UsageError, match="take it off"):
-        run(ilc_learn, RECIPE, folder / "no.h5", using("B"), kt=kt)
+        run(ILC_LEARN, RECIPE, folder / "no.h5", using("B"), kt=kt)
 
 
 # -- implementation A
@@ -257,7 +257,7 @@ def test_an_instrument_cannot_turn_round_and_round(folder, kt):
 def test_the_cut_off_follows_from_bandwidth_and_speeds():
     """[7.2.4.2]: 100 Hz, 1 and 5 rev/s: 20 Hz."""
     recipe = load_recipe(RECIPE, [PULLEY])[0]
-    filters = design(recipe)
+    filters = design_filters(recipe)
     bandwidth = one_speed.bandwidth(filters.learning)
     assert bandwidth == pytest.approx(100, rel=0.1)
     assert one_speed.narrowed(filters, recipe).cutoff_hz == pytest.approx(bandwidth / 5, rel=1e-9)
@@ -282,7 +282,7 @@ def test_ripple_lags_behind_the_rotor_as_it_turns_faster(proof):
 
 def test_a_leaves_friction_to_its_model(folder, kt):
     with pytest.raises(UsageError, match="give --friction"):
-        run(ilc_learn, RECIPE, folder / "no.h5", PULLEY, using("A"), kt=kt)
+        run(ILC_LEARN, RECIPE, folder / "no.h5", PULLEY, using("A"), kt=kt)
     assert not (folder / "no.h5").exists()
 
 
@@ -293,7 +293,7 @@ def test_a_leaves_friction_to_its_model(folder, kt):
 def standard(folder, kt):
     path = folder / "standard.h5"
     settings = (using("standard"), "ilc_learn.iterations=3", "ilc_learn.trajectory.moves=5")
-    return path, run(ilc_learn, RECIPE, path, *settings, PULLEY, kt=kt)
+    return path, run(ILC_LEARN, RECIPE, path, *settings, PULLEY, kt=kt)
 
 
 def test_the_error_of_a_repeated_move_is_learned_away(standard):
@@ -314,7 +314,7 @@ def test_the_error_of_a_repeated_move_is_learned_away(standard):
 
 def test_the_stored_moves_teach_the_same_again(standard, folder, kt):
     path, outcome = standard
-    again = run(ilc_learn, path, folder / "standard-again.h5", kt=kt)
+    again = run(ILC_LEARN, path, folder / "standard-again.h5", kt=kt)
     assert again.results == outcome.results
     np.testing.assert_array_equal(
         again.tables["trajectory"]["torque"], outcome.tables["trajectory"]["torque"]
@@ -357,7 +357,7 @@ def test_c_learns_in_several_runs_and_holds_between_its_speeds(folder, kt):
         "ilc_learn.validation=true",
     )
     path = folder / "c.h5"
-    outcome = run(ilc_learn, RECIPE, path, *settings, kt=kt)
+    outcome = run(ILC_LEARN, RECIPE, path, *settings, kt=kt)
     table = outcome.tables["validation"]
     np.testing.assert_allclose(
         np.unique(np.abs(table["speed"])) / REV, [0.75, 1, 1.5, 2], rtol=1e-9, atol=0
@@ -365,5 +365,5 @@ def test_c_learns_in_several_runs_and_holds_between_its_speeds(folder, kt):
     assert outcome.results["validation_peak_between"].value < 1.5e-3
     assert not table["worse"].any()
     assert outcome.tables["iterations"]["rms"][1] < 0.1 * outcome.tables["iterations"]["rms"][0]
-    again = run(ilc_learn, path, folder / "c-again.h5", kt=kt)
+    again = run(ILC_LEARN, path, folder / "c-again.h5", kt=kt)
     assert again.results == outcome.results

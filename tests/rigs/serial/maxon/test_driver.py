@@ -4,6 +4,7 @@ import binascii
 import json
 import struct
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,8 @@ from rigtool.cli import rigtool
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import hosted
 from rigtool.rigs.serial.emulators.faults import Fault, Faults
 from rigtool.rigs.serial.emulators.server import serve
@@ -49,7 +50,7 @@ def short_blocks(monkeypatch):
 def no_guard(monkeypatch):
     """Start no process beside each of these tests; test_maxon_guard.py has those about it."""
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
-    monkeypatch.setattr(maxon_guard.Guard, "_tell", lambda guard, word: None)
+    monkeypatch.setattr(maxon_guard.Guard, "_send", lambda guard, word: None)
 
 
 @pytest.fixture(params=FAMILIES)
@@ -75,12 +76,10 @@ class PatientRig(HostedRig):
         return line
 
 
-def maxon_rig(port, *more, bench=None):
+def maxon_rig(port, *more, operator=None):
     recipe = serial_recipe(port, "serial.watchdog=1.5", *more, driver="maxon", sample_time=PERIOD)
-    bench = bench or Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
-    return PatientRig(
-        recipe, 0.045, "test", bench, make_drive=maxon.make_drive, baud_rate=maxon.BAUD_RATE
-    )
+    operator = operator or Operator(say=lambda text: None, present=False, yes=True)
+    return PatientRig(recipe, 0.045, "test", operator, maxon.DRIVER)
 
 
 def perform(rig, task):
@@ -316,10 +315,8 @@ def test_power_cycle_brings_limits_back_and_restores_what_was_first(epos4):
         epos4.reset()
         return ""
 
-    bench = Bench(
-        yes=True, operator=Operator(ask=switch_off_and_on, say=lambda text: None, present=True)
-    )
-    with serve(epos4) as server, maxon_rig(server.port, bench=bench) as rig:
+    operator = Operator(ask=switch_off_and_on, say=lambda text: None, present=True, yes=True)
+    with serve(epos4) as server, maxon_rig(server.port, operator=operator) as rig:
         perform(rig, BRIEF)
         rig.power_cycle()
         assert epos4.objects[0x3001, 2] == 10000
@@ -517,7 +514,7 @@ def test_a_record_plays_back_with_the_same_signals(device, tmp_path):
     quiet = Operator(say=lambda text: None, present=False)
     with (
         serve(device) as server,
-        maxon_rig(server.port, bench=Bench(yes=True, spy=str(path), operator=quiet)) as rig,
+        maxon_rig(server.port, operator=replace(quiet, yes=True, spy=str(path))) as rig,
     ):
         first = perform(rig, BRIEF)
     with maxon_rig(f"replay://{path}") as rig:

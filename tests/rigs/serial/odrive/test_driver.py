@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from hypothesis import strategies as st
 from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs import Feedforward, Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
@@ -41,15 +42,14 @@ ENDLESS = Task(SpeedProfile((0.0, 0.1, 5.0), (0.0, 4.0, 4.0)))
 FIRMWARES = [(0, 5, 1), (0, 5, 6), (0, 6, 10)]
 
 
-def odrive_rig(port, *more, bench=None, kt=KT):
+def odrive_rig(port, *more, operator=None, kt=KT):
     recipe = serial_recipe(port, *more, driver="odrive", sample_time=PERIOD)
     return HostedRig(
         recipe,
         kt,
         "test",
-        bench or Bench(yes=True, operator=QUIET),
-        make_drive=odrive.make_drive,
-        baud_rate=odrive.BAUD_RATE,
+        operator or replace(QUIET, yes=True),
+        odrive.DRIVER,
     )
 
 
@@ -374,8 +374,8 @@ def test_power_cycle_brings_the_drive_back_and_its_settings_in_the_end():
         device.reset()
         return ""
 
-    bench = Bench(yes=True, operator=Operator(ask=switch_off_and_on, say=QUIET.say, present=True))
-    with serve(device) as server, odrive_rig(server.port, bench=bench) as rig:
+    operator = Operator(ask=switch_off_and_on, say=QUIET.say, present=True, yes=True)
+    with serve(device) as server, odrive_rig(server.port, operator=operator) as rig:
         rig.power_cycle()
         assert device["motor.config.current_lim"] == 10.0
         perform(rig, BRIEF)
@@ -525,9 +525,9 @@ def test_speed_beyond_the_limit_ends_the_run():
 
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
     path = tmp_path / "line.spy"
-    bench = Bench(yes=True, spy=str(path), operator=QUIET)
+    operator = replace(QUIET, yes=True, spy=str(path))
     faulty = serve(ODriveEmulator(), Fault("flip", at=125))
-    with faulty as server, odrive_rig(server.port, bench=bench) as rig:
+    with faulty as server, odrive_rig(server.port, operator=operator) as rig:
         first = perform(rig, SHORT)
     with odrive_rig(f"replay://{path}") as rig:
         again = perform(rig, SHORT)

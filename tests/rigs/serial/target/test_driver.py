@@ -13,15 +13,15 @@ import pytest
 from rigtool.control.lookup_table import LookupTable
 from rigtool.recipe import load_recipe
 from rigtool.rigs import CHANNELS, Feedforward, Load, Task, open_rig
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from tests.rigs.serial.recipes import RECIPE, serial_recipe
 
 KT = 0.0454
-BENCH = Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
+OPERATOR = Operator(say=lambda text: None, present=False, yes=True)
 TRIANGLE = Task(Triangle(0.1, 1.1, 3.0, 0.2, cycles=1), Feedforward(1.5e-5, 2e-3, 5e-5))
 
 TABLE = LookupTable(
@@ -39,7 +39,7 @@ def virtual():
 
 
 def target_rig(port, *more):
-    return open_rig(serial_recipe(port, "serial.watchdog=5", *more), KT, "test", BENCH)
+    return open_rig(serial_recipe(port, "serial.watchdog=5", *more), KT, "test", OPERATOR)
 
 
 def blocks_of(rig, task):
@@ -137,8 +137,8 @@ def test_a_record_plays_back_bit_for_bit(log, tmp_path):
     with serve(TargetEmulator(virtual()), Fault("cut", at=25), Fault("late", at=33)) as server:
         for driver, port, spy in (("target", server.port, path), ("replay", path, None)):
             line = recipe.serial.model_copy(update={"driver": driver, "port": port})
-            bench = replace(BENCH, spy=spy)
-            with open_rig(recipe.model_copy(update={"serial": line}), KT, "test", bench) as rig:
+            operator = replace(OPERATOR, spy=spy)
+            with open_rig(recipe.model_copy(update={"serial": line}), KT, "test", operator) as rig:
                 signals.append(blocks_of(rig, TRIANGLE))
                 assert json.loads(rig.report())["retries"] > 0
     assert_same(*signals)

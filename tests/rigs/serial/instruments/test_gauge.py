@@ -7,7 +7,7 @@ import pytest
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe.serial import Instrument
-from rigtool.rigs.bench import Operator
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.instruments import MODULES, gauge, instrument_module, open_gauge
@@ -256,7 +256,7 @@ def test_overload_is_told_and_leaves_a_hole():
         got = watch(instrument)
         problem, facts = instrument.problem(), instrument.report()
     assert np.isnan(got).all()
-    assert "40 samples have no reading near them: its last word was: overload" in problem
+    assert "40 samples have no reading near them: it last sent: overload" in problem
     assert facts["flags"]["overload"] > 2
     assert facts["missing_samples"] == 40
 

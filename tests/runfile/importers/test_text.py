@@ -12,7 +12,7 @@ from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import FileLayout
 from rigtool.runfile import open_run
 from rigtool.runfile.importers.text import read_text
-from tests.runfile.mappings import ROWS, TEXT, columns, lines, take
+from tests.runfile.importers.mappings import ROWS, TEXT, columns, lines, take
 
 
 def read(path, name):

@@ -14,7 +14,7 @@ from rigtool.rigs import Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.virtual.maps import MAP_SIZE, rotor_map
 
-RECIPE = Path(__file__).parents[2] / "recipes" / "briaire-2006.toml"
+RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 
 # An ideal motor: what is not under test is switched off.
 IDEAL = [
@@ -89,16 +89,8 @@ def test_closed_loop_follows_the_linear_model():
     step = 0.01
     rig.move_by(0.0)
     got = perform(rig, Task(SpeedProfile((0, 1e-3, 0.3), (0, step / 0.2, step / 0.2))))
-    c, r = recipe.rig.controller, recipe.rig
-    sections = controller_sections(
-        crossover_hz=c.crossover_hz,
-        lead_ratio=c.lead_ratio,
-        integrator_hz=c.integrator_hz,
-        lowpass_hz=c.lowpass_hz,
-        lowpass_damping=c.lowpass_damping,
-        inertia=r.nominal_inertia,
-        sample_time=r.sample_time,
-    )
+    r = recipe.rig
+    sections = controller_sections(**r.loop_design)
     dt = r.sample_time
     loop = control.tf([dt**2 / recipe.virtual.motor.inertia, 0], [1, -2, 1], dt)
     alpha = 1 - np.exp(-2 * np.pi * recipe.virtual.amplifier.bandwidth_hz * dt)

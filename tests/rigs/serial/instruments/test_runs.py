@@ -2,6 +2,7 @@
 
 import json
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +11,16 @@ import pytest
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import HardwareError
 from rigtool.experiments import session
-from rigtool.experiments.force import procedure as measure_force
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import tables_of
 from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.session import run_command
-from rigtool.experiments.torque_constant import procedure as calibrate_kt
+from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Load, Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import drivers
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.motor import Motor
@@ -30,8 +31,8 @@ from tests.rigs.serial.emulators.instruments import Mark10Emulator, NumberLinesE
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
 from tests.rigs.serial.test_hosted import toy_rig
 
-SILENT = Bench(yes=True, operator=Operator(ask=lambda q: "", say=lambda t: None, present=True))
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+SILENT = Operator(ask=lambda q: "", say=lambda t: None, present=True, yes=True)
+FIXTURES = Path(__file__).parents[3] / "fixtures"
 ARM = load_recipe(RECIPE)[0].rig.arm.length
 RADIUS = 0.014
 """Of the pulley on which loads hang, m."""
@@ -60,13 +61,13 @@ def device(monkeypatch):
     return device
 
 
-def run(module, port, more, output, monkeypatch, ask, inputs=None, **bench):
-    said, driver = bench.get("say", lambda text: None), bench.get("driver", "odrive")
+def run(procedure, port, more, output, monkeypatch, ask, inputs=None, **more_of_it):
+    said, driver = more_of_it.get("say", lambda text: None), more_of_it.get("driver", "odrive")
     person = Operator(ask=ask, say=said, present=True)
-    monkeypatch.setattr(session, "Bench", lambda yes, spy: Bench(yes, spy, person))
+    monkeypatch.setattr(session, "Operator", lambda **asked: replace(person, **asked))
     settings = overrides(port, "serial.watchdog=2", *more, driver=driver, sample_time=0.01)
-    options = CommonOptions(overrides=settings, yes=True, spy=bench.get("spy"))
-    return run_command(module, [str(RECIPE)], str(output), options=options, inputs=inputs or {})
+    options = CommonOptions(overrides=settings, yes=True, spy=more_of_it.get("spy"))
+    return run_command(procedure, [str(RECIPE)], str(output), options=options, inputs=inputs or {})
 
 
 def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
@@ -102,7 +103,7 @@ def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
             "serial.temperature.driver=operator",
         )
         output = tmp_path / "kt.h5"
-        found = run(calibrate_kt, server.port, more, output, monkeypatch, person(), spy=spy)
+        found = run(CALIBRATE_KT, server.port, more, output, monkeypatch, person(), spy=spy)
     assert found.results["torque_constant_mean"].value == pytest.approx(0.045, rel=5e-3)
     assert asked[0] == "Bring the motor to 21 degC and wait until it has it throughout, " + (
         "then press Enter:"
@@ -118,7 +119,7 @@ def test_torque_constant_by_a_gauge_and_an_operator_with_a_thermometer(
     assert force["missing_samples"] == 0
     assert line["instruments"]["temperature"]["driver"] == "operator"
     output = tmp_path / "again.h5"  # the same, without the bench
-    run(calibrate_kt, spy, more, output, monkeypatch, person(), driver="replay")
+    run(CALIBRATE_KT, spy, more, output, monkeypatch, person(), driver="replay")
     with open_run(tmp_path / "kt.h5") as first, open_run(output) as again:
         assert again.content_sha256 == first.content_sha256
         there, here = (json.loads(stored.provenance["line"]) for stored in (first, again))
@@ -173,12 +174,12 @@ def test_force_with_loads_that_the_operator_hangs_on(device, tmp_path, monkeypat
         inputs = {"kt": kt, "tables": tables}
         output = tmp_path / "f.h5"
         found = run(
-            measure_force, server.port, more, output, monkeypatch, ask, inputs, say=said.append
+            MEASURE_FORCE, server.port, more, output, monkeypatch, ask, inputs, say=said.append
         )
     assert f"temperature is read: sends numbers on {beside.port}" in said[0]
     assert "serial.force is left alone: nothing of it is recorded" in said[0]
     loads = found.tables["loads"].columns
-    assert asked[0].startswith("Hang 2.5 N (254.8 g) on the cord on the pulley, see that")
+    assert asked[0].startswith("Hang 2.5 N (254.9 g) on the cord on the pulley, see that")
     assert loads["mean_torque"].values[1] == pytest.approx(2.5 * RADIUS, rel=0.025)
     with open_run(tmp_path / "f.h5") as stored:
         degc = stored.recording("load_001").read("temperature")
@@ -203,7 +204,7 @@ def test_drive_stops_where_the_gauge_is_lost(device, fault, message):
     with serve(device) as server, serve(gauge, fault) as beside:
         with (
             pytest.raises(HardwareError, match=message),
-            toy_rig(server.port, *with_gauge(beside), bench=SILENT) as rig,
+            toy_rig(server.port, *with_gauge(beside), operator=SILENT) as rig,
         ):
             got.extend(rig.perform(long))
         assert device.mode is None
@@ -216,8 +217,8 @@ def test_overload_stops_the_drive_and_what_was_measured_is_kept(device):
     got = []
     with serve(device) as server, serve(gauge) as beside:
         with (
-            pytest.raises(HardwareError, match="its last word was: overload"),
-            toy_rig(server.port, *with_gauge(beside), bench=SILENT) as rig,
+            pytest.raises(HardwareError, match="it last sent: overload"),
+            toy_rig(server.port, *with_gauge(beside), operator=SILENT) as rig,
         ):
             got.extend(rig.perform(Task(CurrentSteps((0.0, 1.0), 0.6), load=Load(clamped=True))))
         assert device.mode is None
@@ -241,12 +242,12 @@ def test_moves_between_recordings_ask_for_no_reading(device):
         asked.append(question)
         return "25" if question == "temperature [degC]:" else ""
 
-    bench = Bench(yes=True, operator=Operator(ask=ask, say=lambda text: None, present=True))
+    operator = Operator(ask=ask, say=lambda text: None, present=True, yes=True)
     # Followed by speeds, it lags by what friction asks of the loop over this gain.
     more = ("serial.temperature.driver=operator", "serial.position_gain=40")
     with (
         serve(device) as server,
-        toy_rig(server.port, *more, bench=bench) as rig,
+        toy_rig(server.port, *more, operator=operator) as rig,
     ):
         rig.move_by(0.2)
         assert asked == []

@@ -10,14 +10,18 @@ from scipy.signal import sosfreqz
 
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.loop_health import UNEXPLAINED_DISTANCE, require_health, smallest_gain
+from rigtool.experiments.controller_torque import (
+    UNEXPLAINED_DISTANCE,
+    require_loop_health,
+    smallest_gain,
+)
 from rigtool.recipe import load_recipe
 
 RECIPE = load_recipe(Path(__file__).parents[2] / "recipes" / "briaire-2006.toml", ())[0]
 
 
 def look(current=1.0, controller=0.5, distance=0.0):
-    require_health(
+    require_loop_health(
         RECIPE, largest_current=current, largest_controller=controller, distance=distance
     )
 
@@ -31,10 +35,8 @@ def test_saturation_is_refused():
 @given(st.floats(0, 9), st.floats(0.5, 50))
 def test_whatever_a_sine_makes_the_controller_ask_for_is_believed(amplitude, frequency):
     """A sine of the distance asks for |C| times itself: no torque, no distance."""
-    controller, rig = RECIPE.rig.controller, RECIPE.rig
-    sections = controller_sections(
-        **controller.model_dump(), inertia=rig.nominal_inertia, sample_time=rig.sample_time
-    )
+    rig = RECIPE.rig
+    sections = controller_sections(**rig.loop_design)
     gain = abs(sosfreqz(sections, [frequency], fs=1 / rig.sample_time)[1][0])
     distance = amplitude * rig.torque_constant / gain
     look(controller=amplitude, distance=distance)

@@ -2,14 +2,15 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rigtool.errors import HardwareError
 from rigtool.rigs import Load, Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.spy import read_spy
@@ -19,8 +20,8 @@ from tests.rigs.serial.emulators.instruments import (
     NumberLinesEmulator,
     SauterEmulator,
 )
+from tests.rigs.serial.instruments.test_runs import Loaded
 from tests.rigs.serial.test_hosted import toy_rig
-from tests.rigs.serial.test_instrument_runs import Loaded
 
 STEPS = Task(CurrentSteps((0.0, 0.5, 1.0, 0.2), 0.2), load=Load(clamped=True))
 PERSON = Operator(ask=lambda question: "", say=lambda text: None, present=True)
@@ -36,9 +37,9 @@ def beside(**ports):
 
 def run(port, *more, spy=None):
     """Return the blocks of two motions, what the rig reports, and what ended them."""
-    bench = Bench(yes=True, spy=None if spy is None else str(spy), operator=PERSON)
+    operator = replace(PERSON, yes=True, spy=None if spy is None else str(spy))
     blocks, ended = [], ""
-    rig = toy_rig(port, "serial.watchdog=2", *more, bench=bench)
+    rig = toy_rig(port, "serial.watchdog=2", *more, operator=operator)
     try:
         with rig:
             for _ in range(2):
@@ -112,7 +113,7 @@ def test_instruments_play_back_bit_for_bit(driver, tmp_path, monkeypatch):
             lambda motor: Mark10Emulator(lambda: newtons(motor), highest=15),
             "mark10",
             None,
-            "its last word was: overload",
+            "it last sent: overload",
         ),
     ],
 )

@@ -7,6 +7,7 @@ of what is asserted here.
 
 import re
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,16 +15,16 @@ import pytest
 from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Instrument
 from rigtool.rigs import Load, Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.instruments import gauge, open_gauge
 from rigtool.rigs.serial.instruments.gauge import SPIKE
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulators import instruments as emulators
+from tests.rigs.serial.instruments.test_runs import Loaded
 from tests.rigs.serial.test_hosted import toy_rig
-from tests.rigs.serial.test_instrument_runs import Loaded
 
 NOISE = 0.004
 """Half the width of what readings scatter by, in the unit shown."""
@@ -217,8 +218,8 @@ def test_a_run_is_complete_and_right_or_stops_and_says_why(driver, kind, monkeyp
     got, error = [], None
     with serve(drive) as server, serve(make(shown, **settings), Fault(kind, at=25)) as beside:
         more = (f"serial.{channel}.driver={driver}", f'serial.{channel}.port="{beside.port}"')
-        bench = Bench(yes=True, operator=SILENT)
-        rig = toy_rig(server.port, "serial.watchdog=2", *more, bench=bench)
+        operator = replace(SILENT, yes=True)
+        rig = toy_rig(server.port, "serial.watchdog=2", *more, operator=operator)
         try:
             with rig:
                 got.extend(

@@ -1,4 +1,4 @@
-"""What the command line says about the bench: how careful, what to log, whom to ask."""
+"""The operator: gives permission to move, and does at the rig what no drive can."""
 
 from __future__ import annotations
 
@@ -24,15 +24,18 @@ def _ask(question: str) -> str:
 
 @dataclass(frozen=True)
 class Operator:
-    """Whoever stands at the bench, asked at the terminal.
+    """The person at the rig, asked at the terminal.
 
-    Nothing here goes on by itself: without a terminal (`present` is false) each question is a
-    `HardwareError` that says what was to be done. `ask` and `say` are replaced in tests.
+    Without a terminal (`present` is false) each question raises a `HardwareError` that states what
+    was to be done. `yes` (--yes) is permission in advance; `spy` (--spy) is the file that receives
+    every byte on the line. `ask` and `say` are replaced in tests.
     """
 
     ask: Callable[[str], str] = _ask
     say: Callable[[str], None] = _say
     present: bool = field(default_factory=lambda: sys.stdin.isatty())
+    yes: bool = False
+    spy: str | None = None
 
     def done(self, request: str) -> None:
         """Ask for something to be done at the bench and wait until it is confirmed."""
@@ -65,33 +68,24 @@ class Operator:
         self._require(question)
         return self.ask(f"{question} [y/N]").lower() in ("y", "yes")
 
+    def permit(self, plan: str, consequence: str, question: str) -> None:
+        """Show a plan and ask; raises `UsageError` unless it is agreed to.
+
+        `consequence` is what follows from a yes, e.g. "the rig would move".
+        """
+        self.say(plan)
+        if self.yes:
+            return
+        if not self.present:
+            raise UsageError(
+                f"{consequence} now, and nobody is at the terminal to agree: look at --dry-run, "
+                "then add --yes"
+            )
+        if not self.agrees(question):
+            raise UsageError("not agreed to: nothing was changed")
+
     def _require(self, what: str) -> None:
         if not self.present:
             raise HardwareError(
                 f"nobody is at the terminal to do this: {what}; run the command in a terminal"
             )
-
-
-@dataclass(frozen=True)
-class Bench:
-    """How to go about a rig on a line.
-
-    `yes`: move without asking first; `spy`: file that receives every byte on the line.
-    """
-
-    yes: bool = False
-    spy: str | None = None
-    operator: Operator = field(default_factory=Operator)
-
-    def permit(self, plan: str) -> None:
-        """Show what is about to move and ask; raises `UsageError` unless that is agreed to."""
-        self.operator.say(plan)
-        if self.yes:
-            return
-        if not self.operator.present:
-            raise UsageError(
-                "the rig would move now, and nobody is at the terminal to agree: look at "
-                "--dry-run, then add --yes"
-            )
-        if not self.operator.agrees("Move now?"):
-            raise UsageError("not agreed to: nothing was moved")

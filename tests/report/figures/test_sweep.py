@@ -9,7 +9,7 @@ from rigtool.recipe import load_recipe
 from rigtool.report.figures import PLOTS, style, sweep
 from rigtool.runfile import Column, RunWriter, Table, open_run
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TURNING = ROOT / "tests" / "fixtures" / "turning.h5"
 SPEED = np.linspace(-30, 30, 9000)
 ITERATIONS = np.arange(4.0)
@@ -76,13 +76,13 @@ def of_b():
 
 
 def test_each_way_of_learning_has_its_figures(of_a, of_b):
-    drawn = [[plot.number for plot in PLOTS if plot.fits(run)] for run in (of_a, of_b)]
+    drawn = [[n for n, plot in sorted(PLOTS.items()) if plot.fits(run)] for run in (of_a, of_b)]
     assert drawn == [[42, 44, 46, 47, 48], [40, 41, 50, 51, 52, 54]]
 
 
 def test_figures_of_a_run_are_drawn_to_the_end(of_a, of_b):
     for run in (of_a, of_b):
-        for plot in PLOTS:
+        for plot in PLOTS.values():
             if plot.fits(run) and plot.number >= 42:
                 with style.styled():
                     svg, png = style.render(plot.draw(run))
@@ -92,12 +92,8 @@ def test_figures_of_a_run_are_drawn_to_the_end(of_a, of_b):
 
 def test_a_sweep_shows_every_extreme(of_a):
     """Thousands of samples become fewer points, the peaks stay."""
-    for draw, peak in (
-        (sweep.without, 1.0),
-        (sweep.without_tables, 0.5),
-        (sweep.compensated, 0.25),
-    ):
-        (axes,) = draw(of_a).axes
+    for number, peak in ((46, 1.0), (47, 0.5), (48, 0.25)):
+        (axes,) = PLOTS[number].draw(of_a).axes
         (line,) = axes.lines
         assert np.abs(line.get_ydata()).max() == pytest.approx(peak, rel=1e-3)
         assert len(line.get_xdata()) <= 2 * sweep.POINTS
@@ -107,7 +103,7 @@ def test_a_sweep_shows_every_extreme(of_a):
 
 
 def test_the_table_is_drawn_beside_what_remains(of_b):
-    (axes,) = sweep.compensated_and_table(of_b).axes
+    (axes,) = PLOTS[54].draw(of_b).axes
     remaining, fed = (np.abs(line.get_ydata()).max() for line in axes.lines)
     table = of_b.table("sweep")
     assert fed == pytest.approx(1e3 * np.abs(table["table"]).max(), rel=1e-6)
@@ -115,7 +111,7 @@ def test_the_table_is_drawn_beside_what_remains(of_b):
 
 
 def test_the_amplitude_falls_run_by_run(of_a):
-    (axes,) = sweep.iterations(of_a).axes
+    (axes,) = PLOTS[44].draw(of_a).axes
     assert axes.get_ylabel() == "rms [mN m]"
     line = axes.lines[0]
     np.testing.assert_allclose(line.get_ydata(), 1 / 2**ITERATIONS, rtol=1e-9, atol=0)

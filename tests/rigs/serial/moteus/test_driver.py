@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.errors import HardwareError
-from rigtool.experiments.learning.procedure_design import design
+from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.operator import Operator
+from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
-from rigtool.rigs.serial.moteus import drive as moteus
+from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
@@ -35,15 +37,14 @@ SHORT = Task(SpeedProfile((0.0, 0.1, 0.3, 0.4), (0.0, 4.0, 4.0, 0.0)))
 QUIET = Operator(say=lambda text: None, present=False)
 
 
-def moteus_rig(port, *more, bench=None):
+def moteus_rig(port, *more, operator=None):
     recipe = serial_recipe(port, *more, driver="moteus", sample_time=PERIOD)
     return HostedRig(
         recipe,
         0.045,
         "test",
-        bench or Bench(yes=True, operator=QUIET),
-        make_drive=moteus.make_drive,
-        baud_rate=moteus.BAUD_RATE,
+        operator or replace(QUIET, yes=True),
+        moteus.DRIVER,
     )
 
 
@@ -208,7 +209,7 @@ def test_feedforward_arrives_as_that_current():
     with serve(device) as server, moteus_rig(server.port) as rig:
         drive = rig.drive
         drive.enable("position")
-        sent = drive._command(moteus.SetPoint(current=0.5))
+        sent = drive._command(SetPoint(current=0.5))
         drive.halt()
     written = frames.Subframes(sent[3:])
     resolution, count, first = written.registers(written.byte())
@@ -373,7 +374,7 @@ def test_limits_that_the_drive_has_already_are_not_raised():
 def test_drive_without_thermometer_says_so():
     device = MoteusEmulator(servo__enable_motor_temperature=0)
     with serve(device) as server, moteus_rig(server.port) as rig:
-        assert "does not tell its temperature" in rig.lacks("temperature")
+        assert "does not report its temperature" in rig.lacks("temperature")
         assert any("no thermometer on the motor" in note for note in rig.notes)
         assert rig.lacks("table") is None
         assert rig.lacks("open_loop") is None
@@ -383,8 +384,8 @@ def test_drive_without_thermometer_says_so():
 def test_a_record_plays_back_with_the_same_signals(tmp_path):
     path = tmp_path / "line.spy"
     brief = Task(SpeedProfile((0.0, 0.05, 0.1), (0.0, 1.0, 0.0)))
-    bench = Bench(yes=True, spy=str(path), operator=QUIET)
-    with serve(MoteusEmulator()) as server, moteus_rig(server.port, bench=bench) as rig:
+    operator = replace(QUIET, yes=True, spy=str(path))
+    with serve(MoteusEmulator()) as server, moteus_rig(server.port, operator=operator) as rig:
         first = perform(rig, brief)
     with moteus_rig(f"replay://{path}") as rig:
         again = perform(rig, brief)
@@ -415,7 +416,7 @@ def test_recipe_says_what_it_would_do(tmp_path, capsys, command):
 
 def test_recipe_has_a_loop_that_can_be_learned_with():
     recipe, _ = load_recipe(MOTEUS_R4)
-    loop = design(recipe).learning
+    loop = design_filters(recipe).learning
     # the loop follows cogging, as often a turn as 12 slots and 14 poles meet
     cogging = 84 * np.array(recipe.ilc_learn.turning.speeds_rev_per_s)
     assert np.abs(loop.loop_response(cogging)).min() > 0.5

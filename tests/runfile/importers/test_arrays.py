@@ -8,7 +8,7 @@ from scipy.io import savemat
 from rigtool.errors import RunFileError
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
-from tests.runfile.mappings import TEXT, columns, mapping, take
+from tests.runfile.importers.mappings import TEXT, columns, mapping, take
 
 NAMED = TEXT
 for number, name in enumerate(("t", "q", "i"), start=1):

@@ -8,7 +8,7 @@ import pytest
 from rigtool.report.figures import turns
 from rigtool.runfile import open_run
 
-FIXTURES = Path(__file__).parents[1] / "fixtures"
+FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,179 @@
+"""The torque of the controller: the set point of current, less what is fed forward [7.2.4.2, 8.1].
+
+    controller torque = k (set point - feed-forward - table)
+
+k is the torque per ampere (`torque_per_ampere`), the others are currents: the set point of the
+amplifier, the feed-forward of inertia and friction, and what was learned, from a table by position
+or as a signal by time.
+
+A recording counts only where the loop was healthy: not saturated, the rotor held. A controller
+answers a distance of rotor and set point with a torque: below its crossover with no less than its
+smallest gain times the distance. A fast motion of a heavy load needs a large torque, so a large
+distance is as it should be then: all angles are read from the encoder. A distance without that
+torque is a fault: of the encoder, of the set point or of what [rig.controller] states.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.position_loop import controller_sections
+from rigtool.errors import InsufficientDataError
+from rigtool.recipe import Recipe
+from rigtool.runfile import Recording
+
+Array = NDArray[np.float64]
+
+TABLE, SIGNAL = "table_current", "signal_current"
+"""Channels of what was learned: by position, by time."""
+
+CHANNELS = (
+    "time",
+    "current_setpoint",
+    "feedforward_current",
+    TABLE,
+    "position_setpoint",
+    "encoder",
+)
+"""What is recorded of the position loop while the table is by position."""
+
+UNEXPLAINED_DISTANCE = 0.1
+"""Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
+steps and the delay of the current leave this much at any load."""
+
+LOWEST_HZ = 0.5
+"""Lower end of the band in which the controller's gain counts: slower than any motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoopSignals:
+    """Signals of the position loop (n,): `time` s, `setpoint` and `rotor` rad, `encoder` counts.
+
+    Currents in A: `total` is the set point of the amplifier, `controller` the controller's own part
+    of it, `modelled` the feed-forward of inertia and friction, `learned` that of table or signal.
+    """
+
+    time: Array
+    setpoint: Array
+    encoder: Array
+    rotor: Array
+    total: Array
+    controller: Array
+    modelled: Array
+    learned: Array
+
+
+def controller_torque(recording: Recording, torque_constant: float) -> Array:
+    """Return the controller's torque over a recording (n,), N m; `torque_constant` in N m/A.
+
+    What the recording does not hold was not fed forward.
+    """
+    current = recording.read("current_setpoint")
+    for name in ("feedforward_current", TABLE, SIGNAL):
+        if recording.has(name):
+            current = current - recording.read(name)
+    return torque_constant * current
+
+
+def loop_blocks(
+    recording: Recording, recipe: Recipe, remedy: str = "use a smaller force"
+) -> Iterator[LoopSignals]:
+    """Yield the signals of a recording block by block.
+
+    Raises `InsufficientDataError` after the last block where the loop saturated or did not hold the
+    rotor; `remedy` for the former is part of the message.
+    """
+    yield from _checked(recording.blocks(*_names(recording)), recipe, remedy)
+
+
+def loop_signals(
+    recording: Recording, recipe: Recipe, remedy: str = "use a smaller force"
+) -> LoopSignals:
+    """Return the signals of a whole recording; raises as `loop_blocks` does."""
+    whole = tuple(recording.read(name) for name in _names(recording))
+    (signals,) = _checked([whole], recipe, remedy)
+    return signals
+
+
+def _names(recording: Recording) -> list[str]:
+    return [SIGNAL if name == TABLE and recording.has(SIGNAL) else name for name in CHANNELS]
+
+
+def _checked(
+    blocks: Iterable[tuple[Array, ...]], recipe: Recipe, remedy: str
+) -> Iterator[LoopSignals]:
+    largest = controlled = farthest = 0.0
+    for time, total, modelled, learned, setpoint, encoder in blocks:
+        rotor = encoder * (2 * math.pi / recipe.rig.encoder_counts)
+        controller = total - modelled - learned
+        largest = max(largest, _largest(total))
+        controlled = max(controlled, _largest(controller))
+        farthest = max(farthest, _largest(setpoint - rotor))
+        yield LoopSignals(time, setpoint, encoder, rotor, total, controller, modelled, learned)
+    require_loop_health(
+        recipe,
+        largest_current=largest,
+        largest_controller=controlled,
+        distance=farthest,
+        remedy=remedy,
+    )
+
+
+def _largest(values: Array) -> float:
+    return float(max(values.max(initial=0.0), -values.min(initial=0.0)))
+
+
+@contextmanager
+def naming(recording: Recording) -> Iterator[None]:
+    """Name a recording in each `InsufficientDataError` that is raised within this context."""
+    try:
+        yield
+    except InsufficientDataError as error:
+        raise InsufficientDataError(f"recording {recording.name}: {error}") from None
+
+
+def require_loop_health(
+    recipe: Recipe,
+    *,
+    largest_current: float,
+    largest_controller: float,
+    distance: float,
+    remedy: str = "use a smaller force",
+) -> None:
+    """Raise `InsufficientDataError` where the loop saturates or does not hold the rotor.
+
+    `largest_current` is the largest current set point, A, `largest_controller` the controller's own
+    part of it, A, and `distance` the largest one of rotor and set point, rad. `remedy` is what to
+    do where the loop saturates.
+    """
+    limit = recipe.rig.current_limit
+    if largest_current >= 0.999 * limit:
+        raise InsufficientDataError(
+            f"the current set point reaches the limit of {limit} A, so the controller saturates "
+            f"and the current no longer shows the torque: {remedy}"
+        )
+    allowed = UNEXPLAINED_DISTANCE + (
+        recipe.rig.torque_constant * largest_controller / smallest_gain(recipe)
+    )
+    if distance > allowed:
+        raise InsufficientDataError(
+            f"the rotor is up to {distance:.3g} rad off its set point, more than the "
+            f"{allowed:.3g} rad that the controller's torque explains, so the loop does not hold "
+            "it: check the encoder and [rig.controller]"
+        )
+
+
+def smallest_gain(recipe: Recipe) -> float:
+    """Return the smallest gain of the recipe's controller below its crossover, N m/rad."""
+    from scipy.signal import sosfreqz
+
+    rig, crossover = recipe.rig, recipe.rig.controller.crossover_hz
+    sections = controller_sections(**rig.loop_design)
+    frequency = np.geomspace(min(LOWEST_HZ, crossover), crossover, 100)
+    return float(np.abs(sosfreqz(sections, frequency, fs=1 / rig.sample_time)[1]).min())

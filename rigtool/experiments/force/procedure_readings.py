@@ -1,0 +1,112 @@
+"""From a recording of `measure-force` to readings of torque: one pass through its signals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.controller_torque import LoopSignals, loop_blocks, loop_signals, naming
+from rigtool.experiments.force.cycles import find_cycles, readings
+from rigtool.experiments.force.results import Reading
+from rigtool.experiments.force.results_method import resolution_u, unsteady_torque
+from rigtool.experiments.load_disturbance.cycles import LoadedCycles
+from rigtool.experiments.load_disturbance.stored_recordings import cycles_of
+from rigtool.numerics.checks import require_rising, rising_steps
+from rigtool.numerics.decimation import Decimator
+from rigtool.numerics.lowpass import kept_factor, lowpass
+from rigtool.recipe import Recipe
+from rigtool.runfile import Recording, Run
+
+Array = NDArray[np.float64]
+
+RATE_SAMPLES = 8192
+"""Samples that the sampling frequency is taken from."""
+
+
+def read_load(
+    recording: Recording,
+    recipe: Recipe,
+    torque_constant: float,
+    lacking: float,
+    whole: Run | None = None,
+) -> Reading:
+    """Filter a recording, cut it into cycles and read the torque of each.
+
+    `torque_constant` is in N m/A, `lacking` N m is what samples lack (`results_method`). With the
+    calibration `whole` the reading also holds its whole cycles, for which all samples are in memory
+    at once. Raises `InsufficientDataError` where the signals do not carry a reading.
+    """
+    settings, rig = recipe.measure_force, recipe.rig
+    with naming(recording):
+        signals = None if whole is None else loop_signals(recording, recipe)
+        (position, controller, table, modelled), rate = _filtered(recording, recipe, signals)
+        cycles = find_cycles(position)
+        angle = position * (2 * math.pi / rig.encoder_counts) / rig.angle_ratio
+        torque = rig.torque_factor * (torque_constant * controller)
+        method = (
+            lacking,
+            unsteady_torque(
+                angle,
+                torque,
+                rig.torque_factor * (torque_constant * modelled),
+                rate=rate,
+                cycles=cycles,
+                recipe=recipe,
+            ),
+            resolution_u(recording, recipe, torque_constant),
+        )
+        values = readings(angle, torque, cycles, math.radians(settings.measure_angle))
+    superimposed = None
+    if whole is not None and signals is not None:
+        superimposed = cycles_of(recording, signals, recipe, whole, motor_speed(recipe))
+    return Reading(
+        name=recording.name,
+        force=recording.condition("force"),
+        asked_cycles=round(recording.condition("cycles")),
+        position=position,
+        torque=torque,
+        feedforward=torque_constant * table,
+        cycles=cycles,
+        values=values,
+        method_u=math.hypot(*method),
+        whole=superimposed,
+    )
+
+
+def unloaded_cycles(recording: Recording, recipe: Recipe, kt: Run) -> LoadedCycles:
+    """Return the whole cycles of a recording, without readings at one angle."""
+    with naming(recording):
+        signals = loop_signals(recording, recipe)
+    return cycles_of(recording, signals, recipe, kt, motor_speed(recipe))
+
+
+def motor_speed(recipe: Recipe) -> float:
+    """Return the speed of the motor in the strokes of `measure_force`, rad/s."""
+    return 2 * math.pi * recipe.measure_force.speed_rev_per_s * recipe.rig.angle_ratio
+
+
+def _filtered(
+    recording: Recording, recipe: Recipe, signals: LoopSignals | None
+) -> tuple[Array, float]:
+    """Return encoder, current of controller, table, model, low-passed and thinned, (4, m), and Hz.
+
+    Without `signals` they are read block by block, so that memory does not grow with the recording.
+    """
+    cutoff = recipe.measure_force.lowpass_hz
+    rate, last, samples = _rate(recording), np.zeros(0), 0
+    collected = Decimator(factor := kept_factor(rate, cutoff), 4)
+    for block in loop_blocks(recording, recipe) if signals is None else (signals,):
+        rising_steps(np.concatenate([last, block.time]), samples - last.size)
+        last, samples = block.time[-1:], samples + block.time.size
+        collected.add(block.encoder, block.controller, block.learned, block.modelled)
+    thinned = collected.finish()
+    for signal in thinned:  # one by one: the filter holds several copies of what it works on
+        signal[:] = lowpass(rate / factor, signal, cutoff)
+    return thinned, rate / factor
+
+
+def _rate(recording: Recording) -> float:
+    """Return the usual sampling frequency at the start of a recording, Hz."""
+    return 1 / require_rising(recording.read("time", 0, min(recording.size, RATE_SAMPLES)))

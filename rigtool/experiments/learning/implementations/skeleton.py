@@ -1,0 +1,202 @@
+"""What all implementations of `ilc-learn` do alike; each one states the rest in its methods.
+
+A first run is recorded without anything learned. Each further run is recorded with what the runs so
+far have taught, until nothing is left to learn or all runs are made [Fig. 44]. Then the moves are
+repeated with the final table, or signal, switched on. The analysis of a stored run learns from its
+recordings in the same order.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+from rigtool.experiments.learning.convergence import LearningRun
+from rigtool.experiments.learning.filters import Learning
+from rigtool.experiments.learning.implementations.runs import (
+    iterations_notes,
+    kind_of,
+    recorded_runs,
+    runs_at_most,
+)
+from rigtool.experiments.learning.implementations.signals import filled, found, only_run
+from rigtool.experiments.learning.procedure_design import FilterDesign, design_filters
+from rigtool.experiments.learning.stored_table import feedforward, friction_results
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import record
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
+from rigtool.rigs import Feedforward, Rig, Task
+from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter, Table
+
+
+class Taught(Protocol):
+    """What learning runs teach."""
+
+    @property
+    def history(self) -> Sequence[LearningRun]:
+        """All learning runs so far, judged."""
+
+
+T = TypeVar("T", bound=Taught)
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an implementation reports of a run.
+
+    Notes are about what was `learned`, what was found with it switched on, and at other speeds.
+    """
+
+    results: Mapping[str, Quantity]
+    tables: Mapping[str, Table]
+    learned: tuple[str, ...]
+    switched_on: tuple[str, ...] = ()
+    validated: Outcome = field(default_factory=lambda: Outcome({}))
+
+
+class Implementation(ABC, Generic[T]):
+    """One way to learn, for a recipe and the runs that it takes its numbers from.
+
+    `plain` is the feed-forward without anything learned: inertia and, if given, friction.
+    """
+
+    ABOUT: ClassVar[str]
+    """What it does, in a line."""
+
+    BARE_MOTOR: ClassVar[bool] = False
+    """Whether the shaft turns round and round, which no instrument can follow."""
+
+    RIG_NEED: ClassVar[str] = "table"
+    """What a rig has to offer to play what is learned."""
+
+    UNIT: ClassVar[str] = "mN m"
+    """A thousandth of the unit of the signal that is learned from."""
+
+    recipe: Recipe
+    torque_constant: float
+    filters: FilterDesign
+    friction: dict[str, Quantity]
+    plain: Feedforward
+
+    def __init__(
+        self, recipe: Recipe, *, kt: Run, friction: Run | None = None, plant: Run | None = None
+    ) -> None:
+        self.require(recipe, friction)
+        self.recipe = recipe
+        self.filters = design_filters(recipe, plant)
+        self.torque_constant = torque_per_ampere(kt).value
+        self.friction = friction_results(friction)
+        self.plain = feedforward(recipe.rig.nominal_inertia, self.friction)
+
+    # -- what an implementation states
+
+    @staticmethod
+    @abstractmethod
+    def kinds(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
+        """Return all recordings by kind, in the order of the run file."""
+
+    @abstractmethod
+    def task(self, spec: RecordingSpec, fed: Feedforward) -> Task:
+        """Return what the rig does for a recording with this fed forward."""
+
+    @abstractmethod
+    def learn(self, runs: Sequence[Sequence[Recording]], slower: Sequence[Recording]) -> T:
+        """Return what all runs so far teach, with recordings at `low` speeds where there are."""
+
+    @abstractmethod
+    def fed(self, taught: T) -> Feedforward:
+        """Return the feed-forward with what was learned switched on."""
+
+    @abstractmethod
+    def report(self, run: Run, taught: T, recorded: Sequence[Sequence[Recording]]) -> Report:
+        """Report what was learned and what remained with it switched on."""
+
+    def require(self, recipe: Recipe, friction: Run | None) -> None:
+        """Raise an error where this implementation cannot learn from what is given."""
+
+    def require_friction_fed(self, recording: Recording) -> None:
+        """Raise `RunFileError` unless the friction that is given was fed forward."""
+
+    def finish(self, taught: T, others: Sequence[Recording]) -> T:
+        """Return what was taught, tuned by recordings at other speeds where there are any."""
+        return taught
+
+    def swept(self, taught: T) -> Feedforward:
+        """Return the feed-forward of the sweep without low-speed or tuning tables."""
+        return self.fed(taught)
+
+    @property
+    def learning(self) -> Learning:
+        """The filters that are learned with."""
+        return self.filters.learning
+
+    # -- what all do
+
+    @classmethod
+    def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
+        """List all recordings that may be made."""
+        return tuple(spec for specs in cls.kinds(recipe).values() for spec in specs)
+
+    @classmethod
+    def measure(cls, rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Any) -> None:
+        """Learn run by run, and record what remains with what was learned switched on."""
+        cls(recipe, **inputs)._measure(rig, recorder)
+
+    @classmethod
+    def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
+        """Learn from stored recordings, and report what remained.
+
+        Raises `UsageError` for several runs, `InsufficientDataError` where the recordings do not
+        carry a result.
+        """
+        return cls(recipe, **inputs)._analyse(only_run(runs))
+
+    def _measure(self, rig: Rig, recorder: RunWriter) -> None:
+        kinds = self.kinds(self.recipe)
+
+        def perform(kind: str, fed: Feedforward) -> list[Recording]:
+            specs = kinds.get(kind, [])
+            for spec in specs:
+                record(rig, self.task(spec, fed), recorder, spec.name)
+            return [recorder.recording(spec.name) for spec in specs]
+
+        runs = [perform("learn", self.plain)]
+        slower = perform("low", self.plain)
+        taught = self.learn(runs, slower)
+        while len(runs) < runs_at_most(self.recipe) and not taught.history[-1].finished:
+            runs.append(perform(kind_of(len(runs)), self.fed(taught)))
+            taught = self.learn(runs, slower)
+        taught = self.finish(taught, perform("tune", self.plain))
+        final, swept = self.fed(taught), self.swept(taught)
+        for kind, fed in {
+            "validate": final,
+            "off": self.plain,
+            "on": final,
+            "sweep_off": self.plain,
+            "sweep_plain": swept,
+            "sweep_on": final,
+        }.items():
+            perform(kind, fed)
+
+    def _analyse(self, run: Run) -> Outcome:
+        recorded = recorded_runs(run, self.recipe)
+        self.require_friction_fed(recorded[0][0])
+        tuned = found(run, "tune") if "tune" in self.kinds(self.recipe) else []
+        taught = self.finish(self.learn(recorded, filled(run, "low")), tuned)
+        report = self.report(run, taught, recorded)
+        most = runs_at_most(self.recipe)
+        return Outcome(
+            {**report.results, **self.filters.results(), **self.friction},
+            {**report.tables, **self.filters.tables()},
+            (
+                *report.learned,
+                *self.filters.notes(),
+                *report.switched_on,
+                *iterations_notes(taught.history, 1e3, self.UNIT, most),
+                *report.validated.notes,
+            ),
+        )

@@ -1,0 +1,57 @@
+"""A learned table as exported: with its unit, uncertainty and origin [7.2.4.2, Fig. 49]."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.control.lookup_table import LookupTable
+from rigtool.quantity import Quantity
+
+Array = NDArray[np.float64]
+
+COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
+"""Results that state with which friction feed-forward a table was learned, where with any."""
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedTable:
+    """A learned table and what its user has to know.
+
+    `u` has the shape of its torque. `quantity` and `unit` are those of its values; `friction` was
+    fed forward while it was learned and is not part of it; `band_hz` is the cut-off of Q, None
+    where it is not known; `origin` are lines about rig, program, date and hash.
+    """
+
+    table: LookupTable
+    u: Array
+    quantity: str
+    unit: str
+    friction: Mapping[str, Quantity]
+    band_hz: float | None
+    origin: tuple[str, ...]
+
+    def rule(self) -> list[str]:
+        """Return how values between the entries are found, in lines."""
+        if self.table.period is None:
+            low, high = self.table.position[[0, -1]]
+            where = f"Positions outside {low:.6g} to {high:.6g} rad are clamped, speeds too:"
+        else:
+            where = f"Periodic over {self.table.period:.9g} rad; speeds outside are clamped:"
+        return [
+            "Interpolation: bilinear over position and speed, zero at rest.",
+            f"{where} the table does not extrapolate.",
+        ]
+
+    def friction_lines(self) -> list[str]:
+        """Return what has to be fed forward beside the table, in lines; none where nothing is."""
+        if not self.friction:
+            return []
+        coulomb, viscous = (self.friction[name].value for name in (COULOMB, VISCOUS))
+        return [
+            "Learned beside a feed-forward of friction that is not in it; add, with v in rad/s:",
+            f"{coulomb:.6g} N m * tanh(v) + {viscous:.6g} N m s/rad * v",
+        ]

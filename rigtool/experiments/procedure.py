@@ -1,0 +1,52 @@
+"""A measuring command as a value: what it records, how it moves the rig, how it analyses a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from rigtool.experiments.outcome import Outcome
+from rigtool.recipe import Recipe
+from rigtool.rigs import CHANNELS, Rig, Task
+from rigtool.runfile import Channel, RecordingSpec, RunWriter
+
+
+@dataclass(frozen=True, eq=False)
+class Procedure:
+    """Everything that `session.run_command` has to know of a command; inputs are open runs.
+
+    `recordings(recipe)` lists what will be recorded; `measure(rig, recipe, recorder, **inputs)`
+    performs the tasks and records them; `analyse(runs, recipe, **inputs)` computes results from
+    stored signals only. `needed` names the inputs that only imported runs can do without.
+
+    A procedure with `bare_motor` measures without the instrument, whatever the recipe attaches:
+    motor and amplifier are characterised on their own [7.1, 7.2]. `accepts` names other commands
+    whose stored runs it analyses beside its own. `analyse_imported(runs, **inputs)` takes runs of
+    other rigs; `imported_settings` maps the keys of `--set` that it takes to its argument names.
+
+    `rig_needs(recipe)` names what a rig has to offer for motions that depend on what is measured
+    first, see `dry_run`.
+    """
+
+    command: str
+    recordings: Callable[[Recipe], tuple[RecordingSpec, ...]]
+    measure: Callable[..., None]
+    analyse: Callable[..., Outcome]
+    needed: tuple[str, ...] = ()
+    bare_motor: bool = False
+    accepts: tuple[str, ...] = ()
+    analyse_imported: Callable[..., Outcome] | None = None
+    imported_settings: Mapping[str, str] = field(default_factory=dict)
+    rig_needs: Callable[[Recipe], tuple[str, ...]] = lambda recipe: ()
+
+
+def channels(*names: str) -> tuple[Channel, ...]:
+    """Return the channels of these names as run files describe them."""
+    return tuple(Channel(name, *CHANNELS[name]) for name in names)
+
+
+def record(rig: Rig, task: Task, recorder: RunWriter, recording: str) -> None:
+    """Perform a task and stream its signals into a recording."""
+    names = recorder.channel_names(recording)
+    for block in rig.perform(task):
+        recorder.append(recording, {name: block[name] for name in names})

@@ -1,0 +1,113 @@
+"""Ctrl-C and SIGTERM: never swallowed, and never in the middle of a write.
+
+A handler that raises is not enough. Inside a weakref callback or a finaliser, Python prints the
+exception and goes on (`sys.unraisablehook`); inside a write, the exception tears apart what belongs
+together. So the handler also keeps the signal: `check`, called for each block of samples, raises
+what was swallowed, and inside `held` the signal waits until the block of code is left.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import NoReturn
+
+SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+
+
+class Terminated(BaseException):
+    """SIGTERM or SIGHUP arrived: files are closed on the way out, as with Ctrl-C."""
+
+
+class _State:
+    """Of the process: whether signals come here, which one nobody has seen to, open `held`s."""
+
+    active = False
+    waiting: int | None = None
+    depth = 0
+
+
+def _receive(number: int, frame: FrameType | None) -> None:
+    _State.waiting = number
+    if not _State.depth:
+        _raise(number)
+
+
+def _raise(number: int) -> NoReturn:
+    raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+
+
+@contextmanager
+def handled() -> Iterator[None]:
+    """Handle signals as this module does; outside the main thread nothing changes.
+
+    A signal that is ignored stays ignored, as under `nohup` and in background jobs.
+    """
+    if threading.current_thread() is not threading.main_thread() or _State.active:
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    hook = sys.unraisablehook
+    _State.active, _State.waiting = True, None
+    try:
+        for number, handler in before.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, _receive)
+        sys.unraisablehook = _without_interrupts
+        yield
+    finally:
+        sys.unraisablehook = hook
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        _State.active = False
+
+
+def _without_interrupts(unraisable: sys.UnraisableHookArgs) -> None:
+    """Print nothing of an interrupt that `check` is going to raise again."""
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt | Terminated):
+        sys.__unraisablehook__(unraisable)
+
+
+def check() -> None:
+    """Raise the `KeyboardInterrupt` or `Terminated` whose exception was swallowed, if any."""
+    if _State.waiting is not None and not _State.depth:
+        number, _State.waiting = _State.waiting, None
+        _raise(number)
+
+
+class held:
+    """Keep signals waiting until the block of code is left; then the last of them is raised.
+
+    For a write, and for switching a motor off. Only the main thread receives signals: in other
+    threads this does nothing.
+    """
+
+    def __enter__(self) -> None:
+        self._counts = threading.current_thread() is threading.main_thread()
+        if not self._counts:
+            return
+        self._own = None if _State.active else handled()
+        if self._own is not None:
+            self._own.__enter__()
+        _State.depth += 1
+        self._before, _State.waiting = _State.waiting, None
+
+    def __exit__(self, *error: object) -> None:
+        if not self._counts:
+            return
+        _State.depth -= 1
+        arrived = _State.waiting
+        if arrived is None:
+            _State.waiting = self._before
+        if self._own is not None:
+            self._own.__exit__(None, None, None)
+            if arrived is not None:
+                signal.raise_signal(arrived)
+        elif arrived is not None and not _State.depth:
+            _raise(arrived)

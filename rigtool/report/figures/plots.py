@@ -1,0 +1,60 @@
+"""Which figures there are: one function draws each, from tables of the runs of one command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rigtool.runfile import Run
+
+Function = Callable[..., "Figure"]
+
+OWN = 101
+"""Number of the first figure that is not in the thesis."""
+
+
+@dataclass(frozen=True)
+class Plot:
+    """One figure: its number and title, and the function that draws it.
+
+    The function takes a run of `command` and the `tables` of that run. `implementations` are the
+    ways of learning that the figure shows; empty stands for any.
+    """
+
+    number: int
+    command: str
+    title: str
+    tables: tuple[str, ...]
+    implementations: tuple[str, ...]
+    function: Function
+
+    def fits(self, run: Run) -> bool:
+        """Return whether a run is of the command, learned in one of the ways, with the tables."""
+        if self.command != run.command or not all(name in run.tables for name in self.tables):
+            return False
+        learned = "C" if run.recipe is None else run.recipe.ilc_learn.implementation
+        return not self.implementations or learned in self.implementations
+
+    def draw(self, run: Run) -> Figure:
+        """Return the figure of a run that `fits`."""
+        return self.function(run, *(run.table(name) for name in self.tables))
+
+
+PLOTS: dict[int, Plot] = {}
+"""By number; each module of figures adds its own."""
+
+
+def plot(
+    number: int, command: str, title: str, *tables: str, implementations: tuple[str, ...] = ()
+) -> Callable[[Any], Any]:
+    """Let a function draw the figure of this number."""
+
+    def add(function: Function) -> Function:
+        PLOTS[number] = Plot(number, command, title, tables, implementations, function)
+        return function
+
+    return add

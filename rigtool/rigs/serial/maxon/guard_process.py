@@ -1,0 +1,78 @@
+"""The process beside rigtool that switches a maxon drive off where rigtool is killed or hangs.
+
+`guard.Guard` starts it, with the drive's port, and feeds its standard input.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+
+from rigtool.errors import HardwareError
+from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.maxon.driver import drive_on
+from rigtool.rigs.serial.maxon.guard import ON, READY
+
+PATIENCE = 30.0
+"""Time for which the process tries to switch the drive off, s: the port may be gone for a while."""
+
+PAUSE = 0.05
+"""Time between attempts, s."""
+
+
+def main(port: str, baud_rate: str, node: str, silence: str) -> None:
+    """Watch over standard input, and switch the drive off where that ends or falls silent."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # it ends with the program that it watches
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    words: queue.Queue[bytes] = queue.Queue()
+    threading.Thread(target=_listen, args=(words,), daemon=True).start()
+    os.write(1, READY)
+    os.close(1)
+    on = False
+    while True:
+        try:
+            word = words.get(timeout=float(silence) if on else None)
+        except queue.Empty:
+            break
+        if not word:
+            break
+        on = word[-1:] == ON
+    if on:
+        switch_off(port, int(baud_rate), int(node))
+
+
+def _listen(words: queue.Queue[bytes]) -> None:
+    while True:
+        word = os.read(0, 64)
+        words.put(word)
+        if not word:
+            return
+
+
+def switch_off(port: str, baud_rate: int, node: int) -> None:
+    """Open a port that another program may have, switch off the drive, report on stderr."""
+    deadline = time.monotonic() + PATIENCE
+    report = f"{port}: rigtool was killed, hangs or lost the line while the drive was on: "
+    while True:
+        try:
+            with Line(port, baud_rate, timeout=0.1, exclusive=False) as line:
+                drive_on(line, node, encoder_counts=4).halt()
+            report += "it is switched off now"
+            break
+        except HardwareError as error:
+            if time.monotonic() > deadline:
+                report += f"it could not be switched off ({error}): switch off its supply"
+                break
+        time.sleep(PAUSE)
+    with contextlib.suppress(OSError):
+        print(report, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

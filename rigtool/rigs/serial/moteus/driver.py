@@ -1,0 +1,44 @@
+"""The moteus driver: probes a line, makes the drive and its table store."""
+
+from __future__ import annotations
+
+import contextlib
+
+from rigtool.errors import HardwareError
+from rigtool.recipe import Recipe
+from rigtool.rigs.serial.drivers import Driver
+from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.moteus.drive import Moteus, read_identity
+from rigtool.rigs.serial.moteus.link import Link
+from rigtool.rigs.serial.moteus.table import MoteusTable
+from rigtool.rigs.serial.table_store import TableStore
+
+USUAL_NODE = 1
+"""Address that a drive leaves the factory with; 0, the default of the recipe, stands for it."""
+
+PROBED_NODES = range(1, 5)
+
+
+def probe(line: Line) -> str | None:
+    """Return the identity of the moteus that answers, None for another device."""
+    for node in PROBED_NODES:
+        link = Link(line, node)
+        with contextlib.suppress(HardwareError):
+            return read_identity(link)
+        if line.counts.bytes_received == 0:
+            return None
+    return None
+
+
+def make_drive(line: Line, recipe: Recipe) -> Moteus:
+    """Return the drive that a recipe's [serial] names, not connected yet."""
+    assert recipe.serial is not None
+    return Moteus(line, recipe.serial.node or USUAL_NODE)
+
+
+def make_table_store(line: Line, recipe: Recipe) -> TableStore:
+    """Return the table in the drive that a recipe's [serial] names, not connected yet."""
+    return MoteusTable(make_drive(line, recipe))
+
+
+DRIVER = Driver(probe, (921600,), make_drive, make_table_store=make_table_store)

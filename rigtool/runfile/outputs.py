@@ -1,0 +1,109 @@
+"""Where output goes: what may be replaced, and files of our own that take its name when whole.
+
+A file that is being made lies in the folder of the output under a name that nobody else has, made
+with O_EXCL, so that no file and no link of somebody else is touched. Its name holds the computer
+and the process: what a killed process left behind is recognised, and removed by the next run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import secrets
+import shutil
+import socket
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rigtool.errors import UsageError
+from rigtool.runfile.storage import storage_errors
+
+_HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
+_OURS = re.compile(rf"\.rigtool-{_HOST}-(\d+)-[0-9a-f]{{8}}")
+
+
+def require_output(
+    path: str | os.PathLike[str],
+    *,
+    overwrite: bool,
+    inputs: Iterable[str | os.PathLike[str]] = (),
+) -> Path:
+    """Return the file to write, links followed; nothing is changed yet.
+
+    Raises `UsageError` where the folder is missing or cannot be written, where `path` is a folder,
+    a device or one of the `inputs`, and where it exists, unless `overwrite`.
+    """
+    found = Path(os.path.realpath(path))
+    if not found.parent.is_dir():
+        raise UsageError(f"{path}: the folder {found.parent} does not exist: create it first")
+    if found.is_dir():
+        raise UsageError(f"{path}: is a folder: give the name of a file")
+    if found.exists() and not found.is_file():
+        raise UsageError(f"{path}: is a device or a pipe, no file: give the name of a file")
+    if not os.access(found.parent, os.W_OK):
+        raise UsageError(f"{path}: the folder {found.parent} cannot be written: choose another")
+    for name in inputs:
+        if found.exists() and os.path.exists(name) and os.path.samefile(name, found):
+            raise UsageError(f"{path}: is an input of this run: give the output another name")
+    if found.exists() and not overwrite:
+        raise UsageError(f"{path}: exists already: give another name, or --overwrite")
+    return found
+
+
+def own_name(folder: Path) -> Path:
+    """Return a new hidden name of this process in a folder; removes what killed processes left."""
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            if (match := _OURS.match(path.name)) and not _runs(int(match[1])):
+                _remove(path)
+    return folder / f".rigtool-{_HOST}-{os.getpid()}-{secrets.token_hex(4)}"
+
+
+@contextmanager
+def own_file(output: Path) -> Iterator[Path]:
+    """Give a new, empty file beside `output`; it is removed where it did not take another name.
+
+    Raises `RigtoolError` where the disk refuses.
+    """
+    path = own_name(output.parent)
+    with storage_errors(output):
+        try:
+            path.touch(exist_ok=False)
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacing(output: Path) -> Iterator[Path]:
+    """Give a new file that takes the name `output` where the block of code ends well.
+
+    Raises `RigtoolError` where the disk refuses.
+    """
+    with own_file(output) as path:
+        yield path
+        os.replace(path, output)
+
+
+def _runs(process: int) -> bool:
+    """Return whether a process of this computer runs; in doubt it does."""
+    if os.name != "posix":
+        return True  # a signal of 0 would end it there
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink()

@@ -1,0 +1,78 @@
+"""The controller's part of the current, and the names of recordings in errors."""
+
+import numpy as np
+import pytest
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.controller_torque import (
+    CHANNELS,
+    SIGNAL,
+    TABLE,
+    controller_torque,
+    loop_blocks,
+    loop_signals,
+    naming,
+)
+from rigtool.experiments.procedure import channels
+from rigtool.recipe import load_recipe
+from rigtool.runfile import RecordingSpec, RunWriter
+from tests.experiments.virtual_runs import RECIPE
+
+ASKED, MODELLED, LEARNED = 0.5, 0.125, 0.25
+
+
+def recorded(path, learned=TABLE, asked=ASKED, samples=1000):
+    """Record constant currents, A, with the rotor at its set point; return what is read of it."""
+    recipe, text = load_recipe(RECIPE, ())
+    names = [learned if name == TABLE else name for name in CHANNELS]
+    angle = np.linspace(0, 2 * np.pi, samples)
+    block = {
+        "time": np.arange(samples) * 1e-3,
+        "current_setpoint": np.full(samples, asked),
+        "feedforward_current": np.full(samples, MODELLED),
+        learned: np.full(samples, LEARNED),
+        "position_setpoint": angle,
+        "encoder": angle * recipe.rig.encoder_counts / (2 * np.pi),
+    }
+    specs = [RecordingSpec("one", channels(*names))]
+    with RunWriter(
+        path, command="ilc-learn", recipe=recipe, recipe_text=text, recordings=specs
+    ) as writer:
+        writer.append("one", block)
+        recording = writer.recorded().recording("one")
+        found = (
+            controller_torque(recording, 2.0),
+            loop_signals(recording, recipe),
+            list(loop_blocks(recording, recipe)),
+        )
+        writer.finish({}, {})
+    return found
+
+
+@pytest.mark.parametrize("learned", [TABLE, SIGNAL])
+def test_it_is_what_nothing_else_asks_for(tmp_path, learned):
+    torque, signals, blocks = recorded(tmp_path / "run.h5", learned)
+    own = ASKED - MODELLED - LEARNED
+    np.testing.assert_allclose(torque, 2.0 * own, rtol=1e-12, atol=0)
+    np.testing.assert_allclose(signals.controller, own, rtol=1e-12, atol=0)
+    np.testing.assert_allclose(signals.learned, LEARNED, rtol=1e-12, atol=0)
+    np.testing.assert_allclose(signals.rotor, signals.setpoint, rtol=0, atol=1e-6)
+    together = np.concatenate([block.controller for block in blocks])
+    np.testing.assert_array_equal(together, signals.controller)
+
+
+def test_a_loop_that_saturates_is_refused(tmp_path):
+    limit = load_recipe(RECIPE, ())[0].rig.current_limit
+    with pytest.raises(InsufficientDataError, match="reaches the limit"):
+        recorded(tmp_path / "run.h5", asked=limit)
+
+
+def test_an_error_names_its_recording():
+    class Named:
+        name = "load_003"
+
+    with (
+        pytest.raises(InsufficientDataError, match=r"^recording load_003: too few$"),
+        naming(Named()),
+    ):
+        raise InsufficientDataError("too few")

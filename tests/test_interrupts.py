@@ -1,0 +1,103 @@
+"""Interrupts: none is swallowed, and none falls into a block that is held."""
+
+import os
+import signal
+import sys
+import weakref
+
+import pytest
+
+from rigtool.interrupts import Terminated, check, handled, held
+
+KINDS = [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)]
+
+
+def send(number):
+    os.kill(os.getpid(), number)
+
+
+@pytest.fixture(autouse=True)
+def interrupts_arrive():
+    """A background job ignores SIGINT; here it arrives."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+class Thing:
+    pass
+
+
+@pytest.mark.parametrize(("number", "error"), KINDS)
+def test_a_signal_in_a_weakref_callback_is_raised_by_the_next_check(number, error, capsys):
+    thing = Thing()
+    reference = weakref.ref(thing, lambda _: send(number))
+    with handled():
+        del thing  # Python drops what the callback raises
+        assert reference() is None
+        with pytest.raises(error):
+            check()
+        check()  # once is enough
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("number", "error"), KINDS)
+def test_a_signal_waits_until_what_is_held_is_done(number, error):
+    done = []
+
+    def write():
+        with held():
+            with held():
+                send(number)
+                done.append("inner")
+            done.append("outer")
+        done.append("never")
+
+    with handled(), pytest.raises(error):
+        write()
+    assert done == ["inner", "outer"]
+
+
+def test_what_is_held_waits_outside_the_command_line_too():
+    """As in a notebook, where nothing has installed the handlers."""
+    done = []
+
+    def write():
+        with held():
+            send(signal.SIGINT)
+            done.append("whole")
+        done.append("never")
+
+    with pytest.raises(KeyboardInterrupt):
+        write()
+    assert done == ["whole"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_that_arrived_is_not_raised_again_while_things_are_closed():
+    closed = []
+
+    def run():
+        try:
+            send(signal.SIGTERM)
+        finally:
+            with held():
+                closed.append("file")
+            closed.append("line")
+
+    with handled(), pytest.raises(Terminated):
+        run()
+    assert closed == ["file", "line"]
+
+
+def test_ignored_signals_stay_ignored_and_handlers_come_back():
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    hook = sys.unraisablehook
+    try:
+        with handled():
+            send(signal.SIGTERM)
+            check()
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
+        assert sys.unraisablehook is hook
+    finally:
+        signal.signal(signal.SIGTERM, before)
