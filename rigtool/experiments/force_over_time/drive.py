@@ -62,7 +62,7 @@ class Drive:
 
 
 def tabulated(terms: tuple[Term, ...], coefficient: Array) -> Array:
-    """Return the maps of a learned model, see `Drive`."""
+    """Return the maps (n + 1, 5) of a learned model with coefficients (t,), see `Drive`."""
     angle = np.linspace(0.0, 2 * np.pi, MAP_SIZE + 1)
     found = np.zeros((MAP_SIZE + 1, 5))
     for term, value in zip(terms, coefficient, strict=True):

@@ -27,6 +27,7 @@ from rigtool.experiments.force_over_time.model import (
     Prediction,
     Shape,
     Sizes,
+    State,
     Term,
     functions,
     terms_for,
@@ -59,6 +60,9 @@ LONGEST = 0.7
 
 ROUNDS, ENOUGH = 15, 0.3
 """Steps at most, and how short the last one is, in standard deviations."""
+
+NEAR = 0.3
+"""Step, in logarithms, from which on records are weighed one by one."""
 
 LENGTH_SPREAD = 1.0
 """Of the logarithm of a bristle's length, before anything is known."""
@@ -111,14 +115,17 @@ def learn_sliding(
         solution, covariance = problem.step(shape, coefficient)
         step, coefficient = solution[: len(NAMES)], solution[len(NAMES) :]
         shape = moved(shape, np.clip(step, -LONGEST, LONGEST))
-        problem.weigh(shape, coefficient)
+        problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < NEAR)))
         if np.all(np.abs(step) < ENOUGH * np.sqrt(np.diag(covariance))[: len(NAMES)]):
             break
     return Learned(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
 
 
 def sizes_of(records: Sequence[Record], known: Known) -> Sizes:
-    """Return what spreads are relative to, from the records themselves."""
+    """Return what spreads are relative to, from the records themselves.
+
+    Raises `InsufficientDataError` where none without load slides in both directions.
+    """
     friction, ripple = [], []
     for record in records:
         if record.moment:
@@ -182,13 +189,14 @@ class Problem:
     def rows(self, number: int, shape: Shape, coefficient: Array | None) -> tuple[Array, Array]:
         """Return rows of a record: [shape's derivatives, terms] (p, rows), and right-hand side."""
         record = self.records[number]
-        values, carried = functions(self.terms, shape, self.known, record)
+        state = State.of(shape, self.known, record)
+        values, carried = functions(self.terms, state), state.carried / self.known.torque_factor
         current = record.current + self.known.offset
         measured = record.torque_constant * current - self.known.inertia * record.acceleration
         right, columns = record.rows(measured - carried), record.rows(values)
         if coefficient is None:
             return columns, right
-        predicted = Prediction(self.terms, coefficient, values, shape, self.known, record)
+        predicted = Prediction(self.terms, coefficient, values, shape, state)
         here = coefficient @ values + carried
         slopes = [predicted.torque(moved(shape, STEP * unit)) - here for unit in np.eye(len(NAMES))]
         return np.vstack([record.rows(np.stack(slopes) / STEP), columns]), right
@@ -239,21 +247,25 @@ class Problem:
         prior[:first] = -away[:first] / self.shape_spread[:first]
         left = normal[:count, :count] * np.outer(scale, scale) + np.eye(count)
         right = normal[:count, count] * scale + prior
-        inverse = np.linalg.inv(left)
+        inverse: Array = np.asarray(np.linalg.inv(left), dtype=np.float64)
         solution = scale * (inverse @ right)
-        return solution, inverse * np.outer(scale, scale)
+        covariance: Array = inverse * np.outer(scale, scale)
+        return solution, covariance
 
-    def weigh(self, shape: Shape, coefficient: Array) -> Array:
-        """Give all records of a kind the variance of what a model leaves; return rms of each."""
-        power = np.zeros(len(self.records))
-        for number in range(len(self.records)):
-            power[number] = np.mean(self.remaining(number, shape, coefficient) ** 2)
-        for periodic in (True, False):
-            same = [n for n, record in enumerate(self.records) if record.periodic == periodic]
-            if same:
-                rms = max(float(np.sqrt(np.median(power[same]))), LEAST_RMS * self.friction)
-                self.variance[same] = rms**2 * INDEPENDENT
-        return np.sqrt(power)
+    def weigh(self, shape: Shape, coefficient: Array, near: bool) -> None:
+        """Weigh the records by what a model with coefficients (t,) leaves of them.
+
+        All alike while the search is far off; near its end each that the model does not reach by
+        what is left of it.
+        """
+        power = np.array(
+            [
+                float(np.mean(self.remaining(number, shape, coefficient) ** 2))
+                for number in range(len(self.records))
+            ]
+        )
+        pooled = max(float(np.median(power)), (LEAST_RMS * self.friction) ** 2)
+        self.variance = np.maximum(pooled, power * near) * INDEPENDENT
 
     def remaining(self, number: int, shape: Shape, coefficient: Array) -> Array:
         """Return what a model and the strokes' own deviations leave of a record's used rows."""

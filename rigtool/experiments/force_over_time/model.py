@@ -22,9 +22,9 @@ an order of the rotor's or the output's angle times what it modulates:
     STRIBECK          z_b exp(-(b'/v)^2)           what it is more, slowly
     BEARING_DAMPING   b' while z_b changes         damping of pre-sliding
     HOUSING           z_h cos, z_h sin             friction of the long bristle, by output angle
-    HOUSING_SIDED     z_h^2 cos, ..                of which one direction has more
-    LOAD_FRICTION     z_h (sqrt(s^2 + o^2) - o)/n  friction that grows with the torque carried, also
-                                                   by output angle; pre-tension o hides it
+    HOUSING_SIDED     z_h^2                        of which one direction has more
+    LOAD_FRICTION     z_h (sqrt(s^2 + o^2) - o)/n  friction that grows with the torque carried, less
+                                                   where pre-tension o hides it
     CARRIED           s / n                        what the torque factor is off
 
 Bristles z follow P. R. Dahl, AIAA J. 14(12) 1675-1682, 1976; two of them in series of lengths are
@@ -36,7 +36,7 @@ Chaos 14(2) 446-460, 2004). What a rig's owner does not know is learned from kno
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -112,64 +112,61 @@ class Known:
     offset: float = 0.0
 
 
+_OF_TENDON = ("stiffness", "damping", "grasper_inertia", "tip_friction", "tip_length")
+"""Of a shape, what the tendon looks at."""
+
 _LAGGING = (Kind.RIPPLE, Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE)
 _FIXED = (Kind.OFFSET, Kind.INERTIA, Kind.VISCOUS, Kind.COGGING)
 """Kinds that lag, and those that no shape changes."""
 
 
-def functions(
-    terms: Sequence[Term], shape: Shape, known: Known, record: Record
-) -> tuple[Array, Array]:
-    """Return the terms (t, n) along a record, N m for a coefficient of 1, and s / n (n,)."""
-    state = _State.of(shape, known, record)
+def functions(terms: Sequence[Term], state: State) -> Array:
+    """Return the terms (t, n) along a state's record, N m for a coefficient of 1."""
     values = np.stack([state.function(term) for term in terms])
     lagging = [number for number, term in enumerate(terms) if term.kind in _LAGGING]
-    values[lagging] = lagged(values[lagging], record.interval, shape.ripple_time, record.periodic)
-    return values, state.carried / known.torque_factor
+    record, time = state.record, state.shape.ripple_time
+    values[lagging] = lagged(values[lagging], record.interval, time, record.periodic)
+    return values
 
 
 class Prediction:
-    """The motor's torque along a record for given coefficients, to be asked for many shapes."""
+    """The motor's torque along a record for given coefficients, to be asked for shapes near one."""
 
     def __init__(
-        self,
-        terms: Sequence[Term],
-        coefficient: Array,
-        values: Array,
-        shape: Shape,
-        known: Known,
-        record: Record,
+        self, terms: Sequence[Term], coefficient: Array, values: Array, shape: Shape, state: State
     ) -> None:
-        """`values` are the `functions` of the terms for one shape."""
-        self._known, self._record, self._ripple_time = known, record, shape.ripple_time
+        """`values` (t, n) are the `functions` of the terms for this shape, `state` its state."""
+        self._shape, self._state = shape, state
         fixed = [n for n, term in enumerate(terms) if term.kind in _FIXED]
         lagging = [n for n, term in enumerate(terms) if term.kind in _LAGGING]
         self._fixed = coefficient[fixed] @ values[fixed]
         self._lagged = coefficient[lagging] @ values[lagging]
-        state = _State.of(shape, known, record)
-        raw = np.zeros(record.angle.size)
+        self._raw = np.zeros_like(self._fixed)
         for number in lagging:
-            raw += coefficient[number] * state.function(terms[number])
-        self._raw = raw
+            self._raw += coefficient[number] * state.function(terms[number])
         rest = [n for n in range(len(terms)) if n not in {*fixed, *lagging}]
-        self._rest = [(terms[n], coefficient[n]) for n in rest]
+        self._rest = [(terms[n], coefficient[n], values[n]) for n in rest]
 
     def torque(self, shape: Shape) -> Array:
         """Return the torque (n,), N m, less what the known inertia takes."""
-        record, state = self._record, _State.of(shape, self._known, self._record)
-        whole = self._fixed + state.carried / self._known.torque_factor
-        if shape.ripple_time == self._ripple_time:
+        state, record = self._state.at(shape), self._state.record
+        whole = self._fixed + state.carried / state.known.torque_factor
+        if shape.ripple_time == self._shape.ripple_time:
             whole += self._lagged
         else:
             time = shape.ripple_time
             whole += lagged(self._raw[None], record.interval, time, record.periodic)[0]
-        for term, coefficient in self._rest:
-            whole += coefficient * state.function(term)
+        same = state.output is self._state.output
+        for term, coefficient, value in self._rest:
+            still = same and term.kind in (Kind.HOUSING, Kind.HOUSING_SIDED, Kind.CARRIED)
+            whole += coefficient * (value if still else state.function(term))
         return whole
 
 
-@dataclass(eq=False)
-class _State:
+@dataclass(frozen=True, eq=False)
+class State:
+    """What a shape makes of a record: bristles, torque carried N m, angle of the output rad."""
+
     record: Record
     shape: Shape
     known: Known
@@ -178,8 +175,15 @@ class _State:
     carried: Array
     output: Array
 
+    def at(self, shape: Shape) -> State:
+        """Return the state for another shape with the same bristles of the rotor."""
+        if all(getattr(shape, name) == getattr(self.shape, name) for name in _OF_TENDON):
+            return replace(self, shape=shape)
+        return State.of(shape, self.known, self.record)
+
     @staticmethod
-    def of(shape: Shape, known: Known, record: Record) -> _State:
+    def of(shape: Shape, known: Known, record: Record) -> State:
+        """Return the state along a record."""
         carried, output = tendon(
             record.angle / known.angle_ratio,
             record.interval,
@@ -193,9 +197,10 @@ class _State:
         )
         bearing = bristle(record.angle, shape.bearing_length, record.periodic)
         housing = bristle(record.angle, shape.housing_length, record.periodic)
-        return _State(record, shape, known, bearing, housing, carried, output)
+        return State(record, shape, known, bearing, housing, carried, output)
 
     def function(self, term: Term) -> Array:
+        """Return a term along the record (n,), ripple before its lag."""
         record, kind = self.record, term.kind
         if kind is Kind.OFFSET:
             return np.ones(record.angle.size)
@@ -218,11 +223,13 @@ class _State:
                 onset = self.shape.load_onset
                 value *= (np.hypot(self.carried, onset) - onset) / self.known.torque_factor
             return value
-        value = wave(term, record.angle)
+        value = np.ones(record.angle.size)
+        if term.order:
+            value = record.wave(term.order, term.quarter)
         if kind is Kind.VISCOUS:
             return value * record.speed
         if kind in (Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE):
-            value *= record.torque_constant * record.current
+            value = value * record.torque_constant * record.current
             if kind is Kind.SQUARE_RIPPLE:
                 value *= np.abs(record.current)
         return value
@@ -249,7 +256,7 @@ class Sizes:
 
 
 COGGING_ORDERS, RIPPLE_ORDERS, GAIN_ORDERS = range(1, 13), range(1, 7), range(1, 5)
-HOUSING_ORDERS, LOAD_ORDERS = range(1, 7), range(1, 3)
+HOUSING_ORDERS = range(1, 7)
 
 OFFSET_SPREAD = 0.01
 """Of the friction: a constant torque besides the amplifier's offset."""
@@ -281,7 +288,6 @@ def terms_for(sizes: Sizes, known: Known) -> tuple[Term, ...]:
     listed += _waves(Kind.GAIN_RIPPLE, RIPPLE_SPREAD, GAIN_ORDERS)
     listed += _waves(Kind.SQUARE_RIPPLE, RIPPLE_SPREAD / sizes.current, GAIN_ORDERS)
     listed += _waves(Kind.HOUSING, 0.3 * sizes.friction, HOUSING_ORDERS, 0.5)
-    listed += _waves(Kind.LOAD_FRICTION, LOAD_FRICTION_SPREAD / 10, LOAD_ORDERS)
     return tuple(listed)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LONGEST_STEP = 2.5e-4
-"""And in s: half of it is what the torque carried comes late."""
+"""And under a load in s: half of it is what the torque carried comes late."""
 
 SETTLING = 2.0
 """Time after which a swing is taken to repeat itself, s."""
@@ -61,7 +61,9 @@ def tendon(
     `angle` (n,) is the motor's at the output, `inertia` kg m2 and `moment` N m those of what hangs
     on the output.
     """
-    longest = min(STEP / math.sqrt(stiffness / inertia), LONGEST_STEP)
+    longest = STEP / math.sqrt(stiffness / inertia)
+    if moment:
+        longest = min(longest, LONGEST_STEP)
     finer = max(1, math.ceil(interval / longest))
     carried, output = np.empty(angle.size), np.empty(angle.size)
     _tendon(

@@ -36,6 +36,9 @@ ACCELERATION_TIME = 0.1
 PAUSES = 0.15
 """Share of free motion's moves that are followed by a pause of up to `HOLD_TIME`."""
 
+SHORTEST = 1e-6
+"""Piece of the motion, s: shorter ones are rounding of longer ones."""
+
 SEED = 20060607
 
 
@@ -90,6 +93,6 @@ class _Path:
         self._add(time, 0.0)
 
     def _add(self, time: float, speed: float) -> None:
-        if time > 0:
+        if time > SHORTEST:
             self.times.append(self.times[-1] + time)
             self.speeds.append(speed)

@@ -2,7 +2,10 @@
 
 All rows, measured and modelled, pass the same low-pass, evaluated by its spectrum: no phase shift,
 no delay. A motion that repeats is the mean of its cycles, on one period; any other wraps around,
-and its ends are left out.
+and its ends are left out. The gain is that of a Butterworth low-pass of second order forward and
+backward,
+
+    G(f) = 1 / (1 + (f / fc)^4).
 """
 
 from __future__ import annotations
@@ -31,6 +34,9 @@ ROWS_HZ = 100.0
 
 GRID_HZ = 500.0
 """Samples a second of the grid."""
+
+SLOW_PERIOD = 3.0
+"""From which on half of the grid does, s."""
 
 SLOWEST = 160.0
 """Counts a second below which a rotor does not slide evenly."""
@@ -83,6 +89,16 @@ class Record:
     def acceleration(self) -> Array:
         """Acceleration of the rotor (n,), rad/s2."""
         return self._slope(2)
+
+    def wave(self, order: int, quarter: int) -> Array:
+        """Return cosine (quarter 0) or sine (1) of an order of the rotor's angle (n,)."""
+        if (order, quarter) not in self._waves:
+            self._waves[order, quarter] = (np.sin if quarter else np.cos)(order * self.angle)
+        return self._waves[order, quarter]
+
+    @cached_property
+    def _waves(self) -> dict[tuple[int, int], Array]:
+        return {}
 
     def _slope(self, order: int) -> Array:
         trend = np.linspace(self.angle[0], self.angle[-1], len(self.angle))
@@ -151,8 +167,10 @@ def repeated(
 
     The cycle that runs in is left out. Raises `InsufficientDataError` where not one is left.
     """
+    from scipy.fft import next_fast_len
+
     encoder, current, setpoint, interval = _thinned(encoder, current, setpoint, interval)
-    time = (np.arange(len(encoder)) + 0.5) * interval
+    time = interval * np.arange(0.5, len(encoder))
     starts = rising_crossings(time, setpoint, (setpoint.max() + setpoint.min()) / 2)
     starts = starts[1:] if len(starts) > FEWEST_CYCLES else starts
     if len(starts) < 2:
@@ -161,7 +179,9 @@ def repeated(
         )
     cycles = len(starts) - 1
     period = (starts[-1] - starts[0]) / cycles
-    size = 2 * round(period * GRID_HZ / 2)
+    grid_hz = GRID_HZ if period < SLOW_PERIOD else GRID_HZ / 2
+    size = next_fast_len(round(period * grid_hz), real=True)
+    size += size % 2
     grid = starts[:-1, None] + np.arange(size) * (period / size)
     angles = interpolated(encoder, grid.ravel() / interval).reshape(cycles, size)
     currents = np.interp(grid.ravel(), time, current).reshape(cycles, size)
@@ -184,10 +204,12 @@ def single(
     encoder: Array, current: Array, setpoint: Array, interval: float, under: Condition
 ) -> Record:
     """Return a motion that does not repeat; signals (n,) every `interval` s in counts, A, rad."""
+    from scipy.fft import prev_fast_len
+
     encoder, current, setpoint, interval = _thinned(encoder, current, setpoint, interval)
-    size = len(encoder) // 2 * 2
+    size = prev_fast_len(len(encoder), real=True) // 2 * 2
     encoder, current, setpoint = encoder[:size], current[:size], setpoint[:size]
-    angle = interpolated(encoder, np.arange(size) + 0.5) * under.count
+    angle = interpolated(encoder, np.arange(0.5, size)) * under.count
     return Record(
         interval,
         angle,
@@ -206,9 +228,14 @@ def _thinned(
 ) -> tuple[Array, Array, Array, float]:
     """Return means of samples, `GRID_HZ` a second or as many as there are."""
     by = max(1, round(1 / (GRID_HZ * interval)))
-    size = len(encoder) // by
-    means: list[Array] = [s[: size * by].reshape(size, by).mean(axis=1) for s in (encoder, current, setpoint)]
-    return means[0], means[1], means[2], interval * by
+    return _means(encoder, by), _means(current, by), _means(setpoint, by), interval * by
+
+
+def _means(signal: Array, by: int) -> Array:
+    """Return means of every `by` samples."""
+    size = len(signal) // by
+    means: Array = signal[: size * by].reshape(size, by).mean(axis=1)
+    return means
 
 
 def _sliding(

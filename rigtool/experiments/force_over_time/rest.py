@@ -144,7 +144,7 @@ class _Problem:
 
     def solution(self) -> Learned:
         """Return the model of least error; its covariance comes from both."""
-        root = np.linalg.cholesky(self.covariance)
+        root: Array = np.asarray(np.linalg.cholesky(self.covariance), dtype=np.float64)
         plant = plant_of(self.learned, self._signals_of.sample_time)
         friction = plant.coulomb + plant.housing_friction
         scale = ERROR * friction * np.sqrt(INDEPENDENT)
@@ -153,17 +153,16 @@ class _Problem:
         def cost(x: Array) -> Array:
             return np.append(self.errors(self.start + root @ x) / scale, x)
 
-        here: Array = np.zeros(count)
+        here = np.zeros(count)
         left = cost(here)
         damping = 0.0
-        information: Array = np.eye(count)
         for _ in range(ROUNDS):
             slopes = np.stack(
                 [(cost(here + STEP * e) - left) / STEP for e in np.eye(count)], axis=1
             )
             weight = np.ones(left.size)
             weight[:-count] = 1 / np.hypot(1, left[:-count] * np.sqrt(INDEPENDENT) / HUBER)
-            information = slopes.T @ (slopes * weight[:, None])
+            information: Array = slopes.T @ (slopes * weight[:, None])
             before = float(weight @ left**2)
             gained = 0.0
             while damping < 100.0:
@@ -173,13 +172,13 @@ class _Problem:
                 there = cost(here + change)
                 gained = before - float(weight @ there**2)
                 if gained > 0:
-                    here = here + change
+                    here = np.add(here, change)
                     left, damping = there, damping / 4
                     break
                 damping = max(4 * damping, 0.1)
             if gained < ENOUGH * before:
                 break
-        return self._learned(here, root, information)
+        return self._learned(np.asarray(here, dtype=np.float64), root, information)
 
     def _learned(self, here: Array, root: Array, information: Array) -> Learned:
         model = self.model(self.start + root @ here)
