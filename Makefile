@@ -123,7 +123,7 @@ test: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest -n 2 --dist loadgroup
+	$(BIN)/pytest -n 2 --dist worksteal
 
 docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs

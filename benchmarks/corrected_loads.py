@@ -22,9 +22,9 @@ import numpy as np
 
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.procedure import Procedure
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.runfile import open_run
 

@@ -19,10 +19,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import serial
+from rigtool.rigs.bench import Bench, Operator
 
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.rigs import Task, open_rig
-from rigtool.rigs.bench import Bench, Operator
 from rigtool.rigs.motion import SpeedProfile
 
 ROOT = Path(__file__).parents[1]

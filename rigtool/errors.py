@@ -1,11 +1,11 @@
-"""What can go wrong, as a user meets it: each error knows the exit code of the command line.
+"""Errors that a user can meet, each with the exit code of the command line.
 
-Every message gives the value that was found, the limit it broke and what to do about it.
+Every message gives the value that was found, the limit that it violates, and a remedy.
 """
 
 
 class RigtoolError(Exception):
-    """Root of all errors that rigtool raises on purpose (exit code 1, failed while running)."""
+    """Base of all errors that rigtool raises on purpose (exit code 1, failed while running)."""
 
     exit_code = 1
 
@@ -29,12 +29,12 @@ class RunFileError(RigtoolError, ValueError):
 
 
 class InsufficientDataError(RigtoolError, ValueError):
-    """The data do not carry the result that was asked for (exit code 4)."""
+    """The data do not support the requested result (exit code 4)."""
 
     exit_code = 4
 
 
 class HardwareError(RigtoolError, OSError):
-    """A rig or an instrument beside it does not do what it should (exit code 5)."""
+    """A rig or an instrument beside it fails (exit code 5)."""
 
     exit_code = 5

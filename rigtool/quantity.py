@@ -1,7 +1,7 @@
 """A physical quantity: value, unit, standard uncertainty and degrees of freedom.
 
 Units are written as in the SI brochure with a space between factors ("N m s/rad"); files hold SI
-values, and `format_quantity` turns them into the multiples that a reader expects ("mN m").
+values, and `format_quantity` shows them in customary multiples ("mN m").
 Notation of uncertainty: GUM (JCGM 100:2008) 7.2.2, the short form 45.80(4).
 """
 
@@ -15,8 +15,8 @@ from dataclasses import dataclass
 class Quantity:
     """A value with its unit and standard uncertainty (GUM 2.3.1).
 
-    `u` is None where no uncertainty can be stated; `reason` then says why. `dof` is None where
-    the degrees of freedom are not known or infinite. Raises `ValueError` for neither `u` nor
+    `u` is None where no uncertainty can be stated; `reason` then gives the reason. `dof` is None
+    where the degrees of freedom are unknown or infinite. Raises `ValueError` for neither `u` nor
     `reason`, and for a negative `u`.
     """
 
@@ -48,12 +48,12 @@ _DISPLAY = {
 
 
 def display_unit(unit: str) -> tuple[float, str]:
-    """Return the factor and the unit in which values of an SI `unit` are shown to people."""
+    """Return the factor and the unit in which values of an SI `unit` are shown."""
     return _DISPLAY.get(unit, (1.0, unit))
 
 
 def format_number(value: float, u: float | None) -> str:
-    """Write a value with two digits of its uncertainty in the short form of the GUM.
+    """Return a value with two digits of its uncertainty in the short form of the GUM.
 
     >>> format_number(45.8012, 0.0414)
     '45.801(41)'
@@ -77,7 +77,7 @@ def format_number(value: float, u: float | None) -> str:
 
 
 def format_quantity(quantity: Quantity) -> str:
-    """Write a quantity for a reader, in its display unit: '45.801(41) mN m/A'."""
+    """Return a quantity as text in its display unit: '45.801(41) mN m/A'."""
     factor, unit = display_unit(quantity.unit)
     u = None if quantity.u is None else quantity.u * factor
     number = format_number(quantity.value * factor, u)

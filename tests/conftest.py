@@ -1,30 +1,28 @@
-"""Tests in real time run one after the other, and again where the machine stalls.
+"""No test asks how long something takes: tests of lines run in emulated time.
 
-They wait more than they compute: beside them another process passes all the others. Where the
-machine stalls, rigtool rightly ends the motion.
+The few marked `real_time` use the system's own clock, ports and processes, and assert only what
+holds on a machine that stalls as well.
 """
 
 import signal
 
 import pytest
+from hypothesis import settings
 
 # A job in the background of a script ignores Ctrl-C, and so would every program that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-REAL_TIME = (
-    "rigs/serial/",
-    "cli/test_serial_commands",
-    "experiments/deploy/test_procedure",
-    "experiments/live/test_",
-    "test_extending",
-)
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 
 
-def pytest_collection_modifyitems(items):
-    for item in items:
-        where = item.path.as_posix()
-        if any(name in where for name in REAL_TIME) or "deploy" in item.name:
-            # Random inputs that fail are to be seen, not drawn anew.
-            if not hasattr(getattr(item, "function", None), "hypothesis"):
-                item.add_marker(pytest.mark.flaky(reruns=2))
-            item.add_marker(pytest.mark.xdist_group("real time"))
+@pytest.fixture
+def world(request, monkeypatch):
+    """The emulated time in which a test runs; None where the test is in real time."""
+    if request.node.get_closest_marker("real_time"):
+        yield None
+        return
+    from tests.rigs.serial.emulated_time import emulated_time
+
+    with emulated_time(monkeypatch) as world:
+        yield world

@@ -9,7 +9,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 AT_THE_RIG = ("procedure", "results", "imported", "stored")
 """First words of files in a room of experiments that may know recipes, rigs and run files."""
 
-WITHOUT_NUMERICS = ("experiments/learning/implementations", "experiments/live")
+WITHOUT_NUMERICS = ("experiments/learning/implementations", "experiments/running")
 """Rooms in which every file is a procedure."""
 
 

@@ -115,7 +115,9 @@ def test_nothing_but_the_session_sees_the_virtual_rigs_parameters():
     for path in MODULES:
         if place(path).split("/")[0] in ("experiments", "report", "control", "numerics"):
             text = path.read_text(encoding="utf-8")
-            assert "recipe.virtual" not in text or place(path) == "experiments/session.py", path
+            assert (
+                "recipe.virtual" not in text or place(path) == "experiments/running/session.py"
+            ), path
             assert "rigs.virtual" not in text, path
 
 

@@ -76,7 +76,8 @@ def command_list() -> str:
 
 def recipes_page() -> str:
     """Return every table and value of a recipe, from the models that read it."""
-    from rigtool.recipe import Mapping, Recipe
+    from rigtool.recipe import Recipe
+    from rigtool.recipe.mapping import Mapping
 
     parts = [
         "# Recipes",

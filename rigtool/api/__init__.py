@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from rigtool.api.arrays import analyse_arrays
 from rigtool.errors import RigtoolError, UsageError
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.quantity import Quantity
 from rigtool.runfile import Run
 from rigtool.runfile import open_run as open

@@ -8,13 +8,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import UsageError
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
-from rigtool.experiments.session import require_inputs
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import require_inputs
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.runfile import RecordingSpec, Run, RunWriter
 
@@ -78,13 +79,13 @@ def analyse_arrays(
     return outcome
 
 
-def _as_given(spec: RecordingSpec, signals: Mapping[str, NDArray[np.float64]]) -> RecordingSpec:
+def _as_given(spec: RecordingSpec, signals: Mapping[str, Array]) -> RecordingSpec:
     """Return what is stored: the signals that are there, without loss of digits."""
     channels = (replace(item, dtype="f8") for item in spec.channels if item.name in signals)
     return replace(spec, channels=tuple(channels))
 
 
-def _signals(spec: RecordingSpec, signals: Signals) -> dict[str, NDArray[np.float64]]:
+def _signals(spec: RecordingSpec, signals: Signals) -> dict[str, Array]:
     """Return the signals of a recording as f8; `UsageError` where they are none of it."""
     units = {channel.name: channel.unit for channel in spec.channels}
     known = ", ".join(f"{name} [{unit}]" for name, unit in units.items())
@@ -106,7 +107,7 @@ def _signals(spec: RecordingSpec, signals: Signals) -> dict[str, NDArray[np.floa
     return found
 
 
-def _numbers(what: str, values: Any) -> NDArray[np.float64]:
+def _numbers(what: str, values: Any) -> Array:
     try:
         found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -116,7 +117,7 @@ def _numbers(what: str, values: Any) -> NDArray[np.float64]:
     return found
 
 
-def _require_rate(spec: RecordingSpec, time: NDArray[np.float64], sample_time: float) -> None:
+def _require_rate(spec: RecordingSpec, time: Array, sample_time: float) -> None:
     """Raise `UsageError` unless samples are as far apart as the recipe plans."""
     found, planned = float(np.median(np.diff(time))), spec.record_every * sample_time
     if abs(found / planned - 1) > SAME_INTERVAL:

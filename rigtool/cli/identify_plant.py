@@ -9,7 +9,7 @@ import click
 from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
 
 if TYPE_CHECKING:
-    from rigtool.experiments.options import CommonOptions
+    from rigtool.experiments.running.options import CommonOptions
 
 
 @click.command(

@@ -16,7 +16,7 @@ from rigtool.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rigtool.experiments.options import CommonOptions
+    from rigtool.experiments.running.options import CommonOptions
 
 
 @click.command(
@@ -118,7 +118,7 @@ def _check(
     from rigtool.cli.printing import print_outcome
     from rigtool.errors import InsufficientDataError
     from rigtool.experiments.learning.check import procedure as ilc_check
-    from rigtool.experiments.session import run_command
+    from rigtool.experiments.running.session import run_command
 
     with open_inputs(**paths) as inputs:
         options = ilc_check.as_learned(options, sources, inputs["tables"])

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.running.options import CommonOptions
 
 if TYPE_CHECKING:
     from rigtool.experiments.procedure import Procedure
@@ -124,7 +124,7 @@ def run_and_print(
 ) -> None:
     """Run a procedure with the run files of other commands at `paths`; print its outcome."""
     from rigtool.cli.printing import print_outcome
-    from rigtool.experiments.session import run_command
+    from rigtool.experiments.running.session import run_command
 
     with open_inputs(**paths) as inputs:
         outcome = run_command(procedure, sources, output, options=options, inputs=inputs)

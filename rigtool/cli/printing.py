@@ -16,8 +16,8 @@ from rigtool.runfile.summary import result_lines
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rigtool.experiments.options import CommonOptions
     from rigtool.experiments.outcome import Outcome
+    from rigtool.experiments.running.options import CommonOptions
 
 
 def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) -> None:

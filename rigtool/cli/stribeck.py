@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
-from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.running.options import CommonOptions
 
 
 @click.command(

@@ -1,1 +1,1 @@
-"""The position loop as a model, and the table that is fed forward in it."""
+"""The model of the position loop, and the table of torque that is fed forward in it."""

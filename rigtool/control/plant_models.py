@@ -1,4 +1,4 @@
-"""Models of the plant, torque to angle, exact for a torque that is held over a sample.
+"""Models of the plant from torque to angle, exact for a torque held over each sample.
 
     rigid:     P(s) = 1/(J s2 + fv s)
     two_mass:  J1 th1'' = u - fv th1' - k (th1 - th2) - c (th1' - th2'),  y = th1
@@ -14,15 +14,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
-from rigtool.control.position_loop import ComplexArray, TransferFunction, double_integrator
-
-Array = NDArray[np.float64]
+from rigtool.control.position_loop import TransferFunction, double_integrator
+from rigtool.numerics.arrays import Array, ComplexArray
 
 IMAGES = 8
-"""Images of the spectrum on either side that are summed; those left out are below 1e-7."""
+"""Images of the spectrum on either side that are summed; the rest is below 1e-7."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class PlantModel:
 
     @property
     def rigid(self) -> bool:
-        """Whether there is one mass only."""
+        """Whether the plant is one mass."""
         return self.motor_side is None
 
     @property
@@ -51,7 +49,7 @@ class PlantModel:
 
     @property
     def resonance_hz(self) -> float:
-        """Frequency, Hz, at which two masses swing against each other; `ValueError` for one."""
+        """Frequency, Hz, of the resonance of the two masses; `ValueError` for a rigid plant."""
         if self.motor_side is None:
             raise ValueError("a rigid plant has no resonance")
         return self.antiresonance_hz / math.sqrt(self.motor_side)
@@ -62,7 +60,7 @@ class PlantModel:
         return held(a, b, c, sample_time)
 
     def transfer(self, s: ComplexArray) -> ComplexArray:
-        """Return P(s) of the motion itself, at any complex frequencies (n,), rad/s."""
+        """Return P(s) of the continuous plant at complex frequencies (n,), rad/s."""
         if self.motor_side is None:
             rigid: ComplexArray = 1 / (s * (self.inertia * s + self.viscous))
             return rigid
@@ -77,8 +75,9 @@ class PlantModel:
     def response(self, frequency: Array, sample_time: float) -> ComplexArray:
         """Return the response (n,) of `held` at frequencies above zero, Hz, without its algebra.
 
-        Sampling sums the images P(s + 2 pi i k/Ts) of the held plant. Far up P is the double
-        integrator of J1, whose sum is known; only the difference, which soon vanishes, is summed.
+        Sampling sums the images P(s + 2 pi i k/Ts) of the held plant. At high frequencies P is the
+        double integrator of J1, whose sum is known; only the difference, which decays fast, is
+        summed.
         """
         motor = self.inertia * (1.0 if self.motor_side is None else self.motor_side)
         s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)
@@ -111,8 +110,8 @@ def held(a: Array, b: Array, c: Array, sample_time: float) -> TransferFunction:
 
     a is (n, n), b and c are (n,).
 
-    In delta = z - 1: x+ - x = (a F) x + (F b) u with F the integral of exp(a t) over a sample, so
-    that nothing is lost where all poles lie close to z = 1.
+    In delta = z - 1: x+ - x = (a F) x + (F b) u, where F is the integral of exp(a t) over a sample.
+    This form keeps full precision where all poles lie close to z = 1.
     """
     order = len(b)
     block = np.zeros((2 * order, 2 * order))

@@ -16,14 +16,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypedDict, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import RecipeError
-
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from rigtool.numerics.arrays import Array, ComplexArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ class TransferFunction:
 
     @property
     def relative_degree(self) -> int:
-        """Samples between input and first reaction of the output; negative where not proper."""
+        """Samples from an input to the first response of the output; negative where not proper."""
         return len(self.den_delta) - len(self.num_delta)
 
     def zeros(self) -> ComplexArray:
@@ -107,35 +106,31 @@ class _Section:
         return section
 
 
-def controller_sections(
-    *,
-    crossover_hz: float,
-    lead_ratio: float,
-    integrator_hz: float,
-    lowpass_hz: float,
-    lowpass_damping: float,
-    inertia: float,
-    sample_time: float,
-) -> Array:
+class LoopDesign(TypedDict):
+    """Settings of the controller, frequencies in Hz; inertia, kg m2; sample time, s."""
+
+    crossover_hz: float
+    lead_ratio: float
+    integrator_hz: float
+    lowpass_hz: float
+    lowpass_damping: float
+    inertia: float
+    sample_time: float
+
+
+def controller_sections(**design: Unpack[LoopDesign]) -> Array:
     """Return the position controller C(z) as second-order sections (n, 6), N m/rad.
 
     Rows are [b0 b1 b2 1 a1 a2] as in scipy; the gain is in the first. The open loop has gain one
     at the crossover with the discrete plant of this inertia, kg m2. `integrator_hz` 0 leaves the
     integrator out. Raises `RecipeError` where a frequency is not below half the sampling rate.
     """
-    sections = _controller_factors(
-        crossover_hz,
-        lead_ratio,
-        integrator_hz,
-        lowpass_hz,
-        lowpass_damping,
-        inertia,
-        sample_time,
-    )
+    sections = _controller_factors(**design)
     return np.stack([section.in_z() for section in sections])
 
 
 def _controller_factors(
+    *,
     crossover_hz: float,
     lead_ratio: float,
     integrator_hz: float,
@@ -172,7 +167,7 @@ def _controller_factors(
 def _tustin(num: list[float], den: list[float], sample_time: float) -> _Section:
     """Turn a section in s into one in delta by s = 2/Ts delta/(delta + 2)."""
     s = 2 / sample_time
-    # Rows: what each power of s becomes over the common denominator (delta + 2)^order
+    # Rows: each power of s over the common denominator (delta + 2)^order
     if len(den) == 3:
         basis = np.array([[s * s, 0.0, 0.0], [s, 2 * s, 0.0], [1.0, 4.0, 4.0]])
     else:
@@ -229,27 +224,12 @@ class Loop:
         return bool(np.abs(self.sensitivity.poles()).max() < 1)
 
 
-def position_loop(
-    *,
-    crossover_hz: float,
-    lead_ratio: float,
-    integrator_hz: float,
-    lowpass_hz: float,
-    lowpass_damping: float,
-    inertia: float,
-    sample_time: float,
-) -> Loop:
-    """Return the loop of `controller_sections` around the double integrator it was made for."""
-    first, second = _controller_factors(
-        crossover_hz,
-        lead_ratio,
-        integrator_hz,
-        lowpass_hz,
-        lowpass_damping,
-        inertia,
-        sample_time,
-    )
+def position_loop(**design: Unpack[LoopDesign]) -> Loop:
+    """Return the loop of `controller_sections` with the double integrator of this inertia."""
+    first, second = _controller_factors(**design)
     controller = TransferFunction(
-        np.convolve(first.num, second.num), np.convolve(first.den, second.den), sample_time
+        np.convolve(first.num, second.num),
+        np.convolve(first.den, second.den),
+        design["sample_time"],
     )
-    return Loop(controller, double_integrator(inertia, sample_time))
+    return Loop(controller, double_integrator(design["inertia"], design["sample_time"]))

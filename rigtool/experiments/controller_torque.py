@@ -21,14 +21,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording
-
-Array = NDArray[np.float64]
 
 TABLE, SIGNAL = "table_current", "signal_current"
 """Channels of what was learned: by position, by time."""
@@ -116,7 +114,7 @@ def _checked(
         controlled = max(controlled, _largest(controller))
         farthest = max(farthest, _largest(setpoint - rotor))
         yield LoopSignals(time, setpoint, encoder, rotor, total, controller, modelled, learned)
-    require_loop_health(
+    require_tracking(
         recipe,
         largest_current=largest,
         largest_controller=controlled,
@@ -138,7 +136,7 @@ def naming(recording: Recording) -> Iterator[None]:
         raise InsufficientDataError(f"recording {recording.name}: {error}") from None
 
 
-def require_loop_health(
+def require_tracking(
     recipe: Recipe,
     *,
     largest_current: float,

@@ -1,4 +1,7 @@
-"""Imported runs as analyses see them: what is known of the rig are conditions, or absent."""
+"""Signals of imported runs, and the properties of the rig that their conditions state.
+
+A property that the mapping file did not state is absent.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.arrays import Array
 from rigtool.runfile import Recording, Run
 
-Array = NDArray[np.float64]
-
 RECORDING = "imported"
-"""Their one recording."""
+"""Name of the one recording of an imported run."""
 
 RIG = {
     "encoder_counts",
@@ -26,15 +27,15 @@ RIG = {
     "inertia",
     "linear_axis",
 }
-"""Conditions that are of the rig, not of one recording."""
+"""Conditions that describe the rig, not one recording."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """What the motor does, (n,) values in `unit`; `name` is how tables call it.
+    """Torque, force or current of the motor: `values` (n,) in `unit`; `name` as in tables.
 
-    `relative_u` is the relative standard uncertainty of its scale, None where it is not known;
-    `origin` says where it is from.
+    `relative_u` is the relative standard uncertainty of the scale, None where it is unknown;
+    `origin` states the channel and the factor that the values come from.
     """
 
     values: Array
@@ -45,25 +46,25 @@ class Effort:
 
 
 def signals_of(runs: Sequence[Run]) -> list[Recording]:
-    """Return the recording of each run; `RunFileError` for one that holds a map only."""
+    """Return the recording of each run; `RunFileError` for a run that holds only a map."""
     return [run.recording(RECORDING) for run in runs]
 
 
 def known(recording: Recording, name: str) -> float | None:
-    """Return what is known of the rig, None where it is not."""
+    """Return a property of the rig, None where it is unknown."""
     return recording.condition(name) if name in recording.conditions else None
 
 
 def is_linear(recording: Recording) -> bool:
-    """Say whether the axis is linear: m and N."""
+    """Return whether the axis is linear: m and N."""
     return known(recording, "linear_axis") == 1.0
 
 
 def position_of(recording: Recording) -> Array:
-    """Return the position (n,), rad or m, from whatever tells it.
+    """Return the position (n,), rad or m.
 
-    Measured position before counts, counts before the integral of speed, whose start is zero.
-    Raises `RunFileError` where nothing does.
+    The measured position is preferred to encoder counts, counts to the integral of speed, which
+    starts at zero. Raises `RunFileError` where none of the three is recorded.
     """
     if recording.has("position"):
         return recording.read("position")
@@ -76,17 +77,17 @@ def position_of(recording: Recording) -> Array:
         steps = np.diff(time) * (speed[1:] + speed[:-1]) / 2
         return np.concatenate([[0.0], np.cumsum(steps)])
     raise RunFileError(
-        f"{recording.name}: nothing tells the position: there is no channel position or speed, nor "
+        f"{recording.name}: the position is unknown: there is no channel position or speed, nor "
         "encoder with encoder_counts; import it with one of them mapped"
     )
 
 
 def effort_of(recording: Recording, kt: Run | None) -> Effort:
-    """Return torque (force on a linear axis), or current where nothing makes torque of it.
+    """Return torque (force on a linear axis), or current where no torque constant is known.
 
-    With `kt`, current times its torque constant; else the torque that the drive or a sensor tells,
-    else current times the torque constant of the mapping, else torque relative to the rated one,
-    else current alone. Raises `RunFileError` where there is none of them.
+    With `kt`, current times its torque constant; else the torque that the drive or a sensor
+    reports, else current times the torque constant of the mapping, else torque relative to the
+    rated one, else current alone. Raises `RunFileError` where there is none of them.
     """
     has_current = recording.has("current") or recording.has("current_setpoint")
     if kt is not None and has_current:
@@ -96,14 +97,14 @@ def effort_of(recording: Recording, kt: Run | None) -> Effort:
         return Effort(current, "N m", "torque", relative, "current times the constant of --kt")
     name, unit = ("force", "N") if is_linear(recording) else ("torque", "N m")
     if recording.has(name):
-        return Effort(recording.read(name), unit, name, None, f"{name} as the file tells it")
+        return Effort(recording.read(name), unit, name, None, f"{name} as in the file")
     if recording.has("relative_torque") and not has_current:
-        origin = "torque relative to the rated one, that the mapping does not tell (rated_torque)"
+        origin = "torque relative to the rated one, which the mapping does not state (rated_torque)"
         return Effort(recording.read("relative_torque"), "1", "relative_torque", 0.0, origin)
     current = recording.read(_current_name(recording))
     constant = known(recording, "torque_constant")
     if constant is None or is_linear(recording):
-        return Effort(current, "A", "current", 0.0, "current as the file tells it")
+        return Effort(current, "A", "current", 0.0, "current as in the file")
     u = known(recording, "torque_constant_u")
     return Effort(
         current * constant,
@@ -115,12 +116,12 @@ def effort_of(recording: Recording, kt: Run | None) -> Effort:
 
 
 def _current_name(recording: Recording) -> str:
-    # The mapping may know either; what was measured is nearer to the torque.
+    # The mapping may name either; the measured current is nearer to the torque.
     return "current" if recording.has("current") else "current_setpoint"
 
 
 def require_one_rig(recordings: Sequence[Recording], runs: Sequence[Run]) -> None:
-    """Raise `UsageError` where runs are not of one rig, by all that is known of it."""
+    """Raise `UsageError` where the known properties of the rig differ between runs."""
     first = {name: known(recordings[0], name) for name in RIG}
     for recording, run in zip(recordings, runs, strict=True):
         for name, value in first.items():

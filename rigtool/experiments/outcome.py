@@ -1,4 +1,4 @@
-"""What a procedure's analysis hands to the run file."""
+"""What an analysis returns and a run file stores."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rigtool.runfile.summary import html_of, result_lines
 
 @dataclass(frozen=True)
 class Outcome:
-    """Results, tables and remarks that belong to them, as `rigtool info` shows them."""
+    """Results, tables, and the notes on them, as `rigtool info` shows them."""
 
     results: Mapping[str, Quantity]
     tables: Mapping[str, Table] = field(default_factory=dict)

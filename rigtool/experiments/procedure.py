@@ -19,10 +19,10 @@ class Procedure:
     performs the tasks and records them; `analyse(runs, recipe, **inputs)` computes results from
     stored signals only. `needed` names the inputs that only imported runs can do without.
 
-    A procedure with `bare_motor` measures without the instrument, whatever the recipe attaches:
+    A procedure with `bare_motor` measures without the instrument, even where the recipe has one:
     motor and amplifier are characterised on their own [7.1, 7.2]. `accepts` names other commands
-    whose stored runs it analyses beside its own. `analyse_imported(runs, **inputs)` takes runs of
-    other rigs; `imported_settings` maps the keys of `--set` that it takes to its argument names.
+    whose stored runs it analyses. `analyse_imported(runs, **inputs)` takes runs of other rigs;
+    `imported_settings` maps the keys of `--set` that it takes to its argument names.
 
     `rig_needs(recipe)` names what a rig has to offer for motions that depend on what is measured
     first, see `dry_run`.

@@ -20,11 +20,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from rigtool.experiments.torque_constant.temperature_fit import REFERENCE_DEGC
 from rigtool.quantity import Quantity
 from rigtool.runfile import Run
-
-REFERENCE_DEGC = 20.0
-"""Temperature at which `torque_constant` is stated [7.1.1]."""
 
 
 def torque_per_ampere(kt: Run, *, of_measured_current: bool = False) -> Quantity:

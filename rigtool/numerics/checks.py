@@ -1,19 +1,18 @@
-"""Checks that every analysis makes on its input arrays before it believes them."""
+"""Checks that every analysis makes on its input arrays."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 def require_signals(minimum: int = 1, **signals: ArrayLike) -> tuple[Array, ...]:
-    """Return signals as f8 arrays of one common length, none of them with NaN or infinity.
+    """Return signals as f8 arrays of one common length without NaN or infinity.
 
-    Raises `InsufficientDataError` naming the signal, where it breaks a rule, and what to do.
+    Raises `InsufficientDataError` that names the signal, the sample and the remedy.
     """
     arrays = {name: np.asarray(values, dtype=np.float64) for name, values in signals.items()}
     first = next(iter(arrays))
@@ -41,7 +40,7 @@ def require_signals(minimum: int = 1, **signals: ArrayLike) -> tuple[Array, ...]
 
 
 def require_rising(time: Array) -> float:
-    """Return the usual sample time, s, of a time (n,); raise where it does not rise throughout."""
+    """Return the median sample time, s, of a time (n,); raise where time does not rise."""
     return float(np.median(rising_steps(time)))
 
 

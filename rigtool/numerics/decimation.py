@@ -1,9 +1,11 @@
-"""Fewer samples a second, without phase shift, of signals too long to hold: block by block.
+"""Decimation without phase shift, block by block.
 
-A low-pass FIR filter (sinc, Kaiser window) is evaluated at every M-th sample only. Of the new
-sampling frequency f, what lies below 0.05 f keeps its size within 4e-5, and what lies above 0.95 f,
-which would appear there under a false frequency, is reduced to 4e-5 of it. Before the first and
-after the last sample a signal goes on as its point reflection, as in `scipy.signal.filtfilt`.
+scipy's decimate needs the whole signal in memory, and a recording of hours does not fit there.
+
+A low-pass FIR filter (sinc, Kaiser window) is evaluated at every M-th sample only. With the new
+sampling frequency f, components below 0.05 f keep their amplitude within 4e-5, and components above
+0.95 f, which alias to frequencies below 0.05 f, are attenuated to 4e-5. Both ends of a signal are
+extended by point reflection, as in `scipy.signal.filtfilt`.
 Window and length: J. F. Kaiser, Proc. IEEE Symp. Circuits and Systems 1974, 20-23.
 """
 
@@ -12,21 +14,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 REACH = 4
-"""New samples that the filter reaches to either side."""
+"""Half the length of the filter, in new samples."""
 
 KAISER_BETA = 10.0
-"""100 dB between what passes and what does not."""
+"""Stop-band attenuation of 100 dB."""
 
 
 class Decimator:
-    """Takes several signals block by block, and keeps every `factor`-th sample."""
+    """Decimates several signals by `factor`, block by block."""
 
     def __init__(self, factor: int, signals: int) -> None:
         self._factor = factor
@@ -68,7 +68,7 @@ class Decimator:
         return found[:, : -(-self._samples // self._factor)]
 
     def _append(self, signals: Sequence[Array], *, in_front: bool = False) -> None:
-        """Put samples behind the waiting ones, or in front, in a buffer that is used again."""
+        """Append samples to the waiting ones, or prepend them, in a buffer that is reused."""
         waiting, size = self._waiting, self._waiting.shape[1]
         total = size + signals[0].size
         if total > self._buffer.shape[1] or in_front:
@@ -81,7 +81,7 @@ class Decimator:
         self._waiting = self._buffer[:, :total]
 
     def _filter(self) -> None:
-        """Compute what the waiting samples allow, and keep those that are needed again."""
+        """Filter as far as the waiting samples allow; keep those that are needed again."""
         signals, size = self._waiting.shape
         if self._factor == 1:
             count = size

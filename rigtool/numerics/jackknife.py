@@ -1,4 +1,4 @@
-"""Standard uncertainty of any statistic of repeated measurements, by leaving each out in turn.
+"""Standard uncertainty of a statistic of repeated measurements, by leaving out each in turn.
 
     u^2 = (n - 1)/n sum over i of (s_i - mean of s)^2,  s_i the statistic without repeat i
 
@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 def jackknife(count: int, statistic: Callable[[NDArray[np.intp]], float]) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Low-pass without phase shift: a Butterworth filter that runs forward and backward [8.1].
+"""Low-pass without phase shift: a Butterworth filter, applied forward and backward [8.1].
 
 The gain is that of the filter squared, 1 / (1 + (f / f_c)^4): one half at the cut-off f_c.
 """
@@ -7,19 +7,15 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rigtool.errors import InsufficientDataError
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 FILTER_ORDER = 2
-"""Order of the Butterworth filter, which acts twice: forward and backward."""
+"""Order of the Butterworth filter, which is applied twice."""
 
 KEPT_RATE = 125
-"""Samples for each period of the cut-off that suffice: with signals decimated to these, the gain of
-the low-pass is kept within 1e-4 below the cut-off and within 2e-4 above it."""
+"""Samples in each period of the cut-off that suffice: in signals decimated to it, the gain of
+the low-pass is correct within 1e-4 below the cut-off and within 2e-4 above it."""
 
 
 def lowpass(rate: float, values: Array, cutoff_hz: float) -> Array:
@@ -34,7 +30,7 @@ def lowpass(rate: float, values: Array, cutoff_hz: float) -> Array:
             f"a low-pass of {cutoff_hz} Hz needs signals above {2 * cutoff_hz} Hz, these have "
             f"{rate:.4g} Hz: record more often, or lower lowpass_hz"
         )
-    length = round(rate / cutoff_hz)  # the filter's memory: what happens at the ends stays there
+    length = round(rate / cutoff_hz)  # effects of the ends fade within this many samples
     size = values.shape[-1]
     if size < 4 * length:
         raise InsufficientDataError(
@@ -47,5 +43,5 @@ def lowpass(rate: float, values: Array, cutoff_hz: float) -> Array:
 
 
 def kept_factor(rate: float, cutoff_hz: float) -> int:
-    """Return by which factor samples may be decimated before the low-pass, see `KEPT_RATE`."""
+    """Return the factor by which signals may be decimated before the low-pass; see `KEPT_RATE`."""
     return max(1, math.floor(rate / (KEPT_RATE * cutoff_hz) * (1 + 1e-6)))

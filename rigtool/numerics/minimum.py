@@ -1,4 +1,4 @@
-"""Where a function of one positive number has its minimum."""
+"""Minimum of a function of one positive number."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def minimum(
 ) -> float:
     """Return where `function` is lowest between two positive bounds, to a part in a thousand.
 
-    `points` in equal ratios find the valley, parabolas and golden sections its bottom (R. P. Brent,
-    Algorithms for Minimization without Derivatives, 1973, chapter 5).
+    `points` in equal ratios bracket the minimum; Brent's method locates it (R. P. Brent, Algorithms
+    for Minimization without Derivatives, 1973, chapter 5).
     """
     from scipy.optimize import minimize_scalar
 

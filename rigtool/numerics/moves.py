@@ -1,7 +1,7 @@
-"""Moves to and fro that repeat one motion, cut out of a recording and superimposed [7.2.4.2].
+"""Repeated moves to and fro, cut out of a recording and superimposed [7.2.4.2].
 
-A move starts where the set point rises through its middle. All moves are brought to one period and
-to one grid of it, so that a mean over moves is what repeats, and their scatter what does not.
+A move starts where the set point rises through its middle. All moves are resampled on one grid of
+one period: their mean is the part that repeats, their scatter the part that does not.
 """
 
 from __future__ import annotations
@@ -10,12 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

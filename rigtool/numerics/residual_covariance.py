@@ -12,27 +12,26 @@ recommendations for practice", J. Business & Economic Statistics 36(4) 541-559, 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array, Mask
 
-FEWEST = 4
-"""Coefficients, whatever the correlation: fewer make an uncertainty a mere guess."""
+MIN_COEFFICIENTS = 4
+"""Fewest coefficients, whatever the correlation: fewer do not determine an uncertainty."""
 
 
 def long_run_covariance(design: Array, residual: Array, independent: float) -> tuple[Array, int]:
     """Return covariance (p, p) of the parameters and its degrees of freedom B.
 
-    `design` (n, p) and `residual` (n,) in the order of time, rows of zeros where a sample was left
-    out, so that the others keep their distance; `independent` is the number of independent samples
-    that residuals are worth, from which B = n_i^(2/3) follows.
+    `design` (n, p) and `residual` (n,) are in the order of time. Rows of zeros stand for samples
+    that were left out, so that the others keep their distance in time. `independent` is the number
+    of independent samples that the residuals are worth; B = n_i^(2/3).
     """
     from scipy.fft import dct
 
     count = len(residual)
-    # The published rule, 0.4 n^(2/3), is for a correlation of 0.7 from sample to sample, where n
-    # samples are worth 0.18 n: 1.3 n_i^(2/3). A little less, as n_i is itself estimated.
-    lowest = int(min(max(independent ** (2 / 3), FEWEST), count - 1))
+    # The published rule, 0.4 n^(2/3), assumes a correlation of 0.7 from sample to sample, where n
+    # samples are worth n_i = 0.18 n: 1.3 n_i^(2/3). B is lower because n_i is itself estimated.
+    lowest = int(min(max(independent ** (2 / 3), MIN_COEFFICIENTS), count - 1))
     moments = design * residual[:, None]
     # scipy's type II is twice the sum of the definition above
     coefficients = dct(moments, type=2, axis=0)[1 : lowest + 1] / 2
@@ -42,7 +41,7 @@ def long_run_covariance(design: Array, residual: Array, independent: float) -> t
     return covariance, lowest
 
 
-def independent_samples(residual: Array, used: NDArray[np.bool_], lag: int) -> float:
+def independent_samples(residual: Array, used: Mask, lag: int) -> float:
     """Return how many independent samples residuals (n,) are worth, where `used`.
 
     From their correlation at one lag, that of a first-order process: n/lag (1 - r)/(1 + r), at most

@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising
-
-Array = NDArray[np.float64]
 
 REACH = 6.0
 """The kernel ends at this many standard deviations, where it is 1.5e-8 of its peak."""
@@ -31,25 +30,25 @@ REACH = 6.0
 CUTOFF = math.sqrt(math.log(2)) / (2 * math.pi)
 """Frequency of 3 dB times the standard deviation."""
 
-IRREGULAR = 0.01
-"""Intervals that differ from the median by more than this part make a time axis irregular."""
+IRREGULAR_INTERVAL = 0.01
+"""A time axis is irregular if an interval differs from the median by more than this fraction."""
 
-GAP = 5.0
-"""Intervals longer than this many medians are gaps, in which nothing is known."""
+GAP_INTERVALS = 5.0
+"""Intervals longer than this many medians are gaps without information."""
 
-STRETCHED = 10.0
-"""An even time axis may have this many times the samples of the irregular one."""
+MAX_STRETCH = 10.0
+"""Largest ratio of the samples of an even time axis to those of the irregular one."""
 
-ON_THE_GRID = 0.01
-"""Steps of an encoder are whole multiples of a count but for this part of it."""
+COUNT_TOLERANCE = 0.01
+"""Steps of an encoder are whole multiples of a count within this fraction of a count."""
 
 
 @dataclass(frozen=True)
 class Smoother:
     """A Gaussian kernel for signals that are sampled each `step` s.
 
-    `width` is its standard deviation in s; a smoothed signal has one sample in `every` of the
-    original's, and none where the kernel would reach beyond an end.
+    `width` is its standard deviation in s. A smoothed signal keeps one of `every` samples, and none
+    where the kernel would extend past an end.
     """
 
     step: float
@@ -67,7 +66,7 @@ class Smoother:
 
     @property
     def reach(self) -> int:
-        """Samples that the kernel reaches to either side, a multiple of `every`."""
+        """Half the length of the kernel in samples, a multiple of `every`."""
         return self.every * math.ceil(REACH * self.width / self.step / self.every)
 
     def places(self, count: int) -> NDArray[np.intp]:
@@ -84,7 +83,7 @@ class Smoother:
         kernel = smooth * (np.ones_like(x), -x / self.width, (x**2 - 1) / self.width**2)[derivative]
         origin = 0.0
         if derivative:
-            # A constant has no derivative, whatever the rounding and the kernel's ends.
+            # The derivative of a constant is exactly zero, despite rounding and truncation.
             kernel -= kernel.sum() * smooth
             origin = values[0]
         passed: Array = upfirdn(kernel, values - origin, down=self.every)
@@ -93,7 +92,7 @@ class Smoother:
 
 
 def noise_of_derivatives(density: float, width: float) -> tuple[float, float]:
-    """Return the standard deviations that white noise leaves in the smoothed x' and x''.
+    """Return the standard deviations of white noise in the smoothed x' and x''.
 
     `density` is the noise's variance times its correlation time (two-sided power spectral density,
     unit^2 s): integrals of k'^2 and k''^2.
@@ -106,9 +105,9 @@ def noise_of_derivatives(density: float, width: float) -> tuple[float, float]:
 def position_noise(position: Array, step: float) -> float:
     """Return the noise density of an evenly sampled position (n,), unit^2 s.
 
-    The larger of what fourth differences show (white noise of variance w gives them 70 w, a motion
-    next to nothing) and of rounding to counts q: q^2/12, over the time that a count lasts where
-    that is longer than a sample.
+    It is the larger of two estimates: that of fourth differences, whose variance is 70 w for white
+    noise of variance w and nearly zero for a motion; and q^2/12 for rounding to counts q, times the
+    duration of a count where that is longer than a sample.
     """
     white = float(np.mean(np.diff(position, 4) ** 2)) / 70 * step
     steps = np.abs(np.diff(position))
@@ -117,29 +116,29 @@ def position_noise(position: Array, step: float) -> float:
         return white
     count = float(moving.min())
     multiple = moving / count
-    if np.mean(np.abs(multiple - np.round(multiple)) < ON_THE_GRID) < 0.99:
+    if np.mean(np.abs(multiple - np.round(multiple)) < COUNT_TOLERANCE) < 0.99:
         return white
     speed = float(steps.mean()) / step
     return max(white, count**2 / 12 * max(step, count / speed))
 
 
-def resample(time: Array, *signals: Array) -> tuple[float, NDArray[np.bool_], tuple[Array, ...]]:
-    """Return signals (n,) at the median interval: the interval, what is known, and the signals.
+def resample(time: Array, *signals: Array) -> tuple[float, Mask, tuple[Array, ...]]:
+    """Resample signals (n,) at the median interval: the interval, known samples, the signals.
 
-    Signals on an even time axis stay as they are. Between samples a straight line is taken: it
-    smooths all signals alike. In a gap nothing is known. Raises `InsufficientDataError` where time
-    does not rise, or is mostly gaps.
+    Signals on an even time axis are returned unchanged. Linear interpolation between samples
+    smooths all signals alike. Samples in a gap are not known. Raises `InsufficientDataError` where
+    time does not rise, or consists mostly of gaps.
     """
     step = require_rising(time)
     intervals = np.diff(time)
-    if np.max(np.abs(intervals - step)) <= IRREGULAR * step:
+    if np.max(np.abs(intervals - step)) <= IRREGULAR_INTERVAL * step:
         return float(np.mean(intervals)), np.ones(len(time), dtype=bool), signals
-    if time[-1] - time[0] > STRETCHED * step * len(time):
+    if time[-1] - time[0] > MAX_STRETCH * step * len(time):
         raise InsufficientDataError(
             f"the time axis has gaps up to {intervals.max():.3g} s, usual is {step:.3g} s: less "
-            f"than one part in {STRETCHED:g} of the time is recorded; import the parts on their own"
+            f"than one part in {MAX_STRETCH:g} of the time is recorded; import the parts one by one"
         )
     even = np.arange(time[0], time[-1], step)
     place = np.clip(np.searchsorted(time, even, side="right") - 1, 0, len(intervals) - 1)
-    known = intervals[place] <= GAP * step
+    known = intervals[place] <= GAP_INTERVALS * step
     return step, known, tuple(np.interp(even, time, signal) for signal in signals)

@@ -1,14 +1,15 @@
-"""Mean of readings that follow each other, and how uncertain it is.
+"""Mean of consecutive readings and its standard uncertainty.
 
-What a stroke of a tendon deviates, the next one partly pays back: such readings oppose their
-neighbours, and their sum hardly grows. A mean whose weights fade to both ends, i (n + 1 - i), keeps
-that; equal weights leave the first and the last deviation unpaid. It is the minimum-variance mean
-of a series whose neighbours pay back all, and for independent readings its standard uncertainty is
-at most a tenth above the lowest possible.
+The deviation of one stroke of a tendon is partly compensated by the next: neighbouring readings
+are negatively correlated, and their sum hardly grows. A mean with weights that fade towards both
+ends, i (n + 1 - i), preserves this compensation; with equal weights the deviations of the first
+and the last reading remain. It is the minimum-variance mean of a series whose neighbours
+compensate fully; for independent readings its standard uncertainty is at most a tenth above the
+lowest possible.
 
-The variance of a mean is the power of the readings at frequency zero. The power at the lowest
-frequencies of the series, by its cosine transform, stands for that: drift makes it larger than the
-scatter of the readings, payback smaller (P. Heidelberger and P. D. Welch, Comm. ACM 24(4) 233-245,
+The variance of a mean is the power of the readings at frequency zero. It is estimated by the power
+at the lowest frequencies of their cosine transform: drift makes it larger than the scatter of the
+readings, compensation smaller (P. Heidelberger and P. D. Welch, Comm. ACM 24(4) 233-245,
 1981, who fit the same periodogram). Each frequency adds one degree of freedom.
 """
 
@@ -17,17 +18,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 
-Array = NDArray[np.float64]
+LOWEST_FREQUENCIES = 6
+"""Number of the lowest frequencies, in half periods of the series, that estimate the power."""
 
-LOWEST = 6
-"""Lowest frequencies, half periods of the series, whose power stands for that at zero."""
-
-FEWEST = 3
-"""Readings without which there is no scatter to judge."""
+MIN_READINGS = 3
+"""Fewest readings from which scatter is estimated."""
 
 
 def weights(count: int) -> Array:
@@ -53,11 +52,11 @@ def steady_u(values: Array) -> tuple[Any, float]:
     from scipy.fft import dct
 
     count = len(values)
-    if count < FEWEST:
+    if count < MIN_READINGS:
         raise InsufficientDataError(
-            f"{count} cycles show no scatter, {FEWEST} are needed: measure more cycles"
+            f"{count} cycles show no scatter, {MIN_READINGS} are needed: measure more cycles"
         )
-    lowest = min(LOWEST, count - 1)
+    lowest = min(LOWEST_FREQUENCIES, count - 1)
     waves = dct(values - values.mean(axis=0), norm="ortho", axis=0)[1 : lowest + 1]
     power = np.mean(waves**2, axis=0)
     return np.sqrt(power * np.sum(weights(count) ** 2)), float(lowest)

@@ -1,10 +1,10 @@
-"""Mean of something that depends on the rotor's angle, from a few angles of a turn.
+"""Mean over a turn of a quantity that depends on the rotor's angle, from a few angles.
 
 value(angle) = mean + sum over orders k = 1..m of (c_k cos(k angle) + s_k sin(k angle)) + scatter
 
-Equally spaced angles average out every order that is not a multiple of their number. What scatters
-beside the low orders is the only evidence for the orders that cannot be resolved; it makes the
-uncertainty of the mean.
+Equally spaced angles average out every order that is not a multiple of their number. The scatter
+about the fitted low orders is the only evidence for orders that cannot be resolved; it determines
+the uncertainty of the mean.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 SAME_ANGLE = 0.02
-"""Angles closer than this are one, rad."""
+"""Angles closer than this count as one, rad."""
 
 
 @dataclass(frozen=True)
 class TurnMean:
     """Mean over a turn, standard uncertainty and degrees of freedom; `scatter` of one angle.
 
-    `u` and `scatter` are NaN where one angle alone is known.
+    `u` and `scatter` are NaN where only one angle is known.
     """
 
     value: float
@@ -51,8 +51,8 @@ def group_angles(angle: Array) -> tuple[Array, NDArray[np.int64]]:
 def mean_over_turn(angle: Array, value: Array) -> TurnMean:
     """Return the mean over a turn of values (n,) found at angles (n,), rad.
 
-    Values at one angle are averaged first: they share its ripple. With all angles unknown (NaN)
-    the values are taken as repeats.
+    Values at one angle are averaged first: they share its ripple. If all angles are unknown (NaN),
+    the values count as repeats.
     """
     if np.all(np.isnan(angle)):
         angles, means = np.zeros(len(value)), np.asarray(value, dtype=np.float64)

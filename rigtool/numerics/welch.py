@@ -1,18 +1,19 @@
-"""Power spectral density by Welch's method, block by block [P. D. Welch, IEEE Trans. 15, 1967]."""
+"""Power spectral density by Welch's method, block by block [P. D. Welch, IEEE Trans. 15, 1967].
+
+scipy's welch needs the whole signal in memory, and a recording of hours does not fit there.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 
-Array = NDArray[np.float64]
-
-BATCH = 16
-"""Segments that are transformed together."""
+BATCH_SEGMENTS = 16
+"""Number of segments that are transformed together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +33,14 @@ class Welch:
 
     def __init__(self, segment: int) -> None:
         self._segment = segment
-        # Periodic: its first value only is zero.
+        # Periodic: only the first value is zero.
         self._window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(float(segment)) / segment)
         self._waiting = np.zeros(0)
         self._power = np.zeros(segment // 2 + 1)
         self._count = 0
-        # Used again and again: new memory for each would take longer than the transform.
-        self._centred = np.empty((BATCH, segment))
-        self._spectra = np.empty((BATCH, segment // 2 + 1), dtype=np.complex128)
+        # Reused: allocating memory for each batch would take longer than the transform.
+        self._centred = np.empty((BATCH_SEGMENTS, segment))
+        self._spectra = np.empty((BATCH_SEGMENTS, segment // 2 + 1), dtype=np.complex128)
 
     def add(self, signal: Array) -> None:
         """Take the next samples (n,)."""
@@ -49,8 +50,8 @@ class Welch:
         if signal.size >= self._segment:
             windows = np.lib.stride_tricks.sliding_window_view(signal, self._segment)[::step]
             count = len(windows)
-            for first in range(0, count, BATCH):
-                self._add_segments(windows[first : first + BATCH])
+            for first in range(0, count, BATCH_SEGMENTS):
+                self._add_segments(windows[first : first + BATCH_SEGMENTS])
         self._waiting = signal[count * step :].copy()
 
     def _add_segments(self, segments: Array) -> None:

@@ -1,4 +1,4 @@
-"""What all of a recipe's models share: nothing unknown is accepted, nothing changes later."""
+"""The base of all models of a recipe: unknown keys are refused, values never change."""
 
 from pydantic import BaseModel, ConfigDict
 

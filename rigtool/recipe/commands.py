@@ -1,4 +1,4 @@
-"""What each command does on the rig: motions, loads, speeds, durations. Defaults live here."""
+"""Settings of each command: motions, loads, speeds, durations, with their defaults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading a recipe: all mistakes at once, each with its line."""
+"""Reading recipes; all mistakes are reported at once, each with its line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError, model_validator
 
@@ -22,18 +22,20 @@ from rigtool.recipe.commands import (
     Stribeck,
     Suspension,
 )
-from rigtool.recipe.rig import Rig
+from rigtool.recipe.rig import RigDescription
 from rigtool.recipe.serial import Serial
 from rigtool.recipe.virtual import Sine, Virtual
+
+Document = TypeVar("Document", bound=Section)
 
 RECIPE_VERSION = 1
 
 
 class Recipe(Section):
-    """A whole recipe: the rig, what the virtual one is made of, and the commands' settings."""
+    """A recipe: the rig, parameters of the virtual rig, and settings of the commands."""
 
     recipe: int
-    rig: Rig
+    rig: RigDescription
     virtual: Virtual | None = None
     serial: Serial | None = None
     calibrate_kt: CalibrateKt = CalibrateKt()
@@ -75,12 +77,7 @@ def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> tuple[Recipe
     `overrides` are `key=value` strings with dotted keys, as the option `--set` takes them.
     Raises `RecipeError` with every mistake and its line.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise RecipeError(f"{path}: no such recipe; recipes/ holds examples") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecipeError(f"{path}: cannot be read as a recipe: {error}") from None
+    text = read_document(path, "recipe", "recipes/")
     return parse_recipe(text, str(path), overrides), text
 
 
@@ -89,17 +86,44 @@ def parse_recipe(text: str, name: str = "recipe", overrides: Sequence[str] = ())
 
     Raises `RecipeError` with every mistake and its line.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RecipeError(f"{name}: is not valid TOML: {error}") from None
+    data = parse_toml(text, name)
     _require_recipe(data, name)
     for override in overrides:
         _apply_override(data, override)
+    return validate(Recipe, data, text, name, "recipe", overrides)
+
+
+def read_document(path: str | Path, kind: str, examples: str) -> str:
+    """Return the text of a recipe or mapping; `RecipeError` where the file cannot be read."""
     try:
-        return Recipe.model_validate(data)
+        return Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RecipeError(f"{path}: no such {kind}; {examples} holds examples") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecipeError(f"{path}: cannot be read as a {kind}: {error}") from None
+
+
+def parse_toml(text: str, name: str) -> dict[str, Any]:
+    """Return the tables of a TOML text; `RecipeError` where it is not valid."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"{name}: is not valid TOML: {error}") from None
+
+
+def validate(
+    model: type[Document],
+    data: dict[str, Any],
+    text: str,
+    name: str,
+    kind: str,
+    overrides: Sequence[str] = (),
+) -> Document:
+    """Return the model of a TOML `text`; `RecipeError` lists all mistakes with their lines."""
+    try:
+        return model.model_validate(data)
     except ValidationError as error:
-        raise RecipeError(describe_mistakes(error, text, name, "recipe", overrides)) from None
+        raise RecipeError(_describe_mistakes(error, text, name, kind, overrides)) from None
 
 
 def recipe_from_resolved(text: str) -> Recipe:
@@ -121,10 +145,7 @@ def override_recipe(recipe: Recipe, overrides: Sequence[str]) -> Recipe:
     data = recipe.model_dump()
     for override in overrides:
         _apply_override(data, override)
-    try:
-        return Recipe.model_validate(data)
-    except ValidationError as error:
-        raise RecipeError(describe_mistakes(error, "", "recipe", "recipe", overrides)) from None
+    return validate(Recipe, data, "", "recipe", "recipe", overrides)
 
 
 def _require_recipe(data: dict[str, Any], name: str) -> None:
@@ -157,8 +178,8 @@ def _apply_override(data: dict[str, Any], override: str) -> None:
     target[last] = parsed
 
 
-def describe_mistakes(
-    error: ValidationError, text: str, name: str, kind: str, overrides: Sequence[str] = ()
+def _describe_mistakes(
+    error: ValidationError, text: str, name: str, kind: str, overrides: Sequence[str]
 ) -> str:
     """Return all mistakes in a TOML `text` with their lines; `kind` is recipe or mapping."""
     lines = _line_numbers(text)
@@ -172,7 +193,7 @@ def describe_mistakes(
             message = "is not a key that this table knows; remove it or correct its spelling"
         elif item["type"] == "missing":
             message = "is missing; add it"
-        elif not path:  # tables that do not go together: the whole recipe is what was got
+        elif not path:  # tables contradict each other: the mistake concerns the whole recipe
             dotted = kind
         else:
             message = f"{message}, got {item['input']!r}"
@@ -184,7 +205,7 @@ def describe_mistakes(
 
 
 def _where(name: str, path: tuple[str, ...], lines: dict[tuple[str, ...], int]) -> str:
-    # A missing key has no line: name the line of the closest table that holds it.
+    # A missing key has no line: name the line of the closest table around it.
     while path and path not in lines:
         path = path[:-1]
     return f"{name}:{lines[path]}" if path in lines else name

@@ -1,28 +1,27 @@
-"""Mappings: what the columns of somebody else's file mean, in TOML.
+"""Mappings: the meaning of the columns of a foreign file, in TOML.
 
     value = sign * (scale * raw + offset), in `unit`, then turned into SI
 
-A mapping says what the file does not say itself, as whoever measured knows it.
+A mapping states what the file does not, as known to the person who measured.
 """
 
 from __future__ import annotations
 
 import math
 import re
-import tomllib
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from rigtool.errors import RecipeError
 from rigtool.recipe.base import Section
-from rigtool.recipe.load import describe_mistakes
+from rigtool.recipe.load import parse_toml, read_document, validate
 
 MAPPING_VERSION = 1
 
 RATED = "% of rated torque"
-"""Unit of drives that tell torque relative to the motor's nominal one."""
+"""Unit of drives that report torque relative to the motor's rated torque."""
 
 UNITS: dict[str, tuple[float, str]] = {
     "1": (1.0, "1"),
@@ -66,26 +65,30 @@ SIGNALS: dict[str, tuple[str, str, str]] = {
     "speed": ("rad/s", "m/s", "measured speed of the motor"),
     "speed_setpoint": ("rad/s", "m/s", "set point of the motor's speed"),
     "current": ("A", "A", "motor current as measured"),
-    "current_setpoint": ("A", "A", "motor current asked of the amplifier"),
-    "torque": ("N m", "N m", "motor torque, as the drive or a sensor tells it"),
-    "relative_torque": ("1", "1", "motor torque relative to the rated one, as the drive tells it"),
-    "force": ("N", "N", "force along the axis, as the drive or a sensor tells it"),
+    "current_setpoint": ("A", "A", "set point of the motor current"),
+    "torque": ("N m", "N m", "motor torque, as the drive or a sensor reports it"),
+    "relative_torque": (
+        "1",
+        "1",
+        "relative to the rated torque, as the drive reports it",
+    ),
+    "force": ("N", "N", "force along the axis, as the drive or a sensor reports it"),
     "output_position": ("rad", "m", "behind the motor's gearbox"),
     "output_position_setpoint": ("rad", "m", "set point behind the motor's gearbox"),
-    "output_torque": ("N m", "N m", "behind the motor's gearbox, as a sensor tells it"),
-    "reference_position": ("rad", "m", "where the load acts"),
-    "reference_torque": ("N m", "N m", "the truth to compare with, as a sensor at the load tells"),
-    "reference_current": ("A", "A", "asked of the motor that makes the load"),
+    "output_torque": ("N m", "N m", "behind the motor's gearbox, as a sensor reports it"),
+    "reference_position": ("rad", "m", "angle or position at the load"),
+    "reference_torque": ("N m", "N m", "reference for comparison, from a sensor at the load"),
+    "reference_current": ("A", "A", "set point of the motor that makes the load"),
     "temperature": ("degC", "degC", "of the motor"),
 }
-"""Names with a fixed meaning: unit on a rotary and on a linear axis, and what it is. The names that
-`rigs.base.CHANNELS` has too mean the same there."""
+"""Names with a fixed meaning: unit on a rotary and on a linear axis, and description. Those that
+`rigs.base.CHANNELS` also holds mean the same there."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
 
 
 class ImportedRig(Section):
-    """What the person who measured knows of the rig; what is not known is left out."""
+    """Properties of the rig, as far as the person who measured knows them."""
 
     name: str = Field(min_length=1, description="which rig this is")
     axis: Literal["rotary", "linear"] = Field("rotary", description="rad and N m, or m and N")
@@ -135,7 +138,7 @@ class FileLayout(Section):
 
 
 class Signal(Section):
-    """One column: where it is, and how it becomes SI."""
+    """One column: its place in the file, and its conversion to SI."""
 
     column: int | str = Field(description="number from 1, or name")
     unit: str = Field(description="of scale*raw + offset")
@@ -165,7 +168,7 @@ class Signal(Section):
 
 
 class Condition(Section):
-    """Under what a file was recorded, as its name tells."""
+    """A condition of the recording, contained in the name of the file."""
 
     name: str = Field(description="of the condition, e.g. compensation")
     unit: str = Field("1", description="SI")
@@ -261,18 +264,13 @@ class Mapping(Section):
         return UNITS[signal.unit][0]
 
     def description(self, name: str) -> str:
-        """Return what a signal is."""
+        """Return the description of a signal."""
         return self.signals[name].description or SIGNALS.get(name, ("", "", name))[2]
 
 
 def load_mapping(path: str | Path) -> tuple[Mapping, str]:
     """Read a mapping file and return it with its text; `RecipeError` with every mistake's line."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise RecipeError(f"{path}: no such mapping; recipes/import holds examples") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecipeError(f"{path}: cannot be read as a mapping: {error}") from None
+    text = read_document(path, "mapping", "recipes/import")
     return parse_mapping(text, str(path)), text
 
 
@@ -281,16 +279,10 @@ def parse_mapping(text: str, name: str = "mapping") -> Mapping:
 
     Raises `RecipeError` with every mistake and its line.
     """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise RecipeError(f"{name}: is not valid TOML: {error}") from None
+    data = parse_toml(text, name)
     if data.get("mapping") != MAPPING_VERSION:
         raise RecipeError(
             f"{name}: is TOML but not a mapping of this rigtool: it needs "
             f"`mapping = {MAPPING_VERSION}` at its top"
         )
-    try:
-        return Mapping.model_validate(data)
-    except ValidationError as error:
-        raise RecipeError(describe_mistakes(error, text, name, "mapping")) from None
+    return validate(Mapping, data, text, name, "mapping")

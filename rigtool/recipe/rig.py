@@ -1,7 +1,7 @@
-"""What the person at the bench knows of the rig: parts, data sheets, gains, geometry.
+"""Properties of the rig known at the bench: parts, data sheets, gains, geometry.
 
-Everything here may be used by an analysis. What only the virtual rig knows is in
-`rigtool.recipe.virtual`, and no analysis reads that.
+An analysis may use all of them. `rigtool.recipe.virtual` holds the parameters that only the virtual
+rig knows; no analysis reads those.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class ForceArm(Section):
     )
 
 
-class Suspension(Section):
+class MotorSuspension(Section):
     """Leaf springs that carry the motor, and pulleys out of centre [App. E, J]."""
 
     elasticity: float = Field(2.1e11, gt=0, description="modulus of the leaf springs, Pa")
@@ -81,11 +81,11 @@ class Suspension(Section):
     tool_eccentricity: float = Field(ge=0, description="of the pulley on the instrument, m")
 
 
-LONGEST_VIRTUAL = 0.01
+MAX_VIRTUAL_SAMPLE_TIME = 0.01
 """Longest period of the virtual loop, s."""
 
 
-class Rig(Section):
+class RigDescription(Section):
     """The rig as its owner describes it."""
 
     name: str = Field(min_length=1, description="which rig this is; tables belong to one rig")
@@ -104,13 +104,13 @@ class Rig(Section):
     controller: Controller = Controller()
     instrument: Instrument = Instrument()
     arm: ForceArm = ForceArm()
-    suspension: Suspension | None = None
+    suspension: MotorSuspension | None = None
 
     @model_validator(mode="after")
-    def _loop_is_fast_enough(self) -> Rig:
-        if self.source == "virtual" and self.sample_time > LONGEST_VIRTUAL:
+    def _loop_is_fast_enough(self) -> RigDescription:
+        if self.source == "virtual" and self.sample_time > MAX_VIRTUAL_SAMPLE_TIME:
             raise ValueError(
-                f"sample_time of a virtual rig is at most {LONGEST_VIRTUAL} s, got "
+                f"sample_time of a virtual rig is at most {MAX_VIRTUAL_SAMPLE_TIME} s, got "
                 f"{self.sample_time}: only slow lines need longer"
             )
         return self

@@ -30,7 +30,7 @@ class Limits(Section):
         return self
 
 
-class Instrument(Section):
+class MeasuringInstrument(Section):
     """An instrument beside the drive, or the operator who reads one."""
 
     driver: str = Field(
@@ -67,9 +67,9 @@ class Serial(Section):
     position_gain: float = Field(
         10.0, gt=0, description="of the host, where a drive takes speeds only, (rad/s)/rad"
     )
-    force: Instrument | None = Field(None, description="force gauge at the end of the arm")
-    temperature: Instrument | None = Field(None, description="thermometer on the motor")
-    deflection: Instrument | None = Field(
+    force: MeasuringInstrument | None = Field(None, description="force gauge at the end of the arm")
+    temperature: MeasuringInstrument | None = Field(None, description="thermometer on the motor")
+    deflection: MeasuringInstrument | None = Field(
         None, description="micrometer at the motor on its leaf springs"
     )
     emergency_stop: bool = Field(

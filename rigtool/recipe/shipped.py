@@ -1,4 +1,4 @@
-"""Recipes that come with rigtool: in a checkout beside the package, else where pip put them."""
+"""Recipes that come with rigtool: beside the package in a checkout, else where pip put them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from rigtool.errors import UsageError
 
 FOLDER = "share/rigtool/recipes"
-"""Where a wheel carries them, under the environment's folder of data."""
+"""Folder of the recipes in a wheel, below the data folder of the environment."""
 
 
 def shipped_recipes() -> dict[str, Path]:
@@ -36,12 +36,12 @@ def shipped_recipe(name: str) -> str:
     """Return the text of a recipe; `UsageError` for one that does not come with rigtool."""
     known = shipped_recipes()
     if name not in known:
-        raise UsageError(f"no recipe {name} comes with rigtool; there is {', '.join(known)}")
+        raise UsageError(f"no recipe {name} comes with rigtool; choose one of {', '.join(known)}")
     return known[name].read_text(encoding="utf-8")
 
 
 def copy_recipe(name: str, output: str, *, overwrite: bool = False) -> None:
-    """Write a recipe to a file; `UsageError` where it exists and must stay, or cannot be made."""
+    """Write a recipe to a file; `UsageError` where the file exists or cannot be written."""
     text = shipped_recipe(name)
     try:
         with Path(output).open("w" if overwrite else "x", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""How `ilc-learn` moves where it does not move to and fro on a limited angle [7.2.4]."""
+"""Motions of `ilc-learn` other than moves on a limited angle [7.2.4]."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class Turning(Section):
-    """The bare motor turning round and round: implementations A and B [7.2.4.2]."""
+    """Whole turns of the bare motor: implementations A and B [7.2.4.2]."""
 
     speeds_rev_per_s: tuple[Positive, ...] = Field(
         (1, 2, 3, 4, 5), min_length=1, description="both directions; A learns at the lowest"
@@ -40,7 +40,7 @@ class Turning(Section):
 
 
 class Trajectory(Section):
-    """The move that is repeated where learning follows time: standard learning [7.2.4.1]."""
+    """The repeated move of standard learning, which learns by time [7.2.4.1]."""
 
     speed_rev_per_s: float = Field(1.0, gt=0, description="of the output, about, rev/s")
     angle: float = Field(180.0, gt=0, description="of the move at the output, deg")

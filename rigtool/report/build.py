@@ -1,4 +1,4 @@
-"""From run files to a report: which tables and figures there are, and what must be said first."""
+"""From run files to the contents of a report: warnings, tables, figures, origins."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rigtool.runfile.provenance import file_sha256
 if TYPE_CHECKING:
     from rigtool.runfile import Run
 
-ORDER = (
+COMMAND_ORDER = (
     "calibrate-kt",
     "stribeck",
     "fft-ripple",
@@ -32,7 +32,7 @@ ORDER = (
 
 @dataclass(frozen=True)
 class Origin:
-    """What a report rests on: one run file and where it came from."""
+    """One run file of a report, and where it comes from."""
 
     label: str
     file: str
@@ -50,11 +50,10 @@ class Origin:
 
 @dataclass(frozen=True)
 class Report:
-    """Everything that a report shows; made before anything is written.
+    """The contents of a report, made before anything is written.
 
-    `warnings` are the report's own, about runs that do not belong together; `remarks` are those of
-    the runs. `force_tables` are Tables 8 and 9, `results` all results of each run beside published
-    values.
+    `warnings` concern runs that do not belong together; `remarks` are the notes of the runs.
+    `force_tables` are Tables 8 and 9, `results` all results of each run beside published values.
     """
 
     warnings: tuple[str, ...]
@@ -68,8 +67,7 @@ class Report:
 def build_report(runs: Sequence[Run]) -> Report:
     """Make a report of any mix of runs; their order does not matter.
 
-    Raises `UsageError` for a file given twice and `RunFileError` for a run whose tables are not
-    complete.
+    Raises `UsageError` for a file given twice and `RunFileError` for a run with incomplete tables.
     """
     labelled = _labels(runs)
     tables = [table for label, run in labelled for table in force_tables(run, label)]
@@ -85,9 +83,9 @@ def build_report(runs: Sequence[Run]) -> Report:
 
 
 def _labels(runs: Sequence[Run]) -> list[tuple[str, Run]]:
-    """Sort runs by command and name, and call each by the stem of its file.
+    """Sort runs by command and name; label each by the stem of its file.
 
-    Files of one stem in different folders are numbered.
+    Equal stems from different folders are numbered.
     """
     paths = Counter(run.path.resolve() for run in runs)
     for path, times in paths.items():
@@ -95,7 +93,9 @@ def _labels(runs: Sequence[Run]) -> list[tuple[str, Run]]:
             raise UsageError(f"{path}: is given twice: give each run file once")
 
     def key(run: Run) -> tuple[int, str, str, str]:
-        place = ORDER.index(run.command) if run.command in ORDER else len(ORDER)
+        place = (
+            COMMAND_ORDER.index(run.command) if run.command in COMMAND_ORDER else len(COMMAND_ORDER)
+        )
         return place, run.command, run.path.stem, run.content_sha256
 
     taken: dict[str, int] = {}
@@ -107,7 +107,7 @@ def _labels(runs: Sequence[Run]) -> list[tuple[str, Run]]:
 
 
 def _warnings(labelled: Sequence[tuple[str, Run]]) -> list[str]:
-    """Say which runs do not belong together, and which hold nothing to show."""
+    """Return warnings on runs that do not belong together, and on runs without results."""
     found = []
     rigs = sorted({run.rig or "unknown" for _, run in labelled})
     if len(rigs) > 1:

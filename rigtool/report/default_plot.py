@@ -1,4 +1,4 @@
-"""The plot that a viewer shows first: a run's first table, or its first recording."""
+"""The default plot of a run: its first table, or else its first recording."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _draw_table(axes: Axes, table: Table) -> None:
 
 
 def _scale(axes: Axes, places: NDArray[Any], along: str, values: NDArray[Any]) -> None:
-    """Let a response over frequency have logarithmic axes, where that is possible."""
+    """Make the axes of a response over frequency logarithmic, where values allow it."""
     if along != "frequency" or not places.size or places.min() <= 0:
         return
     axes.set_xscale("log")
@@ -88,7 +88,7 @@ def _scale(axes: Axes, places: NDArray[Any], along: str, values: NDArray[Any]) -
 
 
 def _labels(table: Table) -> list[str]:
-    """Return which point of the leading axes each line belongs to."""
+    """Return the label of each line: its point on the leading axes."""
     leading = table.axes[:-1]
     points = itertools.product(*(table[axis] for axis in leading))
     units = [_shown(table.columns[axis].unit) for axis in leading]
@@ -107,7 +107,7 @@ def _spread(count: int) -> list[int]:
 
 
 def _draw_recording(axes: Axes, recording: Recording) -> None:
-    """Draw lowest and highest value in each of some bins: no peak is lost, however long it is."""
+    """Draw the lowest and highest value of each bin: no peak of a long recording is lost."""
     name, unit = next((n, u) for n, u in recording.units.items() if n != "time")
     factor, shown = display_unit(unit)
     step = -(-recording.size // _BINS)

@@ -1,4 +1,4 @@
-"""Writing a report: the folder appears complete, or not at all."""
+"""The folder of a report, which appears complete or not at all."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rigtool.report.formats import csv_text, latex, markdown, terminal
 from rigtool.report.page import render_page, render_pdf
 
 ENTRIES = frozenset({"index.html", "report.pdf", "tables.txt", "tables", "figures"})
-"""What a report's folder holds; a folder with anything else is never replaced."""
+"""Entries of a report's folder; a folder with any other entry is never replaced."""
 
 
 def terminal_text(report: Report) -> str:
-    """Return Tables 8 and 9 as text, an empty line between them."""
+    """Return Tables 8 and 9 as text, separated by an empty line."""
     return "\n".join(terminal(table) for table in report.force_tables)
 
 
@@ -89,7 +89,7 @@ def _contents(report: Report, pdf: bool) -> dict[str, bytes]:
 
 
 def _swap(new: Path, target: Path, old: Path) -> None:
-    """Put `new` where `target` is; where that fails the old folder stays or comes back."""
+    """Replace `target` by `new`; if that fails, the old folder stays or is put back."""
     if not target.exists():
         new.rename(target)
         return

@@ -1,6 +1,6 @@
-"""One table, four ways to write it: Markdown, CSV, LaTeX, terminal.
+"""Tables of a report, and their formats: Markdown, CSV, LaTeX, terminal.
 
-Texts are made once, in display units; CSV is for programs and gets full numbers in SI units.
+Cells hold text in display units; CSV is for programs and holds full numbers in SI units.
 """
 
 from __future__ import annotations
@@ -8,18 +8,28 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rigtool.quantity import format_number
+
+if TYPE_CHECKING:
+    from rigtool.runfile import Table
 
 MISSING = "–"
-"""What stands where there is no value."""
+"""Text of a cell without a value."""
+
+MILLI = 1e3
+"""From N to mN, from N m to mN m."""
 
 
 @dataclass(frozen=True)
-class Column:
-    """A column: `title` and `unit` as shown, `key` and `si_unit` as CSV calls them.
+class ReportColumn:
+    """A column: `title` and `unit` for people, `key` and `si_unit` for CSV.
 
-    With `uncertain`, CSV has another column `<key>_u` beside it; `wraps` allows long texts to take
-    several lines on a page.
+    With `uncertain`, CSV has a further column `<key>_u`; with `wraps`, long texts take several
+    lines on a page.
     """
 
     key: str
@@ -33,7 +43,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """A value as shown and as it is: SI number, text, or None where there is none."""
+    """A cell: its text, and its value: SI number, text, or None where there is none."""
 
     text: str
     value: float | str | None
@@ -45,13 +55,34 @@ NO_VALUE = Cell(MISSING, None)
 
 @dataclass(frozen=True)
 class ReportTable:
-    """A table ready to be written; `name` is the stem of its files, `note` stands below it."""
+    """A table of the report; `name` is the stem of its files, `note` a line below it."""
 
     name: str
     title: str
-    columns: tuple[Column, ...]
+    columns: tuple[ReportColumn, ...]
     rows: tuple[tuple[Cell, ...], ...]
     note: str = ""
+
+
+def number_cell(value: float | None, form: str, factor: float = MILLI) -> Cell:
+    """Return the cell of a number in SI units, shown times `factor`; zero has no sign."""
+    if value is None or not math.isfinite(value):
+        return NO_VALUE
+    text = format(value * factor, form)
+    return Cell(text.lstrip("+-") if float(text) == 0 else text, value)
+
+
+def mean_cell(mean: float, u: float) -> Cell:
+    """Return the cell of a torque, N m, with its standard uncertainty."""
+    if not math.isfinite(mean):
+        return NO_VALUE
+    return Cell(format_number(mean * MILLI, u * MILLI), mean, u)
+
+
+def records(table: Table) -> Iterator[dict[str, float]]:
+    """Yield the rows of a table with one axis, by the names of its columns."""
+    for index in range(table.shape[0]):
+        yield {name: float(table[name][index]) for name in table.columns}
 
 
 def markdown(table: ReportTable) -> str:
@@ -65,7 +96,7 @@ def markdown(table: ReportTable) -> str:
 
 
 def csv_text(table: ReportTable) -> str:
-    """Write numbers in SI units with all their digits, one header line `key [unit]`."""
+    """Write numbers in SI units with all digits, below a header `key [unit]`."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     header = []
@@ -86,7 +117,7 @@ def csv_text(table: ReportTable) -> str:
 
 
 def latex(table: ReportTable) -> str:
-    """Write a tabular that needs no package, in a table environment with caption and label."""
+    """Write a table environment with caption and label; its tabular needs no package."""
     alignment = "".join("r" if column.numeric else "l" for column in table.columns)
     titles = " & ".join(_latex(column.title) for column in table.columns)
     units = " & ".join(_latex(f"[{c.unit}]") if c.unit else "" for c in table.columns)
@@ -111,7 +142,7 @@ def latex(table: ReportTable) -> str:
 
 
 def terminal(table: ReportTable) -> str:
-    """Write aligned text: title, two lines of head, a rule, rows."""
+    """Write aligned text: title, two lines of header, a rule, rows."""
     grid = [
         [column.title for column in table.columns],
         [f"[{column.unit}]" if column.unit else "" for column in table.columns],
@@ -130,7 +161,7 @@ def terminal(table: ReportTable) -> str:
     return "\n".join([table.title, "", *lines[:2], rule, *lines[2:], *note]) + "\n"
 
 
-def _head(column: Column) -> str:
+def _head(column: ReportColumn) -> str:
     return f"{column.title} [{column.unit}]" if column.unit else column.title
 
 
@@ -159,5 +190,5 @@ _LATEX = str.maketrans(
 
 def _latex(text: str) -> str:
     escaped = text.translate(_LATEX)
-    # A hyphen is no minus sign.
+    # A hyphen before a digit is a minus sign: maths mode.
     return f"${escaped}$" if text[:1] in "+-" and text[1:2].isdigit() else escaped

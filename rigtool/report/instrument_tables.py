@@ -1,45 +1,39 @@
-"""Tables of a real instrument, measured against a sensor: Table 8 of its own, and accuracy."""
+"""Tables of a real instrument with a sensor: readings by level of load, and accuracy."""
 
 from __future__ import annotations
 
-import math
-import tomllib
-from functools import cache
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from rigtool.quantity import format_number
-from rigtool.report.formats import MISSING, NO_VALUE, Cell, Column, ReportTable
+from rigtool.report.formats import Cell, ReportColumn, ReportTable, mean_cell, number_cell, records
+from rigtool.report.published import published_accuracy
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
 
-_MILLI = 1e3
-
 _LEVELS = (
-    Column("strokes", "Strokes"),
-    Column("applied_torque", "Applied (sensor)", "mN m", "N m"),
-    Column("mean_torque", "Mean", "mN m", "N m", uncertain=True),
-    Column("std_torque", "S", "mN m", "N m"),
-    Column("error_torque", "Error", "mN m", "N m"),
-    Column("error_percent", "Error", "%", "%"),
+    ReportColumn("strokes", "Strokes"),
+    ReportColumn("applied_torque", "Applied (sensor)", "mN m", "N m"),
+    ReportColumn("mean_torque", "Mean", "mN m", "N m", uncertain=True),
+    ReportColumn("std_torque", "S", "mN m", "N m"),
+    ReportColumn("error_torque", "Error", "mN m", "N m"),
+    ReportColumn("error_percent", "Error", "%", "%"),
 )
 
 _ACCURACY = (
-    Column("source", "From", numeric=False),
-    Column("split", "Judged by", numeric=False),
-    Column("bandwidth", "Bandwidth", "Hz", "Hz"),
-    Column("rmse_closing", "RMSE closing", "mN m", "N m"),
-    Column("rmse_opening", "opening", "mN m", "N m"),
-    Column("rmse_moving", "all that moves", "mN m", "N m"),
-    Column("coverage_95", "95 % intervals hold", "%", "1"),
+    ReportColumn("source", "From", numeric=False),
+    ReportColumn("split", "Judged by", numeric=False),
+    ReportColumn("bandwidth", "Bandwidth", "Hz", "Hz"),
+    ReportColumn("rmse_closing", "RMSE closing", "mN m", "N m"),
+    ReportColumn("rmse_opening", "opening", "mN m", "N m"),
+    ReportColumn("rmse_moving", "all that moves", "mN m", "N m"),
+    ReportColumn("coverage_95", "95 % intervals hold", "%", "1"),
 )
 
 _SPLITS = ("runs kept from learning", "random part of the samples")
 
 
 def instrument_tables(run: Run, label: str) -> list[ReportTable]:
-    """Return the tables of an imported run of measure-force that a sensor judged, else none."""
+    """Return the tables of an imported run of measure-force that had a sensor, else none."""
     found = []
     if "levels" in run.tables:
         found.append(_levels_table(run, label))
@@ -50,36 +44,28 @@ def instrument_tables(run: Run, label: str) -> list[ReportTable]:
 
 def _levels_table(run: Run, label: str) -> ReportTable:
     levels = run.table("levels")
-    rows = []
-    for index in range(levels.shape[0]):
-        row = {name: float(levels[name][index]) for name in levels.columns}
-        mean, u = row["mean_torque"], row["mean_torque_u"]
-        rows.append(
-            (
-                Cell(f"{row['strokes']:.0f}", row["strokes"]),
-                _cell(row["applied_torque"], ".4g"),
-                Cell(format_number(mean * _MILLI, u * _MILLI), mean, u),
-                _cell(row["std_torque"], ".2f"),
-                _cell(row["error_torque"], "+.2f"),
-                _cell(row["error_percent"], "+.1f", 1),
-            )
-        )
     return ReportTable(
         name=f"table-levels-{label}",
         title=f"Torque of a real instrument against its sensor ({label})",
         columns=_LEVELS,
-        rows=tuple(rows),
+        rows=tuple(
+            (
+                Cell(f"{row['strokes']:.0f}", row["strokes"]),
+                number_cell(row["applied_torque"], ".4g"),
+                mean_cell(row["mean_torque"], row["mean_torque_u"]),
+                number_cell(row["std_torque"], ".2f"),
+                number_cell(row["error_torque"], "+.2f"),
+                number_cell(row["error_percent"], "+.1f", 1),
+            )
+            for row in records(levels)
+        ),
         note=levels.description.capitalize() + ".",
     )
 
 
 def _accuracy_table(run: Run, label: str) -> ReportTable:
-    accuracy = run.table("accuracy")
-    rows = []
-    for index in range(accuracy.shape[0]):
-        row = {name: float(accuracy[name][index]) for name in accuracy.columns}
-        rows.append(_accuracy_row("rigtool", row))
-    rows += [_accuracy_row(row["source"], row) for row in _published(run.rig or "")]
+    rows = [_accuracy_row("rigtool", row) for row in records(run.table("accuracy"))]
+    rows += [_accuracy_row(row["source"], row) for row in published_accuracy(run.rig or "")]
     return ReportTable(
         name=f"table-accuracy-{label}",
         title=f"Error against the sensor ({label})",
@@ -96,29 +82,6 @@ def _accuracy_row(source: str, row: dict[str, Any]) -> tuple[Cell, ...]:
         Cell(source, source),
         Cell(split, split),
         Cell(f"{row['bandwidth']:g}", row["bandwidth"]),
-        *(_cell(row.get(f"rmse_{kind}"), ".2f") for kind in ("closing", "opening", "moving")),
-        _cell(row.get("coverage_95"), ".1f", 100),
+        *(number_cell(row.get(f"rmse_{kind}"), ".2f") for kind in ("closing", "opening", "moving")),
+        number_cell(row.get("coverage_95"), ".1f", 100),
     )
-
-
-def _cell(value: float | None, form: str, factor: float = _MILLI) -> Cell:
-    if value is None:
-        return NO_VALUE
-    if not math.isfinite(value):
-        return Cell(MISSING, None)
-    return Cell(format(value * factor, form), value)
-
-
-def _published(rig: str) -> list[dict[str, Any]]:
-    """Return what others reached on the data of a rig, by how its name begins."""
-    rows: list[dict[str, Any]] = []
-    for name, entry in _reference().items():
-        if rig.startswith(name):
-            rows += entry["rows"]
-    return rows
-
-
-@cache
-def _reference() -> dict[str, Any]:
-    text = files("rigtool.report").joinpath("published_instruments.toml").read_text("utf-8")
-    return tomllib.loads(text)

@@ -1,4 +1,7 @@
-"""What the thesis states, from `published.toml`: the only way to a published value."""
+"""Published values: those of the thesis, and those that others reached with the same data.
+
+No other module reads `published.toml` and `published_instruments.toml`.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ class PublishedTable:
     columns: dict[str, tuple[float, ...]]
 
     def row(self, applied_force: float, applied_torque: float) -> dict[str, float] | None:
-        """Return the row for this load, None where the thesis has none within a per cent."""
+        """Return the row for this load, None where the thesis has none within one per cent."""
         forces, torques = self.columns["applied_force"], self.columns["applied_torque"]
         for index, (force, torque) in enumerate(zip(forces, torques, strict=True)):
             if abs(applied_force - force) < 0.01 * force and (
@@ -46,9 +49,9 @@ def published_table(attachment: str) -> PublishedTable:
 
 
 def published_value(command: str, result: str, attachment: str | None) -> PublishedValue | None:
-    """Return what the thesis states for a result of a command, None where it is silent.
+    """Return the value that the thesis states for a result of a command, None where it has none.
 
-    `attachment` is what the run was made with; values that belong to another one are left out.
+    `attachment` is that of the run; values that belong to another attachment do not count.
     """
     found = _published()["results"].get(command, {}).get(result)
     if found is None or found.get("attachment", attachment) != attachment:
@@ -57,9 +60,9 @@ def published_value(command: str, result: str, attachment: str | None) -> Publis
 
 
 def published_entry(path: str) -> Any:
-    """Return what stands at a dotted path of `published.toml`: a value with section, or a list.
+    """Return the entry at a dotted path of `published.toml`: a value with section, or a list.
 
-    Raises `KeyError` where the thesis is silent.
+    Raises `KeyError` where there is none.
     """
     entry: Any = _published()
     for name in path.split("."):
@@ -67,6 +70,18 @@ def published_entry(path: str) -> Any:
     return entry
 
 
-@cache
+def published_accuracy(rig: str) -> list[dict[str, Any]]:
+    """Return the errors that others reached with the data of a rig, whose name begins alike."""
+    reference = _reference("published_instruments.toml")
+    return [
+        row for name, entry in reference.items() if rig.startswith(name) for row in entry["rows"]
+    ]
+
+
 def _published() -> dict[str, Any]:
-    return tomllib.loads(files("rigtool.report").joinpath("published.toml").read_text("utf-8"))
+    return _reference("published.toml")
+
+
+@cache
+def _reference(file: str) -> dict[str, Any]:
+    return tomllib.loads(files("rigtool.report").joinpath(file).read_text("utf-8"))

@@ -1,10 +1,9 @@
-"""The page that lays rigtool beside the thesis, figure by figure: `make thesis`.
+"""The page that compares rigtool with the thesis, figure by figure: `make thesis`.
 
     python -m rigtool.report.reproduction RUN.h5... --docs docs --html page.html
 
-reads `reproduction.toml`, which says what is shown; a run is called by the stem of its file.
-Written are docs/reproduction.md, docs/reproduction/ with the pictures and numbers.json, and one
-HTML file.
+`reproduction.toml` lists the rows of the page; it names a run by the stem of its file. Output is
+docs/reproduction.md, docs/reproduction/ with the pictures and numbers.json, and one HTML file.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.quantity import Quantity, display_unit, format_number
 from rigtool.report.figures import PLOTS, style, turns
+from rigtool.report.page import render
 from rigtool.report.published import published_entry
 from rigtool.report.reproduction_values import Runs, evaluate, low_current_refusal
 
@@ -36,16 +36,16 @@ if TYPE_CHECKING:
     from rigtool.runfile import Run
 
 LARGEST_SVG = 150_000
-"""Bytes: a larger picture is written as PNG."""
+"""Bytes above which a picture is written as PNG."""
 
-UNBROKEN = "\N{NO-BREAK SPACE}"
+NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 
-WITH_CALIBRATION = {
-    43: turns.before_learning,
-    45: turns.after_learning,
-    68: turns.faulty_amplifier,
+DRAWN_FROM_SIGNALS = {
+    43: turns.draw_before_learning,
+    45: turns.draw_after_learning,
+    68: turns.draw_faulty_amplifier,
 }
-"""Figures that are drawn from signals, for which the calibration is needed."""
+"""Figures drawn from signals, which need the calibration."""
 
 UNITS = {
     "mA": 1e3,
@@ -63,8 +63,8 @@ UNITS = {
 
 
 @dataclass(frozen=True)
-class Judged:
-    """One number beside the thesis, as text: `holds` is None where nothing is to be judged."""
+class ComparedNumber:
+    """A number beside that of the thesis, as text; `holds` is None where there is no criterion."""
 
     name: str
     published: str
@@ -77,7 +77,7 @@ class Judged:
 
     @property
     def verdict(self) -> str:
-        """What the page says of the tolerance; a requirement may be missed by both rigs."""
+        """The last cell of the row; both rigs may miss a requirement."""
         if self.holds is None:
             return "–"
         if not self.met:
@@ -86,20 +86,20 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """One row of the page. `picture` is a file name and its bytes, None for a table."""
+class PageRow:
+    """One row of the page; `picture` is a file name and its bytes, None for a table."""
 
     name: str
     heading: str
     lines: tuple[str, ...]
     picture: tuple[str, bytes] | None
     text: tuple[tuple[str, ...], ...]
-    numbers: tuple[Judged, ...]
+    numbers: tuple[ComparedNumber, ...]
     remarks: tuple[str, ...]
 
     @property
     def data_uri(self) -> str:
-        """The picture as an address that holds it."""
+        """The picture as a data URI."""
         if self.picture is None:
             return ""
         name, data = self.picture
@@ -109,7 +109,7 @@ class Shown:
 
 @cache
 def rows() -> tuple[dict[str, Any], ...]:
-    """Return the rows of `reproduction.toml`, each number with its own name, path and place."""
+    """Return the rows of `reproduction.toml`, with a number for each load of Tables 8 and 9."""
     text = files("rigtool.report").joinpath("reproduction.toml").read_text("utf-8")
     return tuple(
         row | {"numbers": [n for number in row["numbers"] for n in _by_load(number)]}
@@ -140,7 +140,7 @@ def row_name(row: Mapping[str, Any]) -> str:
 
 
 def published_of(number: Mapping[str, Any]) -> tuple[float | None, str]:
-    """Return the published value of a number, SI, and its section; None where it is in words."""
+    """Return the published value of a number, SI, and its section; None where only words exist."""
     path = number.get("published")
     if path is None:
         return number.get("limit"), ""
@@ -153,9 +153,9 @@ def published_of(number: Mapping[str, Any]) -> tuple[float | None, str]:
 
 
 def holds(number: Mapping[str, Any], value: float) -> bool | None:
-    """Say whether a value, SI, is as the row demands; None where it demands nothing.
+    """Return whether a value, SI, meets the criterion of its row; None without a criterion.
 
-    True for a requirement that neither rig meets means that it is not met here either.
+    For a requirement that the thesis's rig does not meet, True means: not met here either.
     """
     published, _ = published_of(number)
     if published is None:
@@ -175,8 +175,8 @@ def _allowed(number: Mapping[str, Any], published: float) -> float:
 # -- making the rows
 
 
-def make_rows(runs: Runs) -> tuple[list[Shown], dict[str, Any]]:
-    """Return all rows of the page, and the numbers that the tests look at.
+def make_rows(runs: Runs) -> tuple[list[PageRow], dict[str, Any]]:
+    """Return all rows of the page, and the numbers that the tests compare.
 
     Raises `UsageError` where a run is missing.
     """
@@ -195,7 +195,7 @@ def make_rows(runs: Runs) -> tuple[list[Shown], dict[str, Any]]:
     return shown, stored
 
 
-def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]:
+def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[PageRow, dict[str, Any]]:
     """Return one row, and its numbers by name: `value`, `u`, `unit` (SI), `reason` without u."""
     run, numbers, stored = runs[row["run"]], [], {}
     for number in row["numbers"]:
@@ -204,7 +204,7 @@ def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]
             found = replace(found, value=found.value / 100, unit="1")
         if number.get("u") is not None:
             found = replace(found, u=evaluate(number["u"], runs, row["run"]).value, reason=None)
-        numbers.append(_judged(number, found))
+        numbers.append(_compared(number, found))
         stored[number["name"]] = {
             "value": found.value,
             "u": found.u,
@@ -216,7 +216,7 @@ def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]
         picture = _picture(row["figure"], run, runs["kt"])
     remarks = [row["differs"]] if "differs" in row else []
     if row.get("refusal"):
-        remarks.insert(0, f"stribeck says: “{low_current_refusal(runs, row['run'])}”")
+        remarks.insert(0, f"stribeck reports: “{low_current_refusal(runs, row['run'])}”")
     text: tuple[tuple[str, ...], ...] = ()
     if "text" in row:
         entry = published_entry(row["text"])
@@ -224,17 +224,17 @@ def make_row(row: Mapping[str, Any], runs: Runs) -> tuple[Shown, dict[str, Any]]
     used = [run, *(runs[name] for name in row.get("also", ()))]
     lines = (*(command_line(one) for one in used), *row.get("lines", ()))
     name = row_name(row)
-    return Shown(name, heading, lines, picture, text, tuple(numbers), tuple(remarks)), stored
+    return PageRow(name, heading, lines, picture, text, tuple(numbers), tuple(remarks)), stored
 
 
 def command_line(run: Run) -> str:
-    """Return the line that made a run, as a user types it in a folder of his own."""
+    """Return the command line that made a run, without folders."""
     words = [word for word in run.provenance["argv"] if word != "--overwrite"]
     return shlex.join(Path(word).name if word.endswith(".h5") else word for word in words)
 
 
 def title(row: Mapping[str, Any]) -> str:
-    """Return the heading of a row, from the report's figures where the row has none of its own."""
+    """Return the heading of a row: its own, or that of the report's figure."""
     if "table" in row:
         return f"Table {row['table']}. {row['title']}"
     return f"Fig. {row['figure']}. {row.get('title') or PLOTS[row['figure']].title}"
@@ -249,8 +249,8 @@ def _picture(number: int, run: Run, kt: Run) -> tuple[str, bytes]:
 
 
 def _draw(number: int, run: Run, kt: Run) -> Figure:
-    if number in WITH_CALIBRATION:
-        return WITH_CALIBRATION[number](run, kt)
+    if number in DRAWN_FROM_SIGNALS:
+        return DRAWN_FROM_SIGNALS[number](run, kt)
     if not PLOTS[number].fits(run):
         raise UsageError(
             f"{run.path}: lacks the tables of Fig. {number}: give the run that it needs"
@@ -258,7 +258,7 @@ def _draw(number: int, run: Run, kt: Run) -> Figure:
     return PLOTS[number].draw(run)
 
 
-def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:
+def _compared(number: Mapping[str, Any], found: Quantity) -> ComparedNumber:
     published, section = published_of(number)
     factor, unit = display_unit(found.unit)
     if "unit" in number:
@@ -267,12 +267,12 @@ def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:
     said = number.get("says")
     stated = "–" if published is None else f"{published * factor:.4g}".replace("e-0", "e-")
     tolerance = "–" if published is None else _tolerance(number, factor, stated)
-    return Judged(
+    return ComparedNumber(
         name=number["name"],
         published=f"“{said}”" if said else stated,
         section=section,
         ours=format_number(found.value * factor, u),
-        unit="" if unit == "1" else unit.replace(" ", UNBROKEN),
+        unit="" if unit == "1" else unit.replace(" ", NO_BREAK_SPACE),
         tolerance=tolerance,
         holds=holds(number, found.value),
         met=number.get("met", True),
@@ -281,10 +281,10 @@ def _judged(number: Mapping[str, Any], found: Quantity) -> Judged:
 
 def _tolerance(number: Mapping[str, Any], factor: float, stated: str) -> str:
     if "rule" in number:
-        return f"{number['rule']}{UNBROKEN}{stated}"
+        return f"{number['rule']}{NO_BREAK_SPACE}{stated}"
     if "within" in number:
         return f"±{_allowed(number, 0.0) * factor:.3g}"
-    return f"±{100 * number['tolerance']:.3g}{UNBROKEN}%" if number["tolerance"] else "equal"
+    return f"±{100 * number['tolerance']:.3g}{NO_BREAK_SPACE}%" if number["tolerance"] else "equal"
 
 
 # -- the page
@@ -292,35 +292,35 @@ def _tolerance(number: Mapping[str, Any], factor: float, stated: str) -> str:
 INTRODUCTION = (
     "Every figure with data in chapters 7 and 8 and in the appendices of E. Briaire, Friction "
     "measurement and compensation on a laparoscopic instrument of a medical robot, TU Eindhoven, "
-    "2006, and its Tables 5 to 9: made again on the virtual rig by make thesis, in the same axes "
-    "and units. Each row has the command that makes it, what the thesis states beside what rigtool "
-    "finds, with its standard uncertainty in brackets where it has one, the tolerance, and whether "
-    "it holds. Words in quotation marks are the thesis's where it gives no number; a dash is where "
-    "it says nothing. A number without brackets has no uncertainty of its own: it is a setting, or "
-    "the rms, peak or span of a curve."
+    "2006, and its Tables 5 to 9, reproduced on the virtual rig by make thesis, with the same axes "
+    "and units. Each row shows its command, the value of the thesis, the value that rigtool finds, "
+    "with its standard uncertainty in brackets, the tolerance, and whether the value is within it. "
+    "Quotation marks: words of the thesis, where it gives no number. A dash: the thesis states "
+    "nothing. A number without brackets has no uncertainty of its own: it is a setting, or the "
+    "rms, peak or span of a curve."
 )
 
-NOTES = "How the thesis was read where it is silent: [notes](thesis-notes.md)."
+NOTES_LINK = "Assumptions where the thesis is silent: [notes](thesis-notes.md)."
 
 
-def markdown(shown: Sequence[Shown]) -> str:
-    """Return the page as Markdown, with pictures beside it in `reproduction/`."""
-    parts = ["# The thesis, figure by figure", INTRODUCTION, _summary(shown), NOTES]
+def markdown(shown: Sequence[PageRow]) -> str:
+    """Return the page as Markdown; its pictures are in `reproduction/`."""
+    parts = ["# The thesis, figure by figure", INTRODUCTION, _summary(shown), NOTES_LINK]
     for row in shown:
         parts += [f"## {row.heading}", "```sh\n" + "\n".join(row.lines) + "\n```"]
         if row.picture is not None:
             parts.append(f"![{row.heading}](reproduction/{row.picture[0]})")
         if row.text:
             parts.append(_markdown_table(row.text))
-        parts.append(_markdown_table([HEAD, *_number_cells(row)]))
+        parts.append(_markdown_table([TABLE_HEAD, *_number_cells(row)]))
         parts += row.remarks
     return "\n\n".join(parts) + "\n"
 
 
-HEAD = ("", "thesis", "section", "rigtool", "unit", "tolerance", "holds")
+TABLE_HEAD = ("", "thesis", "section", "rigtool", "unit", "tolerance", "holds")
 
 
-def _number_cells(row: Shown) -> list[tuple[str, ...]]:
+def _number_cells(row: PageRow) -> list[tuple[str, ...]]:
     return [
         (n.name, n.published, n.section, n.ours, n.unit, n.tolerance, n.verdict)
         for n in row.numbers
@@ -334,35 +334,31 @@ def _markdown_table(lines: Sequence[Sequence[str]]) -> str:
     )
 
 
-def _summary(shown: Sequence[Shown]) -> str:
+def _summary(shown: Sequence[PageRow]) -> str:
     judged = [n for row in shown for n in row.numbers if n.holds is not None]
     good = sum(bool(number.holds) for number in judged)
     missed = sum(not number.met for number in judged)
     return (
-        f"{len(shown)} rows, {len(judged)} numbers to judge: {good} are as stated, among them "
+        f"{len(shown)} rows, {len(judged)} numbers with a criterion: {good} agree, among them "
         f"{missed} requirements that the thesis's rig does not meet either."
     )
 
 
-def html(shown: Sequence[Shown]) -> str:
+def html(shown: Sequence[PageRow]) -> str:
     """Return the page as one HTML file with all pictures in it."""
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    source = files("rigtool.report").joinpath("reproduction.html").read_text("utf-8")
-    template = environment.from_string(source)
-    return template.render(
+    return render(
+        "reproduction.html",
         rows=shown,
-        head=HEAD,
+        head=TABLE_HEAD,
         cells=_number_cells,
         introduction=INTRODUCTION,
         summary=_summary(shown),
     )
 
 
-def write(shown: Sequence[Shown], stored: Mapping[str, Any], docs: Path, page: Path | None) -> None:
+def write(
+    shown: Sequence[PageRow], stored: Mapping[str, Any], docs: Path, page: Path | None
+) -> None:
     """Write the Markdown page with its folder into `docs`, and the HTML file."""
     folder = docs / "reproduction"
     shutil.rmtree(folder, ignore_errors=True)

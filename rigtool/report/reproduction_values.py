@@ -1,14 +1,14 @@
-"""Values of run files by name, for the page that lays them beside the thesis.
+"""Values of run files by name, for the page that compares them with the thesis.
 
 An expression is one address or several with " / ", " * " and " - " between them, from left to
 right:
 
     torque_constant                       a result
-    lookup.torque[speed=6.28]             a column of a table where its axes come closest to this
+    lookup.torque[speed=6.28]             a column of a table at the nearest point of its axes
     peak sweep.on                         rms, peak, span or mean of a column or a signal
     rms feedforward.residual[position=425..1275]
-    force-pulley:std_torque_no_load       of another run
-    recipe.rig.current_limit              as set in the run's recipe
+    force-pulley:std_torque_no_load       a result of another run
+    recipe.rig.current_limit              a setting of the run's recipe
     0.02                                  a plain number
     special.low_current_exit              see `SPECIAL`
 """
@@ -48,10 +48,10 @@ _REDUCE: dict[str, Callable[[np.ndarray], float]] = {
 
 
 def evaluate(expression: str, runs: Runs, run: str) -> Quantity:
-    """Return the value of an expression; addresses without a run are of `run`.
+    """Return the value of an expression; addresses without a run refer to `run`.
 
     Uncertainties are combined as those of independent values (GUM 5.1.2). Raises `UsageError` for
-    what is no address, `RunFileError` for what the run does not hold.
+    a text that is no address, `RunFileError` for a value that the run does not hold.
     """
     first, *rest = re.split(r" ([-/*]) ", expression)
     found = _operand(first, runs, run)
@@ -98,7 +98,7 @@ def _combine(left: Quantity, sign: str, right: Quantity) -> Quantity:
 
 
 def _unit(left: str, sign: str, right: str) -> str:
-    """Return the unit of a product or quotient as far as one unit is needed here."""
+    """Return the unit of a product or quotient, for the units that the page needs."""
     if right == "1":
         return left
     if left == right and sign == "/":
@@ -150,7 +150,7 @@ def _of_table(table: Table, column: str, where: str, reduce: str | None) -> Quan
     if reduce is not None:
         return Quantity(_REDUCE[reduce](values), unit, reason=NOT_KNOWN)
     if values.size != 1:
-        raise UsageError(f"{column}[{where}]: holds {values.size} values: say which one")
+        raise UsageError(f"{column}[{where}]: holds {values.size} values: select one")
     u = f"{column}_u" if f"{column}_u" in table.columns else "u"
     if u in table.columns and (u != "u" or column == table.signal):
         return Quantity(float(values), unit, float(np.asarray(table[u])[tuple(index)]))
@@ -159,10 +159,10 @@ def _of_table(table: Table, column: str, where: str, reduce: str | None) -> Quan
 
 def low_current_refusal(runs: Runs, run: str) -> str:
     """Return why `stribeck` refuses the holds of a run, "" where it does not [App. C]."""
-    from rigtool.experiments.friction.procedure_analysis import HOLDS, estimate
+    from rigtool.experiments.friction.procedure_analysis import HOLDS, coulomb_and_viscous
 
     try:
-        estimate(runs[run].recording(HOLDS), _recipe(runs[run]), runs["kt"])
+        coulomb_and_viscous(runs[run].recording(HOLDS), _recipe(runs[run]), runs["kt"])
     except InsufficientDataError as error:
         return str(error)
     return ""
@@ -181,7 +181,7 @@ def _phase_advance_of_published_transfer(runs: Runs, run: str) -> Quantity:
     system = TransferFunction.from_z(
         published["numerator"], published["denominator"], published["sample_time"]
     )
-    # Its zero near 1.0008 is a rounding of one: a radius a little above one takes it along.
+    # Its zero near 1.0008 is a rounded 1: a radius slightly above 1 includes it.
     advance = zpetc(system, cancel_radius=1.01).advance
     return Quantity(advance, "1", reason="a whole number of samples")
 
@@ -199,4 +199,4 @@ SPECIAL: dict[str, Callable[[Runs, str], Quantity]] = {
     "learned_speed": _learned_speed,
     "half_turn": lambda runs, run: Quantity(math.pi, "rad", 0.0),
 }
-"""What no single address tells."""
+"""Values that need more than one address."""

@@ -12,12 +12,12 @@ from types import TracebackType
 from typing import Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
+from rigtool.numerics.arrays import Array
 from rigtool.rigs.motion import Motion, Observe, OpenLoop
 
-Block = dict[str, NDArray[np.float64]]
+Block = dict[str, Array]
 """Equal-length arrays by channel name, `time` among them."""
 
 CHANNELS = {
@@ -66,7 +66,12 @@ class Feedforward:
     coulomb: float = 0.0
     viscous: float = 0.0
     table: LookupTable | None = None
-    signal: NDArray[np.float64] | None = None
+    signal: Array | None = None
+
+    def model_torque(self, speed: Array, acceleration: Array) -> Array:
+        """Return the torque (n,) of inertia and friction model, N m; rad/s and rad/s2 (n,)."""
+        torque = self.inertia * acceleration + self.viscous * speed
+        return torque + self.coulomb * np.tanh(speed) if self.coulomb else torque
 
 
 @dataclass(frozen=True)

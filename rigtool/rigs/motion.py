@@ -7,12 +7,11 @@ needs no more memory than a second. Angles in rad at the motor, speeds in rad/s,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 class Motion(Protocol):
@@ -42,16 +41,12 @@ class SpeedProfile:
 
     times: tuple[float, ...]
     speeds: tuple[float, ...]
+    start: ClassVar[None] = None
 
     @property
     def duration(self) -> float:
         """Length of the motion, s."""
         return self.times[-1]
-
-    @property
-    def start(self) -> None:
-        """Starts from wherever the rotor is."""
-        return None
 
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """Integrate the piecewise linear speed exactly; see `Motion.setpoint`."""
@@ -133,11 +128,7 @@ class Move:
 
     angle: float
     duration: float
-
-    @property
-    def start(self) -> None:
-        """Starts from wherever the rotor is."""
-        return None
+    start: ClassVar[None] = None
 
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """See `Motion.setpoint`."""

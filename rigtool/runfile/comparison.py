@@ -1,4 +1,4 @@
-"""Two runs side by side: results, tables and signals, within tolerances."""
+"""Differences between two runs in results, tables and signals, beyond tolerances."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity, format_quantity
 from rigtool.runfile import schema
 from rigtool.runfile.model import Table
@@ -25,12 +25,12 @@ class Tolerance:
     relative: float = 0.0
     absolute: float = 0.0
 
-    def beyond(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Say where values (n,) do not agree; NaN agrees with NaN."""
+    def beyond(self, a: Array, b: Array) -> Mask:
+        """Return where values (n,) do not agree; NaN agrees with NaN."""
         with np.errstate(invalid="ignore", over="ignore"):
             limit = self.absolute + self.relative * np.maximum(np.abs(a), np.abs(b))
             apart = ~(np.abs(a - b) <= limit) & (a != b)
-        both: NDArray[np.bool_] = np.isnan(a) & np.isnan(b)
+        both: Mask = np.isnan(a) & np.isnan(b)
         return apart & ~both
 
 
@@ -112,14 +112,14 @@ def _recordings(
 
 
 class _Worst:
-    """How many values differ, and by how much at most, block by block."""
+    """Number of values that differ and their largest difference, block by block."""
 
     def __init__(self, tolerance: Tolerance) -> None:
         self._tolerance = tolerance
         self._total = self._count = 0
         self._most = 0.0
 
-    def add(self, a: NDArray[np.float64], b: NDArray[np.float64]) -> _Worst:
+    def add(self, a: Array, b: Array) -> _Worst:
         apart = self._tolerance.beyond(a, b)
         self._total += a.size
         self._count += int(np.count_nonzero(apart))

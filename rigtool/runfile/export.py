@@ -38,7 +38,7 @@ _MAT_LIMIT = 2**31
 def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite: bool) -> None:
     """Write a run in the format that the name of `output` ends with: .csv, .parquet, .mat or .nc.
 
-    `part` chooses what a .csv or .parquet shall hold: `results`, `recordings/NAME` or
+    `part` selects the contents of a .csv or .parquet: `results`, `recordings/NAME` or
     `tables/NAME`, or the bare name. Raises `UsageError` where the choice is open, or the output
     exists.
     """
@@ -53,7 +53,7 @@ def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite
     write = formats.get(output.suffix)
     if write is None:
         raise UsageError(
-            f"{output}: cannot be told what to write by its ending {output.suffix!r}: use one of "
+            f"{output}: its suffix {output.suffix!r} names no format: use one of "
             f"{', '.join(formats)}"
         )
     if part is not None and output.suffix not in (".csv", ".parquet"):
@@ -75,7 +75,7 @@ def write_new(
 
 @dataclass(frozen=True)
 class Frame:
-    """Columns with their units ("" for text, or where a column says it) and blocks of rows."""
+    """Columns with their units ("" for text, and for columns with a column of units)."""
 
     units: dict[str, str]
     blocks: Iterator[pd.DataFrame]

@@ -1,4 +1,4 @@
-"""What a run file holds: channels of recordings, and tables of results."""
+"""The contents of a run file: channels of recordings, and tables of results."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def dataset(axes: tuple[str, ...], columns: Mapping[str, Column]) -> xr.Dataset:
 
 
 def description_of(attributes: Mapping[str, Any]) -> str:
-    """Return what the attributes of a channel, column or table say it means."""
+    """Return the description in the attributes of a channel, column or table."""
     return str(attributes.get("long_name", ""))
 
 

@@ -1,7 +1,7 @@
-"""The few kinds of objects that a run file is made of, apart from arrays.
+"""The kinds of objects in a run file, apart from arrays.
 
-Text has a fixed length, so that it sits in headers, where HDF5 protects it by a checksum.
-Variable-length text would sit in a heap without one: HDF5 follows a damaged heap without end.
+Text has a fixed length and is stored in headers, which HDF5 protects by a checksum. Text of
+variable length would be in a heap without one: HDF5 follows a damaged heap without end.
 """
 
 from __future__ import annotations

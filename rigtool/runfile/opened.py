@@ -1,6 +1,6 @@
-"""HDF5 files that are read: opened with the reasons why one cannot be, and shut while many are.
+"""Opening HDF5 files for reading, and limiting how many are open at once.
 
-Whatever is wrong with a file becomes a `RunFileError` that says what to do.
+A file that cannot be read raises `RunFileError` with the reason and a remedy.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ MAX_OPEN = 8
 to close one the more there are."""
 
 _CHUNK_CACHE = {"rdcc_nbytes": 2 * 8 * schema.CHUNK, "rdcc_nslots": 101}
-"""Two chunks for each open signal: blocks end where chunks do, so that none is read twice, and
-HDF5's own 8 MiB would only push the samples out of the processor's cache."""
+"""Two chunks for each open signal: blocks end where chunks do, so that no chunk is read twice. The
+8 MiB of HDF5's default would only displace the samples from the processor's cache."""
 
 DAMAGED = "restore it from a copy, or make it anew"
 
@@ -45,10 +45,10 @@ class OpenFile:
 
 
 class SharedFile:
-    """A stored file among any number of others: only the `MAX_OPEN` last used are kept open.
+    """A stored file; of all such files, only the `MAX_OPEN` last used stay open.
 
-    A file that was shut is opened again by its next use, and refused if it is not the same any
-    more: what was checked when it was first opened would not hold.
+    A file that was closed is opened again at its next use, and refused if it has changed: the
+    checks of its first opening would not hold.
     """
 
     _lock = threading.RLock()
@@ -62,7 +62,7 @@ class SharedFile:
     @contextmanager
     def use(self) -> Iterator[h5py.File]:
         """Lend the file for one read; raises `RunFileError` where it was replaced meanwhile."""
-        with self._lock:  # of several threads only one at a time is in HDF5 anyway
+        with self._lock:  # HDF5 admits one thread at a time anyway
             assert not self._closed, "a closed run is not read"
             file = self._in_use.pop(self, None) or self._open()
             self._in_use[self] = file  # behind all others
@@ -77,7 +77,7 @@ class SharedFile:
             self._closed = True
 
     def _shut(self) -> None:
-        # Nothing of the file may stay: whatever h5py closes, it goes through all that it knows.
+        # No object of the file may stay open: each close in h5py searches all open objects.
         if (file := self._in_use.pop(self, None)) is not None:
             file.close()
 
@@ -153,7 +153,7 @@ def _open_problem(path: Path, reason: str) -> str:
 
 @contextmanager
 def guard(path: str | os.PathLike[str], what: str) -> Iterator[None]:
-    """Turn whatever h5py raises on a damaged file into `RunFileError`."""
+    """Turn any exception of h5py about a damaged file into `RunFileError`."""
     try:
         yield
     except RigtoolError:

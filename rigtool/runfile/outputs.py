@@ -1,8 +1,8 @@
-"""Where output goes: what may be replaced, and files of our own that take its name when whole.
+"""Outputs: checks of their names, and temporary files that take the name when complete.
 
-A file that is being made lies in the folder of the output under a name that nobody else has, made
-with O_EXCL, so that no file and no link of somebody else is touched. Its name holds the computer
-and the process: what a killed process left behind is recognised, and removed by the next run.
+A temporary file is in the folder of the output. O_EXCL creates it under a unique name, so that no
+file or link of another program is touched. Its name contains computer and process: the next run
+recognises and removes the files of a killed process.
 """
 
 from __future__ import annotations

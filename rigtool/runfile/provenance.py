@@ -1,4 +1,4 @@
-"""Where a run comes from, and the hashes that prove it.
+"""The provenance of a run, and the hashes that prove it.
 
 `content_sha256` covers names, attributes and arrays of a run, not its provenance: two runs of one
 recipe and seed share it. `record_sha256` covers the provenance and `content_sha256`. Signals enter
@@ -37,7 +37,7 @@ _PROVENANCE = f"/{schema.ENTRY}/{schema.PROVENANCE}"
 
 @dataclass(frozen=True)
 class Input:
-    """A run file that went into another one."""
+    """A run file from which another one was made."""
 
     path: str
     command: str
@@ -47,7 +47,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Source:
-    """A file of another program that was imported, and the mapping file's text that said how."""
+    """A file of another program that was imported, and the text of its mapping."""
 
     path: str
     sha256: str
@@ -56,9 +56,9 @@ class Source:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Who made a run, when, with what, from what; `argv` as a shell line, a package a line.
+    """Program, date, command line, inputs and recipe of a run; in `packages`, one a line.
 
-    `line` is JSON: what happened on the serial line of a rig; written once the signals are in.
+    `line` is JSON: the events on the serial line of a rig, written after the signals.
     """
 
     program: str
@@ -92,7 +92,7 @@ def collect(
         program="rigtool",
         version=version("rigtool"),
         date=_now(),
-        # Where the program is installed says nothing about the run.
+        # The folder of the program is irrelevant to the run.
         argv=shlex.join(_printable(item) for item in argv or ["rigtool", *sys.argv[1:]]),
         python=platform.python_version(),
         platform=platform.platform(),
@@ -108,7 +108,7 @@ def collect(
 
 
 def write(group: h5py.Group, provenance: Provenance) -> None:
-    """Write provenance into its group; what is None is left out."""
+    """Write provenance into its group, without fields that are None."""
     for name, value in asdict(provenance).items():
         if name != "inputs" and value is not None:
             make_text(group, name, value)
@@ -134,7 +134,7 @@ def read(group: tree.Group) -> dict[str, Any]:
 
 
 def restore(fields: Mapping[str, Any]) -> Provenance:
-    """Return what `read` took from a file as it was before."""
+    """Return the provenance whose fields `read` returned."""
     known = {name: fields[name] for name in Provenance.__dataclass_fields__}
     known["argv"] = shlex.join(fields["argv"])
     known["packages"] = "\n".join(" ".join(item) for item in fields["packages"].items())
@@ -143,7 +143,7 @@ def restore(fields: Mapping[str, Any]) -> Provenance:
 
 
 def note_line(file: h5py.File, report: str | None) -> None:
-    """Write what happened on the serial line into a run that is complete but for its hashes."""
+    """Write the report of the serial line into a run that is complete except for its hashes."""
     if report is not None:
         make_text(file[schema.ENTRY][schema.PROVENANCE], "line", report)
 
@@ -159,7 +159,7 @@ def seal(file: h5py.File) -> None:
 
 
 def content_sha256(root: tree.Group) -> str:
-    """Hash everything but the provenance; see the top of this module."""
+    """Hash everything except the provenance; see the docstring of this module."""
     return hashlib.sha256(_describe(root, {_PROVENANCE})).hexdigest()
 
 
@@ -180,7 +180,7 @@ def file_sha256(path: str | os.PathLike[str]) -> str:
 
 
 def _describe(group: tree.Group, left_out: set[str]) -> bytes:
-    """Return a group and all below, one line of JSON an object, names in alphabetical order.
+    """Return a group and all below as text: a line of JSON for each object, sorted by name.
 
     A line has path and attributes; a dataset's also type, shape and the SHA-256 of its values.
     """

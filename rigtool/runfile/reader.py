@@ -1,7 +1,7 @@
 """Reading run files: everything is checked before it is used.
 
 `open_run` verifies schema, structure and the file's own hashes; signals are read on demand, their
-checksums (fletcher32) by HDF5. Whatever is wrong becomes a `RunFileError` that says what to do.
+checksums (fletcher32) by HDF5. Any fault raises `RunFileError` with a remedy.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class Run:
 
 
 def open_run(path: str | os.PathLike[str]) -> Run:
-    """Open a run file and check it; raises `RunFileError` that says what is wrong and what to do.
+    """Open a run file and check it; raises `RunFileError` with the fault and a remedy.
 
     Schema version, structure, and the hashes of everything but the samples of signals are checked
     here; samples are when they are read.

@@ -1,6 +1,6 @@
 """A recording of an open run file: its signals are read on demand, and checked when they are read.
 
-Checksums of samples (fletcher32) are verified by HDF5; whatever is wrong becomes a `RunFileError`.
+Checksums of samples (fletcher32) are verified by HDF5; any fault raises `RunFileError`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import schema, tree
 from rigtool.runfile.model import Channel, Column, dataset, description_of
@@ -57,10 +58,10 @@ class Recording:
         return {channel.name: channel.unit for channel in self.channels}
 
     def has(self, channel: str) -> bool:
-        """Say whether a channel was recorded."""
+        """Return whether a channel was recorded."""
         return any(item.name == channel for item in self.channels)
 
-    def read(self, channel: str, start: int = 0, stop: int | None = None) -> NDArray[np.float64]:
+    def read(self, channel: str, start: int = 0, stop: int | None = None) -> Array:
         """Return samples start..stop (stop excluded) of a channel as f8, in its unit.
 
         Raises `RunFileError` where the channel is missing, damaged, or holds NaN or infinity.
@@ -71,7 +72,7 @@ class Recording:
 
     def blocks(
         self, *channels: str, start: int = 0, stop: int | None = None
-    ) -> Iterator[tuple[NDArray[np.float64], ...]]:
+    ) -> Iterator[tuple[Array, ...]]:
         """Read samples start..stop of several channels together, `BLOCK` samples at a time.
 
         Memory does not grow with the recording; raises as `read` does.
@@ -80,7 +81,7 @@ class Recording:
         # Blocks end where chunks do: none is decompressed twice.
         edges = [start, *range(start - start % BLOCK + BLOCK, stop, BLOCK), stop]
 
-        def read(begin: int, end: int) -> tuple[NDArray[np.float64], ...]:
+        def read(begin: int, end: int) -> tuple[Array, ...]:
             return tuple(self.read(channel, begin, end) for channel in channels)
 
         if len(edges) == 2:  # no thread for what is short
@@ -121,7 +122,7 @@ class Recording:
         """Return the value of a condition, in its unit; `RunFileError` where it is missing."""
         if name not in self.conditions:
             raise RunFileError(
-                f"{self._path}: recording {self.name!r} does not say its {name!r}, only "
+                f"{self._path}: recording {self.name!r} has no condition {name!r}, only "
                 f"{', '.join(self.conditions) or 'nothing'}; record it again with this version"
             )
         return self.conditions[name].value
@@ -165,7 +166,7 @@ class Recording:
         }
         return dataset((schema.TIME,), columns)
 
-    def _require_finite(self, channel: str, values: NDArray[np.float64], start: int) -> None:
+    def _require_finite(self, channel: str, values: Array, start: int) -> None:
         # One pass without a temporary array: a sum is finite only if all its terms are.
         with np.errstate(over="ignore", invalid="ignore"):
             if np.isfinite(np.sum(values)):

@@ -1,4 +1,4 @@
-"""What an interrupted run left behind, made into a run file: its signals, without results."""
+"""Recovery of the signals of an interrupted run into a run file without results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from rigtool.runfile.writer import RunWriter
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was brought back: samples by recording, and how many the file held but damaged."""
+    """Samples brought back by recording, and the number of damaged ones."""
 
     output: Path
     samples: dict[str, int]
@@ -69,12 +69,12 @@ def recover(
 
 def _output(part: Path, output: str | os.PathLike[str] | None, overwrite: bool) -> Path:
     if output is None and part.suffix != ".part":
-        raise UsageError(f"{part}: its name does not end in .part: say with -o where to write")
+        raise UsageError(f"{part}: its name does not end in .part: name the output by -o")
     found = part.with_suffix("") if output is None else Path(output)
     if found.exists() and not overwrite:
         raise UsageError(f"{found}: exists already: give another name with -o, or --overwrite")
     if found.exists() and part.exists() and found.samefile(part):
-        raise UsageError(f"{found}: is what is to be recovered: give another name with -o")
+        raise UsageError(f"{found}: is the file to recover: give another name with -o")
     return found
 
 
@@ -109,7 +109,7 @@ def _spec(recording: Recording) -> RecordingSpec:
 
 
 def _copy(recording: Recording, writer: RunWriter) -> int:
-    """Copy a recording until a chunk is damaged, however large they are; return what came."""
+    """Copy a recording up to its first damaged chunk of any size; return the samples copied."""
     start, step = 0, schema.CHUNK
     while start < recording.size:
         block = _whole(recording, start, min(start + step, recording.size))

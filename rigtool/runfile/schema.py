@@ -1,7 +1,7 @@
-"""Names, version and limits of the run file; `docs/run-file-format.md` is the description of it.
+"""Names, version and limits of the run file, which `docs/run-file-format.md` describes.
 
-Whoever changes something here changes the document, its version history and `VERSION` with it: a
-new minor version adds what older readers may ignore, a new major version is refused by them.
+A change here also changes that document, its version history and `VERSION`. A new minor version
+adds elements that older readers may ignore; older readers refuse a new major version.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ INPUTS = "inputs"
 TIME = "time"
 
 CHUNK = 8192
-"""Samples in a chunk of a signal at most: one second at 8 kHz."""
+"""Most samples in a chunk of a signal: one second at 8 kHz."""
 
 SMALLEST_CHUNK = 32
-"""Samples in a chunk at least; both are powers of two, so that blocks end where chunks do."""
+"""Fewest samples in a chunk; both are powers of two, so that blocks end where chunks do."""
 
 DTYPES: dict[str, np.dtype[Any]] = {name: np.dtype(f"<{name}") for name in ("u1", "i4", "f4", "f8")}
 """The only numeric types in a file; others crash or confuse one reader or another."""
@@ -45,7 +45,7 @@ LIBVER = ("v110", "v110")
 
 
 def chunk_of(rate_hz: float) -> int:
-    """Return the samples of a chunk for about a second: what a killed run loses is one chunk."""
+    """Return the samples of a chunk of about a second: a killed run loses one chunk."""
     samples = 2 ** math.ceil(math.log2(max(rate_hz, 1.0)))
     return min(max(samples, SMALLEST_CHUNK), CHUNK)
 
@@ -63,7 +63,7 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
 
 
 def is_name(name: str) -> bool:
-    """Say whether a name can stand for a recording, channel, table, column or result."""
+    """Return whether a name can stand for a recording, channel, table, column or result."""
     return _NAME.fullmatch(name) is not None
 
 
@@ -73,6 +73,6 @@ def version_text() -> str:
 
 
 def parse_version(text: str) -> tuple[int, int]:
-    """Split '1.0' into numbers; raises ValueError where it is something else."""
+    """Split '1.0' into two numbers; raises ValueError for any other text."""
     major, minor = text.split(".")
     return int(major), int(minor)

@@ -19,7 +19,7 @@ import h5py
 
 from rigtool.errors import RigtoolError
 
-_FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
+_DISK_IS_FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
 _ERRNO = re.compile(r"errno = (\d+)")
 
 
@@ -32,7 +32,7 @@ def storage_errors(path: Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise RigtoolError(f"{path}: cannot be written: {_reason(error)}") from error
-    except RuntimeError as error:  # h5py's other way to say that a write failed
+    except RuntimeError as error:  # h5py's other report of a failed write
         if _ERRNO.search(str(error)) is None:
             raise
         raise RigtoolError(f"{path}: cannot be written: {_reason(error)}") from error
@@ -61,7 +61,7 @@ def lock(handle: int) -> None:
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether another program is writing a file; False on systems that cannot tell."""
+    """Return whether another program is writing a file; False on systems without such locks."""
     with path.open("r+b") as stream:
         return not _lock(stream.fileno())
 
@@ -101,7 +101,7 @@ def sync_folder(path: Path) -> None:
 def _reason(error: OSError | RuntimeError) -> str:
     match = _ERRNO.search(str(error))
     code = int(match[1]) if match else getattr(error, "errno", None)
-    if code in _FULL:
+    if code in _DISK_IS_FULL:
         return "the disk is full (or a quota is reached): free some space, or write elsewhere"
     if code:
         return f"{os.strerror(code)}: check the folder and its permissions"

@@ -1,4 +1,4 @@
-"""One recording on its way to the file: samples wait here until a whole chunk is together."""
+"""One recording on its way to the file: samples wait here until a chunk is complete."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from rigtool.runfile.objects import set_attribute
 class Stream:
     """Samples of all channels of a recording.
 
-    `waiting` samples are here, `written` ones were handed to HDF5. `complete` says that no more
-    will come.
+    `waiting` samples are in memory, `written` ones were handed to HDF5. A `complete` recording
+    takes no more.
     """
 
     def __init__(self, spec: RecordingSpec, file: h5py.File) -> None:

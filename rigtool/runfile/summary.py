@@ -1,4 +1,4 @@
-"""What a run holds, in lines: for the terminal, and as a page in a notebook."""
+"""The summary of a run: lines for the terminal, and HTML for a notebook."""
 
 from __future__ import annotations
 

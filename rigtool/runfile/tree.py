@@ -1,9 +1,9 @@
 """A run file as a tree in memory, read without trusting the file.
 
-`load` reads everything but the samples of signals, once. What a file claims is checked before it is
-read: a damaged or hostile file may hold links out of itself, loops, types that crash, or datasets
-that claim more than any disk has. It uses h5py's low-level interface: a run has some hundred small
-objects, and the high-level one takes five times as long.
+`load` reads everything except the samples of signals, once. Claims of the file are checked before
+anything is read: a damaged or hostile file may hold external links, loops, types that crash a
+reader, or datasets that claim more than any disk holds. The low-level interface of h5py is used: a
+run has some hundred small objects, for which the high-level one takes five times as long.
 """
 
 from __future__ import annotations
@@ -62,15 +62,15 @@ class Group:
 
 
 def load(file: h5py.File, path: str = "/") -> Group:
-    """Read a group of a file with all below; raises `RunFileError` on what no run file holds."""
+    """Read a group of a file and all below; `RunFileError` for anything that no run file holds."""
     return _Loader(file).group(file[path].id, path, 0)
 
 
 def read_samples(file: h5py.File, signal: Values, start: int, stop: int) -> NDArray[np.generic]:
     """Return samples start..stop (stop excluded) of a signal as they are stored.
 
-    The dataset is not kept open: with a thousand files at once, HDF5 would go through all that is
-    open whenever one of them closes.
+    The dataset does not stay open: with a thousand open files, HDF5 would search all open objects
+    whenever one of them closes.
     """
     count = max(0, min(stop, signal.shape[0]) - start)
     samples = np.empty(count, signal.kind)
@@ -86,7 +86,7 @@ def read_samples(file: h5py.File, signal: Values, start: int, stop: int) -> NDAr
 
 
 def root_text(file: h5py.File, name: str) -> str | None:
-    """Return a text attribute of a file of anybody's; None where it is not as rigtool writes it."""
+    """Return a text attribute of any HDF5 file; None where it is not as rigtool writes it."""
     if not h5py.h5a.exists(file.id, name.encode()):
         return None
     attribute = h5py.h5a.open(file.id, name.encode())
@@ -98,7 +98,7 @@ def root_text(file: h5py.File, name: str) -> str | None:
 
 
 def is_signal(path: str) -> bool:
-    """Say whether the dataset of this path holds samples of a recording."""
+    """Return whether the dataset of this path holds samples of a recording."""
     parts = path.split("/")
     return len(parts) == 5 and parts[1:3] == [schema.ENTRY, schema.RECORDINGS]
 
@@ -190,12 +190,12 @@ class _Loader:
         if not isinstance(kind, h5py.h5t.TypeStringID):
             return False
         if kind.is_variable_str():
-            # It would be in a heap, which has no checksum: HDF5 can search a damaged one for ever.
+            # Such text is in a heap without checksum: HDF5 may search a damaged one for ever.
             raise self._refuse(path, "has text of variable length")
         return True
 
     def _check(self, handle: Any, path: str, shape: Any, dtype: np.dtype[Any] | None) -> None:
-        """Refuse what no run file holds, from the dataset's header alone; no dtype is for text."""
+        """Refuse a dataset that no run file holds, by its header; dtype is None for text."""
         if shape is None or math.prod(shape) > schema.MAX_SAMPLES:
             raise self._refuse(path, f"claims shape {shape}, above {schema.MAX_SAMPLES} values")
         plist = handle.get_create_plist()
@@ -214,7 +214,7 @@ class _Loader:
         chunk = math.prod(plist.get_chunk()) if layout == h5py.h5d.CHUNKED else 0
         if chunk * dtype.itemsize > schema.MAX_CHUNK_BYTES:
             raise self._refuse(path, f"has chunks above {schema.MAX_CHUNK_BYTES} bytes")
-        # Not more than deflate can make out of the whole file, the last chunk being partly empty.
+        # At most what deflate can unpack from the whole file, plus a partly empty last chunk.
         most = schema.MAX_COMPRESSION * self._file_size + chunk * dtype.itemsize
         if math.prod(shape) * dtype.itemsize > most:
             raise self._refuse(path, f"claims shape {shape}, more than this file can hold")
@@ -227,7 +227,7 @@ class _Loader:
 
 
 def _read(read: Callable[..., None], shape: tuple[int, ...], kind: Any) -> NDArray[np.bytes_]:
-    """Read text of a fixed length; told its type, h5py need not look for it again."""
+    """Read text of a fixed length; given its type, h5py does not look it up again."""
     array = np.empty(shape, f"S{kind.get_size()}")
     read(array, kind)
     return array

@@ -1,10 +1,10 @@
-"""A run whose writer was killed, opened as if it had been closed; the file stays as it is.
+"""A run whose writer was killed, opened as if it had been closed; the file is not changed.
 
-HDF5 notes in the superblock that a file is being written, and refuses it as long as that stands
-there. Following the writer (SWMR) is no way to read remains that may be damaged: HDF5 then reads
-what has a wrong checksum again and again, with pauses that double each time. So the superblock is
-shown to HDF5 without the note and with the end where the file ends (as its tool h5clear would write
-it), its checksum made anew.
+HDF5 sets a flag in the superblock while a file is being written, and refuses to open a file with
+that flag. Reading as a follower of the writer (SWMR) does not suit remains that may be damaged:
+HDF5 then repeats each read with a wrong checksum, with pauses that double each time. Therefore HDF5
+is given a superblock without the flag, with the true end of the file (as its tool h5clear would
+write it) and a new checksum.
 
 The superblock of version 3 (HDF5 File Format Specification 3.0, II.A): 8 bytes of signature,
 version, two sizes, the consistency flags in byte 11, four addresses of 8 bytes (the end of the file
@@ -21,14 +21,14 @@ import h5py
 
 from rigtool.errors import RunFileError
 
-SIZE = 48
+SUPERBLOCK_SIZE = 48
 VERSION, ADDRESS_SIZE, FLAGS, END, CHECKSUM = 8, 9, 11, 28, 44
 
 _MASK = 0xFFFFFFFF
 
 
 class _Unclosed:
-    """A file to read, as far as h5py needs one, that shows other bytes at its start."""
+    """A readable file with other bytes at its start, as far as h5py needs one."""
 
     def __init__(self, path: Path, start: bytes) -> None:
         self._path, self._start, self._place = path, start, 0
@@ -39,7 +39,7 @@ class _Unclosed:
         os.close(self._handle)
 
     def __repr__(self) -> str:
-        """Return the path: what h5py takes as the file's name."""
+        """Return the path, which h5py takes as the name of the file."""
         return str(self._path)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
@@ -50,7 +50,7 @@ class _Unclosed:
         return self._place
 
     def read(self, size: int) -> bytes:
-        """Read as a file does, with the other bytes where they belong."""
+        """Read as a file does, with the other bytes at the start."""
         data = os.pread(self._handle, size, self._place)
         shown = self._start[self._place : self._place + len(data)]
         self._place += len(data)
@@ -65,16 +65,16 @@ class _Unclosed:
 def open_unclosed(path: Path) -> h5py.File:
     """Open an HDF5 file that was not closed, for reading.
 
-    Raises `RunFileError` where it is not what a writer of run files leaves.
+    Raises `RunFileError` for a file that no writer of run files leaves behind.
     """
     with path.open("rb") as stream:
-        start = bytearray(stream.read(SIZE))
-    if len(start) < SIZE or start[VERSION] != 3 or start[ADDRESS_SIZE] != 8:
+        start = bytearray(stream.read(SUPERBLOCK_SIZE))
+    if len(start) < SUPERBLOCK_SIZE or start[VERSION] != 3 or start[ADDRESS_SIZE] != 8:
         raise RunFileError(f"{path}: has no superblock as a run file has it: nothing to recover")
     if checksum(bytes(start[:CHECKSUM])) != int.from_bytes(start[CHECKSUM:], "little"):
         raise RunFileError(f"{path}: its superblock is damaged: nothing to recover")
     start[FLAGS] = 0
-    # The end that is noted is that of the beginning: what has grown is behind it.
+    # The stored end of the file is the one at its creation; the file has grown since.
     start[END : END + 8] = path.stat().st_size.to_bytes(8, "little")
     start[CHECKSUM:] = checksum(bytes(start[:CHECKSUM])).to_bytes(4, "little")
     shown = _Unclosed(path, bytes(start))

@@ -1,4 +1,4 @@
-"""Following a run back to the raw runs it was made from, and checking every hash on the way."""
+"""Checking every hash of a run and of all runs that it was made from."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _BLOCK = 16 * schema.CHUNK
 
 
 @dataclass(frozen=True)
-class Link:
-    """One file of a chain: how far from the file asked about, and what is wrong with it."""
+class ChainLink:
+    """One file of a chain: its distance from the first file, and its problem if it has one."""
 
     path: Path
     depth: int
@@ -28,8 +28,8 @@ class Link:
     remark: str | None = None
 
 
-def verify(path: str | os.PathLike[str]) -> list[Link]:
-    """Check a run file and, through its inputs, all that it was made from.
+def verify(path: str | os.PathLike[str]) -> list[ChainLink]:
+    """Check a run file and, through its inputs, everything that it was made from.
 
     A file is whole if its hashes fit its content and the samples of each signal fit theirs. A link
     holds if the input is still there (where it was, or beside the file) with the bytes it had; an
@@ -44,11 +44,11 @@ def _follow(
     expected: dict[str, Any] | None,
     beside: Path | None,
     followed: set[Path],
-) -> Iterator[Link]:
+) -> Iterator[ChainLink]:
     command = "" if expected is None else expected["command"]
     found = _find(path, beside)
     if found is None:
-        yield Link(path, depth, command, "is not there, nor beside the file made from it")
+        yield ChainLink(path, depth, command, "is not there, nor beside the file made from it")
         return
     try:
         with open_run(found) as run:
@@ -56,13 +56,13 @@ def _follow(
             remark = None
             if problem is None and expected is not None:
                 problem, remark = _compare(found, run, expected)
-            yield Link(found, depth, run.command, problem, remark)
+            yield ChainLink(found, depth, run.command, problem, remark)
             inputs, origin = run.provenance["inputs"], run.provenance
     except RigtoolError as error:
-        yield Link(found, depth, command, str(error).removeprefix(f"{found}: "))
+        yield ChainLink(found, depth, command, str(error).removeprefix(f"{found}: "))
         return
-    # Most runs share a calibration: what it was made from is told once. Nor can a file that names
-    # itself lead round in circles.
+    # Most runs share a calibration, whose inputs are listed once. This also ends the loop of a
+    # file that names itself.
     if found.resolve() in followed:
         return
     followed.add(found.resolve())
@@ -78,14 +78,14 @@ def _find(path: Path, beside: Path | None) -> Path | None:
     return next((place for place in places if place.exists()), path if beside is None else None)
 
 
-def _source(path: Path, beside: Path, depth: int, sha256: str) -> Link:
+def _source(path: Path, beside: Path, depth: int, sha256: str) -> ChainLink:
     """Return the link to a file that was imported. The imported run is whole without it."""
     found = _find(path, beside)
     if found is None:
-        return Link(path, depth, "source", remark="is not there any more")
+        return ChainLink(path, depth, "source", remark="is not there any more")
     if provenance.file_sha256(found) != sha256:
-        return Link(found, depth, "source", "is another file than the one that was imported")
-    return Link(found, depth, "source")
+        return ChainLink(found, depth, "source", "is another file than the one that was imported")
+    return ChainLink(found, depth, "source")
 
 
 def _damage(run: Run) -> str | None:

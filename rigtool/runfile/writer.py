@@ -278,7 +278,7 @@ class RunWriter:
         self._unsynced += size
 
     def _complete(self, stream: Stream) -> None:
-        # What is left goes into a last chunk that stays as it is.
+        # The remaining samples go into a last, partly filled chunk.
         if stream.waiting:
             self._write(stream, stream.waiting)
         stream.complete = True
@@ -310,7 +310,7 @@ class RunWriter:
         file.close()
 
     def _abandon(self) -> str:
-        """Close everything after an error; return what is to be said about the remains.
+        """Close everything after an error; return a note on the remains.
 
         Whatever the error left behind, this goes on to the end: samples that are in the file stay.
         """

@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.between_set_points import Lacking, remark, resolution
+from rigtool.experiments.between_set_points import (
+    UnsampledCurrent,
+    setpoint_resolution,
+    unsampled_note,
+)
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from tests.experiments.virtual_runs import RECIPE, run
@@ -23,7 +27,7 @@ def line(*found):
 
 
 def test_the_largest_difference_is_told_with_its_torque():
-    (text,) = remark([line((3.0, 2e-3, 1e-4)), line((12.0, -8e-3, 1e-4))], 0.05)
+    (text,) = unsampled_note([line((3.0, 2e-3, 1e-4)), line((12.0, -8e-3, 1e-4))], 0.05)
     assert "up to -8 mA" in text
     assert "0.4 mN m, at 12 rad/s" in text
     assert "sample_time shorter" in text
@@ -31,7 +35,7 @@ def test_the_largest_difference_is_told_with_its_torque():
 
 @pytest.mark.parametrize("found", [(), [(3.0, 2e-4, 1e-4)]])
 def test_nothing_is_said_of_what_is_not_seen(found):
-    assert remark([line(*found), SimpleNamespace(provenance={"line": None})], 0.05) == ()
+    assert unsampled_note([line(*found), SimpleNamespace(provenance={"line": None})], 0.05) == ()
 
 
 @pytest.mark.parametrize("averaged", [1, 8])
@@ -44,20 +48,24 @@ def test_the_step_of_the_current_is_found_in_means_of_several(averaged):
         found = values.reshape(-1, averaged).mean(axis=1)
         return SimpleNamespace(size=found.size, read=lambda name, start, stop: found[start:stop])
 
-    assert resolution(means(np.round(current, 3)), averaged) == pytest.approx(1e-3, rel=1e-6)
-    assert resolution(means(current), averaged) < 1e-6
-    assert resolution(means(np.full(8 * averaged, 0.1)), averaged) == 0
+    assert setpoint_resolution(means(np.round(current, 3)), averaged) == pytest.approx(
+        1e-3, rel=1e-6
+    )
+    assert setpoint_resolution(means(current), averaged) < 1e-6
+    assert setpoint_resolution(means(np.full(8 * averaged, 0.1)), averaged) == 0
 
 
 def test_of_several_runs_at_a_speed_the_largest_difference_counts():
-    lacking = Lacking.of([line((12.0, 1e-3, 1e-5)), line((12.1, -3e-3, 1e-5), (30.0, 1.0, 1e-3))])
+    lacking = UnsampledCurrent.of(
+        [line((12.0, 1e-3, 1e-5)), line((12.1, -3e-3, 1e-5), (30.0, 1.0, 1e-3))]
+    )
     assert lacking.at(12.0) == pytest.approx(-3e-3, rel=1e-4)
     assert lacking.at(20.0) == 0.0
 
 
 def test_what_is_not_known_of_a_difference_counts_too():
     """Of 20 readings whose mean says nothing, their uncertainty is what samples may lack."""
-    lacking = Lacking.of([line((12.0, 1e-4, 4e-4))])
+    lacking = UnsampledCurrent.of([line((12.0, 1e-4, 4e-4))])
     assert lacking.at(12.0) == pytest.approx(4.123e-4, rel=1e-3)
     assert lacking.line(0.05) == pytest.approx((0.05 * 4.123e-4, 0.0), rel=1e-3)
 
@@ -66,14 +74,16 @@ def test_steps_of_position_that_were_not_looked_at_are_refused():
     run = line((12.0, 1e-3, 1e-5))
     told = json.loads(run.provenance["line"]) | {"steps_in_position": True}
     run.provenance["line"] = json.dumps(told)
-    assert Lacking.of([run]).at(12.0) == pytest.approx(1e-3, rel=1e-4)
-    with pytest.raises(InsufficientDataError, match=r"at 20 rad/s was not looked at often enough"):
-        Lacking.of([run]).at(20.0)
+    assert UnsampledCurrent.of([run]).at(12.0) == pytest.approx(1e-3, rel=1e-4)
+    with pytest.raises(InsufficientDataError, match=r"at 20 rad/s was read too rarely"):
+        UnsampledCurrent.of([run]).at(20.0)
 
 
 def test_ripple_says_it(tmp_path, monkeypatch):
     said = "current between set points differs"
-    monkeypatch.setattr(fft_ripple, "remark", lambda runs, constant: (f"{said}: {constant:.3g}",))
+    monkeypatch.setattr(
+        fft_ripple, "unsampled_note", lambda runs, constant: (f"{said}: {constant:.3g}",)
+    )
     sets = ("fft_ripple.speeds=[30]", "fft_ripple.revolutions=3", "fft_ripple.torques=[]")
     more = ("fft_ripple.power_cycles=0",)
     notes = run(FFT_RIPPLE, RECIPE, tmp_path / "ripple.h5", *sets, *more, kt=KT).notes

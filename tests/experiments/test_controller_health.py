@@ -12,7 +12,7 @@ from rigtool.control.position_loop import controller_sections
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.controller_torque import (
     UNEXPLAINED_DISTANCE,
-    require_loop_health,
+    require_tracking,
     smallest_gain,
 )
 from rigtool.recipe import load_recipe
@@ -21,7 +21,7 @@ RECIPE = load_recipe(Path(__file__).parents[2] / "recipes" / "briaire-2006.toml"
 
 
 def look(current=1.0, controller=0.5, distance=0.0):
-    require_loop_health(
+    require_tracking(
         RECIPE, largest_current=current, largest_controller=controller, distance=distance
     )
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from rigtool.errors import HardwareError
-from rigtool.experiments.dry_run import rehearse, require_offered
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.dry_run import rehearse, require_offered
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.experiments.suspension.procedure import PROCEDURE as SUSPENSION
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.recipe import load_recipe
@@ -64,8 +64,8 @@ SHORT = {
 }
 
 
-@pytest.fixture(scope="module")
-def port():
+@pytest.fixture
+def port(world):
     with serve(TargetEmulator(load_recipe(RECIPE)[0])) as server:
         yield server.port
         assert server.error is None

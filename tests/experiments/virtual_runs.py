@@ -3,8 +3,8 @@
 from contextlib import ExitStack
 from pathlib import Path
 
-from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter, open_run
 

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from rigtool.numerics.residual_covariance import FEWEST, independent_samples, long_run_covariance
+from rigtool.numerics.residual_covariance import (
+    MIN_COEFFICIENTS,
+    independent_samples,
+    long_run_covariance,
+)
 
 COUNT = 4000
 
@@ -67,7 +71,7 @@ def test_degrees_of_freedom_are_the_coefficients():
     random = np.random.default_rng(4)
     design, residual = regressors(random), random.normal(size=COUNT)
     assert long_run_covariance(design, residual, 1000.0)[1] == 99  # 1000^(2/3), not quite 100
-    assert long_run_covariance(design, residual, 1.0)[1] == FEWEST
+    assert long_run_covariance(design, residual, 1.0)[1] == MIN_COEFFICIENTS
     assert long_run_covariance(design[:5], residual[:5], 1000.0)[1] == 4
 
 

@@ -4,15 +4,23 @@ from dataclasses import replace
 
 import pytest
 
-from rigtool.report.formats import Cell, Column, ReportTable, csv_text, latex, markdown, terminal
+from rigtool.report.formats import (
+    Cell,
+    ReportColumn,
+    ReportTable,
+    csv_text,
+    latex,
+    markdown,
+    terminal,
+)
 
 TABLE = ReportTable(
     "table-8-run",
     "Table 8. A title & more",
     (
-        Column("name", "Name", numeric=False),
-        Column("mean", "Mean", "mN m", "N m", uncertain=True),
-        Column("error", "Error", "%", "%"),
+        ReportColumn("name", "Name", numeric=False),
+        ReportColumn("mean", "Mean", "mN m", "N m", uncertain=True),
+        ReportColumn("error", "Error", "%", "%"),
     ),
     (
         (Cell("a_b | c", "a_b | c"), Cell("1.37(10)", 1.37e-3, 1e-4), Cell("-14.6", -14.6)),

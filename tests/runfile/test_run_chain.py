@@ -14,7 +14,7 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import Column, RunWriter, Table, open_run, provenance
 from rigtool.runfile.comparison import Tolerance, differences
 from rigtool.runfile.objects import make_group, make_text
-from rigtool.runfile.verification import Link, verify
+from rigtool.runfile.verification import ChainLink, verify
 from tests.runfile.whole_run import RESULTS, SPECS, TABLES, samples, write
 
 
@@ -25,7 +25,7 @@ def chain(folder: Path) -> Path:
     return write(folder / "last.h5", inputs=(middle, raw), recordings=())
 
 
-def problems(links: list[Link]) -> dict[str, str]:
+def problems(links: list[ChainLink]) -> dict[str, str]:
     return {link.path.name: link.problem for link in links if link.problem}
 
 

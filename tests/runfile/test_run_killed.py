@@ -291,7 +291,7 @@ def test_recovering_does_not_overwrite(tmp_path):
     before = (tmp_path / "run.h5").read_bytes()
     with pytest.raises(UsageError, match="exists already"):
         recover(part, tmp_path / "run.h5")
-    with pytest.raises(UsageError, match="is what is to be recovered"):
+    with pytest.raises(UsageError, match="is the file to recover"):
         recover(part, part, overwrite=True)
     assert (tmp_path / "run.h5").read_bytes() == before
 

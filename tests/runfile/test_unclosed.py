@@ -11,7 +11,7 @@ import pytest
 from rigtool.errors import RunFileError
 from rigtool.runfile import RunWriter, open_run
 from rigtool.runfile.recovery import recover
-from rigtool.runfile.unclosed import CHECKSUM, SIZE, checksum
+from rigtool.runfile.unclosed import CHECKSUM, SUPERBLOCK_SIZE, checksum
 from tests.runfile.test_run_damaged import cut, flipped, flipped_in_headers, overwritten, swapped
 from tests.runfile.whole_run import SPECS, samples
 
@@ -41,7 +41,7 @@ def test_the_checksum_is_the_published_one():
 
 
 def test_the_checksum_is_that_of_hdf5(part):
-    start = part.read_bytes()[:SIZE]
+    start = part.read_bytes()[:SUPERBLOCK_SIZE]
     assert checksum(start[:CHECKSUM]) == int.from_bytes(start[CHECKSUM:], "little")
 
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.deploy.quantised_table import loss, nodes, quantise
 from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS, LearnedTable
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 INT16 = 32767
 """Largest code of a table of 2-byte numbers."""

@@ -10,14 +10,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.deploy.fourier_table import fourier_series
 from rigtool.experiments.deploy.position_map import PositionMap
 from rigtool.experiments.deploy.quantised_table import held_values, interpolated_codes, nodes
 from rigtool.experiments.learning.learned_table import LearnedTable
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 MOTEUS_SIZE, INT8 = 1024, 127
 ODRIVE_SIZE = 3600

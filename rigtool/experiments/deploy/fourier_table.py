@@ -20,8 +20,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.deploy.position_map import PositionMap
 from rigtool.experiments.deploy.quantised_table import Loss, loss
 from rigtool.experiments.ripple.orders import CLEAR
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import UsageError
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 TURN = 2 * math.pi
 

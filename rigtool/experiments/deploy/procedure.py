@@ -12,21 +12,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import HardwareError, InsufficientDataError, UsageError
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
 from rigtool.experiments.deploy.quantised_table import Sampled, interpolated_codes
 from rigtool.experiments.deploy.stored_export import in_unit
 from rigtool.experiments.learning.stored_table import learned_table_from
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drivers import REPLAY, driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.table_store import DriveTable, EncoderZero, TableStore
 from rigtool.runfile import Run
-
-Array = NDArray[np.float64]
 
 TIMEOUT = 1.0
 """Longest wait for an answer, s: a drive that writes its flash is busy."""

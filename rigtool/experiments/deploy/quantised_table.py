@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.deploy.position_map import TURN, PositionMap
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 FINE = 2**16
 """Positions of the turn at which the loss is looked for."""

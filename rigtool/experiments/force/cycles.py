@@ -18,12 +18,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
-
-Array = NDArray[np.float64]
 
 HYSTERESIS = 0.1
 """Part of the stroke by which the position must pass the middle to count as having passed."""

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.force.imported_strokes import levels_table, read_strokes, scatter_results
@@ -32,11 +31,9 @@ from rigtool.experiments.imported_load.imported_accuracy import (
 from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
 from rigtool.experiments.imported_load.stored import RANDOM, WIDE_MODEL, load_model_from
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LEFT_OUT, RANDOM_HALF = 0, 1
 """How the samples that are judged were kept from learning: other runs, or random halves."""

@@ -12,14 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.imported_load.imported_accuracy import FAST, LoadSignals
 from rigtool.experiments.imported_load.model import TorqueEstimate
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
-
-Array = NDArray[np.float64]
 
 CELLS = 25
 """Positions along the stroke at which repeats are compared."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.controller_torque import LoopSignals, loop_blocks, loop_signals, naming
 from rigtool.experiments.force.cycles import find_cycles, readings
@@ -13,13 +12,12 @@ from rigtool.experiments.force.results import Reading
 from rigtool.experiments.force.results_method import resolution_u, unsteady_torque
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
 from rigtool.experiments.load_disturbance.stored_recordings import cycles_of
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.decimation import Decimator
 from rigtool.numerics.lowpass import kept_factor, lowpass
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
-
-Array = NDArray[np.float64]
 
 RATE_SAMPLES = 8192
 """Samples that the sampling frequency is taken from."""

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force.cycles import (
     Cycle,
@@ -19,11 +18,10 @@ from rigtool.experiments.force.cycles import (
 )
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
-
-Array = NDArray[np.float64]
 
 GRID_COUNTS = 10
 """Distance between the points of stored curves, quad counts."""

@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force.results import COLUMNS, LoadRow, Reading, loads_table
@@ -23,11 +22,10 @@ from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
 from rigtool.experiments.load_disturbance.reading import LoadReading, dead_band, read_load
 from rigtool.experiments.load_disturbance.stored import disturbance_from, load_friction
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
-
-Array = NDArray[np.float64]
 
 BEYOND = 1.05
 """Loads up to this many times the largest learned one are still read."""

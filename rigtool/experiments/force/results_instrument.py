@@ -6,17 +6,15 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force.cycles import Peaks, peaks
 from rigtool.experiments.force.results import Reading, applied_torque, stroke_grid
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
-
-Array = NDArray[np.float64]
 
 
 def instrument_outcome(extra: Mapping[str, Reading], recipe: Recipe, constant: Quantity) -> Outcome:

@@ -12,17 +12,20 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.between_set_points import LIMIT, REMEDY, Lacking, resolution
+from rigtool.experiments.between_set_points import (
+    REMEDY,
+    UNSAMPLED_LIMIT,
+    UnsampledCurrent,
+    setpoint_resolution,
+)
 from rigtool.experiments.force.cycles import Cycle, readings
 from rigtool.experiments.force.results import applied_torque
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Recording, Run
-
-Array = NDArray[np.float64]
 
 UNSTEADY = 0.3
 """Part by which the speed at the reading, low-passed as the torque is, may differ from its set
@@ -55,18 +58,19 @@ def lacking_torque(
     """
     rig, settings = recipe.rig, recipe.measure_force
     speed = 2 * math.pi * settings.speed_rev_per_s * rig.angle_ratio
-    current = Lacking.of([run]).at(speed)
+    current = UnsampledCurrent.of([run]).at(speed)
     lacking = abs(rig.torque_factor * torque_constant * current)
     angle = math.radians(settings.measure_angle)
     applied = [abs(float(applied_torque(recipe, force, angle))) for force in forces if force]
-    limit = LIMIT * max(applied, default=0.0)
+    limit = UNSAMPLED_LIMIT * max(applied, default=0.0)
     text = (
         f"current between set points differs from that of the samples by {current * 1e3:.3g} mA "
         f"with its uncertainty, {lacking * 1e3:.3g} mN m at the output"
     )
     if lacking > limit:
         raise InsufficientDataError(
-            f"{text}: more than {limit * 1e3:.3g} mN m, {LIMIT:.0%} of the largest load; {REMEDY}"
+            f"{text}: more than {limit * 1e3:.3g} mN m, {UNSAMPLED_LIMIT:.0%} of the largest load; "
+            f"{REMEDY}"
         )
     if lacking > NOTEWORTHY * min(applied, default=0.0):
         return lacking, (f"{text}, which is in the uncertainty of each load: {REMEDY}",)
@@ -126,5 +130,5 @@ def _slopes(first: Array, second: Array, values: Array) -> tuple[float, float]:
 
 def resolution_u(recording: Recording, recipe: Recipe, torque_constant: float) -> float:
     """Return the standard uncertainty by the steps of reported current, N m at the output."""
-    step = resolution(recording, recipe.measure_force.record_every)
+    step = setpoint_resolution(recording, recipe.measure_force.record_every)
     return recipe.rig.torque_factor * torque_constant * step / math.sqrt(12)

@@ -1,13 +1,13 @@
-"""Breakaway: at which torque the shaft begins to move, around the turn [7.1.2, Fig. 22].
+"""Breakaway torque, at which the shaft begins to move, around the turn [7.1.2, Fig. 22].
 
 A slow ramp of torque first bends the contacts of the bearings (pre-sliding: the shaft creeps by a
 fraction of a degree), then the shaft breaks away and runs off. It has broken away where it moves on
-from one angle to its double within a small part of the ramp's time; the torque is read where that
-motion, drawn back as a straight line, begins:
+from one angle to its double within a small part of the ramp's time; the torque is read at the time
+where that motion, extrapolated back as a straight line, begins:
 
     t0 = t1 - (t2 - t1),   t1, t2 = first times beyond the angle and its double
 
-While motion is still slow compared with the ramp, the angle is doubled.
+The angle is doubled while the motion is still slow compared with the ramp.
 """
 
 from __future__ import annotations
@@ -15,19 +15,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.turn_mean import TurnMean, group_angles, mean_over_turn
 
-Array = NDArray[np.float64]
-
-FALLEN = 0.02
+RAMP_END_DROP = 0.02
 """A ramp ends where the torque falls by this part of its highest value between two samples."""
 
-RUNAWAY = 0.05
-"""Breakaway takes less than this part of the ramp's time; what takes longer is pre-sliding."""
+BREAKAWAY_TIME = 0.05
+"""Breakaway takes less than this part of the ramp's time; a slower motion is pre-sliding."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ def find_ramps(
     t, shaft, effort = require_signals(16, time=time, angle=angle, torque=torque)
     size = np.abs(effort)
     step = float(np.median(np.diff(t)))
-    fallen = np.diff(size) < -FALLEN * size.max()
+    fallen = np.diff(size) < -RAMP_END_DROP * size.max()
     new = np.flatnonzero((np.diff(t) > 10 * step) | (np.diff(t) <= 0) | fallen) + 1
     edges = np.concatenate([[0], new, [len(t)]])
     ramps = []
@@ -75,16 +74,16 @@ def find_ramps(
 
 def _onset(time: Array, angle: Array, threshold: float) -> float | None:
     """Return when the shaft breaks away, s; None where it does not."""
-    # Where the current begins, the shaft may first spring back: count from its furthest point.
+    # The shaft may first spring back as the current begins: count from its furthest point.
     moved = angle - np.minimum.accumulate(angle)
     while threshold <= moved.max():
         once = float(time[np.argmax(moved > threshold)]) if moved.max() > threshold else np.inf
         beyond = moved > 2 * threshold
         if not beyond.any():
-            # The recording ends with the motion: no time left to draw it back.
-            return once if np.isfinite(once) and once >= (1 - RUNAWAY) * time[-1] else None
+            # The recording ends during the motion, too early to extrapolate it back.
+            return once if np.isfinite(once) and once >= (1 - BREAKAWAY_TIME) * time[-1] else None
         twice = float(time[np.argmax(beyond)])
-        if twice - once <= RUNAWAY * once:
+        if twice - once <= BREAKAWAY_TIME * once:
             return max(0.0, 2 * once - twice)
         threshold *= 2
     return None
@@ -94,8 +93,8 @@ def _onset(time: Array, angle: Array, threshold: float) -> float | None:
 class Breakaway:
     """Breakaway torques by position (k,) rad, magnitudes in N m, NaN where there is none.
 
-    `scatter` is the standard deviation of a single one beside what repeats around the turn, with
-    `dof` (0: unknown).
+    `scatter` is the standard deviation of a single one about the part that repeats around the
+    turn, with `dof` (0: unknown).
     """
 
     position: Array
@@ -130,7 +129,7 @@ class Breakaway:
 
 
 def around_turn(ramps: list[Ramp], positions: Array | None = None) -> Breakaway:
-    """Arrange ramps by position; `positions` (k,) rad are those of another series to pair with.
+    """Return ramps by position; `positions` (k,), rad, of another series to pair them with.
 
     Raises `InsufficientDataError` where most ramps do not break away.
     """

@@ -1,4 +1,4 @@
-"""Mean torque at constant speeds: holds, whole revolutions, and what scatter says of the mean.
+"""Mean torque at constant speeds (holds) over whole revolutions, and its uncertainty.
 
 Cogging and the amplifier's ripple repeat with the rotor's angle: over whole revolutions they
 average out [7.1.3]. Noise that varies more slowly than the samples makes the mean of n samples
@@ -16,32 +16,29 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.settling import settled_from
 
-Array = NDArray[np.float64]
-
-STEADY = 1e-3
-"""A hold changes its speed by less than this part of the highest speed in a second."""
-
-BAND = 0.25
-"""Settled is what stays within the range of the last part, widened by this much on either side."""
+STEADY_ACCELERATION = 1e-3
+"""Acceleration in a hold, relative to the highest speed, stays below this, 1/s."""
 
 ORDINATES = 6
 """Lowest Fourier components from which the noise at zero frequency is taken."""
 
 SHAKING_TIME = 0.05
-"""Torque that varies faster than this, s, is the speed loop's own restlessness."""
+"""Torque that varies faster than this, s, comes from the speed loop, not from friction."""
 
 SHAKING_LIMIT = 0.25
-"""Speed that the torque's restlessness makes, relative to the mean: above, a hold is no hold."""
+"""Relative standard deviation of the speed, from fast torque, above which a hold is left out."""
 
-SHORTEST = 16
-"""Samples that a hold needs."""
+MIN_SAMPLES = 16
+"""Smallest number of samples in a hold."""
 
-STANDSTILL = 1e-3
+AT_REST = 1e-3
 """Speeds below this part of the highest one are standstill."""
 
 
@@ -52,8 +49,8 @@ class Holds:
     `speed` in rad/s with its sign, `torque` in N m, `u` its standard uncertainty with `dof`;
     `revolutions` counts the whole turns averaged, 0 where there was less than one. `shaking` is
     the standard deviation of speed that the torque's fast part makes, relative to the speed:
-    above `SHAKING_LIMIT` the shaft starts and stops, and the torque belongs to no one speed.
-    `settled` is how much was left out at the start, s.
+    above `SHAKING_LIMIT` the shaft starts and stops, and the torque belongs to no single speed.
+    `settled` is the time left out at the start, s.
     """
 
     speed: Array
@@ -64,7 +61,7 @@ class Holds:
     shaking: Array
     settled: Array
 
-    def __getitem__(self, chosen: NDArray[np.bool_]) -> Holds:
+    def __getitem__(self, chosen: Mask) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
@@ -80,23 +77,24 @@ def find_holds(
 
     All signals (n,): `time` in s, measured `angle` and its `setpoint` in rad, `torque` in N m.
     `inertia` on the shaft in kg m2. Holds are where the set point's speed is constant; without a
-    set point the whole recording is one. Settling is left out: all before the following error stays
-    within its range in the last part of the hold; without a set point, what makes the mean of
-    torque or speed less certain (`_warm_up`). Raises `InsufficientDataError` without a hold.
+    set point the whole recording is one. Settling is left out: with a set point, the samples before
+    the following error stays in its range of the last turn; without one, the samples that make the
+    mean of torque or speed less certain (`_warm_up`). Raises `InsufficientDataError` without a
+    hold.
     """
-    t, shaft, effort = require_signals(SHORTEST, time=time, angle=angle, torque=torque)
+    t, shaft, effort = require_signals(MIN_SAMPLES, time=time, angle=angle, torque=torque)
     require_rising(t)
     if setpoint is None:
         stretches = [(0, len(t))]
         wanted, watched = shaft, None
     else:
-        _, wanted = require_signals(SHORTEST, time=t, position_setpoint=setpoint)
+        _, wanted = require_signals(MIN_SAMPLES, time=t, position_setpoint=setpoint)
         stretches = _steady_stretches(t, wanted)
         watched = wanted - shaft
     holds = [
         _hold(t[a:b], wanted[a:b], effort[a:b], None if watched is None else watched[a:b], inertia)
         for a, b in stretches
-        if b - a >= SHORTEST
+        if b - a >= MIN_SAMPLES
     ]
     if not holds:
         raise InsufficientDataError(
@@ -107,7 +105,7 @@ def find_holds(
 
 
 def pool(parts: list[Holds]) -> Holds:
-    """Put the holds of several recordings together."""
+    """Return the holds of several recordings as one."""
     names = Holds.__dataclass_fields__
     return Holds(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
@@ -119,9 +117,9 @@ def _steady_stretches(time: Array, setpoint: Array) -> list[tuple[int, int]]:
     if highest == 0:
         return []
     # A change of speed between samples i and i + 1 ends a stretch at sample i + 1.
-    change = np.abs(np.diff(speed)) / np.diff(time)[1:] > STEADY * highest
+    change = np.abs(np.diff(speed)) / np.diff(time)[1:] > STEADY_ACCELERATION * highest
     change |= (np.diff(time)[1:] > 1.5 * np.median(np.diff(time))) | (
-        np.abs(speed[1:]) < STANDSTILL * highest
+        np.abs(speed[1:]) < AT_REST * highest
     )
     edges = np.flatnonzero(np.diff(np.concatenate([[True], change, [True]]).astype(np.int8)))
     return [(int(a), int(b) + 2) for a, b in edges.reshape(-1, 2)]
@@ -150,21 +148,18 @@ def _hold(
 
 
 def _settling(travel: Array, watched: Array) -> int:
-    """Return the first sample from which on a signal stays as it is in the last turn (or half)."""
+    """Return the first sample from which on a signal stays as in the last turn (or half)."""
     turns = travel[0] / (2 * np.pi)
     last = np.searchsorted(-travel, -2 * np.pi) if turns >= 2 else len(watched) // 2
-    low, high = np.min(watched[last:]), np.max(watched[last:])
-    margin = BAND * (high - low)
-    outside = (watched[:last] < low - margin) | (watched[:last] > high + margin)
-    return int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 0
+    return settled_from(watched, int(last))
 
 
 def _warm_up(values: Array) -> int:
-    """Return how many samples to leave out at the start, of the first half, for the surest mean.
+    """Return how many samples of the first half to leave out for the most certain mean.
 
-    The d that minimises the squared standard error of the mean of what follows,
+    The d that minimises the squared standard error of the mean of the rest,
     sum over i >= d of (x_i - mean)^2 / (n - d)^2, over means of five samples (MSER-5: White,
-    Simulation 69(6) 323-334, 1997). What settles costs more by its deviation than it adds.
+    Simulation 69(6) 323-334, 1997). Settling adds more deviation than its samples take off.
     """
     batches = values[: len(values) // 5 * 5].reshape(-1, 5).mean(axis=1)
     batches = batches - batches.mean()
@@ -175,7 +170,7 @@ def _warm_up(values: Array) -> int:
 
 
 def _uncertainty(torque: Array, revolutions: int) -> tuple[float, float]:
-    """Return the standard uncertainty of the mean of correlated samples and its dof."""
+    """Return the standard uncertainty of the mean of correlated samples, and its dof."""
     n = len(torque)
     power = np.abs(np.fft.rfft(torque - np.mean(torque))) ** 2
     k = np.arange(1, len(power))
@@ -188,18 +183,12 @@ def _uncertainty(torque: Array, revolutions: int) -> tuple[float, float]:
 def _shaking(torque: Array, sample: float, inertia: float) -> float:
     """Return the standard deviation of speed that the fast part of the torque makes, rad/s.
 
-    Samples that are too far apart do not show it: then it counts as none.
+    Zero where the samples are too far apart to show it.
     """
+    from scipy.ndimage import uniform_filter1d
+
     width = round(SHAKING_TIME / sample)
     if width < 10:
         return 0.0
-    speed = np.cumsum(torque - _smooth(torque, width)) * sample / inertia
-    return float(np.std(speed - _smooth(speed, width)))
-
-
-def _smooth(values: Array, width: int) -> Array:
-    """Return a moving mean, with the ends repeated."""
-    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
-    sums = np.concatenate([[0.0], np.cumsum(padded)])
-    smooth: Array = (sums[width:] - sums[:-width]) / width
-    return smooth
+    speed = np.cumsum(torque - uniform_filter1d(torque, width, mode="nearest")) * sample / inertia
+    return float(np.std(speed - uniform_filter1d(speed, width, mode="nearest")))

@@ -7,19 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.friction.friction_tables import holds_table
-from rigtool.experiments.friction.holds import Holds, find_holds, pool
+from rigtool.experiments.friction.holds import find_holds, pool
 from rigtool.experiments.friction.imported_motion import add_dynamics
-from rigtool.experiments.friction.motion_terms import Motion, band_limit
+from rigtool.experiments.friction.motion_terms import SmoothedMotion, band_limit
 from rigtool.experiments.friction.procedure_analysis import fit_directions, separate
 from rigtool.experiments.friction.results import (
-    Found,
+    Findings,
     Scale,
     add_friction,
     add_static_friction,
+    holds_table,
 )
 from rigtool.experiments.imported import (
     Effort,
@@ -31,26 +30,24 @@ from rigtool.experiments.imported import (
     signals_of,
 )
 from rigtool.experiments.outcome import Outcome
-from rigtool.runfile import Column, Recording, Run, Table
+from rigtool.runfile import Recording, Run
 
-Array = NDArray[np.float64]
+SPEED_PARTS = 10
+"""Number of parts of a recording whose mean speeds are compared."""
 
-PARTS = 10
-"""Parts into which a recording is cut to see whether its speed is constant."""
+SPEED_SPREAD_LIMIT = 0.25
+"""Mean speeds in the second half of a hold differ by less than this part from their mean."""
 
-CONSTANT = 0.25
-"""A hold's mean speeds in the parts of its second half differ by less than this from their mean."""
+MIN_PROGRESS = 0.1
+"""Net part of the path that a hold covers at least: an oscillation covers none."""
 
-ONWARDS = 0.1
-"""A hold gets on by this part of the way that the shaft goes to and fro, at least."""
-
-UNITS = {
+UNITS_BY_EFFORT = {
     "N": {"N m": "N", "N m s/rad": "N s/m", "rad/s": "m/s", "rad": "m", "kg m2": "kg"},
     "A": {"N m": "A", "N m s/rad": "A s/rad", "kg m2": "A s2/rad"},
     "1": {"N m": "1", "N m s/rad": "s/rad", "kg m2": "s2/rad"},
     "N m": {},
 }
-"""What becomes of a unit on a rotary axis, by the unit of what the motor does."""
+"""Units of the results by the unit of the motor's effort, for the units of torque in rad."""
 
 
 def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
@@ -70,22 +67,22 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
             "kinds one after the other"
         )
     first = efforts[0]
-    found = Found(Scale(1.0, first.relative_u or 0.0))
+    found = Findings(Scale(1.0, first.relative_u or 0.0))
     found.notes.append(f"torque is {first.origin}")
     if first.relative_u is None:
         found.notes.append(
-            f"how uncertain the scale of {first.name} is, is not known: it is not part of the "
+            f"the uncertainty of the scale of {first.name} is unknown and not part of the "
             "uncertainties"
         )
     if all(held):
         _add_holds(runs, recordings, efforts, found)
     else:
         _add_motion(runs, recordings, efforts, found)
-    return _in_units(found, UNITS[first.unit], linear=is_linear(recordings[0]))
+    return _in_units(found, UNITS_BY_EFFORT[first.unit], linear=is_linear(recordings[0]))
 
 
 def _is_held(recording: Recording) -> bool:
-    """Say whether a recording is of constant speed, once it has settled.
+    """Return whether a recording holds constant speeds, once it has settled.
 
     One with a set point may hold several speeds in a row.
     """
@@ -96,12 +93,12 @@ def _is_held(recording: Recording) -> bool:
         top = float(np.max(np.abs(speed)))
         steady = np.abs(np.diff(speed)) <= 1e-3 * top * np.diff(time)[1:]
         return bool(np.mean(steady & (np.abs(speed[1:]) > 0.01 * top)) > 0.5)
-    edges = np.linspace(time[0], time[-1], PARTS + 1)[PARTS // 2 :]
+    edges = np.linspace(time[0], time[-1], SPEED_PARTS + 1)[SPEED_PARTS // 2 :]
     speeds = np.diff(np.interp(edges, time, position)) / np.diff(edges)
-    constant = np.max(np.abs(speeds - speeds.mean())) <= CONSTANT * abs(speeds.mean())
-    # An oscillation that fits the parts has equal mean speeds as well: next to none.
+    constant = np.max(np.abs(speeds - speeds.mean())) <= SPEED_SPREAD_LIMIT * abs(speeds.mean())
+    # An oscillation whose period fits the parts has equal mean speeds too, all near zero.
     late = position[np.searchsorted(time, edges[0]) :]
-    onwards = abs(late[-1] - late[0]) >= ONWARDS * np.sum(np.abs(np.diff(late)))
+    onwards = abs(late[-1] - late[0]) >= MIN_PROGRESS * np.sum(np.abs(np.diff(late)))
     return bool(constant and onwards)
 
 
@@ -109,7 +106,7 @@ def _is_held(recording: Recording) -> bool:
 
 
 def _add_holds(
-    runs: Sequence[Run], recordings: Sequence[Recording], efforts: Sequence[Effort], found: Found
+    runs: Sequence[Run], recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings
 ) -> None:
     parts = []
     inertia = known(recordings[0], "inertia")
@@ -121,7 +118,7 @@ def _add_holds(
                 angle=position_of(recording),
                 torque=effort.values,
                 setpoint=recording.read(setpoint) if recording.has(setpoint) else None,
-                # Without it, nobody can tell how much the torque shakes the speed.
+                # Without the inertia, the speed that fast torque makes is unknown.
                 inertia=math.inf if inertia is None else inertia,
             )
         except InsufficientDataError as error:
@@ -133,7 +130,7 @@ def _add_holds(
             "the inertia is not known: holds in which the shaft starts and stops are not left out"
         )
     fits = fit_directions(holds.speed, holds.torque, holds.u)
-    found.tables["holds"] = _with_settling(holds)
+    found.tables["holds"] = holds_table(holds, settled=True)
     settled = int(np.count_nonzero(holds.settled > 0))
     found.notes.append(
         f"settling was left out at the start of {settled} of {len(holds.speed)} holds, at most "
@@ -144,20 +141,13 @@ def _add_holds(
     add_static_friction(None, fits, offset, found)
 
 
-def _with_settling(holds: Holds) -> Table:
-    table = holds_table(holds)
-    order = np.argsort(holds.speed, kind="stable")
-    settled = Column(holds.settled[order], "s", "left out at the start")
-    return replace(table, columns={**table.columns, "settled": settled})
-
-
 # -- any motion
 
 
 def _add_motion(
-    runs: Sequence[Run], recordings: Sequence[Recording], efforts: Sequence[Effort], found: Found
+    runs: Sequence[Run], recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings
 ) -> None:
-    motions: list[Motion] = []
+    motions: list[SmoothedMotion] = []
     for run, recording, effort in zip(runs, recordings, efforts, strict=True):
         try:
             motion = band_limit(
@@ -171,10 +161,13 @@ def _add_motion(
     add_dynamics(motions, found)
 
 
-def _in_units(found: Found, units: Mapping[str, str], *, linear: bool) -> Outcome:
-    """Return what was found in the units of the axis."""
+def _in_units(found: Findings, units: Mapping[str, str], *, linear: bool) -> Outcome:
+    """Return the findings in the units of the axis."""
     if linear:
-        units = {**UNITS["N"], **{of: unit.replace("rad", "m") for of, unit in units.items()}}
+        units = {
+            **UNITS_BY_EFFORT["N"],
+            **{of: unit.replace("rad", "m") for of, unit in units.items()},
+        }
     results = {n: replace(q, unit=units.get(q.unit, q.unit)) for n, q in found.results.items()}
     tables = {
         name: replace(

@@ -6,47 +6,49 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify
-from rigtool.experiments.friction.motion_terms import Motion
-from rigtool.experiments.friction.results import DIRECTIONS, NOT_SEPARATED, Found
+from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dynamics
+from rigtool.experiments.friction.motion_terms import SmoothedMotion
+from rigtool.experiments.friction.results import DIRECTIONS, NOT_SEPARATED, Findings
 from rigtool.experiments.friction.stribeck_fit import separate_offset
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
-Array = NDArray[np.float64]
+NEGATIVE_INERTIA = -3.0
+"""An inertia below this multiple of its uncertainty is negative, which is impossible."""
 
-NEGATIVE = -3.0
-"""An inertia this many times its uncertainty from zero is negative, which none can be."""
+NOTED_POWER = 0.1
+"""Part of the residual's power, as a function of speed or position, that is worth a note."""
 
-WORTH_SAYING = 0.1
-"""Part of the residual's power that is a function of speed or position, to be said in a note."""
-
-RANGES = 60
-"""Ranges of speed in the table of the fit."""
+TABLE_RANGES = 60
+"""Number of ranges of speed in the table of the fit."""
 
 
-def add_dynamics(motions: Sequence[Motion], found: Found) -> None:
-    """Fit the equation of motion to all motions and add what it tells.
+def add_dynamics(motions: Sequence[SmoothedMotion], found: Findings) -> None:
+    """Fit the equation of motion to all motions and add its parameters.
 
     Raises `InsufficientDataError` where they do not carry friction.
     """
-    dynamics = identify(motions)
+    dynamics = identify_dynamics(motions)
     dof = float(dynamics.dof)
     _add_inertia(dynamics, found)
     found.add("viscous_friction", dynamics.estimate("viscous"), "N m s/rad", dof)
     coulomb, u = dynamics.estimate("coulomb")
     found.add("coulomb_friction", (coulomb, u), "N m", dof)
     offset, offset_u = dynamics.estimate("offset")
-    # One motion has one level of friction: asymmetry of it looks like a constant torque.
+    # One motion has one level of friction: its asymmetry looks like a constant torque.
     level = max(coulomb, u, 1e-300)
-    told = separate_offset(np.array([level]), np.array([offset]), np.array([offset_u]), np.zeros(1))
+    separated = separate_offset(
+        np.array([level]), np.array([offset]), np.array([offset_u]), np.zeros(1)
+    )
     for direction in DIRECTIONS.values():
-        total = math.hypot(u, told.offset[1])
+        total = math.hypot(u, separated.offset[1])
         found.add(f"coulomb_friction_{direction}", (coulomb, total), "N m", dof)
-    found.add("friction_offset", told.offset, "N m", dof)
-    found.results["friction_asymmetry"] = Quantity(told.asymmetry[0], "1", told.asymmetry[1])
+    found.add("friction_offset", separated.offset, "N m", dof)
+    found.results["friction_asymmetry"] = Quantity(
+        separated.asymmetry[0], "1", separated.asymmetry[1]
+    )
     found.notes.append(NOT_SEPARATED)
     found.results["residual_rms"] = Quantity(
         dynamics.residual_rms, "N m", reason="a measure of scatter itself"
@@ -55,26 +57,26 @@ def add_dynamics(motions: Sequence[Motion], found: Found) -> None:
     found.tables["dynamics_fit"] = _fit_table(motions, dynamics)
 
 
-def _add_inertia(dynamics: Dynamics, found: Found) -> None:
+def _add_inertia(dynamics: Dynamics, found: Findings) -> None:
     if dynamics.without_inertia is not None:
         found.notes.append(f"no inertia is stated: {dynamics.without_inertia}")
         return
     inertia, u = dynamics.estimate("inertia")
-    if inertia <= NEGATIVE * u:
+    if inertia <= NEGATIVE_INERTIA * u:
         found.notes.append(
             f"no inertia is stated: it comes out as {inertia:.3g} (SI), below zero, so a spring "
-            "acts as well, which an oscillation of one frequency does not tell from inertia"
+            "acts as well, which an oscillation at one frequency does not separate from inertia"
         )
         return
     found.add("inertia", (inertia, u), "kg m2", float(dynamics.dof))
     if dynamics.single_frequency:
         found.notes.append(
             "the motion has one frequency: a spring would look like less inertia; move at several "
-            "frequencies to tell them apart"
+            "frequencies to separate them"
         )
 
 
-def _notes(motions: Sequence[Motion], dynamics: Dynamics) -> list[str]:
+def _notes(motions: Sequence[SmoothedMotion], dynamics: Dynamics) -> list[str]:
     cutoffs = [motion.cutoff for motion in motions]
     left_out = sum(motion.left_out for motion in motions)
     total = sum(motion.samples for motion in motions)
@@ -87,28 +89,28 @@ def _notes(motions: Sequence[Motion], dynamics: Dynamics) -> list[str]:
         (dynamics.by_speed, "speed: friction is no straight line over speed"),
         (dynamics.by_position, "position: ripple, a spring or a load acts as well"),
     ):
-        if share > WORTH_SAYING:
+        if share > NOTED_POWER:
             notes.append(
-                f"{share:.0%} of what is left unexplained is a function of {what}; what that may "
-                "do to the results is part of their uncertainties"
+                f"{share:.0%} of the unexplained power is a function of {what}; its possible "
+                "effect on the results is part of their uncertainties"
             )
     if resampled := sum(motion.resampled for motion in motions):
         notes.append(f"{resampled} irregular time axes were resampled at their median rate")
     return notes
 
 
-def _fit_table(motions: Sequence[Motion], dynamics: Dynamics) -> Table:
-    """Return torque and model over speed, a range of speed each, means over all motions."""
+def _fit_table(motions: Sequence[SmoothedMotion], dynamics: Dynamics) -> Table:
+    """Return the means of torque and model by range of speed, over all motions."""
     speed = np.concatenate([motion.design[motion.used, 1] for motion in motions])
     torque = np.concatenate([motion.torque[motion.used] for motion in motions])
     model = np.concatenate([dynamics.torque(motion)[motion.used] for motion in motions])
-    edges = np.linspace(speed.min(), speed.max(), RANGES + 1)
-    index = np.clip(np.digitize(speed, edges) - 1, 0, RANGES - 1)
-    count = np.bincount(index, minlength=RANGES)
+    edges = np.linspace(speed.min(), speed.max(), TABLE_RANGES + 1)
+    index = np.clip(np.digitize(speed, edges) - 1, 0, TABLE_RANGES - 1)
+    count = np.bincount(index, minlength=TABLE_RANGES)
     there = count > 0
 
     def mean(values: Array) -> Array:
-        return np.bincount(index, values, RANGES)[there] / count[there]
+        return np.bincount(index, values, TABLE_RANGES)[there] / count[there]
 
     return Table(
         ("speed",),

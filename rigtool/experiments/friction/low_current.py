@@ -1,28 +1,26 @@
-"""Is the amplifier linear at the small currents that friction takes [6.2.2, Appendix C]?
+"""Linearity of the amplifier at the small currents that friction takes [6.2.2, Appendix C].
 
 measured current = offset + gain * set point + deviation(set point), by least squares through the
-means of bins of set point. A healthy amplifier leaves deviations that do not matter beside the
-current that friction takes; the IDM640 of Appendix C did not.
+means of bins of set point. The deviations of a sound amplifier are small against the current that
+friction takes; those of the IDM640 in Appendix C were not.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.checks import require_signals
 
-Array = NDArray[np.float64]
+SETPOINT_BINS = 60
+"""Number of bins of set point."""
 
-BINS = 60
-"""Bins of set point."""
+MIN_SAMPLES_IN_BIN = 50
+"""Smallest number of samples in a bin."""
 
-FEWEST = 50
-"""Samples that a bin needs."""
-
-LIMIT = 0.04
-"""Deviation, rms, relative to the current that friction takes."""
+DEVIATION_LIMIT = 0.04
+"""Largest rms deviation, relative to the current that friction takes."""
 
 
 def require_linear_at_low_current(
@@ -32,28 +30,32 @@ def require_linear_at_low_current(
 
     `current_setpoint` and `current` (n,) in A from holds, `friction_current` in A.
     """
-    setpoint, measured = require_signals(FEWEST, current_setpoint=current_setpoint, current=current)
+    setpoint, measured = require_signals(
+        MIN_SAMPLES_IN_BIN, current_setpoint=current_setpoint, current=current
+    )
     low, high = np.percentile(setpoint, [0.5, 99.5])
-    number = np.floor((setpoint - low) / max(high - low, 1e-300) * BINS)
-    inside = (number >= 0) & (number < BINS)
+    number = np.floor((setpoint - low) / max(high - low, 1e-300) * SETPOINT_BINS)
+    inside = (number >= 0) & (number < SETPOINT_BINS)
     index = number[inside].astype(np.int64)
-    count = np.bincount(index, minlength=BINS)
-    full = count >= FEWEST
+    count = np.bincount(index, minlength=SETPOINT_BINS)
+    full = count >= MIN_SAMPLES_IN_BIN
     if np.count_nonzero(full) < 5:
-        return  # a few set points say nothing about linearity
-    level = np.bincount(index, weights=setpoint[inside], minlength=BINS)[full] / count[full]
-    mean = np.bincount(index, weights=measured[inside], minlength=BINS)[full] / count[full]
+        return  # too few set points for linearity
+    level = (
+        np.bincount(index, weights=setpoint[inside], minlength=SETPOINT_BINS)[full] / count[full]
+    )
+    mean = np.bincount(index, weights=measured[inside], minlength=SETPOINT_BINS)[full] / count[full]
     design = np.column_stack([np.ones(len(level)), level])
     weight = np.sqrt(count[full])
     line = np.linalg.pinv(design * weight[:, None]) @ (mean * weight)
     deviation = mean - design @ line
     rms = float(np.sqrt(np.average(deviation**2, weights=count[full])))
-    if rms > LIMIT * friction_current:
+    limit = DEVIATION_LIMIT * friction_current
+    if rms > limit:
         worst = int(np.argmax(np.abs(deviation)))
         raise InsufficientDataError(
             f"the amplifier's current deviates from its set point by {rms * 1e3:.3g} mA rms, worst "
             f"{deviation[worst] * 1e3:.3g} mA at {level[worst] * 1e3:.3g} mA, limit "
-            f"{LIMIT * friction_current * 1e3:.3g} mA ({LIMIT:.0%} of the current that "
-            "friction takes): it is not linear at low current (thesis Appendix C); use another "
-            "amplifier"
+            f"{limit * 1e3:.3g} mA ({DEVIATION_LIMIT:.0%} of the current that friction takes): it "
+            "is not linear at low current (thesis Appendix C); use another amplifier"
         )

@@ -1,10 +1,10 @@
-"""The terms of an equation of motion, from a recording: all band-limited alike.
+"""Terms of the equation torque = J a + fv v + fc sign(v) + offset, all band-limited alike.
 
 Torque and all regressors pass the same smoothing kernel, so that the equation still holds between
 them and the band limit biases nothing (Gautier, Proc. IEEE ICRA 1997, 3284-3289; Swevers, Verdonck
 & De Schutter, IEEE Control Systems 27(5) 58-71, 2007); speed and acceleration are the position
-convolved with the kernel's derivatives (`smoothing`). Near standstill friction is not that of
-sliding: samples of which the kernel sees too much of it are left out.
+convolved with the kernel's derivatives (`smoothing`). Near standstill the shaft does not slide:
+smoothed samples with too much weight there are left out.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.smoothing import (
     CUTOFF,
@@ -25,53 +26,51 @@ from rigtool.numerics.smoothing import (
     resample,
 )
 
-Array = NDArray[np.float64]
-
 NARROWEST = 2.0
-"""Standard deviation of the kernel in samples, at least."""
+"""Smallest standard deviation of the kernel, in samples."""
 
 WIDEST = 1 / 40
-"""Standard deviation of the kernel as part of the recording, at most."""
+"""Largest standard deviation of the kernel, relative to the recording."""
 
 GROWTH = 1.15
-"""Kernels are tried that widen by this factor."""
+"""Ratio of the widths of successive kernels."""
 
 NOISE_SHARE = 1e-3
-"""Part of the acceleration's power that may be noise of the position: it biases inertia so much."""
+"""Largest part of noise in the acceleration's power, which biases inertia by as much."""
 
 MOTION = 0.99
-"""Part of the speed's power that is below the frequency of the motion."""
+"""Part of the speed's power below the frequency of the motion."""
 
 HARMONICS = 10
-"""The kernel passes this many times the frequency of the motion: sign(v) has harmonics."""
+"""Multiple of the motion's frequency that the kernel passes: sign(v) has harmonics."""
 
-STANDSTILL = 0.05
-"""Speeds below this part of the highest are near standstill, as are those within their noise."""
+NEAR_STANDSTILL = 0.05
+"""Speeds below this part of the highest, or within their noise, are near standstill."""
 
-SURE = 5.0
-"""A speed beyond this many standard deviations of its noise has a known sign."""
+SURE_SIGN = 5.0
+"""Standard deviations of its noise beyond which the sign of a speed is known."""
 
 SLIDING = 0.98
-"""Part of the kernel's weight that must be on samples that slide."""
+"""Smallest part of the kernel's weight on sliding samples."""
 
-SHORTEST = 50
-"""Samples that a recording needs."""
+MIN_SAMPLES = 50
+"""Smallest number of samples in a recording."""
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class SmoothedMotion:
     """One recording, smoothed: rows are equally far apart in time, `spacing` s.
 
     `design` (n, 4) for J, fv, fc, offset; `torque` (n,); `position` (n,); `used` (n,); `noise` are
     the standard deviations of speed and acceleration that the position's noise makes; `cutoff` in
-    Hz; `samples` were recorded, `left_out` of them serve nothing; `resampled` says that the time
-    axis was irregular.
+    Hz; of the recorded `samples`, `left_out` are not used; `resampled` where the time axis was
+    irregular.
     """
 
     design: Array
     torque: Array
     position: Array
-    used: NDArray[np.bool_]
+    used: Mask
     spacing: float
     noise: tuple[float, float]
     cutoff: float
@@ -80,33 +79,33 @@ class Motion:
     resampled: bool
 
 
-def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> Motion:
+def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> SmoothedMotion:
     """Return the regressors of a recording: signals (n,), time in s, position in rad or m.
 
     An irregular time axis is resampled first. Raises `InsufficientDataError` where nothing moves,
     or the recording is too short.
     """
-    t, shaft, effort = require_signals(SHORTEST, time=time, position=position, torque=torque)
+    t, shaft, effort = require_signals(MIN_SAMPLES, time=time, position=position, torque=torque)
     step, known, (shaft, effort) = resample(t, shaft, effort)
     density = position_noise(shaft, step)
     smoother = _smoother(shaft, step, density)
     noise = noise_of_derivatives(density, smoother.width)
     speed = smoother(shaft, 1)
     highest = float(np.percentile(np.abs(speed), 99))
-    if highest <= SURE * noise[0]:
+    if highest <= SURE_SIGN * noise[0]:
         raise InsufficientDataError(
-            f"nothing moves: the highest speed is {highest:.3g} (SI), {SURE:g} times its noise of "
-            f"{noise[0]:.3g} is needed; move faster or further"
+            f"nothing moves: the highest speed is {highest:.3g} (SI), {SURE_SIGN:g} times its "
+            f"noise of {noise[0]:.3g} is needed; move faster or further"
         )
-    # The speed between its samples, for the place where it changes its sign.
+    # The speed between its samples, to place its change of sign.
     places = smoother.places(len(shaft))
     everywhere = np.interp(np.arange(len(shaft)), places, speed)
-    sliding = known & (np.abs(everywhere) >= max(STANDSTILL * highest, SURE * noise[0]))
+    sliding = known & (np.abs(everywhere) >= max(NEAR_STANDSTILL * highest, SURE_SIGN * noise[0]))
     used = smoother(sliding.astype(np.float64)) >= SLIDING
     design = np.column_stack(
         [smoother(shaft, 2), speed, smoother(np.sign(everywhere)), np.ones(len(speed))]
     )
-    return Motion(
+    return SmoothedMotion(
         design=design,
         torque=smoother(effort),
         position=shaft[places],
@@ -123,8 +122,8 @@ def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> Mo
 def _smoother(position: Array, step: float, density: float) -> Smoother:
     """Return the narrowest kernel that keeps noise out of the acceleration and passes the motion.
 
-    Not narrower than the motion needs: the rest of the band is other dynamics. Where none keeps the
-    noise out, the one with the least part of it is taken.
+    Not narrower than the motion needs: the rest of the band is other dynamics. Where no kernel
+    keeps the noise out, the one that passes the least part of it.
     """
     widest = max(len(position) * step * WIDEST, NARROWEST * step)
     best, least = Smoother(step, NARROWEST * step), math.inf

@@ -17,30 +17,31 @@ from rigtool.experiments.friction.procedure_analysis import (
     HOLDS,
     SWEEPS,
     analyse,
-    estimate,
+    coulomb_and_viscous,
 )
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
-from rigtool.recipe import Recipe, Stribeck
+from rigtool.recipe import Recipe
+from rigtool.recipe.commands import Stribeck
 from rigtool.rigs import Feedforward, Load, Rig, Task
 from rigtool.rigs.motion import CurrentRamp, SpeedProfile
 from rigtool.runfile import RecordingSpec, Run, RunWriter
 
 RUN_UP = 1.0
-"""From standstill to the highest speed, s."""
+"""Time from standstill to the highest speed, s."""
 
 SETTLE_TIME = 1.0
 """Added to each hold before the whole turns that are averaged, s."""
 
-RUN_ON = 4.5
-"""A ramp ends when the shaft has moved by this many times the angle that counts as breakaway."""
+STOP_ANGLE_FACTOR = 4.5
+"""A ramp ends when the shaft has moved by this multiple of the breakaway angle."""
 
-APPROACH = 0.2
+APPROACH_ANGLE = 0.2
 """Each position is approached from at least this far in the ramp's direction, rad."""
 
 
 def rig_needs(recipe: Recipe) -> tuple[str, ...]:
-    """Return what a rig has to offer for compensation and breakaway, once friction is known."""
+    """Return what compensation and breakaway need of a rig, once friction is known."""
     loaded = recipe.stribeck.radial_force > 0
     return ("feedforward", "open_loop", *(("load",) if loaded else ()))
 
@@ -72,7 +73,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
     for direction in (1.0, -1.0):
         task = Task(hold_profile(settings, direction), record_every=every)
         record(rig, task, recorder, HOLDS)
-    coulomb, viscous = estimate(recorder.recording(HOLDS), recipe, kt)
+    coulomb, viscous = coulomb_and_viscous(recorder.recording(HOLDS), recipe, kt)
     compensations = (
         Feedforward(),
         Feedforward(coulomb=coulomb),
@@ -89,7 +90,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
 
 @dataclass
 class _Shaft:
-    """Where the shaft is, rad from where the first ramp began; encoder count of that place."""
+    """Angle of the shaft from the start of the first ramp, rad; encoder count at that start."""
 
     angle: float = 0.0
     origin: float | None = None
@@ -141,7 +142,7 @@ def _ramps(
             ),
             load=Load(radial_force=radial_force),
             record_every=settings.record_every,
-            stop_angle=RUN_ON * settings.breakaway_angle,
+            stop_angle=STOP_ANGLE_FACTOR * settings.breakaway_angle,
         )
         for number in range(settings.breakaway_positions):
             _go_to(rig, shaft, direction * number * pitch, direction)
@@ -151,16 +152,16 @@ def _ramps(
 def _go_to(rig: Rig, shaft: _Shaft, target: float, direction: float) -> None:
     """Turn the shaft to an angle within the turn, arriving in the ramp's direction."""
     target += 2 * math.pi * round((shaft.angle - target) / (2 * math.pi))
-    if direction * (target - shaft.angle) < APPROACH:
-        rig.move_by(target - direction * APPROACH - shaft.angle)
-        shaft.angle = target - direction * APPROACH
+    if direction * (target - shaft.angle) < APPROACH_ANGLE:
+        rig.move_by(target - direction * APPROACH_ANGLE - shaft.angle)
+        shaft.angle = target - direction * APPROACH_ANGLE
     rig.move_by(target - shaft.angle)
 
 
 def _record_ramp(
     rig: Rig, task: Task, recorder: RunWriter, name: str, shaft: _Shaft, counts: int
 ) -> None:
-    """Record a ramp and keep in mind where it has brought the shaft."""
+    """Record a ramp and update the angle of the shaft."""
     channel_names = recorder.channel_names(name)
     for block in rig.perform(task):
         recorder.append(name, {channel: block[channel] for channel in channel_names})

@@ -1,4 +1,4 @@
-"""From the signals of `stribeck` to friction, with what is missing said in notes."""
+"""From the signals of `stribeck` to friction; notes name recordings that are missing."""
 
 from __future__ import annotations
 
@@ -7,30 +7,32 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.between_set_points import LIMIT, REMEDY, Lacking, resolution
+from rigtool.experiments.between_set_points import (
+    REMEDY,
+    UNSAMPLED_LIMIT,
+    UnsampledCurrent,
+    setpoint_resolution,
+)
 from rigtool.experiments.controller_torque import controller_torque
 from rigtool.experiments.friction.breakaway import Breakaway, Ramp, around_turn, find_ramps
-from rigtool.experiments.friction.friction_tables import (
-    breakaway_table,
-    holds_table,
-    ramp_table,
-    torque_speed_table,
-)
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import require_linear_at_low_current
 from rigtool.experiments.friction.results import (
     DIRECTIONS,
-    Estimate,
-    Found,
+    Findings,
     Scale,
+    Uncertain,
     add_breakaway,
     add_flatness,
     add_friction,
     add_radial_load,
     add_static_friction,
+    breakaway_table,
+    holds_table,
+    ramp_table,
+    torque_speed_table,
 )
 from rigtool.experiments.friction.stribeck_fit import (
     DirectionFit,
@@ -43,20 +45,19 @@ from rigtool.experiments.friction.stribeck_fit import (
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_per_ampere import mean_constant_note, torque_per_ampere
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run, Table
 
-Array = NDArray[np.float64]
-
-TOLD = 0.1
-"""Part of its limit from which on what samples lack is worth a note."""
+NOTED_SHARE = 0.1
+"""Part of its limit above which unsampled torque is worth a note."""
 
 HOLDS = "holds"
 SWEEPS = ("sweep", "sweep_coulomb", "sweep_viscous")
 BREAKAWAY, BREAKAWAY_LOADED = "breakaway", "breakaway_loaded"
 
 
-def estimate(holds: Recording, recipe: Recipe, kt: Run) -> Estimate:
+def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
     """Return Coulomb [N m] and viscous friction [N m s/rad] from holds in both directions."""
     scale = Scale.of(kt)
     fits, _, _ = _fit_holds([holds], recipe, scale)
@@ -67,19 +68,19 @@ def estimate(holds: Recording, recipe: Recipe, kt: Run) -> Estimate:
 
 
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
-    """Return friction from whatever recordings the runs hold; what is missing goes into notes."""
-    found = Found(Scale.of(kt))
+    """Return friction from the recordings that the runs hold; notes name those that are missing."""
+    found = Findings(Scale.of(kt))
     found.notes.append(mean_constant_note(torque_per_ampere(kt)))
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
         for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
     }
     if not any(recordings.values()):
-        runs[0].recording(HOLDS)  # says what is there instead
+        runs[0].recording(HOLDS)  # raises, naming the recordings that are there
     missing = [name for name, parts in recordings.items() if not parts]
     if missing:
-        found.notes.append(f"not recorded, so nothing is said of it: {', '.join(missing)}")
-    unloaded, telling = _breakaway(recordings[BREAKAWAY], recipe, found.scale)
+        found.notes.append(f"not recorded, so without results: {', '.join(missing)}")
+    unloaded, highest = _breakaway(recordings[BREAKAWAY], recipe, found.scale)
     loaded, _ = _breakaway(recordings[BREAKAWAY_LOADED], recipe, found.scale, unloaded)
     curves = _sweeps(recordings, recipe, found)
     fits: dict[int, DirectionFit] = {}
@@ -89,7 +90,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         found.notes.extend(notes)
         found.tables["holds"] = holds_table(holds)
         offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
-        _note_lacking(Lacking.of(runs), holds, found)
+        _note_lacking(UnsampledCurrent.of(runs), holds, found)
     elif "sweep" in curves:
         fits = _fit_sweep(curves["sweep"])
         found.notes.append("friction is taken from the sweep, without repeated measurements")
@@ -97,8 +98,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         add_friction(fits, offset, found)
     if (series := unloaded or loaded) is not None:
         found.tables["breakaway"] = breakaway_table(series.position, unloaded, loaded)
-    if telling is not None:
-        found.tables["breakaway_ramp"] = telling
+    if highest is not None:
+        found.tables["breakaway_ramp"] = highest
     add_static_friction(unloaded, fits, offset, found)
     if unloaded is not None:
         add_breakaway(unloaded, found)
@@ -137,9 +138,9 @@ def _fit_holds(
             else None,
             inertia=recipe.rig.nominal_inertia,
         )
-        # Twice the variance: both directions are told in the same steps, and are off alike, so that
+        # Twice the variance: both directions are rounded to the same steps and err alike, so that
         # the mean of the two is no better than each.
-        step = scale.value * resolution(recording, recipe.stribeck.record_every)
+        step = scale.value * setpoint_resolution(recording, recipe.stribeck.record_every)
         parts.append(replace(found, u=np.hypot(found.u, step / math.sqrt(6))))
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
@@ -162,17 +163,17 @@ def _fit_holds(
     return fits, steady, notes
 
 
-def _note_lacking(lacking: Lacking, holds: Holds, found: Found) -> None:
-    """Make friction as uncertain as what the rig's loop leaves out of its samples.
+def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> None:
+    """Add the torque that the samples miss between set points to the uncertainty of friction.
 
-    Raises `InsufficientDataError` where that is too much.
+    Raises `InsufficientDataError` where it exceeds its limit.
     """
     left_out = np.array([found.scale.value * lacking.at(speed) for speed in np.abs(holds.speed)])
     worst = int(np.argmax(np.abs(left_out)))
     if not left_out[worst]:
         return
     found.left_out = lacking.line(found.scale.value)
-    limit = LIMIT * float(np.mean(np.abs(holds.torque)))
+    limit = UNSAMPLED_LIMIT * float(np.mean(np.abs(holds.torque)))
     text = (
         f"torque between set points differs from that of the samples, most at "
         f"{abs(holds.speed[worst]):.3g} rad/s by {left_out[worst] * 1e3:.3g} mN m "
@@ -180,10 +181,10 @@ def _note_lacking(lacking: Lacking, holds: Holds, found: Found) -> None:
     )
     if abs(left_out[worst]) > limit:
         raise InsufficientDataError(
-            f"{text}: more than {limit * 1e3:.3g} mN m, {LIMIT:.0%} of what was read as friction; "
-            f"{REMEDY}"
+            f"{text}: more than {limit * 1e3:.3g} mN m, {UNSAMPLED_LIMIT:.0%} of the torque read "
+            f"as friction; {REMEDY}"
         )
-    if abs(left_out[worst]) > TOLD * limit:
+    if abs(left_out[worst]) > NOTED_SHARE * limit:
         found.notes.append(f"{text}, which is in the uncertainty of friction: {REMEDY}")
 
 
@@ -215,13 +216,13 @@ def _fit_sweep(curve: TorqueSpeed) -> dict[int, DirectionFit]:
             f"the sweep turns the shaft through whole revolutions at {len(speed)} speeds, 6 are "
             "needed: sweep more slowly, or record holds"
         )
-    # Third differences know neither slope nor curvature: what they show is scatter.
+    # Third differences remove slope and curvature: the rest is scatter.
     scatter = float(np.median(np.abs(np.diff(torque, 3)))) / math.sqrt(20) / 0.6745
     return fit_directions(speed, torque, np.full(len(speed), max(scatter, 1e-9)))
 
 
 def _sweeps(
-    recordings: dict[str, list[Recording]], recipe: Recipe, found: Found
+    recordings: dict[str, list[Recording]], recipe: Recipe, found: Findings
 ) -> dict[str, TorqueSpeed]:
     curves = {}
     labels = ("no compensation", "Coulomb compensation", "Coulomb and viscous compensation")
@@ -281,19 +282,19 @@ def separate(
 def _breakaway(
     recordings: Sequence[Recording], recipe: Recipe, scale: Scale, pair: Breakaway | None = None
 ) -> tuple[Breakaway | None, Table | None]:
-    """Return breakaway around the turn from all ramps, and the most telling ramp as a table.
+    """Return breakaway around the turn from all ramps, and the highest ramp as a table.
 
     Positions are those of `pair`, where another series is given to compare with.
     """
     ramps: list[Ramp] = []
-    telling: Table | None = None
+    highest: Table | None = None
     for recording in recordings:
         time, angle = recording.read("time"), _angle(recording, recipe)
         torque = controller_torque(recording, scale.value)
         threshold = recipe.stribeck.breakaway_angle
         here = find_ramps(time=time, angle=angle, torque=torque, threshold=threshold)
-        telling = telling or ramp_table(here, time, angle, torque)
+        highest = highest or ramp_table(here, time, angle, torque)
         ramps.extend(here)
     if not ramps:
         return None, None
-    return around_turn(ramps, None if pair is None else pair.position), telling
+    return around_turn(ramps, None if pair is None else pair.position), highest

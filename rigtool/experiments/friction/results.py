@@ -1,4 +1,4 @@
-"""Results of `stribeck`: values with the uncertainty of the torque constant, and notes."""
+"""Results, tables and notes of `stribeck`, with the uncertainty of the torque constant."""
 
 from __future__ import annotations
 
@@ -7,32 +7,39 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigtool.experiments.friction.breakaway import Breakaway
-from rigtool.experiments.friction.friction_tables import model_table
+from rigtool.experiments.friction.breakaway import Breakaway, Ramp
+from rigtool.experiments.friction.holds import Holds
 from rigtool.experiments.friction.stribeck_fit import DirectionFit, Offset
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Run, Table
+from rigtool.runfile import Column, Run, Table
 
-Estimate = tuple[float, float]
+Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""
 
+MODEL_POINTS = 120
+"""Points of the curve of the friction model in each direction."""
+
+RAMP_POINTS = 2000
+"""Largest number of points of a stored ramp."""
+
 TANH_DONE = 3.0
-"""Speed from which the compensation's tanh(v / (1 rad/s)) is within 0.5 % of its end, rad/s."""
+"""Speed above which the compensation's tanh(v / (1 rad/s)) is within 0.5 % of 1, rad/s."""
 
 DIRECTIONS = {1: "positive", -1: "negative"}
 
 NOT_SEPARATED = (
-    "the data do not tell a constant torque from friction that differs between directions: all is "
-    "stated as friction_offset"
+    "the data do not separate a constant torque from friction that differs between directions: "
+    "their sum is stated as friction_offset"
 )
-"""A note, where one explanation is as good as the other."""
+"""Note where both explanations fit."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What turns current set point into torque: N m/A, and its relative uncertainty."""
+    """Torque for each ampere of set point: `value` in N m/A, `relative_u` its uncertainty."""
 
     value: float
     relative_u: float
@@ -43,8 +50,8 @@ class Scale:
         mean = torque_per_ampere(kt)
         return cls(mean.value, (mean.u or 0.0) / mean.value)
 
-    def quantity(self, estimate: Estimate, unit: str, dof: float | None) -> Quantity:
-        """Combine scatter with the uncertainty that is common to all torques."""
+    def quantity(self, estimate: Uncertain, unit: str, dof: float | None) -> Quantity:
+        """Return a quantity from its scatter and the uncertainty common to all torques."""
         value, u = estimate
         total = math.hypot(u, value * self.relative_u)
         # Welch-Satterthwaite (GUM G.4.1), the scale having infinite degrees of freedom
@@ -53,10 +60,11 @@ class Scale:
 
 
 @dataclass
-class Found:
-    """What has been found so far.
+class Findings:
+    """Results, tables and notes so far.
 
-    `left_out` is what samples lack of Coulomb [N m] and viscous friction [N m s/rad].
+    `left_out` is the part of Coulomb friction, N m, and of viscous friction, N m s/rad, that the
+    samples miss between set points.
     """
 
     scale: Scale
@@ -65,12 +73,12 @@ class Found:
     tables: dict[str, Table] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def add(self, name: str, estimate: Estimate, unit: str, dof: float | None = None) -> None:
+    def add(self, name: str, estimate: Uncertain, unit: str, dof: float | None = None) -> None:
         """Add a result that scales with the torque constant."""
         self.results[name] = self.scale.quantity(estimate, unit, dof)
 
 
-def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Found) -> None:
+def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Findings) -> None:
     """Add Coulomb, viscous and Stribeck parameters; `offset` is taken out of each direction."""
     dof = float(sum(fit.dof for fit in fits.values()))
     coulomb, viscous = ({s: getattr(f, n) for s, f in fits.items()} for n in ("coulomb", "viscous"))
@@ -86,8 +94,8 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fo
     elif len(fits) == 1:
         only = DIRECTIONS[next(iter(fits))]
         found.notes.append(
-            f"only the {only} direction was held: a constant torque cannot be told from Coulomb "
-            "friction and is part of it"
+            f"only the {only} direction was held: a constant torque cannot be separated from "
+            "Coulomb friction and is part of it"
         )
     velocity = {s: v for s, f in fits.items() if (v := f.stribeck_velocity) is not None}
     static = {s: v for s, f in fits.items() if (v := f.static) is not None}
@@ -95,8 +103,8 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fo
         lowest = max(fit.lowest for fit in fits.values())
         without = " and ".join(DIRECTIONS[sign] for sign in fits if sign not in velocity)
         found.notes.append(
-            f"the data do not carry a Stribeck effect in {without} direction: Coulomb and viscous "
-            f"friction are a line from {lowest:.3g} rad/s on"
+            f"the data do not resolve a Stribeck effect in {without} direction: Coulomb and "
+            f"viscous friction are a line above {lowest:.3g} rad/s"
         )
     _add_directions(found, "stribeck_velocity", velocity, "rad/s", dof, scaled=False)
     _add_directions(found, "stribeck_static_friction", static, "N m", dof, offset)
@@ -104,9 +112,9 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fo
 
 
 def _add_directions(
-    found: Found,
+    found: Findings,
     name: str,
-    values: dict[int, Estimate],
+    values: dict[int, Uncertain],
     unit: str,
     dof: float | None,
     offset: Offset | None = None,
@@ -115,7 +123,7 @@ def _add_directions(
 ) -> None:
     """Add the mean over directions, and each direction without the offset.
 
-    `common_u` is the standard uncertainty of all of them alike.
+    `common_u` is a standard uncertainty that all of them share.
     """
     if not values:
         return
@@ -134,18 +142,18 @@ def _add_directions(
         found.results[f"{name}_{DIRECTIONS[sign]}"] = scale.quantity(here, unit, dof)
 
 
-def add_breakaway(unloaded: Breakaway, found: Found) -> None:
+def add_breakaway(unloaded: Breakaway, found: Findings) -> None:
     """Add the spread of breakaway torque over positions and directions [7.1.2.1]."""
     for name, value in (("min", unloaded.lowest), ("max", unloaded.highest)):
         if unloaded.dof > 0:
             found.add(f"breakaway_torque_{name}", (value, unloaded.scatter), "N m", unloaded.dof)
         else:
-            reason = "too few positions to tell scatter from what repeats around the turn"
+            reason = "too few positions to separate scatter from what repeats around the turn"
             found.results[f"breakaway_torque_{name}"] = Quantity(value, "N m", reason=reason)
 
 
-def add_flatness(curve: TorqueSpeed, found: Found) -> None:
-    """Add how flat the torque-speed curve is with all compensation on [7.2.2, Fig. 34]."""
+def add_flatness(curve: TorqueSpeed, found: Findings) -> None:
+    """Add the rms of the torque-speed curve with all compensation on [7.2.2, Fig. 34]."""
     rest = curve.torque[np.abs(curve.speed) >= TANH_DONE]
     if len(rest):
         found.results["compensated_torque_rms"] = Quantity(
@@ -153,8 +161,8 @@ def add_flatness(curve: TorqueSpeed, found: Found) -> None:
         )
 
 
-def add_radial_load(unloaded: Breakaway, loaded: Breakaway, force: float, found: Found) -> None:
-    """Add what a radial force adds to breakaway, paired by position and direction [7.1.2.2]."""
+def add_radial_load(unloaded: Breakaway, loaded: Breakaway, force: float, found: Findings) -> None:
+    """Add the increase of breakaway torque by a radial force, paired by position [7.1.2.2]."""
     added = np.concatenate(
         [loaded.positive - unloaded.positive, loaded.negative - unloaded.negative]
     )
@@ -176,7 +184,7 @@ def add_static_friction(
     unloaded: Breakaway | None,
     fits: dict[int, DirectionFit],
     offset: Offset | None,
-    found: Found,
+    found: Findings,
 ) -> None:
     """Add static friction: the mean breakaway torque around the turn [7.1.2.1], else the fit's."""
     if unloaded is not None and math.isfinite(unloaded.level.u):
@@ -193,6 +201,84 @@ def add_static_friction(
     if static:
         _add_directions(found, "static_friction", static, "N m", None, offset)
         found.notes.append(
-            "static friction is the Stribeck model's, extrapolated to standstill: there is no "
-            "breakaway from which to take it"
+            "static friction is the Stribeck model's, extrapolated to standstill: no breakaway was "
+            "recorded"
         )
+
+
+# -- tables
+
+
+def torque_speed_table(curve: TorqueSpeed, label: str) -> Table:
+    """Return the torque-speed curve of a sweep (Fig. 30, 32, 34)."""
+    return Table(
+        ("speed",),
+        {
+            "speed": Column(curve.speed, "rad/s"),
+            "torque": Column(curve.torque, "N m", "of the controller, without feed-forward"),
+            "revolutions": Column(curve.revolutions, "1", "whole turns averaged"),
+        },
+        signal="torque",
+        description=f"Torque against speed, {label}",
+    )
+
+
+def holds_table(holds: Holds, *, settled: bool = False) -> Table:
+    """Return mean torque by constant speed, with `settled` also the time left out."""
+    order = np.argsort(holds.speed, kind="stable")
+    columns = {
+        "speed": Column(holds.speed[order], "rad/s"),
+        "torque": Column(holds.torque[order], "N m", "mean over whole turns"),
+        "u": Column(holds.u[order], "N m", "standard uncertainty from scatter"),
+        "revolutions": Column(holds.revolutions[order], "1", "whole turns averaged"),
+    }
+    if settled:
+        columns["settled"] = Column(holds.settled[order], "s", "left out at the start")
+    return Table(("speed",), columns, "torque", "Torque at constant speeds")
+
+
+def model_table(fits: dict[int, DirectionFit]) -> Table:
+    """Return the curve of the chosen friction model, over the speeds of its fit."""
+    lowest = min(fit.lowest for fit in fits.values())
+    speeds = np.geomspace(lowest, max(fit.highest for fit in fits.values()), MODEL_POINTS)
+    parts = [
+        (sign * speeds[::sign], sign * fits[sign].evaluate(speeds)[::sign])
+        for sign in (-1, 1)
+        if sign in fits
+    ]
+    return Table(
+        ("speed",),
+        {
+            "speed": Column(np.concatenate([part[0] for part in parts]), "rad/s"),
+            "torque": Column(np.concatenate([part[1] for part in parts]), "N m"),
+        },
+        signal="torque",
+        description="Friction model fitted to the holds, constant torque included",
+    )
+
+
+def breakaway_table(position: Array, unloaded: Breakaway | None, loaded: Breakaway | None) -> Table:
+    """Return breakaway torque by rotor position, without and with radial load."""
+    columns = {"position": Column(position, "rad", "of the rotor, within a turn")}
+    for prefix, series in (("", unloaded), ("loaded_", loaded)):
+        if series is not None:
+            columns[f"{prefix}positive"] = Column(series.positive, "N m")
+            columns[f"{prefix}negative"] = Column(series.negative, "N m", "magnitude")
+    signal = "positive" if unloaded is not None else "loaded_positive"
+    return Table(("position",), columns, signal, "Torque at which the shaft breaks away")
+
+
+def ramp_table(ramps: list[Ramp], time: Array, angle: Array, torque: Array) -> Table:
+    """Return the ramp with the highest breakaway torque (Fig. 22)."""
+    highest = max(ramps, key=lambda ramp: -1.0 if np.isnan(ramp.torque) else ramp.torque)
+    part = slice(highest.begin, highest.end, -(-(highest.end - highest.begin) // RAMP_POINTS))
+    return Table(
+        ("time",),
+        {
+            "time": Column(time[part] - time[highest.begin], "s"),
+            "torque": Column(torque[part], "N m"),
+            "position": Column(angle[part], "rad"),
+        },
+        signal="torque",
+        description="The ramp with the highest breakaway torque",
+    )

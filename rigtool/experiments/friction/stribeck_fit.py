@@ -1,4 +1,4 @@
-"""Friction against speed: Coulomb and viscous, and the Stribeck effect where data carry it.
+"""Friction against speed: Coulomb and viscous, and the Stribeck effect where data resolve it.
 
 For one direction, with speed v > 0 and torque f against the motion [7.1.2, 7.2.1, 7.2.2]:
 
@@ -16,53 +16,48 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.minimum import minimum
 
-Array = NDArray[np.float64]
-
-SAME_SPEED = 5e-3
-"""Speeds that differ by less than this part are repeats of one speed."""
+HOLD_REPEAT_TOLERANCE = 5e-3
+"""Holds whose speeds differ by less than this part repeat one speed."""
 
 DETERMINED = 3.0
-"""A Stribeck parameter counts as determined from this multiple of its uncertainty on."""
+"""Multiple of its uncertainty above which a Stribeck parameter is determined."""
 
-SEEN = 2.0
-"""Three speeds must show the Stribeck effect by this multiple of their uncertainty."""
+BUMP_SIGNIFICANCE = 2.0
+"""Multiple of their uncertainty by which three speeds must show the Stribeck effect."""
 
 OFF_THE_LINE = 3.0
-"""The lowest speed is left out of a line while it misses it by this multiple of its scatter."""
+"""Multiple of its scatter by which the lowest speed must miss the line to be left out."""
 
 STRUCTURE_LIMIT = 0.08
-"""Structure beside the model, relative to the mean friction, that no friction model explains."""
+"""Largest rms structure in the residuals, relative to the mean friction."""
 
 SHAPES = {2.0: 0.0, 1.0: 6.0}
-"""Exponents d that are tried, with the lead in the Akaike criterion that each needs: Gaussian, and
-Tustin's, which extrapolates further towards standstill and so must be clearly the better one."""
+"""Exponents d to try, each with the lead in the Akaike criterion that it needs: the Gaussian, and
+Tustin's, which extrapolates further towards standstill and so must be clearly better."""
 
+ASYMMETRY_U_LIMIT = 0.1
+"""Largest uncertainty of an asymmetry that is separated from a constant torque; else its own."""
 
-TOLD_APART = 0.1
-"""Asymmetry must be known this well to be told from a constant torque; else it is this uncertain.
-"""
+MIN_LEVEL_SPAN = 0.3
+"""Smallest relative variation of friction for an extrapolation to no friction."""
 
-
-SPANNED = 0.3
-"""Friction must vary by this part of it, before what it would be at no friction is believed."""
-
-PROPORTIONAL = 0.1
-"""How well asymmetry is proportional to friction, sliding and breaking away alike (assumed)."""
+PROPORTIONALITY_U = 0.1
+"""Relative standard uncertainty of the proportionality of asymmetry to friction (assumed)."""
 
 
 @dataclass(frozen=True)
 class DirectionFit:
     """Friction in one direction; torques in N m against the motion, speeds in rad/s.
 
-    `covariance` belongs to `parameters`, (fc, fv) or (fc, fv, fs, vs). `lowest` and `highest` are
-    the speeds between which the fit rests, `structure` the rms of what it leaves beyond scatter,
-    most of it at `worst_speed`; `friction` is the mean of the points.
+    `covariance` belongs to `parameters`, (fc, fv) or (fc, fv, fs, vs). The fit covers speeds from
+    `lowest` to `highest`; `structure` is the rms of its residuals beyond scatter, the largest at
+    `worst_speed`; `friction` is the mean of the points.
     """
 
     parameters: Array
@@ -112,18 +107,18 @@ def fit_direction(speed: Array, torque: Array, u: Array) -> DirectionFit:
     """Fit friction in one direction by weighted least squares.
 
     `speed` (n,) > 0 in rad/s, `torque` (n,) against the motion with standard uncertainty `u`, N m.
-    The Stribeck model is chosen only where it explains the data better by the corrected Akaike
-    criterion (Hurvich and Tsai 1989) and all its parameters are determined; else the line is
-    fitted, without the lowest speeds where they lie off it. Raises `InsufficientDataError` where
+    The Stribeck model is chosen only where the corrected Akaike criterion (Hurvich and Tsai 1989)
+    prefers it and all its parameters are determined; else the line is fitted, without the lowest
+    speeds where they lie off it. Raises `InsufficientDataError` where
     there are too few speeds.
     """
     v, f, scatter = mean_by_speed(*require_signals(1, speed=speed, torque=torque, u=u))
     if len(v) < 3 or v.max() < 2 * v.min():
         raise InsufficientDataError(
-            f"{len(v)} speeds from {v.min():.3g} to {v.max():.3g} rad/s do not tell Coulomb from "
-            "viscous friction: measure 3 speeds or more over a factor of 2 or more"
+            f"{len(v)} speeds from {v.min():.3g} to {v.max():.3g} rad/s do not separate Coulomb "
+            "and viscous friction: measure 3 speeds or more over a factor of 2 or more"
         )
-    # Uncertainties from few degrees of freedom are uncertain themselves: the typical one has a say.
+    # Uncertainties from few degrees of freedom are uncertain themselves: weigh in the median.
     weight = 1 / np.sqrt((scatter**2 + np.median(scatter) ** 2) / 2 + 1e-30)
     best = _line(v, f, weight)
     lowest = _criterion(best, v, f, weight)
@@ -142,11 +137,11 @@ def mean_by_speed(v: Array, f: Array, u: Array) -> tuple[Array, Array, Array]:
     """Return speed, mean of f and its uncertainty for each distinct speed, rising, (k,)."""
     order = np.argsort(v, kind="stable")
     v, f, weight = v[order], f[order], 1 / np.maximum(u[order], 1e-15) ** 2
-    group = np.concatenate([[0], np.cumsum(np.diff(v) > SAME_SPEED * v[1:])])
+    group = np.concatenate([[0], np.cumsum(np.diff(v) > HOLD_REPEAT_TOLERANCE * v[1:])])
     count, total = np.bincount(group), np.bincount(group, weights=weight)
     mean = np.bincount(group, weights=weight * f) / total
     square = np.bincount(group, weights=weight * (f - mean[group]) ** 2)
-    # Repeats that scatter more than their uncertainties say are believed (Birge ratio).
+    # Scatter of repeats counts where it exceeds their uncertainties (Birge ratio).
     scale = np.maximum(square / np.maximum(count - 1, 1), 1.0)
     return np.bincount(group, weights=weight * v) / total, mean, np.sqrt(scale / total)
 
@@ -172,7 +167,7 @@ def _finish(
     residual = f - _model(parameters, v, exponent)
     dof = len(v) - len(parameters)
     square = float(np.sum((residual * weight) ** 2))
-    # Birge ratio: where means scatter more than their own uncertainties say, scatter is believed
+    # Scatter counts where it exceeds the uncertainties of the means (Birge ratio).
     scale = max(1.0, square / dof) if dof > 0 else 1.0
     excess = np.mean(residual**2) * len(v) / max(dof, 1) - np.mean(1 / weight**2)
     return DirectionFit(
@@ -225,7 +220,7 @@ def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFi
     def misfit(vs: float) -> float:
         return float(np.sum(((f - columns(vs) @ solve(vs)) * weight) ** 2))
 
-    # The model is linear but for vs.
+    # The model is linear in all parameters but vs.
     slowest, fastest = v.min() / 3, v.max() / 3
     vs = minimum(misfit, slowest, fastest, points=25)
     coulomb, viscous, static = solve(vs)
@@ -239,7 +234,7 @@ def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFi
         static - coulomb > DETERMINED * rise_u
         and vs > DETERMINED * math.sqrt(covariance[3, 3])
         and 1.1 * slowest < vs < fastest / 1.1
-        and np.count_nonzero(bump * weight > SEEN) >= 3
+        and np.count_nonzero(bump * weight > BUMP_SIGNIFICANCE) >= 3
     )
     return fit if determined else None
 
@@ -269,7 +264,7 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
     worst = max(fits, key=lambda fit: fit.structure)
     if worst.dof > 0 and worst.structure > limit:
         raise InsufficientDataError(
-            f"torque against speed has structure of {worst.structure * 1e3:.3g} mN m rms beside "
+            f"torque against speed has structure of {worst.structure * 1e3:.3g} mN m rms about "
             f"the best friction model, far beyond the scatter of its points; limit "
             f"{limit * 1e3:.3g} mN m ({STRUCTURE_LIMIT:.0%} of the friction); worst at "
             f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect the current "
@@ -282,8 +277,8 @@ class Offset:
     """Torque that is the same in both directions, and friction that is not; (value, u).
 
     `offset` in N m; `asymmetry` is relative: friction is (1 +- asymmetry) times its mean.
-    `separated` says whether the data tell them apart; if not, asymmetry is taken as zero and what
-    it might be is part of the offset's uncertainty.
+    `separated` is false where the data do not separate the two; then asymmetry is taken as zero
+    and its possible value is part of the uncertainty of the offset.
     """
 
     offset: tuple[float, float]
@@ -292,32 +287,32 @@ class Offset:
 
 
 def separate_offset(level: Array, middle: Array, u: Array, speed: Array) -> Offset:
-    """Tell a constant torque from friction that differs between directions.
+    """Separate a constant torque from friction that differs between directions.
 
     Both shift the middle between the torques of the two directions, but asymmetry does so in
     proportion to the friction: middle = offset + asymmetry * level + slope * speed, the slope being
     half the difference in viscous friction. `level` (n,) is half the distance between the two
-    directions without its viscous part, `middle` (n,) half their sum, `u` its standard uncertainty,
-    N m; from different `speed`, rad/s, breakaway (speed 0), and radial loads.
+    directions without its viscous part, `middle` (n,) half their sum, `u` (n,) its standard
+    uncertainty, N m; at the `speed` (n,), rad/s, of holds and of breakaway (0).
     """
     weight = 1 / u
     typical = float(np.average(level, weights=weight**2))
     ones = np.ones(len(level))
     slope = [speed] if len(level) >= 3 and np.ptp(speed) > 0 else []
-    if len(level) >= 3 + len(slope) and np.ptp(level) > SPANNED * typical:
+    if len(level) >= 3 + len(slope) and np.ptp(level) > MIN_LEVEL_SPAN * typical:
         (offset, asymmetry), (offset_u, asymmetry_u) = _weighted(
             np.column_stack([ones, level, *slope]), middle, weight
         )
-        if asymmetry_u < TOLD_APART:
-            doubt = PROPORTIONAL * abs(asymmetry)
+        if asymmetry_u < ASYMMETRY_U_LIMIT:
+            doubt = PROPORTIONALITY_U * abs(asymmetry)
             return Offset(
                 (offset, math.hypot(offset_u, doubt * typical)),
                 (asymmetry, math.hypot(asymmetry_u, doubt)),
                 True,
             )
-    # All friction is much the same here: the middle may be offset, asymmetry, or both.
+    # With little variation of friction the middle may be offset, asymmetry, or both.
     (mean, *_), (mean_u, *_) = _weighted(np.column_stack([ones, *slope]), middle, weight)
-    doubt = max(abs(mean) / typical, TOLD_APART)
+    doubt = max(abs(mean) / typical, ASYMMETRY_U_LIMIT)
     return Offset((mean, math.hypot(mean_u, doubt * typical)), (0.0, doubt), False)
 
 
@@ -326,7 +321,7 @@ def _weighted(design: Array, values: Array, weight: Array) -> tuple[list[float],
     inverse = np.linalg.pinv(design * weight[:, None])
     parameters = inverse @ (values * weight)
     residual = (values - design @ parameters) * weight
-    # Points that scatter more than their uncertainties say are believed (Birge ratio).
+    # Scatter counts where it exceeds the uncertainties of the points (Birge ratio).
     scale = max(1.0, float(residual @ residual) / max(len(values) - design.shape[1], 1))
     u = np.sqrt(np.sum(inverse**2, axis=1) * scale)
     return [float(p) for p in parameters[:2]], [float(x) for x in u[:2]]

@@ -1,7 +1,7 @@
 """Torque against speed from a slow sweep [7.2.1, 7.2.2, Fig. 30, 32, 34].
 
-torque(v) = mean of (torque - J a) over the samples in a bin of speed; in a bin through which the
-shaft turns more than once, over whole revolutions only, so that ripple averages out.
+torque(v) = mean of (torque - J a) over the samples in a bin of speed. In a bin through which the
+shaft turns more than once the mean covers whole revolutions only, so that ripple averages out.
 """
 
 from __future__ import annotations
@@ -10,18 +10,17 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 
-Array = NDArray[np.float64]
+SPEED_BINS = 60
+"""Number of bins of speed over the whole sweep."""
 
-BINS = 60
-"""Bins of speed over the whole sweep."""
-
-STEEPEST = 2.0
-"""Samples with more than this many times the usual acceleration are not part of the sweep."""
+ACCELERATION_LIMIT = 2.0
+"""Largest acceleration in the sweep, relative to its median."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +49,9 @@ def torque_speed_curve(
             f"the speed set point stays at {speed[0]:.3g} rad/s: a sweep runs through speeds"
         )
     usual = float(np.median(np.abs(acceleration)))
-    swept = np.abs(acceleration) <= STEEPEST * usual
-    edges = np.linspace(speed[swept].min(), speed[swept].max(), BINS + 1)
-    number = np.clip(np.digitize(speed, edges) - 1, 0, BINS - 1)
+    swept = np.abs(acceleration) <= ACCELERATION_LIMIT * usual
+    edges = np.linspace(speed[swept].min(), speed[swept].max(), SPEED_BINS + 1)
+    number = np.clip(np.digitize(speed, edges) - 1, 0, SPEED_BINS - 1)
     # One pass through one bin is one stretch of samples.
     label = np.where(swept, number, -1)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])
@@ -72,7 +71,7 @@ def torque_speed_curve(
 
 
 def _whole_turns(angle: Array) -> tuple[slice, int]:
-    """Return the middle part that holds whole revolutions, all where there is less than one."""
+    """Return the middle part with whole revolutions, and their number; all where it is zero."""
     travel = np.abs(angle - angle[0])
     turns = int(travel[-1] / (2 * np.pi))
     if turns == 0 or np.any(np.diff(travel) < 0):

@@ -19,13 +19,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.lowpass import lowpass
-
-Array = NDArray[np.float64]
 
 WORK_RATE = 10
 """Samples for each period of the cut-off at which functions are computed, at most."""
@@ -77,7 +76,7 @@ class ShaftPath:
     position: Array
     speed: Array
     acceleration: Array
-    regular: NDArray[np.bool_]
+    regular: Mask
     fine_position: Array
     fine_speed: Array
     rate: float
@@ -153,13 +152,13 @@ def follow(
     return path, [path.thin(values) for values in rest]
 
 
-def _transient(speed: Array, memory: int) -> NDArray[np.bool_]:
+def _transient(speed: Array, memory: int) -> Mask:
     """Mark speeds far beyond the usual ones, and what the low-pass spreads them to."""
     magnitude = np.abs(speed)
     wild = magnitude > OUTLIER * max(float(np.percentile(magnitude, 95)), 1e-300)
     if not wild.any():
         return wild
-    spread: NDArray[np.bool_] = np.convolve(wild, np.ones(2 * memory + 1), "same") > 0.5
+    spread: Mask = np.convolve(wild, np.ones(2 * memory + 1), "same") > 0.5
     return spread
 
 

@@ -7,17 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.imported import effort_of, position_of
 from rigtool.experiments.imported_load.basis import ShaftPath, follow
 from rigtool.experiments.imported_load.learning import Observation, level_numbers
 from rigtool.experiments.imported_load.model import TorqueEstimate
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.runfile import Column, Recording, Run
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 REFERENCE = "reference_torque"
 """Channel of the sensor at the load."""

@@ -20,10 +20,9 @@ from rigtool.experiments.imported_load.basis import Scales, ShaftPath, find_scal
 from rigtool.experiments.imported_load.model import SIGNS, DesignMatrix, LoadModel
 from rigtool.experiments.imported_load.region import learn_region, torque_range
 from rigtool.experiments.imported_load.side import HeldOut, Rows
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 FEWEST_ROWS = 200

@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
 from rigtool.experiments.imported_load.region import Region
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from rigtool.numerics.arrays import Array, Mask
 
 SIGNS = (1, -1)
 """Of the speed, in the order of a model's sides."""

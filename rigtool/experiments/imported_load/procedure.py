@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.imported import is_linear, require_one_rig, signals_of
@@ -38,12 +37,10 @@ from rigtool.experiments.imported_load.model import LoadModel
 from rigtool.experiments.imported_load.stored import RANDOM, WIDE_MODEL, tables_of
 from rigtool.experiments.learning.procedure import PROCEDURE as LEARNING
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
 from rigtool.recipe.commands import MeasureForce
 from rigtool.runfile import Column, Run, Table
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 SEED = 1
 """Of the random halves; the result hardly depends on it."""

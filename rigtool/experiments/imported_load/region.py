@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array, Mask
 
 FACES = 200
 """Half-spaces."""
@@ -29,13 +28,13 @@ class Region:
 
     reach: Array
 
-    def holds(self, place: Array, speed: Array, torque: Array) -> NDArray[np.bool_]:
+    def holds(self, place: Array, speed: Array, torque: Array) -> Mask:
         """Return which points (n,) are inside; NaN is outside."""
         points = np.column_stack([place, speed, torque])
         finite = np.isfinite(points).all(axis=1)
         far = np.nan_to_num(points, nan=0.0, posinf=0.0, neginf=0.0) @ normals().T
         side = (speed < 0).astype(int)
-        inside: NDArray[np.bool_] = finite & (far <= self.reach[side]).all(axis=1)
+        inside: Mask = finite & (far <= self.reach[side]).all(axis=1)
         return inside
 
 

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.imported_load.basis import LOAD_POWER, SPLINE_COUNT, size_of
 from rigtool.experiments.imported_load.model import FLAT, Side, scatter_rows, scatter_variance
+from rigtool.numerics.arrays import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 Degree = Mapping[str, float]
 

@@ -9,15 +9,13 @@ from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.imported_load.basis import GROUPS, Scales, size_of
 from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
 from rigtool.experiments.imported_load.region import Region
+from rigtool.numerics.arrays import Array
 from rigtool.runfile import Column, Run, Table
-
-Array = NDArray[np.float64]
 
 MODEL = "load_model"
 """The first table of a model; the names of its other tables begin likewise."""

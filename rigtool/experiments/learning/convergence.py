@@ -18,13 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.repeatable import repeatability
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
-
-Array = NDArray[np.float64]
 
 
 def carried_noise(runs: int, factor: float) -> float:
@@ -68,7 +66,7 @@ class Cycles:
     period: float
     signal: Array
     before: Array
-    used: NDArray[np.bool_]
+    used: Mask
 
 
 def learning_run(

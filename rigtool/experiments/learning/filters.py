@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 from rigtool.control.position_loop import ComplexArray, TransferFunction
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.measured_loop import MeasuredLoop
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 UNIT_CIRCLE_MARGIN = 1e-9
 """A cancelled zero this close to the unit circle would make L infinite at its frequency."""

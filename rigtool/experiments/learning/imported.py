@@ -11,7 +11,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
@@ -25,18 +24,16 @@ from rigtool.experiments.imported import (
 from rigtool.experiments.learning.stored_table import period_results
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import (
-    ORDERS,
-    TOLD,
-    Group,
+    ORDERS_REPORTED,
+    RepeatedRuns,
     groups_of,
     turns_of,
 )
 from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, turn_spectrum
-from rigtool.experiments.ripple.orders import CLEAR, coefficients
+from rigtool.experiments.ripple.orders import CLEAR, HIGHEST_ORDER, coefficients
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
-
-Array = NDArray[np.float64]
 
 ENTRIES = 2000
 """Positions of a learned map: twenty to a cycle of the highest order."""
@@ -89,7 +86,7 @@ def analyse_imported(
     return Outcome(_results(rows, table, effort), _tables(rows, table, effort), tuple(notes))
 
 
-def _require_one_condition(groups: Sequence[Group]) -> None:
+def _require_one_condition(groups: Sequence[RepeatedRuns]) -> None:
     first = groups[0].conditions
     for group in groups[1:]:
         if group.conditions != first:
@@ -106,9 +103,11 @@ BY_CHANCE = 0.01
 class _Row:
     """What repeats at one speed: mean and orders (k,), with the scatter that u comes from."""
 
-    def __init__(self, group: Group) -> None:
+    def __init__(self, group: RepeatedRuns) -> None:
         turns = len(group.torque)
-        self.examined = ORDERS if group.gap == 0 else min(ORDERS, int(1 / (2 * group.gap)))
+        self.examined = (
+            HIGHEST_ORDER if group.gap == 0 else min(HIGHEST_ORDER, int(1 / (2 * group.gap)))
+        )
         spectrum = turn_spectrum(group.torque, self.examined)
         floor = _steadied(spectrum.noise_floor)
         clear = np.flatnonzero(spectrum.amplitude > CLEAR * floor)
@@ -143,7 +142,7 @@ class _Row:
 
     def strongest(self) -> list[int]:
         """Return the strongest orders, the strongest first."""
-        return [int(order) for order in self.order[np.argsort(-self.amplitude)][:TOLD]]
+        return [int(order) for order in self.order[np.argsort(-self.amplitude)][:ORDERS_REPORTED]]
 
 
 def _steadied(floor: Array) -> Array:
@@ -158,7 +157,7 @@ def _steadied(floor: Array) -> Array:
     return steadied
 
 
-def _learn(group: Group) -> _Row:
+def _learn(group: RepeatedRuns) -> _Row:
     if len(group.torque) < 2:
         raise InsufficientDataError(
             f"one turn at {group.label()} does not separate what repeats from what does not: give "

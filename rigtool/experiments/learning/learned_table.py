@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rigtool.control.lookup_table import LookupTable
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-
-Array = NDArray[np.float64]
 
 COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
 """Results that state with which friction feed-forward a table was learned, where with any."""

@@ -19,12 +19,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import Loop
 from rigtool.experiments.plant.multisine import ComplexArray
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from rigtool.errors import UsageError
-from rigtool.experiments.between_set_points import remark
+from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.learning.implementations.a_one_speed import OneSpeed
 from rigtool.experiments.learning.implementations.b_all_speeds import AllSpeeds
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
@@ -18,9 +18,9 @@ from rigtool.experiments.learning.implementations.d_known_loads import KnownLoad
 from rigtool.experiments.learning.implementations.skeleton import Implementation
 from rigtool.experiments.learning.implementations.standard_trajectory import RepeatedMove
 from rigtool.experiments.learning.imported import analyse_imported
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
+from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
@@ -39,20 +39,9 @@ IMPLEMENTATIONS: dict[str, type[Implementation[Any]]] = {
 """Ways to learn that exist, by the thesis's letter."""
 
 
-def require_implementation(name: str) -> None:
-    """Raise `UsageError` unless learning of this name exists."""
-    if name not in IMPLEMENTATIONS:
-        known = ", ".join(f"{key} ({way.ABOUT})" for key, way in IMPLEMENTATIONS.items())
-        raise UsageError(f"--implementation {name} does not exist yet; there is {known}")
-
-
 def asked(options: CommonOptions, name: str | None, *, validate: bool) -> CommonOptions:
-    """Return the options with the choices of the command line, which override the recipe.
-
-    Raises `UsageError` for learning that does not exist.
-    """
+    """Return the options with the choices of the command line, which override the recipe."""
     if name is not None:
-        require_implementation(name)
         options = options.with_override(f"ilc_learn.implementation={name}")
         if IMPLEMENTATIONS[name].BARE_MOTOR:
             options = options.with_override("rig.attachment=pulley")
@@ -61,7 +50,6 @@ def asked(options: CommonOptions, name: str | None, *, validate: bool) -> Common
 
 def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
     name = recipe.ilc_learn.implementation
-    require_implementation(name)
     implementation = IMPLEMENTATIONS[name]
     if implementation.BARE_MOTOR and recipe.rig.attachment != "pulley":
         raise UsageError(
@@ -104,7 +92,9 @@ def analyse(
 ) -> Outcome:
     """Learn from the stored signals, and report what remained."""
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
-    return replace(outcome, notes=(*outcome.notes, *remark(runs, torque_per_ampere(kt).value)))
+    return replace(
+        outcome, notes=(*outcome.notes, *unsampled_note(runs, torque_per_ampere(kt).value))
+    )
 
 
 PROCEDURE = Procedure(

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.plant_models import PlantModel
 from rigtool.control.position_loop import Loop, TransferFunction, position_loop
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning.filters import Convergence, Inverse, Learning, convergence, zpetc
 from rigtool.experiments.learning.measured_loop import InverseResponse, MeasuredLoop
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
@@ -226,6 +226,6 @@ def _origin(recipe: Recipe, plant: Run | None, learning: Learning) -> tuple[str,
     return tuple(notes)
 
 
-def _phase(response: NDArray[np.complex128]) -> NDArray[np.float64]:
-    phase: NDArray[np.float64] = np.unwrap(np.angle(response))
+def _phase(response: ComplexArray) -> Array:
+    phase: Array = np.unwrap(np.angle(response))
     return phase

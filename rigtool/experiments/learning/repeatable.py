@@ -16,9 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array, Mask
 
 LEVEL = 0.01
 """Largest part of the orders reported as repeatable that may be chance."""
@@ -38,7 +37,7 @@ class Repeatability:
     chance: Array
     cycles: int
 
-    def kept(self) -> NDArray[np.bool_]:
+    def kept(self) -> Mask:
         """Return for each order (k,) whether it repeats, by the procedure of this module."""
         from scipy.special import fdtrc
 
@@ -51,7 +50,7 @@ class Repeatability:
         ranked = np.sort(p[tested])
         below = ranked <= LEVEL * np.arange(1, ranked.size + 1) / max(ranked.size, 1)
         limit = ranked[below].max(initial=-1.0)
-        kept: NDArray[np.bool_] = tested & (p <= limit)
+        kept: Mask = tested & (p <= limit)
         return kept
 
     def ratio(self) -> float:
@@ -97,7 +96,7 @@ def repeatability(cycles: Array, spread: float = 1.0) -> Repeatability:
     return Repeatability(weight * np.abs(mean) ** 2, chance, count)
 
 
-def only_kept(cycles: Array, kept: NDArray[np.bool_]) -> Array:
+def only_kept(cycles: Array, kept: Mask) -> Array:
     """Return cycles (..., n) with the orders alone that are `kept` (n/2 + 1,)."""
     orders = np.fft.rfft(cycles, axis=-1)
     orders[..., ~kept] = 0.0

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.rows import Row, residual
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +29,7 @@ class Remaining:
 
     def results(self) -> dict[str, Quantity]:
         """Return peak, rms and reduction over all speeds and both directions."""
-        found = residual(self.before, self.after)
-        return {
-            "residual_peak": Quantity(found.peak.value, "N m", found.peak.u, found.peak.dof),
-            "residual_rms": Quantity(found.rms.value, "N m", found.rms.u, found.rms.dof),
-            "reduction": Quantity(
-                found.reduction.value, "1", found.reduction.u, found.reduction.dof
-            ),
-        }
+        return residual(self.before, self.after)
 
     def tables(self) -> dict[str, Table]:
         """Return numbers by speed, and the waveforms behind them."""

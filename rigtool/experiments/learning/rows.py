@@ -12,7 +12,7 @@ Everything is a function of the set point, not of the encoder: the table is addr
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.filters import Learning
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.jackknife import jackknife
 from rigtool.numerics.moves import Moves, at_positions
-
-Array = NDArray[np.float64]
+from rigtool.quantity import Quantity
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +93,11 @@ class Amplitudes:
     amplitude: Array
     u: Array
 
+    @staticmethod
+    def fading(lowest: float) -> Amplitudes:
+        """Return the table that fades to zero in proportion to speed, from the lowest speed."""
+        return Amplitudes(np.array([0.0, lowest]), np.array([0.0, 1.0]), np.zeros(2))
+
 
 def fit_amplitudes(low: Sequence[Row], learned: Sequence[Row]) -> Amplitudes:
     """Fit the amplitude table to rows at low speeds, both directions of a speed together.
@@ -137,31 +142,11 @@ def assemble(position: Array, rows: Sequence[Row], amplitudes: Amplitudes) -> Lo
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Remains:
-    """A number about what remains, with standard uncertainty and degrees of freedom (or none)."""
-
-    value: float
-    u: float
-    dof: float
-
-
-@dataclass(frozen=True, eq=False)
-class Residual:
-    """What learning left, over all speeds and directions: torques in N m.
-
-    `peak` is the largest value of any row's mean, `rms` that of all together; `reduction` is the
-    part of the rms that the table took away, 1 - rms/(rms before).
-    """
-
-    peak: Remains
-    rms: Remains
-    reduction: Remains
-
-
-def residual(before: Sequence[Row], after: Sequence[Row]) -> Residual:
+def residual(before: Sequence[Row], after: Sequence[Row]) -> dict[str, Quantity]:
     """Compare the controller's torque without and with the table, rows of equal speeds.
 
+    Returns `residual_peak`, the largest value of any row's mean, `residual_rms` of all rows
+    together, and `reduction`, the part of the rms that the table removed, 1 - rms/(rms before).
     Uncertainties by the jackknife over moves: move i is left out at all speeds at once.
     """
     count = min(len(row.moves) for row in (*before, *after))
@@ -172,10 +157,12 @@ def residual(before: Sequence[Row], after: Sequence[Row]) -> Residual:
     def rms(rows: Sequence[Row], keep: NDArray[np.intp]) -> float:
         return float(np.sqrt(np.mean(means(rows, keep) ** 2)))
 
-    statistics = (
-        lambda keep: float(np.abs(means(after, keep)).max()),
-        lambda keep: rms(after, keep),
-        lambda keep: 1 - rms(after, keep) / rms(before, keep),
-    )
-    found = [Remains(*jackknife(count, statistic), count - 1) for statistic in statistics]
-    return Residual(*found)
+    def quantity(statistic: Callable[[NDArray[np.intp]], float], unit: str) -> Quantity:
+        value, u = jackknife(count, statistic)
+        return Quantity(value, unit, u, count - 1)
+
+    return {
+        "residual_peak": quantity(lambda keep: float(np.abs(means(after, keep)).max()), "N m"),
+        "residual_rms": quantity(lambda keep: rms(after, keep), "N m"),
+        "reduction": quantity(lambda keep: 1 - rms(after, keep) / rms(before, keep), "1"),
+    }

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.rows import Row
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.numerics.jackknife import jackknife, standard_uncertainty
 
-Array = NDArray[np.float64]
-Orders = NDArray[np.complex128]
+Orders = ComplexArray
 
 SIGNIFICANT = 3.0
 """Standard uncertainties that an amplitude needs: below, it is noise, and the table is zero."""

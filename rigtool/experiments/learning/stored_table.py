@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import RunFileError
 from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS, LearnedTable
 from rigtool.experiments.learning.rows import Amplitudes
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward
@@ -25,9 +25,7 @@ TRAJECTORY = "trajectory"
 """Table that a run has instead of a learned table, where it was learned by time."""
 
 
-def tables_of(
-    table: LookupTable, u: NDArray[np.float64], amplitudes: Amplitudes
-) -> dict[str, Table]:
+def tables_of(table: LookupTable, u: Array, amplitudes: Amplitudes) -> dict[str, Table]:
     """Return the tables `lookup` and `amplitude` of a learned table.
 
     `u` is the standard uncertainty of its torque, of the same shape, N m.

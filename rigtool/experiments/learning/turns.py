@@ -9,16 +9,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.repeatable import only_kept, repeatability
 from rigtool.experiments.learning.rows import Row
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.moves import Moves
-
-Array = NDArray[np.float64]
 
 TURN = 2 * math.pi
 

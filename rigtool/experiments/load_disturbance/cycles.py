@@ -11,13 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.load_disturbance.tendon import contact
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.moves import cut_moves
 from rigtool.numerics.steady_mean import steady_mean
-
-Array = NDArray[np.float64]
 
 MOTION_HZ = 60.0
 """Cut-off of angle and current where they enter as they are: the encoder's steps lie above, a

@@ -17,7 +17,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import constants
 
 from rigtool.experiments.load_disturbance.model import (
@@ -28,8 +27,7 @@ from rigtool.experiments.load_disturbance.model import (
 )
 from rigtool.experiments.load_disturbance.tendon import Tendon
 from rigtool.experiments.load_disturbance.terms import Sizes, State, Term, depends_on_load, terms
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 MODEL_ERROR = 2e-3
 """Error of the model at a single point, relative to the peak of a load."""

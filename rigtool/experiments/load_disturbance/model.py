@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,9 +24,8 @@ from numpy.typing import NDArray
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
 from rigtool.experiments.load_disturbance.tendon import Tendon, swing
 from rigtool.experiments.load_disturbance.terms import State, Term, functions
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_u
-
-Array = NDArray[np.float64]
 
 ROWS = 4
 """Points that are compared, for each period of the bandwidth."""
@@ -172,14 +171,7 @@ class Disturbance:
                 continue
             moved = parameters.copy()
             moved[number] += step
-            other = Disturbance(
-                self.terms,
-                Tendon(*moved.tolist()),
-                self.coefficient,
-                self.covariance,
-                self.torque,
-                self.speeds,
-            )
+            other = replace(self, tendon=Tendon(*moved.tolist()))
             by_tendon.append((other.expected(pair, moment) - middle) / step)
         return np.vstack([by_tendon, design])
 

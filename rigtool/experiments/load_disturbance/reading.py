@@ -18,14 +18,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
 from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_u
-
-Array = NDArray[np.float64]
 
 STEP = 0.01
 """Change of the load for a derivative, relative, or as part of the largest learned load."""

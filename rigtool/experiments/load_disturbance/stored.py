@@ -7,17 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair, state_under
 from rigtool.experiments.load_disturbance.tendon import Tendon
 from rigtool.experiments.load_disturbance.terms import Kind, State, Term, functions
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
-
-Array = NDArray[np.float64]
 
 TERMS, COVARIANCE = "disturbance_terms", "disturbance_covariance"
 

@@ -16,10 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import constants
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 CONTACT_ANGLE = 0.01
 """Angle over which a friction contact turns round, rad: small against a stroke."""

@@ -24,11 +24,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 ROTOR_ORDERS = (1, 2, 3, 4)
 LOAD_FRICTION_ORDERS = (1, 2)

@@ -2,17 +2,19 @@
 
     P(f) = model(J, fv, ...) exp(-j w tau - c w2)
 
-`model` is exact for a torque held over a sample; tau and c stand for everything above the band that
-is not the plant (the amplifier's current loop, the hold's true timing): whatever it is, far below
-its own corner its logarithm begins with these two terms. Residuals are logarithms of measured over
-modelled response, magnitude and phase together, weighted by their scatter (logarithmic least
-squares: Pintelon & Schoukens, System Identification, 2nd edition, Wiley 2012, section 9.8).
+`model` is exact for a torque held over a sample; tau and c stand for the dynamics above the band
+that are not the plant (the amplifier's current loop, the timing of the hold): far below their
+corner, the logarithm of any such dynamics begins with these two terms. Residuals are logarithms of
+measured over modelled response, magnitude and phase together, weighted by their scatter
+(logarithmic least squares: Pintelon & Schoukens, System Identification, 2nd edition, Wiley 2012,
+section 9.8).
 
-A second mass is looked for only where the rigid plant deviates by more than the scatter explains,
-and believed only where it does better by an F test and has its resonance within the band.
-Uncertainty: the larger of two. The experiments' scatter by the jackknife (a linear step instead of
-a new fit) holds what is common to all lines of an experiment, but rests on few; the lines' scatter,
-propagated by least squares and raised by what they deviate from the model beyond it, rests on many.
+A second mass is fitted only where the rigid plant deviates by more than the scatter explains, and
+accepted only where it is better by an F test and has its resonance within the band. The uncertainty
+is the larger of two: the experiments' scatter by the jackknife (a linear step instead of a new
+fit), which includes errors common to all lines but rests on few experiments; and the lines'
+scatter, propagated by least squares and raised by their deviation from the model, which rests on
+many.
 """
 
 from __future__ import annotations
@@ -23,48 +25,45 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, stats
 
 from rigtool.control.plant_models import PlantModel
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
-from rigtool.experiments.plant.multisine import ComplexArray
+from rigtool.numerics.arrays import Array, ComplexArray, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
-Array = NDArray[np.float64]
-
 MIN_COHERENCE = 0.8
-"""Lines below are not used: less than this part of their power in one period is excitation."""
+"""Smallest part of a line's power in one period that belongs to the excitation."""
 
 MIN_LINES = 8
-"""Of these a fit needs at least as many; it has up to seven parameters, each line two values."""
+"""Smallest number of lines in a fit of up to seven parameters; each line has two values."""
 
-POOLED = 5
-"""Neighbouring lines whose relative scatter is pooled for the weights."""
+POOLED_LINES = 5
+"""Number of neighbouring lines whose relative scatter is pooled for the weights."""
 
-SECOND_MASS = 1e-4
-"""Probability at which the tests that reject the rigid plant may be wrong."""
+SECOND_MASS_SIGNIFICANCE = 1e-4
+"""Probability that the tests reject the rigid plant wrongly."""
 
 EVALUATIONS = 500
-"""Of the model in one fit, at most; a second mass that is not there leads nowhere."""
+"""Largest number of evaluations in one fit; without a second mass it does not converge."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlantFit:
-    """A model with `delay` tau, s, and `roll_off` c, s2; what it rests on.
+    """A model with `delay` tau, s, and `roll_off` c, s2.
 
-    `used` (k,) marks the lines of the response that the fit rests on, `misfit` is the root of
-    chi2 over its degrees of freedom: one where model and scatter explain all. `without` are the
-    fits without each experiment in turn, `moved` those one standard deviation off along each
-    principal axis of the least-squares covariance.
+    `used` (k,) marks the lines of the fit, `misfit` is the root of chi2 over its degrees of
+    freedom: one where model and scatter explain all. `without` are the fits without each
+    experiment in turn, `moved` those one standard deviation off along each principal axis of the
+    least-squares covariance.
     """
 
     model: PlantModel
     delay: float
     roll_off: float
     sample_time: float
-    used: NDArray[np.bool_]
+    used: Mask
     misfit: float
     rigid_rejected: float
     without: tuple[PlantFit, ...] = ()
@@ -78,7 +77,7 @@ class PlantFit:
         return response
 
     def uncertainty(self, statistic: Callable[[PlantFit], float]) -> float:
-        """Return the standard uncertainty of a number that is computed from the fit."""
+        """Return the standard uncertainty of a statistic of the fit."""
         scatter = standard_uncertainty(np.array([statistic(fit) for fit in self.without]))
         here = statistic(self)
         moved = [statistic(fit) - here for fit in self.moved]
@@ -86,7 +85,7 @@ class PlantFit:
 
 
 def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: float) -> PlantFit:
-    """Fit the simplest model that the response supports; `nominal_inertia` is where it starts.
+    """Fit the simplest model that the response supports, from `nominal_inertia`, kg m2.
 
     Raises `InsufficientDataError` where too few lines are coherent with the excitation.
     """
@@ -108,8 +107,8 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
 
 
 def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
-    """Return the fit with a second mass where the data ask for it."""
-    if data.explained(rigid) > SECOND_MASS:
+    """Return the fit with a second mass where the data require it, else None."""
+    if data.explained(rigid) > SECOND_MASS_SIGNIFICANCE:
         return None
     low, high = data.found.frequency[[0, -1]]
     candidates = []
@@ -125,7 +124,7 @@ def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
     ratio = ((left - rest) / (free - more)) / (rest / more)
     better = float(stats.f.sf(ratio, free - more, more))
     inside = low < best.model.antiresonance_hz and best.model.resonance_hz < high
-    if better < SECOND_MASS and inside:
+    if better < SECOND_MASS_SIGNIFICANCE and inside:
         return replace(best, rigid_rejected=better)
     return None
 
@@ -137,7 +136,7 @@ class _Data:
         self.found = found
         self._sample_time = sample_time
         relative = np.square(found.u / np.abs(found.response))
-        window = np.ones(min(POOLED, len(relative)))
+        window = np.ones(min(POOLED_LINES, len(relative)))
         count = np.convolve(np.ones(len(relative)), window, "same")
         pooled = np.convolve(relative, window, "same") / count
         self._weight = 1 / np.sqrt(pooled)
@@ -147,7 +146,7 @@ class _Data:
         return 2 * len(self.found.frequency) - len(_parameters(fit))
 
     def explained(self, fit: PlantFit) -> float:
-        """Return the probability of deviations as large as these, were the model right."""
+        """Return the probability of deviations this large if the model is right."""
         noise = self.found.dof * len(self.found.frequency)
         return float(stats.f.sf(fit.misfit**2, self.freedom(fit), noise))
 
@@ -157,7 +156,7 @@ class _Data:
         return np.concatenate([ratio.real * self._weight, ratio.imag * self._weight])
 
     def fitted(self, start: PlantFit) -> PlantFit:
-        """Return the least-squares fit of the kind of model that `start` has."""
+        """Return the least-squares fit of the model, rigid or with two masses, of `start`."""
         measured = self.found.response
         scale = _scale(start)
         origin = _parameters(start)
@@ -173,7 +172,7 @@ class _Data:
         return _with(found, _parameters(found), misfit=misfit)
 
     def with_scatter(self, fit: PlantFit) -> PlantFit:
-        """Return the fit with what its uncertainty is computed from."""
+        """Return the fit with `without` and `moved`, from which its uncertainty follows."""
         scale, origin = _scale(fit), _parameters(fit)
         here = self.residuals(fit, self.found.response)
         step = 1e-4
@@ -191,7 +190,7 @@ class _Data:
             rest = np.delete(each, number, axis=0).mean(axis=0)
             change = self.residuals(fit, rest) - here
             without.append(_with(fit, origin - scale * (inverse @ change)))
-        # Residuals scatter by one: what they move the parameters by has these principal axes.
+        # Residuals scatter by one: the shift of the parameters has these principal axes.
         axes, sizes, _ = np.linalg.svd(inverse, full_matrices=False)
         steps = axes * sizes * max(1.0, fit.misfit)
         moved = tuple(_with(fit, origin + scale * step) for step in steps.T)
@@ -212,7 +211,7 @@ def _parameters(fit: PlantFit) -> Array:
 
 
 def _scale(fit: PlantFit) -> Array:
-    """Return steps of the parameters that change the response by about as much."""
+    """Return steps of the parameters that change the response about equally."""
     inertia, sample = fit.model.inertia, fit.sample_time
     scale = [1.0, inertia * 100.0, sample, sample**2, 1.0, 1.0, 1.0]
     return np.array(scale[: len(_parameters(fit))])
@@ -222,7 +221,7 @@ def _with(fit: PlantFit, vector: Array, **changes: Any) -> PlantFit:
     """Return a fit with the parameters of a vector."""
     inertia, viscous = math.exp(vector[0]), float(vector[1])
     if len(vector) > 4:
-        # A second mass that the data do not show runs away: not further than it makes sense.
+        # A second mass that the data do not show runs away: bound it.
         part = 1 / (1 + math.exp(-np.clip(vector[4], -5, 5)))
         antiresonance = math.exp(np.clip(vector[5], -2, math.log(0.2 / fit.sample_time)))
         model = PlantModel(inertia, viscous, part, antiresonance, float(vector[6]))

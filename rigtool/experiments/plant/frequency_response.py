@@ -6,7 +6,7 @@ with the spectra of excitation R, input U and output Y at line k. Disturbances r
 the loop, but not R: the ratio of the two correlations has no bias, where Y/U and spectra of U and Y
 have (joint input-output method: Pintelon & Schoukens, System Identification, 2nd edition, Wiley
 2012, section 2.6 and chapter 4). Experiments (realisations of the phases, directions, speeds) weigh
-the same; their scatter holds noise and what is not linear, and gives the variance of the mean.
+the same; their scatter includes noise and nonlinearity, and gives the variance of the mean.
 
 Frequencies in Hz; input and output in any unit.
 """
@@ -18,16 +18,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.plant.multisine import ComplexArray, Lines
-
-Array = NDArray[np.float64]
+from rigtool.experiments.plant.multisine import LineNumbers
+from rigtool.numerics.arrays import Array, ComplexArray, Mask
 
 MIN_EXPERIMENTS = 3
-"""Fewer have no scatter worth the name."""
+"""Smallest number of experiments whose scatter gives an uncertainty."""
 
 COVERAGE = 0.95
 """Probability with which a true value lies in its `radius`."""
@@ -44,11 +42,12 @@ class Experiment:
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """Response at lines (k,), Hz, with what is known about its uncertainty.
+    """Response at lines (k,), Hz, and its uncertainty.
 
-    `each` (experiments, k) are the experiments by themselves, `coherence` (k,) is the part of the
-    power of input and output (the smaller of both) that belongs to the excitation, in one period.
-    `quantisation` (k,) is the standard uncertainty of the magnitude that an output in steps causes.
+    `each` (experiments, k) are the responses of single experiments, `coherence` (k,) is the part of
+    the power of input and output (the smaller of both) that belongs to the excitation, in one
+    period.
+    `quantisation` (k,) is the standard uncertainty of the magnitude from the steps of the output.
     """
 
     frequency: Array
@@ -83,7 +82,7 @@ class FrequencyResponse:
         """Radius (k,) of the circle around the response that holds the truth at `COVERAGE`."""
         return coverage_radius(self.u, self.dof)
 
-    def lines(self, keep: NDArray[np.bool_]) -> FrequencyResponse:
+    def lines(self, keep: Mask) -> FrequencyResponse:
         """Return the response at some of the lines only."""
         return FrequencyResponse(
             self.frequency[keep], self.each[:, keep], self.coherence[keep], self.quantisation[keep]
@@ -100,7 +99,7 @@ def coverage_radius(u: Array, dof: float) -> Array:
 
 
 def frequency_response(
-    experiments: Sequence[Experiment], lines: Lines, sample_time: float, step: float = 0.0
+    experiments: Sequence[Experiment], lines: LineNumbers, sample_time: float, step: float = 0.0
 ) -> FrequencyResponse:
     """Return the response from input to output at `lines` of the period, in periods^-1.
 
@@ -109,7 +108,7 @@ def frequency_response(
     """
     if len(experiments) < MIN_EXPERIMENTS:
         raise InsufficientDataError(
-            f"{len(experiments)} experiments have too little scatter to tell an uncertainty, "
+            f"{len(experiments)} experiments have too little scatter for an uncertainty, "
             f"{MIN_EXPERIMENTS} are needed: raise identify_plant.realisations"
         )
     samples = experiments[0].reference.shape[-1]
@@ -141,13 +140,13 @@ class _Correlations:
     output_power: Array
 
     @classmethod
-    def of(cls, experiment: Experiment, lines: Lines) -> _Correlations:
+    def of(cls, experiment: Experiment, lines: LineNumbers) -> _Correlations:
         r, u, y = (
             np.fft.rfft(signal, axis=-1)[:, lines]
             for signal in (experiment.reference, experiment.input, experiment.output)
         )
         powers = [np.sum(np.abs(spectrum) ** 2, axis=0) for spectrum in (r, u, y)]
-        # What single precision leaves of a line that is not excited lies below 1e-6 of the others.
+        # In single precision a line that is not excited lies below 1e-6 of the others.
         quiet = powers[0] < 1e-10 * powers[0].max(initial=0)
         if quiet.any() or not powers[0].max(initial=0) > 0:
             raise InsufficientDataError(
@@ -159,14 +158,12 @@ class _Correlations:
 
 def _coherence(powers: Sequence[_Correlations]) -> Array:
     """Return |S_xr|^2/(S_xx S_rr), the mean over the experiments, for the smaller of u and y."""
-    found = [
-        np.mean(
-            [np.abs(cross) ** 2 / (power * p.reference_power) for p, cross, power in rows], axis=0
-        )
-        for rows in (
-            [(p, p.input, p.input_power) for p in powers],
-            [(p, p.output, p.output_power) for p in powers],
-        )
+    of_each = [
+        [
+            np.abs(p.input) ** 2 / (p.input_power * p.reference_power),
+            np.abs(p.output) ** 2 / (p.output_power * p.reference_power),
+        ]
+        for p in powers
     ]
-    smaller: Array = np.minimum(*found)
+    smaller: Array = np.mean(of_each, axis=0).min(axis=0)
     return smaller

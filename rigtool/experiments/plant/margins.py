@@ -13,18 +13,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
-from rigtool.experiments.plant.multisine import ComplexArray
+from rigtool.numerics.arrays import Array, ComplexArray
 
-Array = NDArray[np.float64]
 Response = Callable[[Array], ComplexArray]
 
-POINTS = 1000
-"""Of the grid on which crossings and extremes are looked for before they are refined."""
+GRID_POINTS = 1000
+"""Points of the grid on which crossings and extremes are located before they are refined."""
 
-LOWEST = 1e-4
+GRID_LOWEST = 1e-4
 """Lower end of that grid, relative to half the sampling rate."""
 
 
@@ -47,7 +45,7 @@ def margins(open_loop: Response, half_rate_hz: float) -> Margins:
 
     Of several crossings the one with the smallest margin counts; `crossover_hz` is the last.
     """
-    grid = np.geomspace(LOWEST * half_rate_hz, half_rate_hz, POINTS)
+    grid = np.geomspace(GRID_LOWEST * half_rate_hz, half_rate_hz, GRID_POINTS)
     response = open_loop(grid)
 
     def at(frequency: float) -> complex:
@@ -55,7 +53,7 @@ def margins(open_loop: Response, half_rate_hz: float) -> Margins:
 
     gains = [
         1 / abs(at(f))
-        # Where it passes the real axis on the left: elsewhere the sign changes as well.
+        # Only crossings of the negative real axis: the sign changes elsewhere as well.
         for f in _crossings(lambda f: at(f).imag, grid, response.imag)
         if -1 < at(f).real < 0
     ]

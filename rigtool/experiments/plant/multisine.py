@@ -11,15 +11,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Lines = NDArray[np.intp]
-ComplexArray = NDArray[np.complex128]
+from rigtool.numerics.arrays import Array, ComplexArray
+
+LineNumbers = NDArray[np.intp]
 
 DRAWS = 200
-"""Sets of phases that are tried; the one with the lowest peak is kept."""
+"""Number of sets of phases to try; the one with the lowest peak is kept."""
 
 
-def quasi_log_lines(low: int, high: int, count: int) -> Lines:
+def quasi_log_lines(low: int, high: int, count: int) -> LineNumbers:
     """Return up to `count` whole numbers from `low` to `high`, as evenly in logarithm as they go.
 
     Raises ValueError unless 1 <= low < high.
@@ -29,7 +29,7 @@ def quasi_log_lines(low: int, high: int, count: int) -> Lines:
     return np.unique(np.geomspace(low, high, count).round().astype(np.intp))
 
 
-def random_phases(lines: Lines, samples: int, rng: np.random.Generator) -> ComplexArray:
+def random_phases(lines: LineNumbers, samples: int, rng: np.random.Generator) -> ComplexArray:
     """Return unit amplitudes (k,) at these lines of a period of `samples`, with a low crest factor.
 
     Of `DRAWS` random sets of phases the one whose sum has the lowest peak is taken.
@@ -40,7 +40,7 @@ def random_phases(lines: Lines, samples: int, rng: np.random.Generator) -> Compl
     return best
 
 
-def periodic(lines: Lines, amplitude: ComplexArray, samples: int) -> Array:
+def periodic(lines: LineNumbers, amplitude: ComplexArray, samples: int) -> Array:
     """Return one period (samples,) of the real part of sum A_k exp(2 pi i k n/samples).
 
     Raises ValueError for lines at or above half of the sampling rate.

@@ -1,8 +1,8 @@
 """identify-plant: frequency response of the plant in closed loop, and its inertia [7.2.3, 7.2.4.2].
 
 A multisine is added to the controller's torque while the shaft moves at constant speed. The
-response from the torque asked of the amplifier to the shaft's angle is that of the plant as the
-loop sees it, with the amplifier; the fit takes inertia and viscous friction from it [Fig. 35, 39].
+response from the torque set point of the amplifier to the shaft's angle is that of the plant with
+the amplifier; the fit takes inertia and viscous friction from it [Fig. 35, 39].
 """
 
 from __future__ import annotations
@@ -11,29 +11,27 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.fit import fit_plant
 from rigtool.experiments.plant.frequency_response import Experiment, frequency_response
-from rigtool.experiments.plant.multisine import Lines, periodic
+from rigtool.experiments.plant.multisine import LineNumbers, periodic
 from rigtool.experiments.plant.procedure_excitation import (
-    Plan,
+    Excitation,
+    excitations,
     excited_lines,
-    plans,
-    samples,
+    period_samples,
     tasks,
 )
-from rigtool.experiments.plant.results import Found, outcome_of
+from rigtool.experiments.plant.results import IdentifiedPlant, plant_outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
-
-Array = NDArray[np.float64]
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -46,28 +44,30 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
         "encoder",
         "temperature",
     )
-    period = samples(recipe) * recipe.rig.sample_time
+    period = period_samples(recipe) * recipe.rig.sample_time
     return tuple(
         RecordingSpec(
-            _name(plan), recorded, {"speed": (plan.speed, "rad/s"), "period": (period, "s")}
+            _name(excitation),
+            recorded,
+            {"speed": (excitation.speed, "rad/s"), "period": (period, "s")},
         )
-        for plan in plans(recipe)
+        for excitation in excitations(recipe)
     )
 
 
-def _name(plan: Plan) -> str:
-    return f"multisine_{plan.number:03d}"
+def _name(excitation: Excitation) -> str:
+    return f"multisine_{excitation.number:03d}"
 
 
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run | None = None) -> None:
     """Excite the shaft at each speed, in both directions, with each set of phases."""
-    for plan in plans(recipe):
-        for task in tasks(recipe, plan):
-            record(rig, task, recorder, _name(plan))
+    for excitation in excitations(recipe):
+        for task in tasks(recipe, excitation):
+            record(rig, task, recorder, _name(excitation))
 
 
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Outcome:
-    """Return the frequency response, its fit, and what the recipe's controller makes of it.
+    """Return the frequency response, its fit, and the margins with the recipe's controller.
 
     Raises `RunFileError` for runs without its recordings.
     """
@@ -92,7 +92,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
     count = 2 * math.pi / recipe.rig.encoder_counts
     response = frequency_response(experiments, lines, sample_time, count)
     fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia)
-    return outcome_of(Found(response, fit, constants[0], max(swings)), recipe)
+    return plant_outcome(IdentifiedPlant(response, fit, constants[0], max(swings)), recipe)
 
 
 def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
@@ -134,9 +134,9 @@ def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -
 
 
 def _period_starts(steps: Array, step: float, settle: int, period: int) -> list[int]:
-    """Return where whole periods begin in each stretch of constant steps, its beginning left out.
+    """Return the starts of whole periods in each stretch of constant steps, after `settle` samples.
 
-    The last sample of a stretch has no step of its own: periods end with the stretch's steps.
+    Periods end with the steps of the stretch, as its last sample has no step.
     """
     constant = np.abs(steps - step) < 1e-4 * abs(step)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], constant, [False]]).astype(np.int8)))
@@ -147,14 +147,14 @@ def _period_starts(steps: Array, step: float, settle: int, period: int) -> list[
     return starts
 
 
-def _swing(experiment: Experiment, lines: Lines, sample_time: float) -> float:
+def _swing(experiment: Experiment, lines: LineNumbers, sample_time: float) -> float:
     """Return the peak of the excited speed, rad/s."""
     samples_of_period = experiment.reference.shape[-1]
     reference, output = (
         np.fft.rfft(signal, axis=-1)[:, lines]
         for signal in (experiment.reference, experiment.output)
     )
-    # Of the first period; what is not the excitation's stays out.
+    # Of the first period; only the part that belongs to the excitation.
     answer = reference[0] * np.sum(output * reference.conj(), axis=0)
     answer /= np.sum(np.abs(reference) ** 2, axis=0)
     omega = 2 * np.pi * lines / (samples_of_period * sample_time)

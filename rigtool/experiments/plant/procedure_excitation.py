@@ -1,10 +1,10 @@
-"""How the plant is excited: a multisine on top of motion at constant speed, both directions.
+"""Excitation of the plant: a multisine on top of motion at constant speed, both directions.
 
 While the shaft moves without stopping, Coulomb friction is a constant and the plant is linear. The
 bare pulley turns freely: the periods of an experiment cover whole turns, and begin at as many
 equally spaced angles, so that ripple of any order that is not a multiple of their number drops out.
 The instrument has a limited angle: it moves to and fro, each cycle of strokes with the excitation
-of the one before turned over, so that whatever follows from the position drops out.
+of the one before reversed, so that any function of the position drops out.
 """
 
 from __future__ import annotations
@@ -14,46 +14,43 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import position_loop
 from rigtool.errors import RecipeError
 from rigtool.experiments.plant.multisine import (
-    ComplexArray,
-    Lines,
+    LineNumbers,
     periodic,
     quasi_log_lines,
     random_phases,
 )
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import SpeedProfile, Triangle
 
-Array = NDArray[np.float64]
-
 RUN_UP = 0.5
-"""From standstill to the speed of an experiment, s."""
+"""Time from standstill to the speed of an experiment, s."""
 
 
 @dataclass(frozen=True)
-class Plan:
+class Excitation:
     """One speed of the shaft, rad/s, and one set of phases: experiments in both directions."""
 
     speed: float
     number: int
 
 
-def samples(recipe: Recipe) -> int:
-    """Return the samples of the loop in a period of the multisine."""
+def period_samples(recipe: Recipe) -> int:
+    """Return the number of samples of the loop in a period of the multisine."""
     return round(recipe.identify_plant.period / recipe.rig.sample_time)
 
 
-def excited_lines(recipe: Recipe) -> Lines:
-    """Return which lines of the period are excited; `RecipeError` where they do not fit."""
+def excited_lines(recipe: Recipe) -> LineNumbers:
+    """Return the excited lines of the period; `RecipeError` where they do not fit."""
     settings, rig = recipe.identify_plant, recipe.rig
-    period = samples(recipe) * rig.sample_time
+    period = period_samples(recipe) * rig.sample_time
     low, high = round(settings.frequency_min * period), round(settings.frequency_max * period)
-    if high >= samples(recipe) / 2:
+    if high >= period_samples(recipe) / 2:
         raise RecipeError(
             f"identify_plant.frequency_max {settings.frequency_max} Hz must lie below half the "
             f"sampling rate, {0.5 / rig.sample_time:.4g} Hz"
@@ -61,47 +58,47 @@ def excited_lines(recipe: Recipe) -> Lines:
     return quasi_log_lines(max(low, 1), max(high, 2), settings.lines)
 
 
-def plans(recipe: Recipe) -> list[Plan]:
+def excitations(recipe: Recipe) -> list[Excitation]:
     """Return the experiments, with speeds that suit the period."""
     free = recipe.rig.attachment == "pulley"
     settings = recipe.identify_plant
     wished = settings.speeds if free else settings.stroke_speeds
     speeds = [_turning(recipe, speed) if free else _strokes(recipe, speed) for speed in wished]
     return [
-        Plan(speed, place * settings.realisations + number)
+        Excitation(speed, place * settings.realisations + number)
         for place, speed in enumerate(speeds)
         for number in range(settings.realisations)
     ]
 
 
-def tasks(recipe: Recipe, plan: Plan) -> Iterator[Task]:
-    """Return what the rig does for a plan: both directions."""
-    period = multisine(recipe, plan)
+def tasks(recipe: Recipe, excitation: Excitation) -> Iterator[Task]:
+    """Return the tasks of an excitation: both directions."""
+    period = multisine(recipe, excitation)
     if recipe.rig.attachment == "pulley":
         settings = recipe.identify_plant
         duration = settings.settle_time + settings.periods * len(period) * recipe.rig.sample_time
         times = (0.0, RUN_UP, RUN_UP + duration, 2 * RUN_UP + duration)
         for sign in (1.0, -1.0):
-            speeds = (0.0, sign * plan.speed, sign * plan.speed, 0.0)
+            speeds = (0.0, sign * excitation.speed, sign * excitation.speed, 0.0)
             yield Task(SpeedProfile(times, speeds), Feedforward(signal=period))
         return
-    motion = _triangle(recipe, plan.speed)
+    motion = _triangle(recipe, excitation.speed)
     strokes = round(motion.stroke_time / (len(period) * recipe.rig.sample_time))
     cycle = np.tile(period, 2 * strokes)
     yield Task(motion, Feedforward(signal=np.concatenate([cycle, -cycle])))
 
 
-def multisine(recipe: Recipe, plan: Plan) -> Array:
+def multisine(recipe: Recipe, excitation: Excitation) -> Array:
     """Return a period of the torque, N m, that swings the shaft's speed at all lines alike.
 
-    Its level: as much as neither stops the shaft nor takes more than the share of the current
-    limit, as the loop with the nominal inertia will react.
+    Its level is the largest that neither stops the shaft nor exceeds the share of the current
+    limit, by the response of the loop with the nominal inertia.
     """
     settings, rig = recipe.identify_plant, recipe.rig
-    lines, count = excited_lines(recipe), samples(recipe)
+    lines, count = excited_lines(recipe), period_samples(recipe)
     loop = position_loop(**rig.loop_design)
     frequency = lines / (count * rig.sample_time)
-    speed = random_phases(lines, count, np.random.default_rng(plan.number))
+    speed = random_phases(lines, count, np.random.default_rng(excitation.number))
     torque = speed / (2j * np.pi * frequency * loop.process_sensitivity.response(frequency))
     asked = torque * loop.sensitivity.response(frequency)
 
@@ -109,7 +106,7 @@ def multisine(recipe: Recipe, plan: Plan) -> Array:
         return float(np.abs(periodic(lines, amplitude, count)).max())
 
     level = min(
-        settings.swing * plan.speed / peak(speed),
+        settings.swing * excitation.speed / peak(speed),
         settings.current_share * rig.current_limit * rig.torque_constant / peak(asked),
     )
     return level * periodic(lines, torque, count)
@@ -118,7 +115,7 @@ def multisine(recipe: Recipe, plan: Plan) -> Array:
 def _turning(recipe: Recipe, wished: float) -> float:
     """Return the closest speed at which the periods begin at equally spaced angles of the turn."""
     periods = recipe.identify_plant.periods
-    duration = periods * samples(recipe) * recipe.rig.sample_time
+    duration = periods * period_samples(recipe) * recipe.rig.sample_time
     turns = wished * duration / (2 * math.pi)
     fitting = [n for n in range(1, math.ceil(turns) + periods + 1) if math.gcd(n, periods) == 1]
     return min(fitting, key=lambda n: abs(n - turns)) * 2 * math.pi / duration
@@ -127,7 +124,7 @@ def _turning(recipe: Recipe, wished: float) -> float:
 def _strokes(recipe: Recipe, wished: float) -> float:
     """Return the closest speed at which a stroke lasts a whole number of periods."""
     settings = recipe.identify_plant
-    period = samples(recipe) * recipe.rig.sample_time
+    period = period_samples(recipe) * recipe.rig.sample_time
     motion = _triangle(recipe, wished)
     count = max(1, round(motion.stroke_time / period))
     speed = wished * motion.stroke_time / (count * period)
@@ -145,7 +142,7 @@ def _strokes(recipe: Recipe, wished: float) -> float:
 def _periods_of_stroke(recipe: Recipe, motion: Triangle) -> int:
     """Return the whole periods at constant speed within one stroke."""
     straight = motion.stroke_time - 2 * motion.turn_time - recipe.identify_plant.settle_time
-    return max(0, math.floor(straight / (samples(recipe) * recipe.rig.sample_time)))
+    return max(0, math.floor(straight / (period_samples(recipe) * recipe.rig.sample_time)))
 
 
 def _triangle(recipe: Recipe, speed: float) -> Triangle:

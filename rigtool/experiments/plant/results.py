@@ -1,4 +1,4 @@
-"""What identify-plant reports: the response, its fit, the loop's sensitivities and margins."""
+"""Results of identify-plant: the response, its fit, the loop's sensitivities and margins."""
 
 from __future__ import annotations
 
@@ -7,23 +7,20 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import TransferFunction, position_loop
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.fit import MIN_COHERENCE, PlantFit
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
 from rigtool.experiments.plant.margins import Margins, margins
-from rigtool.experiments.plant.multisine import ComplexArray
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
 
-Array = NDArray[np.float64]
-
 RESPONSE = "rad/(N m)"
-POINTS = 200
-"""Of the frequency axis on which fit and sensitivities are tabulated."""
+TABLE_POINTS = 200
+"""Points of the frequency axis of the tables of fit and sensitivities."""
 
 NOT_CALIBRATED = (
     "the torque constant is the data sheet's, whose uncertainty is not known: give --kt"
@@ -31,13 +28,13 @@ NOT_CALIBRATED = (
 
 
 def controller(recipe: Recipe) -> TransferFunction:
-    """Return the recipe's controller: it is made for the nominal inertia, whatever is there."""
+    """Return the recipe's controller, which is designed for the nominal inertia."""
     return position_loop(**recipe.rig.loop_design).controller
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """Response and fit; the torque for each ampere (None without --kt), the largest swing.
+class IdentifiedPlant:
+    """Response and fit; the torque for each ampere (None without --kt); the largest swing.
 
     `swing` is the peak of the excited speed relative to the speed of the shaft.
     """
@@ -54,7 +51,7 @@ class Found:
         return 0.0 if constant is None else (constant.u or 0.0) / constant.value
 
     def quantity(self, statistic: Callable[[PlantFit], float], unit: str) -> Quantity:
-        """Return a number that follows from the fit, with its uncertainty."""
+        """Return a statistic of the fit with its uncertainty."""
         value = statistic(self.fit)
         if self.torque_constant is None:
             return Quantity(value, unit, reason=NOT_CALIBRATED)
@@ -68,7 +65,7 @@ class Found:
 
 
 def _scaled(fit: PlantFit, factor: float) -> PlantFit:
-    """Return the fit as it would be with all torques larger by a factor."""
+    """Return the fit with all torques scaled by a factor."""
     model = fit.model
     return replace(
         fit,
@@ -76,7 +73,7 @@ def _scaled(fit: PlantFit, factor: float) -> PlantFit:
     )
 
 
-def outcome_of(found: Found, recipe: Recipe) -> Outcome:
+def plant_outcome(found: IdentifiedPlant, recipe: Recipe) -> Outcome:
     """Return results, tables and notes."""
     loop = _Loop(found, recipe)
     return Outcome(
@@ -90,7 +87,7 @@ def outcome_of(found: Found, recipe: Recipe) -> Outcome:
     )
 
 
-def _plant_results(found: Found) -> dict[str, Quantity]:
+def _plant_results(found: IdentifiedPlant) -> dict[str, Quantity]:
     fit, response = found.fit, found.response
     results = {
         "inertia": found.quantity(lambda f: f.model.inertia, "kg m2"),
@@ -111,7 +108,7 @@ def _plant_results(found: Found) -> dict[str, Quantity]:
         **results,
         "delay": found.quantity(lambda f: f.delay, "s"),
         "model_distance": Quantity(
-            float(off.max()), "1", reason="the largest deviation holds the scatter as well"
+            float(off.max()), "1", reason="the largest deviation includes the scatter"
         ),
         "coherence_min": Quantity(
             float(response.coherence[fit.used].min()), "1", reason="a measure of scatter itself"
@@ -119,7 +116,7 @@ def _plant_results(found: Found) -> dict[str, Quantity]:
     }
 
 
-def _response_table(found: Found) -> Table:
+def _response_table(found: IdentifiedPlant) -> Table:
     response, fit = found.response, found.fit
     value, scale = response.response, found.scale_u * np.abs(response.response)
     return Table(
@@ -136,7 +133,7 @@ def _response_table(found: Found) -> Table:
                 "of the circle that holds the true response at 95 %",
             ),
             "u_quantisation": Column(
-                response.quantisation, RESPONSE, "part of u that the encoder's steps cause"
+                response.quantisation, RESPONSE, "part of u from the encoder's steps"
             ),
             "coherence": Column(response.coherence, "1", "with the excitation, in one period"),
             "distance": Column(
@@ -151,7 +148,7 @@ def _response_table(found: Found) -> Table:
     )
 
 
-def _fit_table(found: Found, frequency: Array) -> Table:
+def _fit_table(found: IdentifiedPlant, frequency: Array) -> Table:
     fit = found.fit
     value = fit.response(frequency)
     omega = 2 * np.pi * frequency
@@ -181,12 +178,12 @@ def _fit_table(found: Found, frequency: Array) -> Table:
 class _Loop:
     """The fitted plant in the recipe's loop."""
 
-    def __init__(self, found: Found, recipe: Recipe) -> None:
+    def __init__(self, found: IdentifiedPlant, recipe: Recipe) -> None:
         self._found = found
         self._controller = controller(recipe)
         self._half_rate = 0.5 / recipe.rig.sample_time
         low = found.response.frequency[0] / 4
-        self.frequency = np.geomspace(low, 0.999 * self._half_rate, POINTS)
+        self.frequency = np.geomspace(low, 0.999 * self._half_rate, TABLE_POINTS)
 
     def _margins(self, fit: PlantFit) -> Margins:
         return margins(
@@ -194,7 +191,7 @@ class _Loop:
         )
 
     def results(self) -> dict[str, Quantity]:
-        """Return margins and bandwidth, each computed once for each of the fits."""
+        """Return margins and bandwidth, computed once for each of the fits."""
         known: dict[PlantFit, Margins] = {}
 
         def of(name: str) -> Callable[[PlantFit], float]:
@@ -244,7 +241,7 @@ def unwrapped(response: ComplexArray) -> Array:
     return phase
 
 
-def _notes(found: Found, recipe: Recipe) -> list[str]:
+def _notes(found: IdentifiedPlant, recipe: Recipe) -> list[str]:
     fit, response = found.fit, found.response
     band = response.frequency[fit.used]
     steps = (response.quantisation / np.abs(response.response))[fit.used]
@@ -271,7 +268,7 @@ def _notes(found: Found, recipe: Recipe) -> list[str]:
     else:
         notes.append(
             f"torques rest on the data sheet's torque constant, {recipe.rig.torque_constant} "
-            "N m/A: inertia and friction are wrong by as much as it is; give --kt"
+            "N m/A: inertia and friction have its relative error; give --kt"
         )
     return notes
 
@@ -283,8 +280,8 @@ def _swing_note(swing: float) -> str:
             "friction is a constant"
         )
     return (
-        f"the shaft stopped (its speed swung by up to {100 * swing:.3g} %): viscous_friction holds "
-        "Coulomb friction too; lower identify_plant.swing"
+        f"the shaft stopped (its speed swung by up to {100 * swing:.3g} %): viscous_friction "
+        "includes Coulomb friction; lower identify_plant.swing"
     )
 
 
@@ -297,4 +294,4 @@ def _model_note(fit: PlantFit) -> str:
             f"{fit.rigid_rejected:.1g}): two masses were fitted; `inertia` moves below the "
             f"resonance at {fit.model.resonance_hz:.3g} Hz, `inertia_motor_side` above it"
         )
-    return f"{model}; deviations are {fit.misfit:.3g} times what their scatter lets expect"
+    return f"{model}; deviations are {fit.misfit:.3g} times their expected scatter"

@@ -1,8 +1,8 @@
 """`fft-ripple` on imported runs: orders of rotation, what compensation reduced, maps compared.
 
-A motor that turns slowly asks for the current that overcomes its cogging, whether the controller or
-a table provides it. So both are told: the ripple of the current, and that of the motion, which is
-what compensation is there to reduce.
+A slowly turning motor needs the current that overcomes its cogging, whether the controller or a
+table provides it. So both ripples are reported: that of the current, and that of the motion, which
+compensation is meant to reduce.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import (
@@ -33,28 +32,21 @@ from rigtool.experiments.ripple.imported_turns import (
     reduction,
     turn_spectrum,
 )
-from rigtool.experiments.ripple.orders import Spectrum
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, POSITIONS, Spectrum, cell_centres
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
 from rigtool.runfile.importers.convert import irregular
 
-Array = NDArray[np.float64]
+GROUP_SPEED_TOLERANCE = 0.1
+"""Runs whose speeds differ by less than this part count as one speed."""
 
-POSITIONS = 500
-"""Cells of a turn."""
-
-ORDERS = 100
-"""Highest order of rotation in the spectra, where the data tell that many."""
-
-SAME_SPEED = 0.1
-"""Speeds that differ by less than this part are one speed."""
-
-TOLD = 10
-"""Orders that become results, the strongest that stand out of the noise."""
+ORDERS_REPORTED = 10
+"""Number of orders among the results: the strongest of the significant ones."""
 
 
 @dataclass(frozen=True, eq=False)
-class Group:
+class RepeatedRuns:
     """Runs under the same conditions and speed, as repeats of each other."""
 
     conditions: Mapping[str, float]
@@ -66,7 +58,7 @@ class Group:
     spectra: dict[str, Spectrum] = field(default_factory=dict)
 
     def label(self) -> str:
-        """Return what distinguishes it, for people."""
+        """Return its conditions and speed as text."""
         parts = [f"{name} {value:g}" for name, value in self.conditions.items()]
         return ", ".join([*parts, f"{self.speed:.3g} rad/s"])
 
@@ -89,7 +81,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
     groups = groups_of(recordings, turns)
     widest = max(group.gap for group in groups)
-    orders = ORDERS if widest == 0 else min(ORDERS, int(1 / (2 * widest)))
+    orders = HIGHEST_ORDER if widest == 0 else min(HIGHEST_ORDER, int(1 / (2 * widest)))
     for group in groups:
         group.spectra["torque"] = turn_spectrum(group.torque, orders)
         group.spectra["deviation"] = turn_spectrum(group.deviation, orders)
@@ -106,7 +98,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
 
 
 def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
-    """Lay a recording over the turn, in `POSITIONS` cells; what the motor does is its torque.
+    """Return the turns of a recording in `POSITIONS` cells, with the motor's effort as torque.
 
     Raises `InsufficientDataError` that names the file.
     """
@@ -117,13 +109,15 @@ def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
         raise InsufficientDataError(f"{run.path}: {error}") from None
 
 
-def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[Group]:
-    """Put together what was recorded under the same conditions and at the same speed."""
+def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[RepeatedRuns]:
+    """Return the recordings in groups of the same conditions and speed."""
     found: list[tuple[dict[str, float], list[Turns]]] = []
     for recording, here in zip(recordings, turns, strict=True):
         conditions = {n: q.value for n, q in recording.conditions.items() if n not in RIG}
         for others, members in found:
-            same_speed = abs(here.speed - members[0].speed) < SAME_SPEED * abs(members[0].speed)
+            same_speed = abs(here.speed - members[0].speed) < GROUP_SPEED_TOLERANCE * abs(
+                members[0].speed
+            )
             if others == conditions and same_speed:
                 members.append(here)
                 break
@@ -134,18 +128,20 @@ def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[G
         torque, gap = fill(np.concatenate([member.torque for member in members]))
         deviation, _ = fill(np.concatenate([member.deviation for member in members]))
         speed = float(np.mean([member.speed for member in members]))
-        groups.append(Group(conditions, speed, len(members), torque, deviation, gap))
+        groups.append(RepeatedRuns(conditions, speed, len(members), torque, deviation, gap))
     return groups
 
 
-def _pairs(groups: Sequence[Group]) -> list[tuple[Group, Group, str]]:
-    """Return groups that differ in one condition: reference (the lower), other, and its name."""
+def _pairs(groups: Sequence[RepeatedRuns]) -> list[tuple[RepeatedRuns, RepeatedRuns, str]]:
+    """Return pairs of groups that differ in one condition: reference (the lower), other, name."""
     pairs = []
     for low in groups:
         for high in groups:
             names = low.conditions.keys() | high.conditions.keys()
             differing = [n for n in names if low.conditions.get(n) != high.conditions.get(n)]
-            if len(differing) != 1 or abs(low.speed - high.speed) > SAME_SPEED * abs(low.speed):
+            if len(differing) != 1 or abs(low.speed - high.speed) > GROUP_SPEED_TOLERANCE * abs(
+                low.speed
+            ):
                 continue
             (name,) = differing
             if low.conditions.get(name, math.nan) < high.conditions.get(name, math.nan):
@@ -153,7 +149,7 @@ def _pairs(groups: Sequence[Group]) -> list[tuple[Group, Group, str]]:
     return sorted(pairs, key=_rank)
 
 
-def _rank(pair: tuple[Group, Group, str]) -> tuple[float, float, float]:
+def _rank(pair: tuple[RepeatedRuns, RepeatedRuns, str]) -> tuple[float, float, float]:
     """Order pairs: most turns, then the first condition of the mapping, the others off."""
     low, high, name = pair
     turns = min(len(low.torque), len(high.torque))
@@ -161,24 +157,26 @@ def _rank(pair: tuple[Group, Group, str]) -> tuple[float, float, float]:
     return -turns, list(high.conditions).index(name), others
 
 
-def _strongest(group: Group) -> list[int]:
-    """Return the orders that stand out, the strongest first."""
+def _strongest(group: RepeatedRuns) -> list[int]:
+    """Return the significant orders, the strongest first."""
     spectrum = group.spectra["torque"]
     order = np.argsort(-np.where(spectrum.clear, spectrum.amplitude, 0.0), kind="stable")
-    return [int(spectrum.order[i]) for i in order[:TOLD] if spectrum.clear[i]]
+    return [int(spectrum.order[i]) for i in order[:ORDERS_REPORTED] if spectrum.clear[i]]
 
 
 def _results(
-    groups: Sequence[Group], pairs: Sequence[tuple[Group, Group, str]], effort: Effort
+    groups: Sequence[RepeatedRuns],
+    pairs: Sequence[tuple[RepeatedRuns, RepeatedRuns, str]],
+    effort: Effort,
 ) -> dict[str, Quantity]:
-    """Return the strongest orders of the reference, and by how much they were reduced."""
+    """Return the strongest orders of the reference, and their reduction."""
     reference = pairs[0][0] if pairs else max(groups, key=lambda group: len(group.torque))
     spectrum = reference.spectra["torque"]
     strongest = spectrum.strongest()
     results = {"strongest_order": Quantity(float(strongest), "1", reason="a whole number")}
     dof = 2.0 * (len(reference.torque) - 1) or None
-    told = _strongest(reference)
-    for order in told:
+    reported = _strongest(reference)
+    for order in reported:
         i = order - 1
         results[f"order_{order}_amplitude"] = Quantity(
             float(spectrum.amplitude[i]),
@@ -190,7 +188,7 @@ def _results(
         return results
     for quantity, name in (("deviation", "motion"), ("torque", effort.name)):
         values, u = reduction(pairs[0][0].spectra[quantity], pairs[0][1].spectra[quantity])
-        for order in told:
+        for order in reported:
             if math.isfinite(values[order - 1]):
                 results[f"order_{order}_{name}_reduction"] = Quantity(
                     float(values[order - 1]), "1", float(u[order - 1])
@@ -199,8 +197,8 @@ def _results(
 
 
 def _notes(
-    groups: Sequence[Group],
-    pairs: Sequence[tuple[Group, Group, str]],
+    groups: Sequence[RepeatedRuns],
+    pairs: Sequence[tuple[RepeatedRuns, RepeatedRuns, str]],
     turns: Sequence[Turns],
     orders: int,
     name: str,
@@ -208,8 +206,8 @@ def _notes(
     notes = []
     settled = max(here.settled for here in turns)
     if settled > 0:
-        notes.append(f"the motion before it is steady was left out, up to {settled:.2g} s of a run")
-    if orders < ORDERS:
+        notes.append(f"settling was left out at the start, up to {settled:.2g} s of a run")
+    if orders < HIGHEST_ORDER:
         notes.append(f"parts of the turn that no run passed limit the orders to {orders}")
     for number, group in enumerate(groups):
         strongest = ", ".join(map(str, _strongest(group))) or "none"
@@ -218,33 +216,33 @@ def _notes(
         notes.append(f"group {number} ({group.label()}; {turned}): strongest orders {strongest}")
         if len(group.torque) == 1:
             notes.append(
-                f"group {number} is one turn: what repeats cannot be told, the noise of an order "
-                "is taken from the orders around it"
+                f"group {number} is one turn, so the repeatable part is unknown: the noise of an "
+                "order is taken from the orders around it"
             )
     for number, (low, high, condition) in enumerate(pairs):
         notes.append(
             f"pair {number}: {condition} {high.conditions[condition]:g} against "
             f"{low.conditions[condition]:g}, group {groups.index(high)} against "
-            f"{groups.index(low)}: {_told_reduction(low, high, name)}"
+            f"{groups.index(low)}: {_reduction_text(low, high, name)}"
         )
     return notes
 
 
-def _told_reduction(low: Group, high: Group, name: str) -> str:
-    """Return the reductions of the strongest orders for people."""
+def _reduction_text(low: RepeatedRuns, high: RepeatedRuns, name: str) -> str:
+    """Return the reductions of the strongest orders as text."""
     texts = []
     for quantity, what in (("deviation", "motion"), ("torque", name)):
         values, _ = reduction(low.spectra[quantity], high.spectra[quantity])
-        told = [
+        reductions = [
             f"{order}: {values[order - 1]:.0%}"
             for order in _strongest(low)
             if math.isfinite(values[order - 1])
         ]
-        texts.append(f"ripple of the {what} reduced by, order by order, {', '.join(told)}")
+        texts.append(f"ripple of the {what} reduced by, order by order, {', '.join(reductions)}")
     return "; ".join(texts)
 
 
-def _spectrum_table(groups: Sequence[Group], unit: str) -> Table:
+def _spectrum_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
     first = groups[0].spectra["torque"]
 
     def column(quantity: str, name: str, of: str, what: str) -> Column:
@@ -269,15 +267,14 @@ def _spectrum_table(groups: Sequence[Group], unit: str) -> Table:
     )
 
 
-def _waveform_table(groups: Sequence[Group], unit: str) -> Table:
-    angle = (np.arange(float(POSITIONS)) + 0.5) * (2 * math.pi / POSITIONS)
+def _waveform_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
     torque = [group.torque.mean(axis=0) for group in groups]
     deviation = [group.deviation.mean(axis=0) for group in groups]
     return Table(
         ("group", "position"),
         {
             **_group_columns(groups),
-            "position": Column(angle, "rad", "of the rotor"),
+            "position": Column(cell_centres(POSITIONS), "rad", "of the rotor"),
             "ripple": Column(np.stack(torque), unit, "torque or current, offset included"),
             "deviation": Column(np.stack(deviation), "rad", "of angle from steady motion"),
         },
@@ -286,7 +283,7 @@ def _waveform_table(groups: Sequence[Group], unit: str) -> Table:
     )
 
 
-def _group_columns(groups: Sequence[Group]) -> dict[str, Column]:
+def _group_columns(groups: Sequence[RepeatedRuns]) -> dict[str, Column]:
     names = dict.fromkeys(name for group in groups for name in group.conditions)
     taken = ("group", "order", "position", "speed", "turns", "amplitude", "phase", "ripple")
     varied = {
@@ -302,7 +299,7 @@ def _group_columns(groups: Sequence[Group]) -> dict[str, Column]:
     }
 
 
-def _reduction_table(pairs: Sequence[tuple[Group, Group, str]], orders: int) -> Table:
+def _reduction_table(pairs: Sequence[tuple[RepeatedRuns, RepeatedRuns, str]], orders: int) -> Table:
     columns = {
         "pair": Column(np.arange(len(pairs)), "1", "see the notes"),
         "order": Column(np.arange(1.0, orders + 1), "1", "cycles a turn"),

@@ -1,4 +1,4 @@
-"""`fft-ripple` on imported maps around the turn: which of them is another, or turned?"""
+"""`fft-ripple` on imported maps around the turn: equal, turned against each other, or different."""
 
 from __future__ import annotations
 
@@ -16,23 +16,21 @@ from rigtool.experiments.ripple.map_shift import (
     match_maps,
     typical,
 )
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
 
 MAP = "map"
 
-ORDERS = 100
-"""Highest order that is compared, where all maps tell that many."""
+SIGNIFICANT_SHIFT = 3.0
+"""Multiple of its uncertainty above which the shift of a map is significant."""
 
-CERTAIN = 3.0
-"""A map counts as turned when its shift is this many times the shift's uncertainty."""
-
-ALIKE = 0.9
-"""Two maps are the same when they share this part of their variance, after turning."""
+SAME_MAP_VARIANCE = 0.9
+"""Smallest common part of the variance, after turning, of two equal maps."""
 
 
 def compare_maps(runs: Sequence[Run]) -> Outcome:
-    """Compare maps with the one that is most like all others.
+    """Compare maps with the one that correlates best with all others.
 
     Raises `InsufficientDataError` for maps without enough angles, `UsageError` for one map alone or
     maps of different signals.
@@ -44,7 +42,7 @@ def compare_maps(runs: Sequence[Run]) -> Outcome:
     if len(signals) > 1:
         found = ", ".join(f"{name} [{unit}]" for name, unit in sorted(signals))
         raise UsageError(f"maps of {found} cannot be compared: give maps of one signal")
-    orders = min([ORDERS, *(highest_order(table["position"]) for table in tables)])
+    orders = min([HIGHEST_ORDER, *(highest_order(table["position"]) for table in tables)])
     maps = []
     for run, table in zip(runs, tables, strict=True):
         try:
@@ -54,7 +52,7 @@ def compare_maps(runs: Sequence[Run]) -> Outcome:
     reference = typical(maps)
     matches = [match_maps(maps[reference], other) for other in maps]
     names = [run.path.stem for run in runs]
-    notes = [f"compared with {names[reference]}, the map that is most like all others"]
+    notes = [f"compared with {names[reference]}, the map that correlates best with all others"]
     notes += [_verdict(name, match) for name, match in zip(names, matches, strict=True)]
     notes.pop(1 + reference)
     return Outcome(
@@ -65,21 +63,24 @@ def compare_maps(runs: Sequence[Run]) -> Outcome:
 
 
 def _verdict(name: str, match: Match) -> str:
-    """Say of one map what it is, with the numbers."""
+    """Return whether a map is equal, turned or different, with the numbers."""
     numbers = f"correlation {match.correlation:.3f} at equal angles"
     degrees = math.degrees(match.shift)
     turned = f"{match.best_correlation:.3f} when turned by {degrees:.1f} deg"
-    if match.best_correlation**2 < ALIKE:
+    if match.best_correlation**2 < SAME_MAP_VARIANCE:
         return f"{name}: another map ({numbers}, at best {turned})"
-    if abs(match.shift) <= CERTAIN * match.shift_u or match.correlation**2 >= ALIKE:
+    if (
+        abs(match.shift) <= SIGNIFICANT_SHIFT * match.shift_u
+        or match.correlation**2 >= SAME_MAP_VARIANCE
+    ):
         return f"{name}: the same map ({numbers}, {turned})"
     match_u = f"{math.degrees(match.shift_u):.2f}"
     part = abs(match.shift) / (2 * math.pi)
     of_turn = "half a turn" if round(part, 2) == 0.5 else f"{part:.2f} of a turn"
     return (
         f"{name}: the same map, shifted by {of_turn}, {degrees:.1f} +- {match_u} deg "
-        f"({numbers}, {turned}): look for what is not tied to the rotor, such as another index or "
-        "another motor nearby"
+        f"({numbers}, {turned}): look for a cause that does not turn with the rotor, such as "
+        "another index or another motor nearby"
     )
 
 
@@ -91,7 +92,7 @@ def _results(names: Sequence[str], matches: Sequence[Match], reference: int) -> 
         key = "".join(c if c.isascii() and c.isalnum() else "_" for c in name)[:80]
         results[f"shift_{key}"] = Quantity(match.shift, "rad", match.shift_u)
         results[f"correlation_{key}"] = Quantity(
-            match.correlation, "1", reason="one map each: no repeats to tell"
+            match.correlation, "1", reason="one map each, without repeats"
         )
     return results
 
@@ -111,7 +112,7 @@ def _table(matches: Sequence[Match]) -> Table:
             "scale": column("scale", "1", "least-squares factor at that shift"),
         },
         "correlation",
-        "each map against the one that is most like all others",
+        "each map against the one that correlates best with all others",
     )
 
 

@@ -1,7 +1,7 @@
-"""Turns of a steadily turning shaft in somebody else's recording, and the ripple in them.
+"""Turns of a steadily turning shaft in a recording of another rig, and the ripple in them.
 
-Nothing is known but signals: where the motion has settled, how fast it is and how many turns there
-are is read off. The angle is compared with a steady motion, angle(t) = a + speed t; what remains,
+Settling, speed and number of turns come from the signals alone. The angle is compared with a steady
+motion, angle(t) = a + speed t; the residual,
 
     deviation(t) = angle(t) - a - speed t,
 
@@ -15,25 +15,21 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import Spectrum, coefficients, remove_offset, spectrum
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
-
-Array = NDArray[np.float64]
-
-BAND = 0.25
-"""Settled is a motion that stays within the range of its second half, widened by this much."""
+from rigtool.numerics.settling import settled_from
 
 COVERED = 0.9
-"""A turn counts when this part of it was passed."""
+"""Smallest covered part of a turn that counts."""
 
 NEIGHBOURS = 10
-"""Orders on either side from which the noise of an order is taken where turns do not repeat."""
+"""Orders on either side from which the noise of an order of a single turn is taken."""
 
-SHORTEST = 64
-"""Samples that a recording needs."""
+MIN_SAMPLES = 64
+"""Smallest number of samples in a recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +37,7 @@ class Turns:
     """Turns of one recording: (turns, positions), NaN in cells that were not passed.
 
     `torque` in its own unit, `deviation` from steady motion in rad, `speed` in rad/s with its sign,
-    `settled` the time from the start until the motion was steady, s.
+    `settled` the time from the start to the steady motion, s.
     """
 
     torque: Array
@@ -51,12 +47,12 @@ class Turns:
 
 
 def find_turns(time: Array, turns: Array, torque: Array, positions: int) -> Turns:
-    """Lay a recording over the turn: `time` (n,) in s, angle in `turns` (n,), `torque` (n,).
+    """Return a recording by turn: `time` (n,) in s, angle in `turns` (n,), `torque` (n,).
 
-    What is before the steady motion is left out. Raises `InsufficientDataError` where less than
+    Samples before the steady motion are left out. Raises `InsufficientDataError` where less than
     `COVERED` of a turn is left.
     """
-    time, turns, torque = require_signals(SHORTEST, time=time, turns=turns, torque=torque)
+    time, turns, torque = require_signals(MIN_SAMPLES, time=time, turns=turns, torque=torque)
     require_rising(time)
     first, speed, deviation = _steady_part(time, turns, 0.5 / positions)
     progress = (turns[first:] - turns[first]) * math.copysign(1.0, speed)
@@ -100,22 +96,19 @@ def _steady_part(time: Array, turns: Array, resolution: float) -> tuple[int, flo
     """
     half = int(np.searchsorted(time, (time[0] + time[-1]) / 2))
     first = half
-    # The speed of the second half alone depends on where in the turn it lies: look twice.
+    # The speed of the second half alone depends on its place in the turn: fit twice.
     for _ in range(2):
         speed, start = np.polyfit(time[first:], turns[first:], 1)
         deviation = turns - start - speed * time
-        low, high = np.min(deviation[half:]), np.max(deviation[half:])
-        margin = max(BAND * (high - low), resolution)
-        outside = (deviation[:half] < low - margin) | (deviation[:half] > high + margin)
-        first = int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 0
+        first = settled_from(deviation, half, resolution)
     return first, float(speed), deviation
 
 
 def fill(waveforms: Array) -> tuple[Array, float]:
     """Return turns (turns, positions) without NaN, and the widest gap that was bridged, in turns.
 
-    A cell that one turn missed has the mean of the others; one that all missed lies on the line
-    between its neighbours. That leaves orders of up to half a cycle in the gap.
+    A cell that one turn missed takes the mean of the others; one that all turns missed lies on the
+    line between its neighbours, which keeps orders of up to half a cycle in the gap.
     """
     known = np.isfinite(waveforms)
     counts = known.sum(axis=0)
@@ -128,10 +121,10 @@ def fill(waveforms: Array) -> tuple[Array, float]:
 
 
 def turn_spectrum(waveforms: Array, orders: int) -> Spectrum:
-    """Return the orders 1..`orders` of what repeats in turns (turns, positions).
+    """Return the orders 1..`orders` of the repeatable part of turns (turns, positions).
 
-    One turn alone does not show what repeats: then the noise floor of an order is that of the
-    orders around it.
+    A single turn has no repeatable part: the noise floor of an order is that of the orders around
+    it.
     """
     if len(waveforms) > 1:
         return spectrum(remove_offset(waveforms), orders)
@@ -142,7 +135,7 @@ def turn_spectrum(waveforms: Array, orders: int) -> Spectrum:
 
 
 def neighbours_floor(amplitude: Array) -> Array:
-    """Return the noise floor of orders 1, 2, ... (m,) that the amplitudes around each tell.
+    """Return the noise floor of orders 1, 2, ... (m,) from the amplitudes around each.
 
     Their median is sqrt(ln 2) of the rms where they are noise (Rayleigh distribution). Zero where
     there is one order alone.
@@ -156,9 +149,9 @@ def neighbours_floor(amplitude: Array) -> Array:
 
 
 def reduction(reference: Spectrum, other: Spectrum) -> tuple[Array, Array]:
-    """Return by how much each order is smaller in `other`, 1 - ratio, and its uncertainty.
+    """Return the reduction of each order in `other`, 1 - ratio, and its standard uncertainty.
 
-    NaN where the reference does not clear its noise: there is nothing to reduce.
+    NaN where the order is not significant in the reference.
     """
     clear = reference.clear
     low = np.where(clear, reference.amplitude, np.nan)

@@ -1,4 +1,4 @@
-"""Maps around a turn, one value an angle: are they the same, and turned against each other?
+"""Correlation and shift of maps around a turn, one value for each angle.
 
 map(angle) = mean + sum over orders k of amplitude_k cos(k angle + phase_k)
 """
@@ -9,25 +9,22 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import match_orders
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.numerics.checks import require_rising, require_signals
 
-Array = NDArray[np.float64]
-Orders = NDArray[np.complex128]
-
-SHORTEST = 16
-"""Angles that a map needs."""
+MIN_ANGLES = 16
+"""Smallest number of angles in a map."""
 
 
 @dataclass(frozen=True)
 class Match:
     """A map against a reference: correlation at equal angles, and after turning by `shift` rad.
 
-    `scale` is the factor of the turned reference. `shift_u` is the standard uncertainty that the
-    differences between the two leave, each order counting as an independent witness.
+    `scale` is the factor of the turned reference. `shift_u` is the standard uncertainty from the
+    differences between the two, with each order as an independent observation.
     """
 
     correlation: float
@@ -38,41 +35,41 @@ class Match:
 
 
 def highest_order(position: Array) -> int:
-    """Return the highest order that angles (n,), rad, tell: half a cycle in the widest gap."""
+    """Return the highest order that angles (n,), rad, resolve: half a cycle in the widest gap."""
     gaps = np.diff(position, append=position[0] + 2 * np.pi)
     return int(math.pi / gaps.max() * (1 - 1e-9))
 
 
-def map_orders(position: Array, values: Array, orders: int) -> Orders:
+def map_orders(position: Array, values: Array, orders: int) -> ComplexArray:
     """Return amplitude*exp(i phase) of the orders 1..`orders` (orders,), by least squares.
 
     `position` (n,) rises within a turn, rad; `values` (n,) in any unit. Raises
-    `InsufficientDataError` where the angles do not tell that many orders.
+    `InsufficientDataError` where the angles do not resolve that many orders.
     """
-    angle, value = require_signals(SHORTEST, position=position, values=values)
+    angle, value = require_signals(MIN_ANGLES, position=position, values=values)
     require_rising(angle)
     if orders < 1 or orders > highest_order(angle):
         raise InsufficientDataError(
-            f"{len(angle)} angles tell orders up to {highest_order(angle)}, {orders} are needed: "
-            "sample more of the turn"
+            f"{len(angle)} angles resolve orders up to {highest_order(angle)}, {orders} are "
+            "needed: sample more of the turn"
         )
     order = np.arange(1, orders + 1)
     turning = np.exp(1j * np.outer(angle, order))
     design = np.column_stack([np.ones(len(angle)), turning.real, -turning.imag])
     found = np.linalg.lstsq(design, value, rcond=None)[0]
-    coefficients: Orders = found[1 : orders + 1] + 1j * found[orders + 1 :]
+    coefficients: ComplexArray = found[1 : orders + 1] + 1j * found[orders + 1 :]
     return coefficients
 
 
-def match_maps(reference: Orders, other: Orders) -> Match:
+def match_maps(reference: ComplexArray, other: ComplexArray) -> Match:
     """Compare two maps by their orders 1..m (m,); `InsufficientDataError` where one is constant."""
     if not np.any(reference) or not np.any(other):
         raise InsufficientDataError("a map is constant: there is no ripple to compare")
     correlation, shift, best, scale = match_orders(reference, other)
     order = np.arange(1, len(reference) + 1)
     turned = scale * reference * np.exp(-1j * order * shift)
-    # Linear in a small turn: other - turned = -i k turned d. Only what points along the slope
-    # moves the shift; its square instead of a common variance, as orders differ in their noise.
+    # Linear in a small turn: other - turned = -i k turned d. Only the part along the slope moves
+    # the shift; its square replaces a common variance, as orders differ in their noise.
     slope = -1j * order * turned
     along = np.real(np.conj(slope) * (other - turned))
     weight = np.abs(slope) ** 2
@@ -83,8 +80,8 @@ def match_maps(reference: Orders, other: Orders) -> Match:
     return Match(correlation, shift, shift_u, best, scale)
 
 
-def typical(maps: list[Orders]) -> int:
-    """Return the index of the map that is most like all others at equal angles."""
+def typical(maps: list[ComplexArray]) -> int:
+    """Return the index of the map that correlates best with all others at equal angles."""
     norms = [orders / np.linalg.norm(orders) for orders in maps]
     alike = np.real(np.conj(np.array(norms)) @ np.array(norms).T)
     return int(np.argmax(alike.sum(axis=1)))

@@ -1,7 +1,7 @@
 """`fft-ripple`: torque ripple against rotor position, speed, torque and power cycle [7.1.3].
 
-The motor turns steadily, and the torque that its controller asks for is laid over itself revolution
-by revolution. Friction and load are its mean, and are taken off.
+The motor turns steadily, and the torque set point of its controller is averaged revolution by
+revolution. Friction and load are its mean, which is subtracted.
 """
 
 from __future__ import annotations
@@ -11,16 +11,17 @@ from bisect import bisect_left
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.between_set_points import remark
+from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
-    Comparison,
+    HIGHEST_ORDER,
+    POSITIONS,
     Ripple,
+    RippleComparison,
     Sampling,
     compare,
     remove_offset,
@@ -39,30 +40,22 @@ from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
 
-Array = NDArray[np.float64]
-
 ACCELERATION = 30.0
-"""Of run-up and stop, rad/s2."""
+"""During run-up and stop, rad/s2."""
 
 SETTLE_TIME = 0.5
 """After the run-up, s."""
 
-POSITIONS = 500
-"""Cells of a turn in the waveforms."""
-
-ORDERS = 100
-"""Highest order of rotation in the spectra: cogging of 12 slots and 14 poles has order 84."""
-
 MAX_SEGMENT = 4096
 """Longest segment of Welch's method, samples."""
 
-SHORTEST = 4
-"""Samples at constant speed that a recording needs; how many turns they make is another matter."""
+MIN_STEADY_SAMPLES = 4
+"""Smallest number of samples at constant speed, however few turns they make."""
 
 # -- measuring
 
-SHOWN_REVOLUTIONS = 100
-"""Single revolutions that are stored, the first ones: the signals hold all of them."""
+STORED_REVOLUTIONS = 100
+"""Number of single revolutions, from the first, in the table; the signals hold all of them."""
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -86,7 +79,7 @@ def _spec(
     recipe: Recipe, kind: str, number: int, speed: float, conditions: dict[str, tuple[float, str]]
 ) -> RecordingSpec:
     start = speed / ACCELERATION + SETTLE_TIME
-    # Cut at the encoder's zero, whole turns need up to one more.
+    # Turns that are cut at the encoder's zero need up to one more.
     turns = recipe.fft_ripple.revolutions + 1.1
     return RecordingSpec(
         f"{kind}_{number:03d}",
@@ -103,7 +96,7 @@ def _spec(
 
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
     """Turn steadily under each condition; the amplifier is restarted between power cycles."""
-    del kt  # the rig knows it already
+    del kt  # part of the rig already
     for spec in recordings(recipe):
         conditions = {name: value for name, (value, _) in spec.conditions.items()}
         if conditions.get("power_cycle", 0) > 0:
@@ -122,7 +115,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
 
 
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
-    """Separate what repeats from what does not, under each condition.
+    """Separate the repeatable ripple from the rest, under each condition.
 
     Raises `UsageError` for more than one run, `RunFileError` for one without its recordings.
     """
@@ -146,7 +139,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     ]
     by_torque = [_ripple(recording, recipe, constant) for recording in torques]
     by_cycle = [_ripple(recording, recipe, constant) for recording in cycles]
-    comparisons = [compare(by_cycle[0], other, ORDERS) for other in by_cycle[1:]]
+    comparisons = [compare(by_cycle[0], other, HIGHEST_ORDER) for other in by_cycle[1:]]
     tables = {
         **_tables("speed", "speed", "rad/s", speeds, by_speed),
         "speed_psd": _psd_table(speeds, welches, segment),
@@ -163,31 +156,31 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         results[name] = with_constant(results[name], per_ampere)
     notes = [
         mean_constant_note(per_ampere),
-        *_told(speeds, by_speed, "speed", "rad/s"),
-        *_told(torques, by_torque, "torque", "N m"),
-        *remark(runs, constant),
+        *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
+        *_resolution_notes(torques, by_torque, "torque", "N m"),
+        *unsampled_note(runs, constant),
     ]
     if not comparisons:
         notes.append("fewer than two power cycles: nothing to compare")
     return Outcome(results, tables, tuple(notes))
 
 
-def _told(
+def _resolution_notes(
     recordings: Sequence[Recording], ripples: Sequence[Ripple], what: str, unit: str
 ) -> list[str]:
-    """Say where the samples lie too far apart for all orders of the table."""
+    """Return a note for each recording whose samples do not resolve all orders of the table."""
     return [
         f"at {recording.condition(what):.3g} {unit} there are {1 / ripple.sampling.step:.0f} "
-        f"samples a turn: orders above {ripple.sampling.highest_order:.0f} are not told"
+        f"samples a turn: orders above {ripple.sampling.highest_order:.0f} are not resolved"
         for recording, ripple in zip(recordings, ripples, strict=True)
-        if ripple.sampling.highest_order < ORDERS
+        if ripple.sampling.highest_order < HIGHEST_ORDER
     ]
 
 
 def _ripple(
     recording: Recording, recipe: Recipe, torque_constant: float, welch: Welch | None = None
 ) -> Ripple:
-    """Lay a recording's steady revolutions over each other; `welch` gets their torque as well."""
+    """Return the ripple of a recording's steady revolutions; add their torque to `welch`."""
     steady = _steady(recording)
     try:
         first, last = _ends(recording, "encoder", steady)
@@ -217,10 +210,10 @@ def _steady(recording: Recording) -> range:
     begin = float(recording.read("time", 0, 1)[0])
     first = bisect_left(samples, recording.condition("steady_from"), key=since_start)
     last = bisect_left(samples, recording.condition("steady_until"), key=since_start)
-    if last - first < SHORTEST:
+    if last - first < MIN_STEADY_SAMPLES:
         raise InsufficientDataError(
             f"recording {recording.name}: {last - first} samples at constant speed are too few, "
-            f"{SHORTEST} are needed: record for longer"
+            f"{MIN_STEADY_SAMPLES} are needed: record for longer"
         )
     return range(first, last)
 
@@ -234,10 +227,10 @@ def _ends(recording: Recording, channel: str, samples: range) -> tuple[float, fl
 def _ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
     results = {}
     for name, ripple in (("lowest", by_speed[0]), ("highest", by_speed[-1])):
-        orders = spectrum(ripple, ORDERS)
+        orders = spectrum(ripple, HIGHEST_ORDER)
         strongest = orders.strongest()
-        told = orders.amplitude[np.isfinite(orders.amplitude)]
-        *_, second, first = np.sort([0.0, *told])
+        resolved = orders.amplitude[np.isfinite(orders.amplitude)]
+        *_, second, first = np.sort([0.0, *resolved])
         results[f"strongest_order_{name}_speed"] = Quantity(
             float(strongest),
             "1",
@@ -250,14 +243,14 @@ def _ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
         "N m",
         rms.non_repeatable_u,
         rms.dof,
-        reason="two revolutions do not show how much their scatter scatters"
+        reason="two revolutions do not resolve the uncertainty of their scatter"
         if rms.non_repeatable_u is None
         else None,
     )
     return results
 
 
-def _comparison_results(comparisons: Sequence[Comparison]) -> dict[str, Quantity]:
+def _comparison_results(comparisons: Sequence[RippleComparison]) -> dict[str, Quantity]:
     """Return the comparison with the power cycle that changed the ripple most."""
     if not comparisons:
         return {}
@@ -271,11 +264,11 @@ def _comparison_results(comparisons: Sequence[Comparison]) -> dict[str, Quantity
 def _tables(
     kind: str, axis: str, unit: str, recordings: Sequence[Recording], ripples: Sequence[Ripple]
 ) -> dict[str, Table]:
-    """Return waveforms and spectra over what was varied."""
+    """Return waveforms and spectra over the condition that was varied."""
     varied = {axis: Column(np.array([r.condition(axis) for r in recordings]), unit)}
-    # The constant torque is an axis itself; its ripple needs another name.
+    # Where the constant torque is the axis, its ripple needs another name.
     signal = "ripple" if axis == "torque" else "torque"
-    spectra = [spectrum(ripple, ORDERS) for ripple in ripples]
+    spectra = [spectrum(ripple, HIGHEST_ORDER) for ripple in ripples]
     waveforms = Table(
         (axis, "position"),
         {
@@ -308,7 +301,7 @@ def _tables(
 
 
 def _segment(recordings: Sequence[Recording]) -> int:
-    """Return the length of Welch's segments: of all speeds the same, for one frequency axis."""
+    """Return one length of Welch's segments for all speeds, for one frequency axis."""
     shortest = min(len(_steady(recording)) for recording in recordings)
     return min(MAX_SEGMENT, 2 ** int(math.log2(shortest / 2)))
 
@@ -333,7 +326,7 @@ def _psd_table(recordings: Sequence[Recording], welches: Sequence[Welch], segmen
 
 
 def _revolutions_table(ripple: Ripple) -> Table:
-    waveforms = ripple.waveforms[:SHOWN_REVOLUTIONS]
+    waveforms = ripple.waveforms[:STORED_REVOLUTIONS]
     return Table(
         ("revolution", "position"),
         {
@@ -346,7 +339,7 @@ def _revolutions_table(ripple: Ripple) -> Table:
     )
 
 
-def _comparison_table(comparisons: Sequence[Comparison]) -> Table:
+def _comparison_table(comparisons: Sequence[RippleComparison]) -> Table:
     def column(name: str, unit: str, what: str) -> Column:
         return Column(np.array([getattr(found, name) for found in comparisons]), unit, what)
 

@@ -1,8 +1,9 @@
-"""Signals of a turning rotor laid over each other revolution by revolution, block by block.
+"""Mean torque of a turning rotor by revolution and cell of the turn, block by block.
 
-A block is used and forgotten: what is kept are time and integral of the torque where the rotor
-passes from one cell of the turn into the next, so that memory grows with revolutions, not samples.
-Synchronous (time domain) averaging: S. Braun, Acustica 32, 69-77, 1975.
+    mean = (integral at the cell's end - integral at its start) / time in the cell
+
+Only time and integral of the torque at the edges of the cells are kept, so that memory grows with
+revolutions, not samples. Synchronous (time domain) averaging: S. Braun, Acustica 32, 69-77, 1975.
 """
 
 from __future__ import annotations
@@ -10,25 +11,23 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import rising_steps
-
-Array = NDArray[np.float64]
 
 
 class Revolutions:
     """Collects blocks of a steadily turning rotor; the turn has `positions` equal cells.
 
-    `forward` says whether the angle grows with time.
+    With `forward`, the angle grows with time.
     """
 
     def __init__(self, positions: int, *, forward: bool) -> None:
         self._positions = positions
         self._sign = 1.0 if forward else -1.0
         self._samples = 0
-        # The last sample so far: blocks are joined there.
+        # The last sample, where blocks are joined.
         self._time, self._advance, self._torque = (np.zeros(0) for _ in range(3))
         self._integral = 0.0
         self._next_edge = 0
@@ -51,7 +50,7 @@ class Revolutions:
         torque = np.concatenate([self._torque, torque])
         advance = np.concatenate([self._advance, advance])
         if np.any(advance[1:] < advance[:-1]):
-            # An encoder may step back by a count; its running maximum only advances.
+            # An encoder may step back by a count; the running maximum only advances.
             advance = np.maximum.accumulate(advance)
         areas = rising_steps(time, self._samples - self._time.size)
         areas *= torque[1:] + torque[:-1]
@@ -61,7 +60,7 @@ class Revolutions:
             self._pass_edges(time, advance, torque, areas)
 
     def _pass_edges(self, time: Array, advance: Array, torque: Array, areas: Array) -> None:
-        """Note when the rotor first reaches each edge between cells, and the integral then.
+        """Keep the time at which the rotor first reaches each edge between cells, and the integral.
 
         Torque goes straight from sample to sample; `areas` are twice the integrals between them.
         """

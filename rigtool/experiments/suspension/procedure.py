@@ -1,4 +1,4 @@
-"""`suspension`: stiffness of the leaf springs, and torque of pulleys out of centre [App. E, J]."""
+"""`suspension`: stiffness of the leaf springs, and torque of eccentric pulleys [App. E, J]."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from rigtool.experiments.suspension.springs import (
 )
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
-from rigtool.recipe.rig import Suspension
+from rigtool.recipe.rig import MotorSuspension
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
 
 READING_TIME = 0.1
-"""How long each reading lasts, s."""
+"""Duration of each reading, s."""
 
 RECORD_EVERY = 80
 
 ANGLES = 361
-"""Points over a turn at which torques are given."""
+"""Points over a turn in the table of torques."""
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -56,7 +56,7 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
 
 
 def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
-    """Return stiffness by dimensions and by measurement, and what eccentricity makes of it.
+    """Return stiffness by dimensions and by measurement, and the torques by eccentricity.
 
     Raises `UsageError` for more than one run.
     """
@@ -73,7 +73,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
             "spring_curve": Table(
                 ("force",),
                 {
-                    "force": Column(force, "N", "that pulls at the motor"),
+                    "force": Column(force, "N", "on the motor"),
                     "deflection": Column(deflection, "m", "by the micrometer"),
                     "line": Column(curve.deflection, "m", "straight line through all readings"),
                 },
@@ -84,12 +84,12 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
         },
         (
             "the torques are those of the eccentricities in the recipe, at the measured stiffness; "
-            "their own uncertainty is not known",
+            "the uncertainty of the eccentricities is not known",
         ),
     )
 
 
-def _described(recipe: Recipe) -> Suspension:
+def _described(recipe: Recipe) -> MotorSuspension:
     if recipe.rig.suspension is None:
         raise RecipeError(
             "the recipe has no table [rig.suspension] with the dimensions of the leaf springs: "
@@ -98,7 +98,7 @@ def _described(recipe: Recipe) -> Suspension:
     return recipe.rig.suspension
 
 
-def _stiffness(springs: Suspension, curve: SpringCurve) -> dict[str, Quantity]:
+def _stiffness(springs: MotorSuspension, curve: SpringCurve) -> dict[str, Quantity]:
     computed = LeafSprings(
         springs.elasticity, springs.length, springs.width, springs.thickness
     ).stiffness
@@ -128,10 +128,10 @@ def _stiffness(springs: Suspension, curve: SpringCurve) -> dict[str, Quantity]:
 
 
 def _torques(
-    springs: Suspension, curve: SpringCurve, speeds: Sequence[float]
+    springs: MotorSuspension, curve: SpringCurve, speeds: Sequence[float]
 ) -> dict[str, Quantity]:
     """Return the largest torque of the springs, and of the mass at the lowest and highest speed."""
-    reason = "how uncertain the eccentricities are is not known"
+    reason = "the uncertainty of the eccentricities is not known"
     eccentricity = springs.motor_eccentricity + springs.tool_eccentricity
 
     def largest(which: int, speed: float) -> Quantity:
@@ -151,7 +151,7 @@ def _torques(
     }
 
 
-def _torque_table(springs: Suspension, stiffness: float, speeds: Sequence[float]) -> Table:
+def _torque_table(springs: MotorSuspension, stiffness: float, speeds: Sequence[float]) -> Table:
     angle = np.linspace(0, 2 * math.pi, ANGLES)
     eccentricity = springs.motor_eccentricity + springs.tool_eccentricity
     torques = [
@@ -169,7 +169,7 @@ def _torque_table(springs: Suspension, stiffness: float, speeds: Sequence[float]
             "inertia": Column(np.stack([t[1] for t in torques]), "N m", "of the moving mass"),
         },
         "inertia",
-        "Torque of pulleys out of centre (Fig. 75)",
+        "Torque of eccentric pulleys (Fig. 75)",
     )
 
 

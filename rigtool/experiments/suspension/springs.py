@@ -1,16 +1,16 @@
-"""The motor on its leaf springs: their stiffness, and what pulleys out of centre do to the torque.
+"""Stiffness of the motor's leaf springs, and the torque of eccentric pulleys.
 
 Two parallel leaf springs, clamped at both ends, of length a, width b and thickness t [App. E]:
 
     k = 2 E b t^3 / a^3
 
-Pulleys whose centres are off by e (both together) push the motor against the springs and swing its
-mass to and fro as they turn by the angle theta at the speed omega [App. J]:
+Pulleys of the total eccentricity e push the motor against the springs and swing its mass to and fro
+as they turn by the angle theta at the speed omega [App. J]:
 
     T_spring(theta)  = k e^2 sin(2 theta) / 2
     T_inertia(theta) = -m omega^2 e^2 sin(2 theta) / 2
 
-The thesis prints the last formula without the square of e; its numbers are computed with it. The
+The thesis prints the last formula without the square of e; its numbers hold with the square. The
 eigenfrequency of motor and springs is sqrt(k/m) / (2 pi).
 """
 
@@ -20,15 +20,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
 
-Array = NDArray[np.float64]
-
-FEWEST = 4
-"""Readings that a spring's curve needs: two for the line, and some to judge it by."""
+MIN_READINGS = 4
+"""Smallest number of readings: two for the line, and two for its uncertainty."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +63,11 @@ class SpringCurve:
 def spring_curve(force: ArrayLike, deflection: ArrayLike) -> SpringCurve:
     """Fit a spring constant to deflections (n,), m, that known forces (n,), N, make [Fig. 70].
 
-    Least squares of the deflection, which is what errs, on the force; the uncertainty comes from
+    Least squares of the deflection, which has the errors, on the force; the uncertainty comes from
     the scatter about the line. Raises `InsufficientDataError` where the readings are too few, all
-    at one force, or tell no spring.
+    at one force, or show no spring.
     """
-    x, y = require_signals(FEWEST, force=force, deflection=deflection)
+    x, y = require_signals(MIN_READINGS, force=force, deflection=deflection)
     centred = x - x.mean()
     spread = float(centred @ centred)
     if spread <= (1e-9 * float(np.abs(x).max())) ** 2 * x.size:
@@ -82,7 +81,7 @@ def spring_curve(force: ArrayLike, deflection: ArrayLike) -> SpringCurve:
     u = math.sqrt(float(residual @ residual) / dof / spread)
     if compliance <= 3 * u:
         raise InsufficientDataError(
-            f"the motor gives way by {compliance:.3g} m/N with u = {u:.2g}, at least 3 u are "
+            f"the motor yields by {compliance:.3g} m/N with u = {u:.2g}, at least 3 u are "
             "needed: pull harder, read more finely, or check the sign"
         )
     stiffness = 1 / compliance

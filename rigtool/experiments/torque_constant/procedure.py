@@ -17,7 +17,8 @@ from rigtool.experiments.torque_constant.temperature_fit import (
     calibrate,
 )
 from rigtool.quantity import Quantity
-from rigtool.recipe import CalibrateKt, Recipe
+from rigtool.recipe import Recipe
+from rigtool.recipe.commands import CalibrateKt
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
@@ -35,8 +36,8 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
     """Run the staircases at each temperature and rotor angle.
 
-    The angles of one temperature lie between those of the others: together they resolve more
-    orders of the amplifier's ripple, while each temperature still averages over a whole turn.
+    The angles at one temperature lie between those of the others: together they resolve more
+    orders of the amplifier's ripple, and each temperature still averages over a whole turn.
     Raises `RecipeError` for currents above the rig's limit.
     """
     settings = recipe.calibrate_kt
@@ -95,7 +96,7 @@ def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
 
 
 def _pool(parts: Sequence[Plateaus]) -> Plateaus:
-    """Put the plateaus of several runs behind each other, their clocks too."""
+    """Return the plateaus of several runs as one series in time."""
     placed = [parts[0]]
     for part in parts[1:]:
         before = placed[-1]
@@ -115,7 +116,7 @@ def _results(found: Calibration) -> dict[str, Quantity]:
     if slopes.hysteresis_dof > 0:
         hysteresis = Quantity(slopes.hysteresis, "N m", slopes.hysteresis_u, slopes.hysteresis_dof)
     else:
-        reason = "one staircase: no scatter to judge it by"
+        reason = "one staircase: no scatter"
         hysteresis = Quantity(slopes.hysteresis, "N m", reason=reason)
     results = {
         "torque_constant": found.torque_constant,
@@ -160,8 +161,8 @@ def _tables(found: Calibration) -> dict[str, Table]:
             ("current",),
             {
                 "current": Column(slopes.level, "A"),
-                "rising": Column(slopes.rising, "N m", "torque beside the straight line"),
-                "falling": Column(slopes.falling, "N m", "torque beside the straight line"),
+                "rising": Column(slopes.rising, "N m", "torque minus the straight line"),
+                "falling": Column(slopes.falling, "N m", "torque minus the straight line"),
             },
             signal="rising",
             description="Friction of the shaft in the staircases, mean of all",

@@ -1,4 +1,7 @@
-"""Staircases of current against a force gauge: plateaus and the amplifier's linearity [7.1.1]."""
+"""Plateaus of staircases of current against a force gauge, and the amplifier's linearity [7.1.1].
+
+torque = mean force on a plateau * arm length
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 
-Array = NDArray[np.float64]
-
 LEVEL_TOLERANCE = 1e-3
-"""Set points within this part of their span are one level."""
+"""Part of the span within which set points count as one level."""
 
 MINIMUM_PLATEAUS = 8
-"""Plateaus that a staircase needs to be one."""
+"""Smallest number of plateaus in a recording."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def find_plateaus(
 
 @dataclass(frozen=True)
 class Linearity:
-    """Measured current = offset + gain * set point, and how far from it each level lies, A."""
+    """Measured current = offset + gain * set point, and the deviation of each level from it, A."""
 
     gain: float
     gain_u: float
@@ -134,8 +136,8 @@ def amplifier_linearity(plateaus: Plateaus) -> Linearity:
     count = np.bincount(level)
     if len(count) < 3:
         raise InsufficientDataError(
-            f"the staircases have {len(count)} levels of current, 3 are needed to judge the "
-            "amplifier: raise `steps`"
+            f"the staircases have {len(count)} levels of current, 3 are needed for the "
+            "linearity of the amplifier: raise `steps`"
         )
     setpoint = np.bincount(level, weights=plateaus.current_setpoint) / count
     current = np.bincount(level, weights=plateaus.current) / count
@@ -146,7 +148,7 @@ def amplifier_linearity(plateaus: Plateaus) -> Linearity:
     inverse = np.linalg.pinv(design)
     gain, offset = inverse @ current
     deviations = current - design @ np.array([gain, offset])
-    # What the line does not explain counts as scatter too.
+    # Deviations from the line count as scatter too.
     lack = float(np.sum(deviations**2)) / (len(count) - 2)
     u = math.sqrt(max(lack, sigma**2)) * np.sqrt(np.sum(inverse**2, axis=1))
     worst = int(np.argmax(np.abs(deviations)))

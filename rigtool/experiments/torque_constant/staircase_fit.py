@@ -22,18 +22,17 @@ from rigtool.experiments.torque_constant.staircase_model import (
     mean_of,
     winding,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import mean_over_turn
 
-Array = NDArray[np.float64]
-
 MISFIT_LIMIT = 5e-3
-"""Part of the torque span by which a level may miss the model before the gauge is suspected."""
+"""Largest deviation of a level from the model, relative to the span of the torque."""
 
 SLOPE_LIMIT = 0.25
-"""Part by which friction and heat may move the slope of a straight line."""
+"""Largest relative change of a straight line's slope by friction and heat."""
 
-REJECTED = 10.8
-"""Chi square with one degree of freedom that pure scatter exceeds once in a thousand times."""
+REJECTION_CHI2 = 10.8
+"""Chi square with one degree of freedom that scatter alone exceeds with probability 0.001."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +42,10 @@ class Slopes:
     `slope` (m,) in N m/A, `u` (m,) its standard uncertainty from scatter with `dof`; `temperature`
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
-    `heating_u` its standard uncertainty with `heating_dof`; `friction_u` what the model of
-    friction leaves open, relative. `transition` is s of (1) in N m (None where no friction shows),
-    `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque beside
-    the straight line, mean over staircases; `hysteresis` in N m: falling minus rising in the
+    `heating_u` its standard uncertainty with `heating_dof`; `friction_u` the relative standard
+    uncertainty from the model of friction. `transition` is s of (1) in N m (None where no friction
+    shows), `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque
+    minus the straight line, mean over staircases; `hysteresis` in N m: falling minus rising in the
     middle of the span, `hysteresis_u` its standard uncertainty with `hysteresis_dof`.
     """
 
@@ -86,14 +85,14 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
         common, other_common = other_common, common
         solution, other_solution = other_solution, solution
     doubt = 0.0 if common.transition is None else _transition_doubt(stairs, solution)
-    # Both kinds of travel are plausible as long as the data do not reject one.
+    # Both kinds of travel count unless the data reject one.
     worse = other_common.square_misfit / max(common.square_misfit, 1e-300) - 1
-    if worse * common.dof < REJECTED:
+    if worse * common.dof < REJECTION_CHI2:
         change = float(np.mean(other_solution.slope / solution.slope - 1))
         doubt = max(doubt, abs(change) / math.sqrt(3))
     _require_straight(stairs, solution)
-    level, rising, falling = _branches(stairs, solution.beside)
-    hysteresis, hysteresis_u, hysteresis_dof = _hysteresis(stairs, solution.beside)
+    level, rising, falling = _branches(stairs, solution.off_line)
+    hysteresis, hysteresis_u, hysteresis_dof = _hysteresis(stairs, solution.off_line)
     return Slopes(
         slope=solution.slope,
         u=solution.u,
@@ -128,7 +127,7 @@ class _Solution:
     heating_dof: float
     design: Array
     residual: Array
-    beside: Array
+    off_line: Array
 
 
 def _solve(stairs: Stairs, common: Common, coefficient: float) -> _Solution:
@@ -155,7 +154,7 @@ def _solve(stairs: Stairs, common: Common, coefficient: float) -> _Solution:
         heating_dof=loss_dof,
         design=design,
         residual=residual,
-        beside=stairs.torque - straight,
+        off_line=stairs.torque - straight,
     )
 
 
@@ -164,7 +163,7 @@ def _heat_loss(
 ) -> tuple[float, float, float]:
     """Return g of (1), its standard uncertainty, 1/(A2 s), and degrees of freedom.
 
-    At one rotor angle there is nothing to judge it by: it is then uncertain by its own size.
+    At a single rotor angle its uncertainty is unknown, and taken as large as its value.
     """
     design = design_matrix(stairs, transition, current)
     design = np.concatenate([design, (current * heat)[:, :, None]], axis=2)
@@ -178,8 +177,8 @@ def _heat_loss(
 def _transition_doubt(stairs: Stairs, solution: _Solution) -> float:
     """Return the relative change of the slope when the half nearest to reversals is left out.
 
-    Were the friction's transition exactly as in (1), nothing would change but by scatter, which
-    is taken off.
+    With a transition of friction exactly as in (1) the slope would change only by scatter, which
+    is subtracted.
     """
     travel = _since_reversal(stairs.setpoint)
     far = stairs.weight * (travel >= np.median(travel, axis=1)[:, None])
@@ -191,7 +190,7 @@ def _transition_doubt(stairs: Stairs, solution: _Solution) -> float:
 
 
 def _since_reversal(setpoint: Array) -> Array:
-    """Return how far the current has moved since its last reversal or the start, (m, p) A."""
+    """Return the travel of the current since its last reversal or the start, (m, p) A."""
     steps = np.diff(setpoint, axis=1)
     travel = np.zeros(setpoint.shape)
     for j in range(steps.shape[1]):
@@ -218,7 +217,7 @@ def _by_level(level: NDArray[np.int_], values: Array, weight: Array) -> tuple[Ar
 
 
 def _require_straight(stairs: Stairs, solution: _Solution) -> None:
-    """Raise where torque is no straight line of current but for friction and heat."""
+    """Raise where torque, without friction and heat, is no straight line of current."""
     straight = np.polyfit(stairs.current[stairs.weight > 0], stairs.torque[stairs.weight > 0], 1)
     if straight[0] < 0:
         raise InsufficientDataError(
@@ -242,24 +241,24 @@ def _require_straight(stairs: Stairs, solution: _Solution) -> None:
     worst = int(np.argmax(np.abs(mean)))
     if abs(mean[worst]) > max(limit, 4 * u[worst]):
         raise InsufficientDataError(
-            f"torque at {current[worst]:.3g} A is {mean[worst] * 1e3:.3g} mN m beside the line "
+            f"torque at {current[worst]:.3g} A is {mean[worst] * 1e3:.3g} mN m off the line "
             f"through all currents, limit {limit * 1e3:.3g} mN m: gauge, amplifier or motor is not "
             "linear there; lower current_max or look for an end stop"
         )
 
 
-def _branches(stairs: Stairs, beside: Array) -> tuple[Array, Array, Array]:
-    """Return levels of current and the mean torque beside the line on either branch, (l,)."""
+def _branches(stairs: Stairs, off_line: Array) -> tuple[Array, Array, Array]:
+    """Return levels of current and the mean torque off the line on either branch, (l,)."""
     current, level = _levels(stairs)
     step = np.diff(stairs.setpoint, axis=1, prepend=np.nan)
-    rising, _ = _by_level(level, beside, stairs.weight * (step > 0))
-    falling, _ = _by_level(level, beside, stairs.weight * (step < 0))
+    rising, _ = _by_level(level, off_line, stairs.weight * (step > 0))
+    falling, _ = _by_level(level, off_line, stairs.weight * (step < 0))
     # Both branches meet where the current turns.
     rising = np.where(np.isnan(rising), falling, rising)
     return current, rising, np.where(np.isnan(falling), rising, falling)
 
 
-def _hysteresis(stairs: Stairs, beside: Array) -> tuple[float, float, int]:
+def _hysteresis(stairs: Stairs, off_line: Array) -> tuple[float, float, int]:
     """Return falling minus rising in the middle third of the span, N m, and its uncertainty."""
     low, high = stairs.setpoint.min(), stairs.setpoint.max()
     middle = stairs.weight * (np.abs(stairs.setpoint - (low + high) / 2) <= (high - low) / 5.9)
@@ -270,7 +269,7 @@ def _hysteresis(stairs: Stairs, beside: Array) -> tuple[float, float, int]:
         raise InsufficientDataError(
             "no plateau lies in the middle third of the current's span: use more steps"
         )
-    difference = (mean_of(beside[usable], down[usable])) - mean_of(beside[usable], up[usable])
+    difference = (mean_of(off_line[usable], down[usable])) - mean_of(off_line[usable], up[usable])
     count = len(difference)
     u = float(np.std(difference, ddof=1)) / math.sqrt(count) if count > 1 else math.nan
     return float(np.mean(difference)), u, count - 1

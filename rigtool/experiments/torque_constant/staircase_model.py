@@ -5,16 +5,16 @@ With the shaft clamped by an elastic arm, the gauge torque on plateau j is
     torque_j = k i_j (1 - g w_j) (1 + c (T_j - T)) + o - f z_j                         (1)
 
 k is the torque constant at the staircase's mean temperature T, i the measured current, o a
-constant. z in -1..1 is the state of the shaft's friction: the arm gives way by very little, in
-proportion to the gauge's torque, so friction does not slide freely but follows
-dz = (+-1 - z) dx / s while current rises or falls (Dahl 1968). x is the travel as a torque: the
-gauge's own, or k i where the arm swings so much that friction hardly holds it back; s is the
-transition in N m. Ignoring z would lower the slope by up to a part f/s.
-w = integral of i2 R/R20 exp(-t/tau) dt is the heat in the winding (R/R20 for copper), which no
-sensor on the housing sees, and g the relative loss of torque constant by it; T_j is the housing's
-temperature with the lag of the winding, tau, and c the relative coefficient of the torque
-constant. s and tau are common to all staircases and come from the data; (1) is linear in all the
-rest.
+constant. z in -1..1 is the state of the shaft's friction: the arm yields very little, in proportion
+to the gauge's torque, so friction does not slide freely but follows dz = (+-1 - z) dx / s while
+current rises or falls (Dahl 1968). x is the travel as a torque: that of the gauge, or k i where the
+arm swings so much that friction hardly holds it back; s is the transition in N m. Without z the
+slope would be too low by up to a part f/s.
+w = integral of i2 R/R20 exp(-t/tau) dt is the heat in the winding (R/R20 for copper), which a
+sensor on the housing does not show, and g the relative loss of torque constant by it; T_j is the
+housing's temperature with the lag of the winding, tau, and c the relative coefficient of the torque
+constant. s and tau are common to all staircases and come from the data; (1) is linear in all other
+parameters.
 """
 
 from __future__ import annotations
@@ -23,25 +23,23 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import Plateaus
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.minimum import minimum
 
-Array = NDArray[np.float64]
-
 SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 2.0, 300.0
-"""Where the winding's thermal time constant tau is looked for, s."""
+"""Range in which the winding's thermal time constant tau is searched, s."""
 
 COPPER = 3.93e-3
 """Temperature coefficient of a copper winding's resistance at 20 degC, 1/K (IEC 60028)."""
 
-ENOUGH = 96
-"""Staircases from which s and tau are found: more of them, spread over all, would tell no more."""
+FITTED_STAIRCASES = 96
+"""Largest number of staircases, spread over all, from which s and tau are found."""
 
-SIGNIFICANCE = 1e-3
-"""Probability below which friction is said to show in the data."""
+FRICTION_SIGNIFICANCE = 1e-3
+"""Probability below which friction shows in the data."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class Stairs:
 
 @dataclass(frozen=True)
 class Common:
-    """What all staircases share: s in N m (None without friction), tau in s; how well it fits."""
+    """Parameters that all staircases share: s in N m (None without friction), tau in s; misfit."""
 
     transition: float | None
     time_constant: float
@@ -77,9 +75,9 @@ class Common:
 
 
 def arrange(plateaus: Plateaus) -> Stairs:
-    """Lay the plateaus out by staircase.
+    """Return the plateaus by staircase.
 
-    Raises `InsufficientDataError` where one cannot tell friction from slope.
+    Raises `InsufficientDataError` where one does not separate friction from slope.
     """
     length = np.bincount(plateaus.staircase)
     first = np.concatenate([[0], np.cumsum(length)[:-1]])
@@ -91,7 +89,7 @@ def arrange(plateaus: Plateaus) -> Stairs:
     if (worst := int(np.argmin(fewest))) >= 0 and fewest[worst] < 3:
         raise InsufficientDataError(
             f"staircase {worst} has {fewest[worst]} steps in one of its directions, 3 up and 3 "
-            "down are needed to tell friction from the torque constant: run it up and down"
+            "down are needed to separate friction from the torque constant: run it up and down"
         )
     begin, end = plateaus.begin[place], plateaus.end[place]
     torque = plateaus.torque[place]
@@ -150,7 +148,7 @@ def winding(stairs: Stairs, time_constant: float) -> tuple[Array, Array]:
 def friction_state(setpoint: Array, travel: Array, transition: float) -> tuple[Array, Array]:
     """Return a and b (m, p) of the friction's state z = a + b z0 along staircases.
 
-    `setpoint` (m, p) tells the directions, `travel` (m, p - 1) and `transition` are in N m.
+    `setpoint` (m, p) gives the directions; `travel` (m, p - 1) and `transition` are in N m.
     """
     end = np.sign(np.diff(setpoint, axis=1))
     decay = np.exp(-travel / transition)
@@ -177,36 +175,36 @@ def friction_columns(stairs: Stairs, transition: float | None) -> tuple[Array, .
 def fit_common(stairs: Stairs, coefficient: float) -> Common:
     """Return s and tau by variable projection; `coefficient` is c of (1), 1/K.
 
-    Of more than `ENOUGH` staircases, so many are taken that are spread evenly over all.
+    Of more than `FITTED_STAIRCASES` staircases, that many are used, spread evenly over all.
 
-    A column i |i| beside those of (1) takes up what the amplifier's ripple adds at one rotor
-    angle; it would otherwise be mistaken for heat. Raises `InsufficientDataError` where torque
-    does not follow current.
+    An additional column i |i| absorbs the amplifier's ripple at one rotor angle, which would
+    otherwise look like heat. Raises `InsufficientDataError` where the plateaus leave no degrees of
+    freedom.
     """
-    every = -(-len(stairs.setpoint) // ENOUGH)
+    every = -(-len(stairs.setpoint) // FITTED_STAIRCASES)
     taken = Stairs(**{name: values[::every] for name, values in vars(stairs).items()})
     count = len(taken.setpoint)
     dof = int(taken.weight.sum()) - 6 * count
     if dof < 1:
         raise InsufficientDataError(
-            f"{int(taken.weight.sum())} plateaus in {count} staircases leave nothing to judge "
-            "the fit by: use more steps"
+            f"{int(taken.weight.sum())} plateaus in {count} staircases leave no degree of "
+            "freedom to the fit: use more steps"
         )
 
-    # A search moves one of s and tau: what follows from the other is kept.
+    # A search moves one of s and tau: the columns of the other are kept.
     friction = lru_cache(maxsize=1)(partial(friction_columns, taken))
 
     @lru_cache(maxsize=1)
     def currents(time_constant: float) -> tuple[Array, Array, Array]:
-        # The staircase before may have left heat behind, so all of them are heated.
+        # Heat remains from the staircase before, so the heat of all of them counts.
         heat, warmth = (values[::every] for values in winding(stairs, time_constant))
         drift = warmth - mean_of(warmth, taken.weight)[:, None]
         current = taken.current * (1 + coefficient * drift)
         return current, current * heat, current * np.abs(current)
 
     def misfit(transition: float | None, time_constant: float) -> float:
-        current, *beside = currents(time_constant)
-        columns = [current, taken.weight, *friction(transition), *beside]
+        current, *other = currents(time_constant)
+        columns = [current, taken.weight, *friction(transition), *other]
         q, _ = np.linalg.qr(np.stack(columns, axis=2))
         fitted = np.einsum("mpc,mc->mp", q, np.einsum("mpc,mp->mc", q, taken.torque))
         return float(np.sum((taken.torque - fitted) ** 2))
@@ -223,5 +221,5 @@ def fit_common(stairs: Stairs, coefficient: float) -> Common:
 
     extra = 2 * count
     ratio = (without - with_friction) / extra / max(with_friction / dof, 1e-300)
-    shows = fdtrc(extra, dof, max(ratio, 0.0)) < SIGNIFICANCE
+    shows = fdtrc(extra, dof, max(ratio, 0.0)) < FRICTION_SIGNIFICANCE
     return Common(s if shows else None, tau, with_friction, dof)

@@ -18,33 +18,31 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import Linearity, Plateaus, amplifier_linearity
 from rigtool.experiments.torque_constant.staircase_fit import Slopes, fit_staircases
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import TurnMean, group_angles, mean_over_turn
 from rigtool.quantity import Quantity
-
-Array = NDArray[np.float64]
 
 REFERENCE_DEGC = 20.0
 """Temperature for which a torque constant is stated, degC [7.1.1]."""
 
 SAME_TEMPERATURE = 2.0
-"""Staircases within this many kelvin count as one temperature."""
+"""Range of staircases that count as one temperature, K."""
 
 LINEARITY_LIMIT = 5e-3
-"""Deviation of the amplifier, relative to the span, above which no constant describes it."""
+"""Largest deviation of the amplifier from a straight line, relative to the span."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the staircases say about motor and amplifier.
+    """Torque constant of the motor, and linearity of the amplifier.
 
-    `torque_constant` is that at 20 degC and `coefficient` its relative change a kelvin, both None
-    where one temperature alone was measured; `mean` is the one over the reference range (or at
-    the only temperature), `constant_error` the worst relative error of using it over the range.
+    `torque_constant` holds at 20 degC and `coefficient` is its relative change a kelvin, both None
+    where only one temperature was measured; `mean` holds over the reference range (or at the only
+    temperature), `constant_error` is the largest relative error of its use over the range.
     `temperature` (k,) in degC, `value` and `u` (k,) in N m/A are the points of Fig. 20.
     `ripple` is the relative standard deviation of the constant over the rotor angles, None for
     fewer than three: a torque read at one angle is uncertain by it. `components` are relative
@@ -84,7 +82,7 @@ def calibrate(
     slopes = fit_staircases(plateaus)
     fit = _fit_temperature(slopes)
     if fit.slope != 0:
-        # The coefficient just found tells how the drift within a staircase acts on its torque.
+        # With the coefficient, the drift within a staircase can be taken out of its torque.
         slopes = fit_staircases(plateaus, fit.slope / fit.value)
         fit = _fit_temperature(slopes)
     common = {
@@ -130,7 +128,7 @@ def _require_linear(linearity: Linearity) -> None:
 
 @dataclass(frozen=True)
 class _Fit:
-    """k(T) = value + slope (T - temperature), with covariance, and what is common to all."""
+    """k(T) = value + slope (T - temperature), with covariance; gain and turn of all points."""
 
     temperature: float
     value: float
@@ -169,7 +167,7 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         gain = ripple @ level / turn.value
     dof = total - int(np.linalg.matrix_rank(design))
     residual = (slopes.slope - design @ parameters) * weight
-    # Birge ratio: where points scatter more than their own uncertainties say, scatter is believed
+    # Scatter counts where it exceeds the uncertainties of the points (Birge ratio).
     scale = max(1.0, float(residual @ residual) / dof) if dof > 0 else 1.0
     covariance = inverse @ inverse.T * scale
     # The value as a combination of the parameters: a mean over angles, or the constant order
@@ -185,7 +183,7 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         value_u=value_u,
         slope_u=slope_u,
         correlation=between / (value_u * slope_u) if slope_u > 0 else 0.0,
-        # With scatter taken from the points, their number counts; else that of the plateaus.
+        # Scatter from the points has their degrees of freedom; else those of the plateaus.
         dof=float(dof if scale > 1 else slopes.dof),
         slope_known=known,
         gain=gain,
@@ -205,7 +203,7 @@ def _ripple(angle: Array, gain: Array) -> Quantity | None:
 
 
 def _orders(angle: Array) -> Array:
-    """Return 1 and the orders of rotation that angles (m,) can resolve, (m, 1 + 2 orders)."""
+    """Return 1 and the orders of rotation that angles (m,) resolve, (m, 1 + 2 orders)."""
     orders = max(0, min(len(angle) // 4, (len(angle) - 4) // 2))
     phase = np.outer(angle, np.arange(1, orders + 1))
     return np.column_stack([np.ones(len(angle)), np.cos(phase), np.sin(phase)])
@@ -235,12 +233,12 @@ class _Law:
         return self._scale * (self._value + self._slope * (temperature - self._temperature))
 
     def coefficient(self) -> Any:
-        """Return b / k(20 degC), 1/K; what scales all points cancels."""
+        """Return b / k(20 degC), 1/K; the scale of all points cancels."""
         return self._slope * self._scale / self.at(REFERENCE_DEGC)
 
 
 def _constant_error(law: _Law, mean: Any, range_degc: tuple[float, float]) -> Quantity:
-    """Return the worst relative error of one constant value, at an end of the range [7.1.1]."""
+    """Return the largest relative error of one constant value, at an end of the range [7.1.1]."""
     import GTC
 
     errors = [mean / law.at(end) - 1 for end in range_degc]

@@ -1,4 +1,4 @@
-"""The thesis's figures, drawn from the tables of run files: same axes, same units."""
+"""Figures of the thesis, drawn from tables of run files with the same axes and units."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLO
     suspension,
     sweep,
 )
-from rigtool.report.figures.plots import OWN, PLOTS
+from rigtool.report.figures.plots import FIRST_OWN_NUMBER, PLOTS
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
@@ -40,6 +40,6 @@ def draw_figures(run: Run, label: str) -> Iterator[Picture]:
         if plot.fits(run):
             with style.styled():
                 svg, png = style.render(plot.draw(run))
-            figure = f"Fig. {number}. " if number < OWN else ""
+            figure = f"Fig. {number}. " if number < FIRST_OWN_NUMBER else ""
             title = f"{figure}{plot.title} ({label})"
             yield Picture(f"figure-{number}-{label}", number, title, svg, png)

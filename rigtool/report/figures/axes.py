@@ -1,4 +1,4 @@
-"""What goes on the axes: quad counts, the up-and-down of a cycle, not too many points."""
+"""Axes of the figures: quad counts, up-and-down cycles, a limited number of points."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from rigtool.runfile import Run, Table
 
-Array = NDArray[np.float64]
 
 MILLI = 1e3
 COUNTS = "encoder position [quad counts]"
@@ -24,7 +25,7 @@ MOTOR_TORQUE = "torque at the motor [mN m]"
 
 
 def counts(run: Run, table: Table, column: str) -> Array:
-    """Return a column of motor positions in quad counts, whether it is stored so or in rad."""
+    """Return a column of motor positions, stored in quad counts or rad, in quad counts."""
     values = np.asarray(table[column], dtype=np.float64)
     if table.columns[column].unit != "rad":
         return values
@@ -33,15 +34,15 @@ def counts(run: Run, table: Table, column: str) -> Array:
 
 
 def thin(points: int, *arrays: NDArray[Any]) -> list[NDArray[Any]]:
-    """Return every n-th point of the last axis, so that no more than about `points` are left."""
+    """Return every n-th point of the last axis, about `points` of them at most."""
     step = max(1, math.ceil(arrays[0].shape[-1] / points))
     return [array[..., ::step] for array in arrays]
 
 
 def up_and_down(position: Array, rising: Array, falling: Array, end: float) -> tuple[Array, Array]:
-    """Join curves over one stroke to the thesis's full cycle: 0 up to `end`, then back [8.1].
+    """Join curves over one stroke to the full cycle of the thesis: 0 to `end` and back [8.1].
 
-    Where the curves do not reach the end there is a gap (NaN).
+    A gap (NaN) remains where the curves do not reach the end.
     """
     return (
         np.concatenate([position, [end], 2 * end - position[::-1]]),
@@ -50,13 +51,13 @@ def up_and_down(position: Array, rising: Array, falling: Array, end: float) -> t
 
 
 def cycle_axis(axes: Axes, end: float) -> None:
-    """Let the abscissa show one up-and-down, 0 to 2 `end`, with a tick every quarter stroke."""
+    """Set the abscissa to one up-and-down, 0 to 2 `end`, with a tick every quarter stroke."""
     axes.set_xlim(0, 2 * end)
     axes.set_xticks(np.linspace(0, 2 * end, 9).round())
 
 
 def fit_height(axes: Axes, *curves: Array, margin: float = 0.08) -> None:
-    """Let the ordinate show these curves whole; anything else may leave the plot."""
+    """Set the ordinate to the range of these curves; other curves may leave the plot."""
     low = min(float(np.nanmin(curve)) for curve in curves)
     high = max(float(np.nanmax(curve)) for curve in curves)
     room = margin * (high - low)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import (
     MILLI,
     MOTOR_TORQUE,
     OUTPUT_TORQUE,
     UP_AND_DOWN,
-    Array,
     counts,
     cycle_axis,
     fit_height,
@@ -28,14 +27,14 @@ if TYPE_CHECKING:
 
     from rigtool.runfile import Run, Table
 
-POINTS = 175
-"""Of each cycle where all of them are drawn."""
+MAX_POINTS = 175
+"""Points of each cycle where all cycles are drawn."""
 
 PROBABILITIES = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 
 
 @plot(58, "measure-force", "Feed-forward signal at the measuring speed", "feedforward")
-def feedforward(run: Run, table: Table) -> Figure:
+def draw_feedforward(run: Run, table: Table) -> Figure:
     """Fig. 58: feed-forward from the learned table over one up-and-down."""
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
     position = counts(run, table, "position")
@@ -45,12 +44,12 @@ def feedforward(run: Run, table: Table) -> Figure:
 
 
 @plot(59, "measure-force", "Variation over the cycles without load", "cycles_no_load")
-def variation(run: Run, table: Table) -> Figure:
-    """Fig. 59: what remains without load, all cycles in one plot."""
+def draw_variation(run: Run, table: Table) -> Figure:
+    """Fig. 59: the torque that remains without load, all cycles in one plot."""
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
     position, torque = counts(run, table, "position"), MILLI * table["torque"]
-    # Low-passed at 5 Hz, they have nothing between these points.
-    drawn = thin(POINTS, position, torque)
+    # After the low-pass at 5 Hz there is no detail between these points.
+    drawn = thin(MAX_POINTS, position, torque)
     axes.plot(drawn[0], drawn[1].T, color=style.BLUE, linewidth=0.6, alpha=0.5)
     cycle_axis(axes, position[-1] / 2)
     straight = _straight(run, axes, position)
@@ -61,12 +60,12 @@ def variation(run: Run, table: Table) -> Figure:
 @plot(
     60, "measure-force", "Normal probability plot of the readings without load", "probability_plot"
 )
-def probability_plot(run: Run, table: Table) -> Figure:
+def draw_probability_plot(run: Run, table: Table) -> Figure:
     """Fig. 60: normal probability plot of the readings without load."""
     quantile, value = table["quantile"], MILLI * table["value"]
     figure, axes = style.one_panel("torque without load [mN m]", "probability")
     axes.plot(value, quantile, "+", color=style.BLUE, label="readings")
-    # The line through the quartiles, as probability plots usually have it.
+    # The customary line of probability plots, through the quartiles.
     lower, upper = np.interp([0.25, 0.75], np.linspace(0, 1, value.size), value)
     quartile = 0.6744897501960817
     ends = np.array([quantile[0], quantile[-1]])
@@ -78,7 +77,7 @@ def probability_plot(run: Run, table: Table) -> Figure:
 
 
 @plot(61, "measure-force", "Feed-forward and remaining disturbance of one cycle", "feedforward")
-def remaining(run: Run, table: Table) -> Figure:
+def draw_remaining(run: Run, table: Table) -> Figure:
     """Fig. 61: feed-forward (blue) and remaining disturbance (green) of one cycle."""
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
     position = counts(run, table, "position")
@@ -91,8 +90,8 @@ def remaining(run: Run, table: Table) -> Figure:
 
 
 @plot(62, "measure-force", "High torque: the peak is shifted", "shift")
-def shift(run: Run, table: Table) -> Figure:
-    """Fig. 62: a high load; its peak comes late because the instrument is soft."""
+def draw_shift(run: Run, table: Table) -> Figure:
+    """Fig. 62: a high load, whose peak is late because the instrument is compliant."""
     figure, axes, middle = _lifted(run, table)
     if "peak_shift_counts" in run.results:
         late = run.results["peak_shift_counts"].value
@@ -104,7 +103,7 @@ def shift(run: Run, table: Table) -> Figure:
 
 
 @plot(63, "measure-force", "Lifting and lowering a mass", "hysteresis")
-def lifting_lowering(run: Run, table: Table) -> Figure:
+def draw_lifting_lowering(run: Run, table: Table) -> Figure:
     """Fig. 63: a mass lifted and lowered; the difference is friction that grows with load."""
     figure, axes, middle = _lifted(run, table)
     for name, x in (("lifting_torque", middle), ("lowering_torque", 3 * middle)):
@@ -117,7 +116,7 @@ def lifting_lowering(run: Run, table: Table) -> Figure:
 
 
 def _lifted(run: Run, table: Table) -> tuple[Figure, Axes, float]:
-    """Draw a load lifted and lowered; return the middle of the stroke, quad counts, as well."""
+    """Draw a load lifted and lowered; also return the middle of the stroke, quad counts."""
     stroke = counts(run, table, "position")
     end = float(stroke[-1])
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
@@ -138,10 +137,10 @@ def _lifted(run: Run, table: Table) -> tuple[Figure, Axes, float]:
     return figure, axes, end / 2
 
 
-def _straight(run: Run, axes: Axes, position: Array) -> NDArray[np.bool_]:
-    """Say where the motion has constant speed, (n,); the rest, where it turns, gets a grey band.
+def _straight(run: Run, axes: Axes, position: Array) -> Mask:
+    """Return where the motion has constant speed, (n,); draw grey bands where it reverses.
 
-    The reversal of friction and acceleration fills the bands; it is not what the figures show.
+    In the bands, friction reverses and inertia acts; the figures do not show these.
     """
     if run.recipe is None:
         return np.ones(position.size, dtype=bool)
@@ -151,7 +150,7 @@ def _straight(run: Run, axes: Axes, position: Array) -> NDArray[np.bool_]:
     for low, high in ((0, turn), (end - turn, end + turn), (2 * end - turn, 2 * end)):
         axes.axvspan(low, high, color=style.BAND, linewidth=0, zorder=0)
     within = np.where(position > end, 2 * end - position, position)
-    straight: NDArray[np.bool_] = (within >= turn) & (within <= end - turn)
+    straight: Mask = (within >= turn) & (within <= end - turn)
     return straight
 
 

@@ -8,28 +8,28 @@ import numpy as np
 
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, Array
-from rigtool.report.figures.plots import OWN, plot
+from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rigtool.runfile import Run, Table
 
-SHOWN = 3
-"""Runs in the figures over time: of the lowest, the middle and the highest load."""
+RUNS_OVER_TIME = 3
+"""Number of runs in the figure over time, from the lowest to the highest load."""
 
-EDGE = 1.0
-"""Left out at the ends, s."""
+LEFT_OUT_AT_ENDS = 1.0
+"""Time left out at both ends of a run, s."""
 
 
 @plot(
-    OWN,
+    FIRST_OWN_NUMBER,
     "measure-force",
     "Torque at the load over time: from effort and motion, and by the sensor",
     "series",
     "levels",
 )
-def by_time(run: Run, series: Table, levels: Table) -> Figure:
+def draw_by_time(run: Run, series: Table, levels: Table) -> Figure:
     """Measured and estimated torque over time, with the 95 % interval."""
     chosen = _chosen(series["reference"])
     figure, panels = style.panels(len(chosen), "time [s]", ["torque [mN m]"] * len(chosen), 6.2)
@@ -44,7 +44,7 @@ def by_time(run: Run, series: Table, levels: Table) -> Figure:
             time, MILLI * series["reference"][index], color=style.ORANGE, label="sensor", lw=0.9
         )
         sensor = MILLI * series["reference"][index]
-        middle = (time > EDGE) & (time < time[-1] - EDGE)
+        middle = (time > LEFT_OUT_AT_ENDS) & (time < time[-1] - LEFT_OUT_AT_ENDS)
         low, high = np.nanmin(sensor[middle]), np.nanmax(sensor[middle])
         axes.set_ylim(low - 0.3 * (high - low) - 5, high + 0.3 * (high - low) + 5)
     style.legend_above(panels[0])
@@ -52,13 +52,13 @@ def by_time(run: Run, series: Table, levels: Table) -> Figure:
 
 
 @plot(
-    OWN + 1,
+    FIRST_OWN_NUMBER + 1,
     "measure-force",
     "Hysteresis: effort of the motor against torque at the load",
     "series",
     "levels",
 )
-def hysteresis(run: Run, series: Table, levels: Table) -> Figure:
+def draw_hysteresis(run: Run, series: Table, levels: Table) -> Figure:
     """Loop of the motor's effort against the sensor's torque."""
     effort = series.columns["effort"]
     name = "current" if effort.unit == "A" else "torque"
@@ -66,7 +66,7 @@ def hysteresis(run: Run, series: Table, levels: Table) -> Figure:
         "torque at the load, sensor [mN m]", f"{name} of the motor [{effort.unit}]", 4.2
     )
     time = series["time"]
-    middle = (time > EDGE) & (time < time[-1] - EDGE)
+    middle = (time > LEFT_OUT_AT_ENDS) & (time < time[-1] - LEFT_OUT_AT_ENDS)
     load = np.nanmean(series["reference"], axis=1)
     order = np.argsort(np.abs(load))
     shades = _shades(len(order))
@@ -81,16 +81,16 @@ def hysteresis(run: Run, series: Table, levels: Table) -> Figure:
 
 
 @plot(
-    OWN + 2,
+    FIRST_OWN_NUMBER + 2,
     "measure-force",
     "Error by load: median and 95 % of the samples of each run",
     "series",
     "levels",
 )
-def error_by_level(run: Run, series: Table, levels: Table) -> Figure:
-    """Errors of single samples by the torque of their run, strokes against and with the load."""
+def draw_error_by_level(run: Run, series: Table, levels: Table) -> Figure:
+    """Errors of single samples over the torque of their run, against and with the load."""
     time, speed = series["time"], series["speed"]
-    middle = (time > EDGE) & (time < time[-1] - EDGE)
+    middle = (time > LEFT_OUT_AT_ENDS) & (time < time[-1] - LEFT_OUT_AT_ENDS)
     error = MILLI * (series["torque"] - series["reference"])
     figure, axes = style.one_panel("torque at the load, sensor [mN m]", "error [mN m]", 3.6)
     for sign, colour, label in (
@@ -118,11 +118,11 @@ def error_by_level(run: Run, series: Table, levels: Table) -> Figure:
 def _chosen(reference: Array) -> list[int]:
     """Return runs of the lowest, a middle and the highest load."""
     order = np.argsort(np.abs(np.nanmean(reference, axis=1)))
-    places = np.unique(np.linspace(0, len(order) - 1, SHOWN).round().astype(int))
+    places = np.unique(np.linspace(0, len(order) - 1, RUNS_OVER_TIME).round().astype(int))
     return [int(order[place]) for place in places]
 
 
 def _shades(count: int) -> list[tuple[float, float, float, float]]:
     from matplotlib import colormaps
 
-    return [colormaps[style.SHADES](value) for value in np.linspace(0, 0.9, count)]
+    return [colormaps[style.COLOUR_MAP](value) for value in np.linspace(0, 0.9, count)]

@@ -1,4 +1,4 @@
-"""Figures 50 and 56: the learned table, and what it leaves [7.2.4.2]."""
+"""Figures 50 and 56: the learned table and the remaining disturbance [7.2.4.2]."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PUBLISHED_SPEEDS_REV_PER_S = (1.0, 2.0)
     "lookup",
     implementations=("B", "C", "D"),
 )
-def lookup_table(run: Run, table: Table) -> Figure:
+def draw_lookup_table(run: Run, table: Table) -> Figure:
     """Fig. 50: content of the two-dimensional table, torque by position and speed."""
     from matplotlib.figure import Figure as NewFigure
 
@@ -49,7 +49,7 @@ def lookup_table(run: Run, table: Table) -> Figure:
     axes.plot_surface(
         *np.meshgrid(position, rows),
         torque,
-        cmap=style.SHADES,
+        cmap=style.COLOUR_MAP,
         rcount=len(rows),
         ccount=80,
         antialiased=False,  # no light seams between facets
@@ -73,7 +73,7 @@ def lookup_table(run: Run, table: Table) -> Figure:
     "residual_waveforms",
     implementations=("C", "D"),
 )
-def residual(run: Run, table: Table) -> Figure:
+def draw_residual(run: Run, table: Table) -> Figure:
     """Fig. 56: feed-forward from the table (blue) and remaining disturbance (green)."""
     speeds = np.asarray(table["speed"])
     ratio, end = _stroke(run)
@@ -95,7 +95,7 @@ def residual(run: Run, table: Table) -> Figure:
 
 
 def _stroke(run: Run) -> tuple[float, float]:
-    """Return motor angle per output angle, and the end of a stroke in quad counts."""
+    """Return the motor angle per output angle, and the end of a stroke in quad counts."""
     if run.recipe is None:
         raise RunFileError(f"{run.path}: holds no recipe, so its stroke is unknown: learn again")
     rig = run.recipe.rig

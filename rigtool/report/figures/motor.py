@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @plot(20, "calibrate-kt", "Motor constant as function of motor temperature", "torque_constant")
-def motor_constant(run: Run, table: Table) -> Figure:
+def draw_motor_constant(run: Run, table: Table) -> Figure:
     """Fig. 20: motor constant against motor temperature, with the fitted line."""
     degc, constant = table["temperature"], table["torque_constant"]
     figure, axes = style.one_panel("motor temperature [°C]", "motor constant [mN m/A]")
@@ -46,8 +46,8 @@ def motor_constant(run: Run, table: Table) -> Figure:
 
 
 @plot(22, "stribeck", "Static friction: one slow ramp of torque", "breakaway_ramp")
-def breakaway(run: Run, table: Table) -> Figure:
-    """Fig. 22: one slow ramp of torque and where the rotor goes meanwhile."""
+def draw_breakaway(run: Run, table: Table) -> Figure:
+    """Fig. 22: one slow ramp of torque, and the rotor position during it."""
     labels = ["torque [mN m]", "rotor position [quad counts]"]
     figure, (torque, position) = style.panels(2, "time [s]", labels, 4.2)
     torque.plot(table["time"], MILLI * table["torque"], color=style.BLUE)
@@ -56,7 +56,7 @@ def breakaway(run: Run, table: Table) -> Figure:
 
 
 @plot(30, "stribeck", "Torque-speed curve without compensation", "torque_speed")
-def torque_speed(run: Run, table: Table) -> Figure:
+def draw_torque_speed(run: Run, table: Table) -> Figure:
     """Fig. 30: torque against speed without compensation."""
     figure, axes = _torque_speed(table, table)
     if "friction_model" in run.tables:
@@ -79,7 +79,7 @@ def torque_speed(run: Run, table: Table) -> Figure:
     "torque_speed",
     "torque_speed_coulomb",
 )
-def torque_speed_coulomb(run: Run, whole: Table, table: Table) -> Figure:
+def draw_torque_speed_coulomb(run: Run, whole: Table, table: Table) -> Figure:
     """Fig. 32: the same with Coulomb compensation; the dashed line is the viscous friction."""
     figure, axes = _torque_speed(whole, table)
     viscous = run.result("viscous_friction").value
@@ -102,7 +102,7 @@ def torque_speed_coulomb(run: Run, whole: Table, table: Table) -> Figure:
     "torque_speed",
     "torque_speed_viscous",
 )
-def torque_speed_viscous(run: Run, whole: Table, table: Table) -> Figure:
+def draw_torque_speed_viscous(run: Run, whole: Table, table: Table) -> Figure:
     """Fig. 34: the same with Coulomb and viscous compensation: flat."""
     return _torque_speed(whole, table)[0]
 

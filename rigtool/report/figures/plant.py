@@ -1,4 +1,4 @@
-"""Figures 35, 39, 76 and 40, 41: the plant, its loop, the learning filter and its convergence."""
+"""Figures 35, 39 to 41, 76: plant, position loop, learning filter, convergence."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.report.figures import style
 from rigtool.report.figures.plots import plot
 
@@ -29,7 +30,7 @@ HEIGHT = 4.6
     "frequency_response",
     "fit",
 )
-def measured_plant(run: Run, measured: Table, fit: Table) -> Figure:
+def draw_measured_plant(run: Run, measured: Table, fit: Table) -> Figure:
     """Fig. 35: measured response of the plant with its uncertainty, and the mass line."""
     figure, magnitude, phase = _bode()
     _measured(measured, magnitude, phase)
@@ -53,7 +54,7 @@ def measured_plant(run: Run, measured: Table, fit: Table) -> Figure:
     "frequency_response",
     "fit",
 )
-def fitted_plant(run: Run, measured: Table, fit: Table) -> Figure:
+def draw_fitted_plant(run: Run, measured: Table, fit: Table) -> Figure:
     """Fig. 39: simulated (the fit) and measured response of the plant."""
     figure, magnitude, phase = _bode()
     _measured(measured, magnitude, phase)
@@ -71,8 +72,8 @@ def fitted_plant(run: Run, measured: Table, fit: Table) -> Figure:
     "frequency_response",
     "sensitivities",
 )
-def open_loop(run: Run, measured: Table, sensitivities: Table) -> Figure:
-    """Fig. 76: controller times plant, and what it makes of the loop."""
+def draw_open_loop(run: Run, measured: Table, sensitivities: Table) -> Figure:
+    """Fig. 76: the open loop and its sensitivities."""
     figure, magnitude, phase = _bode()
     table = _within(measured, sensitivities)
     for name, colour, label in (
@@ -88,10 +89,10 @@ def open_loop(run: Run, measured: Table, sensitivities: Table) -> Figure:
 
 
 @plot(40, "ilc-learn", "Complementary sensitivity T and learning filter L, its inverse", "transfer")
-def learning_filter(run: Run, whole: Table) -> Figure:
+def draw_learning_filter(run: Run, whole: Table) -> Figure:
     """Fig. 40, right: T and the learning filter L, with and without its phase advance."""
     figure, magnitude, phase = _bode()
-    # Close to half the sampling rate T goes to zero: nothing to see.
+    # Close to half the sampling rate T vanishes.
     table = _positive(whole, 0.25 * float(whole["frequency"][-1]))
     frequency = table["frequency"]
     magnitude.plot(frequency, decibel(table["t_magnitude"]), color=style.BLUE, label="T")
@@ -104,7 +105,7 @@ def learning_filter(run: Run, whole: Table) -> Figure:
 
 
 @plot(41, "ilc-learn", "Convergence criterion", "convergence")
-def convergence(run: Run, whole: Table) -> Figure:
+def draw_convergence(run: Run, whole: Table) -> Figure:
     """Fig. 41: the convergence criterion; dashed: its bound over the plant's uncertainty."""
     figure, axes = style.one_panel(FREQUENCY, "|Q (1 − p L T)| [dB]")
     table = _positive(whole)
@@ -126,14 +127,14 @@ def convergence(run: Run, whole: Table) -> Figure:
     return figure
 
 
-def decibel(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Return magnitudes in dB; a gap (NaN) where they are zero or have no value."""
+def decibel(values: NDArray[Any]) -> Array:
+    """Return magnitudes in dB, NaN where they are zero or NaN."""
     magnitude = np.where(np.asarray(values) > 0, values, np.nan)
     return np.asarray(20 * np.log10(magnitude), dtype=np.float64)
 
 
-def degrees(phase: NDArray[Any]) -> NDArray[np.float64]:
-    """Return a phase without jumps in degrees, between -270 and 90 where it begins."""
+def degrees(phase: NDArray[Any]) -> Array:
+    """Return an unwrapped phase in degrees, shifted to begin between -270 and 90."""
     first = 2 * np.pi * np.ceil(phase[0] / (2 * np.pi) - 0.25)
     return np.asarray(np.degrees(phase - first), dtype=np.float64)
 
@@ -145,7 +146,7 @@ def _bode() -> tuple[Figure, Axes, Axes]:
 
 
 def _measured(table: Table, magnitude: Axes, phase: Axes) -> None:
-    """Draw a measured response; pale where a line was not used."""
+    """Draw a measured response, in grey where a line was not used."""
     frequency, value, radius = (table[name] for name in ("frequency", "magnitude", "radius"))
     used = table["used"] == 1
     turns = degrees(table["phase"])
@@ -162,7 +163,7 @@ def _measured(table: Table, magnitude: Axes, phase: Axes) -> None:
 
 
 def _within(measured: Table, table: Table) -> dict[str, NDArray[Any]]:
-    """Return the columns of a table around the frequencies that were measured."""
+    """Return the columns of a table near the measured frequencies."""
     low, high = measured["frequency"][[0, -1]]
     return _between(table, low / 2, 2 * high)
 

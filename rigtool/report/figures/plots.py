@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 Function = Callable[..., "Figure"]
 
-OWN = 101
+FIRST_OWN_NUMBER = 101
 """Number of the first figure that is not in the thesis."""
 
 

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
     from rigtool.runfile import Run, Table
 
-POINTS = 1000
-SPECTRA = 4
-"""Speeds whose spectra are shown."""
+MAX_POINTS = 1000
+MAX_SPECTRA = 4
+"""Most speeds whose spectra are shown."""
 
 
 @plot(23, "fft-ripple", "Ripple after power off and on", "power_waveforms")
-def power_cycles(run: Run, table: Table) -> Figure:
+def draw_power_cycles(run: Run, table: Table) -> Figure:
     """Fig. 23: ripple before and after the amplifier was switched off and on."""
     figure, axes = style.one_panel(COUNTS, TORQUE)
     position, waves = _waveforms(run, table)
@@ -34,8 +34,8 @@ def power_cycles(run: Run, table: Table) -> Figure:
 
 
 @plot(24, "fft-ripple", "Ripple of single revolutions", "revolutions")
-def revolutions(run: Run, table: Table) -> Figure:
-    """Fig. 24: many revolutions in one plot, to show how well the ripple repeats."""
+def draw_revolutions(run: Run, table: Table) -> Figure:
+    """Fig. 24: many revolutions in one plot; their spread shows how well the ripple repeats."""
     figure, axes = style.one_panel(COUNTS, TORQUE)
     position, waves = _waveforms(run, table)
     axes.plot(position, waves.T, color=style.BLUE, linewidth=0.6, alpha=0.6)
@@ -44,7 +44,7 @@ def revolutions(run: Run, table: Table) -> Figure:
 
 
 @plot(25, "fft-ripple", "Ripple grows with motor current", "torque_waveforms")
-def ripple_by_current(run: Run, table: Table) -> Figure:
+def draw_ripple_by_current(run: Run, table: Table) -> Figure:
     """Fig. 25: ripple at several constant torques, on one scale."""
     figure, axes = style.one_panel(COUNTS, TORQUE)
     position, waves = _waveforms(run, table)
@@ -62,7 +62,7 @@ def ripple_by_current(run: Run, table: Table) -> Figure:
     "torque_waveforms",
     "torque_spectrum",
 )
-def shape_by_current(run: Run, table: Table, spectrum: Table) -> Figure:
+def draw_shape_by_current(run: Run, table: Table, spectrum: Table) -> Figure:
     """Fig. 26: the same, each on its own scale, with its content by order of rotation."""
     from matplotlib.figure import Figure as NewFigure
 
@@ -86,7 +86,7 @@ def shape_by_current(run: Run, table: Table, spectrum: Table) -> Figure:
 
 
 @plot(27, "fft-ripple", "Ripple at all motor speeds", "speed_waveforms")
-def ripple_by_speed(run: Run, table: Table) -> Figure:
+def draw_ripple_by_speed(run: Run, table: Table) -> Figure:
     """Fig. 27: ripple at each speed, one above the other on one scale."""
     position, waves = _waveforms(run, table)
     step = 1.1 * float(np.ptp(waves, axis=1).max())
@@ -101,13 +101,13 @@ def ripple_by_speed(run: Run, table: Table) -> Figure:
 
 
 @plot(28, "fft-ripple", "PSD of the ripple in Figure 27", "speed_psd")
-def psd_by_speed(run: Run, table: Table) -> Figure:
+def draw_psd_by_speed(run: Run, table: Table) -> Figure:
     """Fig. 28: power spectral densities of some of these signals, slow to fast.
 
     Dotted lines mark the first and second order of rotation.
     """
     speeds, frequency = table["speed"], np.asarray(table["frequency"])
-    rows = np.unique(np.linspace(0, len(speeds) - 1, SPECTRA).round().astype(int))
+    rows = np.unique(np.linspace(0, len(speeds) - 1, MAX_SPECTRA).round().astype(int))
     figure, axes = style.panels(len(rows), "frequency [Hz]", [""] * len(rows), 1 + 1.1 * len(rows))
     figure.supylabel("PSD [(mN m)²/Hz]", fontsize=9)
     highest = 3.2 * speeds.max() / (2 * np.pi)
@@ -125,8 +125,8 @@ def psd_by_speed(run: Run, table: Table) -> Figure:
 
 
 def _waveforms(run: Run, table: Table) -> tuple[Array, Array]:
-    """Return positions in counts and waveforms in mN m with their means taken off."""
-    position, waves = thin(POINTS, counts(run, table, "position"), MILLI * table[table.signal])
+    """Return positions in counts, and waveforms in mN m less their means."""
+    position, waves = thin(MAX_POINTS, counts(run, table, "position"), MILLI * table[table.signal])
     return position, waves - waves.mean(axis=-1, keepdims=True)
 
 
@@ -143,7 +143,7 @@ def _bars(axes: Axes, order: Array, amplitude: Array, orders: int = 8) -> None:
 
 
 def _scale_bar(axes: Axes, step: float) -> None:
-    """Mark how many mN m the distance between two curves is."""
+    """Draw a scale bar of torque beside the curves."""
     length = float(f"{step:.1g}")
     right = axes.get_xlim()[1] * 1.015
     axes.plot([right, right], [0, length], color=style.BLACK, linewidth=2, clip_on=False)

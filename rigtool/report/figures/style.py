@@ -1,7 +1,7 @@
-"""How figures look, and how they become bytes that do not change from run to run.
+"""Style of the figures, and their reproducible output as bytes.
 
-Without pyplot: no global state, no window, nothing of a user's matplotlibrc. Colours are those of
-Okabe and Ito (2008), which stay apart for the colour-blind and in grey.
+Without pyplot there is no global state and no window, and a user's matplotlibrc has no effect.
+Colours are those of Okabe and Ito (2008), distinct for the colour-blind and in grey.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ BLACK = "#000000"
 GREY = "#767676"
 BAND = "#EFEFEF"
 CYCLE = (BLUE, ORANGE, GREEN, PURPLE, YELLOW, SKY, BLACK)
-SHADES = "cividis"
+COLOUR_MAP = "cividis"
 
 WIDTH = 6.3
-"""Inches: the text width of an A4 page."""
+"""Text width of an A4 page, inches."""
 HEIGHT = 3.4
 PNG_DPI = 150
 
@@ -56,7 +56,7 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Make and save figures within this context: defaults of matplotlib plus our own."""
+    """Set matplotlib's defaults and the style, for figures made and saved in this context."""
     import matplotlib
     from cycler import cycler
 
@@ -75,7 +75,7 @@ def one_panel(x: str, y: str, height: float = HEIGHT) -> tuple[Figure, Axes]:
 def panels(
     count: int, x: str, ys: list[str], height: float = HEIGHT, **options: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with `count` panels above each other that share the abscissa."""
+    """Return a figure with `count` panels, one above the other, on one abscissa."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
@@ -88,21 +88,21 @@ def panels(
 
 
 def legend_above(axes: Axes, columns: int = 3) -> None:
-    """Put the legend above the plot, where it covers nothing."""
+    """Place the legend above the plot, where it covers nothing."""
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, borderaxespad=0.2)
 
 
 def render(figure: Figure) -> tuple[str, bytes]:
-    """Return the figure as SVG and as PNG; the same figure gives the same text and bytes.
+    """Return the figure as SVG and PNG; equal figures give equal bytes.
 
-    Each canvas draws once; `savefig` would draw and lay out twice for either.
+    Each canvas draws once; `savefig` would draw and lay out the figure twice for each.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     svg, png = io.StringIO(), io.BytesIO()
     FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
-    figure.set_layout_engine("none")  # it is laid out now
+    figure.set_layout_engine("none")  # the layout is done
     figure.dpi = PNG_DPI
     FigureCanvasAgg(figure).print_png(png)
     return _PATH.sub(_rounded, svg.getvalue()), png.getvalue()
@@ -113,8 +113,8 @@ _NUMBER = re.compile(r"-?\d+\.\d{3,}")
 
 
 def _rounded(path: re.Match[str]) -> str:
-    """Write the coordinates of a path to a hundredth of a point: half the size, the same picture.
+    """Round the coordinates of a path to a hundredth of a point: half the size, the same picture.
 
-    matplotlib writes six decimals and has no setting for it.
+    matplotlib writes six decimals and has no setting for that.
     """
     return _NUMBER.sub(lambda number: f"{float(number[0]):.2f}", path[0]).replace("\n", " ")

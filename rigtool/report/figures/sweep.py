@@ -1,4 +1,4 @@
-"""Figures 42 to 48, 51, 52 and 54: learning run by run, and what remains at any speed [7.2.4.2]."""
+"""Figures 42 to 48, 51, 52, 54: learning run by run, and the remains over speed [7.2.4.2]."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, MOTOR_TORQUE, fit_height
 from rigtool.report.figures.plots import plot
@@ -18,10 +18,9 @@ if TYPE_CHECKING:
 
     from rigtool.runfile import Run, Table
 
-Array = NDArray[np.float64]
 
-POINTS = 4000
-"""Of a curve over the sweep: more than its picture has columns."""
+MAX_POINTS = 4000
+"""Points of a curve over the sweep: more than its picture has columns."""
 
 SPEED = "motor speed [rev/s]"
 FROM_TABLE = "feed-forward from the table"
@@ -29,7 +28,7 @@ CONTROLLER = "controller"
 
 
 @plot(42, "ilc-learn", "Amplitude and phase tables by speed", "tuning")
-def tuning(run: Run, table: Table) -> Figure:
+def draw_tuning(run: Run, table: Table) -> Figure:
     """Fig. 42: amplitude and phase tables, with twice their standard uncertainty."""
     speed = _rev_per_s(table["speed"])
     figure, axes = style.panels(2, SPEED, ["amplitude [1]", "shift [deg]"], 4.2)
@@ -52,8 +51,8 @@ def tuning(run: Run, table: Table) -> Figure:
     "iterations",
     implementations=("A", "standard"),
 )
-def iterations(run: Run, table: Table) -> Figure:
-    """Fig. 44: amplitude of what repeats and of what does not, run by run."""
+def draw_iterations(run: Run, table: Table) -> Figure:
+    """Fig. 44: amplitudes of the repeating and the non-repeating part, run by run."""
     unit = table.columns["rms"].unit
     figure, axes = style.one_panel("learning runs made before [1]", f"rms [m{unit}]")
     axes.errorbar(
@@ -107,8 +106,8 @@ for number, implementation, variant, feedforward, title in (
 
 
 def _envelope(speed: Array, torque: Array) -> tuple[Array, Array]:
-    """Return the lowest and the highest torque of each stretch of a curve (n,), one by one."""
-    width = max(1, 2 * len(speed) // POINTS)
+    """Return the lowest and the highest torque of each section of a curve (n,), in turn."""
+    width = max(1, 2 * len(speed) // MAX_POINTS)
     used = len(speed) - len(speed) % width
     places, stretches = speed[:used:width], torque[:used].reshape(-1, width)
     ends = np.stack([stretches.min(axis=1), stretches.max(axis=1)], axis=1)

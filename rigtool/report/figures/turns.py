@@ -14,17 +14,17 @@ if TYPE_CHECKING:
 
     from rigtool.runfile import Run
 
-POINTS = 200
-"""Of a curve over one turn, in which Q leaves no more than twenty orders."""
+MAX_POINTS = 200
+"""Points of a curve over one turn, in which Q passes at most twenty orders."""
 
-SAMPLES = 1000
-"""A speed with fewer of them is one that the shaft passes, no hold."""
+MIN_HOLD_SAMPLES = 1000
+"""A speed with fewer samples is a transition, not a hold."""
 
-SHARE = (0.5, 99.5)
-"""Percentiles of the samples of a hold between which its bar is drawn."""
+BAR_PERCENTILES = (0.5, 99.5)
+"""Percentiles of the samples of a hold at the ends of its bar."""
 
 
-def before_learning(run: Run, kt: Run) -> Figure:
+def draw_before_learning(run: Run, kt: Run) -> Figure:
     """Fig. 43: twenty turns before learning, and their mean."""
     from matplotlib.figure import Figure as NewFigure
 
@@ -42,8 +42,8 @@ def before_learning(run: Run, kt: Run) -> Figure:
     return figure
 
 
-def after_learning(run: Run, kt: Run) -> Figure:
-    """Fig. 45: what the first learning run leaves, on the scale of Fig. 43."""
+def draw_after_learning(run: Run, kt: Run) -> Figure:
+    """Fig. 45: the disturbance after the first learning run, on the scale of Fig. 43."""
     counts, turns = _turns(run, kt, "iterate_01_000")
     _, before = _turns(run, kt, "learn_000")
     figure, axes = style.one_panel(COUNTS, TORQUE)
@@ -53,10 +53,10 @@ def after_learning(run: Run, kt: Run) -> Figure:
     return figure
 
 
-def faulty_amplifier(run: Run, kt: Run) -> Figure:
+def draw_faulty_amplifier(run: Run, kt: Run) -> Figure:
     """Fig. 68: torque against speed with an amplifier that is not linear at low current.
 
-    Only constant speeds: no sweep is made once the amplifier is found out.
+    Constant speeds only: the fault of the amplifier is detected before a sweep.
     """
     from rigtool.experiments.torque_per_ampere import torque_per_ampere
 
@@ -66,10 +66,10 @@ def faulty_amplifier(run: Run, kt: Run) -> Figure:
     figure, axes = style.one_panel("motor speed [rad/s]", TORQUE)
     rounded = np.round(speed, 3)
     found, often = np.unique(rounded, return_counts=True)
-    levels = found[(often > SAMPLES) & (found != 0)]
+    levels = found[(often > MIN_HOLD_SAMPLES) & (found != 0)]
     parts = [torque[rounded == level] for level in levels]
     mean = np.array([part.mean() for part in parts])
-    low, high = np.array([np.percentile(part, SHARE) for part in parts]).T
+    low, high = np.array([np.percentile(part, BAR_PERCENTILES) for part in parts]).T
     axes.errorbar(
         levels,
         mean,
@@ -87,7 +87,7 @@ def faulty_amplifier(run: Run, kt: Run) -> Figure:
 def _turns(run: Run, kt: Run, name: str) -> tuple[Array, Array]:
     """Return quad counts (n,) and the controller's torque by turn, (turns, n), mN m.
 
-    It is filtered with Q, as it is learned, and without its mean, which is friction.
+    The torque is filtered with Q, as for learning; its mean, which is friction, is subtracted.
     """
     from rigtool.errors import RunFileError
     from rigtool.experiments.learning.implementations.a_one_speed import narrowed
@@ -101,5 +101,5 @@ def _turns(run: Run, kt: Run, name: str) -> tuple[Array, Array]:
     cut = turned(run.recording(name), recipe, torque_per_ampere(kt).value)
     torque = torque_by(cut, learning, recipe.rig.encoder_counts).moves
     places = np.arange(float(recipe.rig.encoder_counts))
-    places, torque = thin(POINTS, places, MILLI * (torque - torque.mean()))
+    places, torque = thin(MAX_POINTS, places, MILLI * (torque - torque.mean()))
     return places, torque

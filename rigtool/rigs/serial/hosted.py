@@ -18,22 +18,20 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import HardwareError, RecipeError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Task
-from rigtool.rigs.motion import Move, Observe, OpenLoop
+from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.between import ROOM, Between, usual_time
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import Line
-from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
+from rigtool.rigs.serial.rig import SerialRig, in_thread
 from rigtool.rigs.serial.ticks import Clock
-
-Array = NDArray[np.float64]
 
 BLOCK_TIME = 0.25
 """Length of a block of signals, about, s."""
@@ -174,9 +172,7 @@ class HostedRig(SerialRig):
 
     def _execute(self, task: Task) -> Generator[Block, None, None]:
         if task.start is not None:
-            angle = task.start - self._position()
-            speed = safety.speed_of_moves(self._limits)
-            approach = Move(angle, SETTLE_TIME + abs(angle) / speed)
+            approach = safety.slow_move(task.start - self._position(), self._limits)
             for _ in self._run(Task(approach, load=task.load)):
                 pass
         yield from self._run(task)
@@ -303,7 +299,7 @@ class _Loop:
             return SetPoint(current=float(motion.current(time)[0])), (0.0, 0.0, 0.0)
         constant = self._rig._torque_constant
         position, speed, acceleration = self._motion_at(self._start + elapsed)
-        model = float(safety.model_torque(feedforward, speed, acceleration)[0]) / constant
+        model = float(feedforward.model_torque(speed, acceleration)[0]) / constant
         table = signal = 0.0
         if feedforward.table is not None:
             table = float(feedforward.table.evaluate(position, speed)[0]) / constant

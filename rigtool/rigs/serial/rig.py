@@ -14,23 +14,18 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import constants
 
 from rigtool.errors import HardwareError
 from rigtool.interrupts import held
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
-from rigtool.rigs.motion import Move, Observe
+from rigtool.rigs.motion import Observe
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
 from rigtool.rigs.serial.line import Line
-
-Array = NDArray[np.float64]
-
-SETTLE_TIME = 0.5
-"""Added to each move between recordings, s."""
 
 NOBODY = "nobody is at the terminal: run the command in a terminal"
 
@@ -273,8 +268,7 @@ class SerialRig(Rig, ABC):
 
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
-        speed = safety.speed_of_moves(self._limits)
-        task = Task(Move(angle, SETTLE_TIME + abs(angle) / speed), load=self._load)
+        task = Task(safety.slow_move(angle, self._limits), load=self._load)
         self._require_permission(task)
         for _ in self._perform(task):
             pass

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RecipeError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.base import Block, Feedforward, Task
-from rigtool.rigs.motion import Observe, OpenLoop
-
-Array = NDArray[np.float64]
+from rigtool.rigs.motion import Move, Observe, OpenLoop
 
 BLOCK = 65536
 """Samples of a motion evaluated at a time."""
@@ -38,6 +37,10 @@ JUMP = 5.0
 
 ROUNDING = 1e-6
 """Angle by which a set point may pass a limit of position: it is computed, rad."""
+
+
+SETTLE_TIME = 0.5
+"""Added to each move between recordings, s."""
 
 
 @dataclass(frozen=True)
@@ -106,21 +109,11 @@ def feedforward_torque(
     steps: NDArray[np.int64],
 ) -> Array:
     """Return the torque that is added at these set points, samples `steps` of the loop; N m."""
-    torque = model_torque(feedforward, speed, acceleration)
+    torque = feedforward.model_torque(speed, acceleration)
     if feedforward.table is not None:
         torque = torque + feedforward.table.evaluate(position, speed)
     if feedforward.signal is not None:
         torque = torque + feedforward.signal[steps % len(feedforward.signal)]
-    return torque
-
-
-def model_torque(feedforward: Feedforward, speed: Array, acceleration: Array) -> Array:
-    """Return the part of the torque from inertia and friction model, N m."""
-    torque: Array = (
-        feedforward.inertia * acceleration
-        + feedforward.viscous * speed
-        + feedforward.coulomb * np.tanh(speed)
-    )
     return torque
 
 
@@ -296,6 +289,6 @@ def _beyond(name: str, value: float, limit: float, unit: str) -> str:
     )
 
 
-def speed_of_moves(limits: Limits) -> float:
-    """Return the mean speed of moves between recordings, rad/s: slow, and well within limits."""
-    return min(2.0, 0.4 * limits.speed)
+def slow_move(angle: float, limits: Limits) -> Move:
+    """Return a move between recordings by an angle, rad: slow, and well within the limits."""
+    return Move(angle, SETTLE_TIME + abs(angle) / min(2.0, 0.4 * limits.speed))

@@ -10,13 +10,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.recipe.virtual import AnyContact, Eased, Mass, Ramp, Sine, Tissue
 from rigtool.rigs.motion import Motion
 from rigtool.rigs.virtual.kernel import FORCE_TORQUE, HAND_ANGLE, HAND_SPEED, WEIGHT_MOMENT
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

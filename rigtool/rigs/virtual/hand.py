@@ -14,11 +14,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.recipe.virtual import Hand
-
-Array = NDArray[np.float64]
 
 FREQUENCIES = (1.0, 2.09, 3.36, 6.45)
 """Relative to each other; far from ratios of small numbers, so that nothing repeats."""

@@ -27,7 +27,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
+
 Record = Any  # the one element of a STATE or PARAMETERS array, with its fields as attributes
 
 TICK = 16

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.recipe.virtual import MAX_ORDER, Amplifier, DrawnOrder, Order, Virtual
-
-Array = NDArray[np.float64]
 
 MAP_SIZE = 4096
 _ANGLE = np.linspace(0.0, 2 * np.pi, MAP_SIZE + 1)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.recipe.virtual import Virtual
 from rigtool.rigs.base import Block, Feedforward, Load, Rig, Task
@@ -19,8 +20,6 @@ from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, Observe
 from rigtool.rigs.virtual import contacts, hand, kernel
 from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
-
-Array = NDArray[np.float64]
 
 BLOCK = 16384
 """Samples simulated at a time, about: what fits a processor's cache."""
@@ -166,8 +165,7 @@ class VirtualRig(Rig):
     def _closed_loop_setpoint(self) -> float:
         if self._setpoint is None:  # close the loop where the rotor is
             self._section_state[:] = 0.0
-            count = 2 * math.pi / self._rig.encoder_counts
-            self._setpoint = math.floor(self._state["angle"][0] / count) * count
+            self._setpoint = self.position
         return self._setpoint
 
     def _run(self, task: Task, grip: Motion | None = None) -> Iterator[Block]:
@@ -259,15 +257,13 @@ class VirtualRig(Rig):
         position, speed, acceleration = motion.setpoint(time)
         position = position + origin
         ff = task.feedforward
-        torque = ff.inertia * acceleration + ff.viscous * speed
-        if ff.coulomb:
-            torque = torque + ff.coulomb * np.tanh(speed)
         table = zero if ff.table is None else ff.table.evaluate(position, speed)
         return {
             "time": time - time[0],
             "loop_input": position,
             "position_setpoint": position,
-            "feedforward_current": torque / self._assumed_torque_constant,
+            "feedforward_current": ff.model_torque(speed, acceleration)
+            / self._assumed_torque_constant,
             "table_current": table / self._assumed_torque_constant,
         }
 

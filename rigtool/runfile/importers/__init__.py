@@ -1,8 +1,8 @@
-"""Other people's measurements into run files: text, MATLAB, NumPy, EPOS Studio.
+"""Imports of files of other programs: text, MATLAB, NumPy, EPOS Studio.
 
-A mapping (recipes/import/*.toml, `rigtool.recipe.mapping`) says what the columns mean. A bad file
-is refused with line and remedy, and nothing is written; docs/run-file-format.md, 'Imported runs',
-says what is written.
+A mapping (recipes/import/*.toml, `rigtool.recipe.mapping`) states the meaning of the columns. A bad
+file is refused with line and remedy, and nothing is written. docs/run-file-format.md, 'Imported
+runs', describes the output.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ PLUGINS = "rigtool.importers"
 """Group of the entry points with which other packages add formats: each an `Importer`."""
 
 LISTED = 5
-"""Bad lines that a note names."""
+"""Most bad lines that a note names."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What became of one source file: `samples` read, bad lines `left_out`, `notes`."""
+    """The import of one source file: `samples` read, bad lines `left_out`, `notes`."""
 
     source: Path
     output: Path
@@ -69,8 +69,8 @@ def import_files(
 ) -> list[Imported]:
     """Make a run file of one source file, or a folder of run files of a folder or several files.
 
-    `mapping` comes with its text. All or nothing: where one file cannot be imported, nothing is
-    written. Raises `UsageError` for names that do not go together, `RunFileError` for a bad source.
+    `mapping` comes with its text. If one file cannot be imported, no file is written. Raises
+    `UsageError` for names that do not go together, `RunFileError` for a bad source.
     """
     endings = [ending for importer in importers().values() for ending in importer.endings]
     names, is_folder = plan(sources, Path(output), overwrite, endings)
@@ -111,7 +111,7 @@ def _new_folders() -> Iterator[Callable[[Path], None]]:
         yield make
     except BaseException:
         for folder in reversed(made):
-            with suppress(OSError):  # somebody else may have put something there
+            with suppress(OSError):  # another program may have put a file there
                 folder.rmdir()
         raise
 
@@ -129,11 +129,11 @@ def _import_file(
     origin = Source(str(source), file_sha256(source), text)
     if known is not None and known.map is not None:
         return _import_map(source, here, final, known, origin, overwrite)
-    raw, known, said = _read(source, known, skip_bad)
+    raw, known, notes = _read(source, known, skip_bad)
     signals, raw = to_si(source, raw, known, skip_bad)
-    known_conditions, untold = conditions(source, known)
+    known_conditions, missing = conditions(source, known)
     spec = RecordingSpec(RECORDING, _channels(signals, known), known_conditions)
-    notes = [*said, *untold]
+    notes = [*notes, *missing]
     notes += [note for note in (irregular(signals["time"]), _left_out_note(raw)) if note]
     with RunWriter(
         here,
@@ -158,7 +158,7 @@ def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, M
             return importer.read(source, mapping or bare, skip_bad)
     if mapping is None or not mapping.signals:
         raise RunFileError(
-            f"{source}: does not say itself what its columns mean: give --map with a mapping file "
+            f"{source}: does not state the meaning of its columns: give --map with a mapping file "
             "that has [signals]; recipes/import holds examples"
         )
     columns = [signal.column for signal in mapping.signals.values()]

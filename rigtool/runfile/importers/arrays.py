@@ -17,9 +17,9 @@ import numpy as np
 
 from rigtool.errors import RigtoolError, RunFileError
 from rigtool.runfile.importers.raw import (
-    LARGEST,
+    MAX_BYTES,
     Array,
-    Column,
+    ColumnKey,
     Raw,
     missing_column,
     require_good,
@@ -30,14 +30,16 @@ _NAMELESS = ""
 """Name of the array in a .npy file."""
 
 
-def read_arrays(path: Path, variable: str | None, columns: Sequence[Column], skip_bad: bool) -> Raw:
+def read_arrays(
+    path: Path, variable: str | None, columns: Sequence[ColumnKey], skip_bad: bool
+) -> Raw:
     """Read columns of a binary file as numbers.
 
     Raises `RunFileError` for what is missing or no array of numbers, and, unless `skip_bad`, for
     samples that are NaN or infinite.
     """
     arrays = load_arrays(path)
-    found: dict[Column, Array] = {}
+    found: dict[ColumnKey, Array] = {}
     for column in columns:
         if isinstance(column, str):
             if column not in arrays:
@@ -113,7 +115,7 @@ def _load_mat(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what scipy doubts is judged by what is needed of it
+        warnings.simplefilter("ignore")  # the checks below decide what is usable
         contents = loadmat(str(path), simplify_cells=True)
     return _flat("", {name: value for name, value in contents.items() if name[:2] != "__"})
 
@@ -123,7 +125,7 @@ def _load_hdf5(path: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
 
     def take(name: str, node: h5py.Group | h5py.Dataset) -> None:
-        # visititems goes along hard links only: it stays in this file and ends.
+        # visititems follows hard links only: it stays in this file and ends.
         if isinstance(node, h5py.Dataset) and not name.startswith("#") and not node.external:
             require_size(path, max(1, node.size * node.dtype.itemsize))
             if not node.is_virtual and node.dtype.kind in "iufb":
@@ -146,7 +148,7 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _fields(name: str, array: Any) -> dict[str, Any]:
     """Return an array under its name, or the fields of a structured one."""
-    if array.nbytes > LARGEST:
+    if array.nbytes > MAX_BYTES:
         require_size(Path(name), array.nbytes)
     if array.dtype.names is None:
         return {name: np.asarray(array)}

@@ -1,4 +1,4 @@
-"""From raw columns to SI signals on a time axis that rises."""
+"""Conversion of raw columns to SI signals on a rising time axis."""
 
 from __future__ import annotations
 
@@ -94,9 +94,9 @@ def irregular(time: Array) -> str | None:
 
 
 def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str]], list[str]]:
-    """Return what is known of the rig, and what the file's name tells, by name: (value, unit).
+    """Return properties of the rig and conditions from the file's name, by name: (value, unit).
 
-    The second are notes on conditions that the name does not tell; they are absent then.
+    Also returns notes on conditions that the name does not contain; those are left out.
     """
     notes = []
     rig = mapping.rig
@@ -118,7 +118,7 @@ def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str
             value = float(text or "") if condition.values is None else condition.values[text or ""]
         except (KeyError, ValueError):
             notes.append(
-                f"its name does not tell the condition {condition.name!r}: {condition.pattern!r} "
+                f"its name does not state the condition {condition.name!r}: {condition.pattern!r} "
                 f"finds {'nothing' if text is None else repr(text)}"
             )
             continue

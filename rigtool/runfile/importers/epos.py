@@ -1,4 +1,4 @@
-"""Recorder exports of maxon's EPOS Studio: recognised by their header, which says all but the rig.
+"""Recorder exports of maxon's EPOS Studio, whose header describes everything except the rig.
 
 Sampling period:;6.400                     ms
 Index:;0x30D3;0x30D2;0x0000;0x0000         the object that each channel recorded
@@ -38,7 +38,7 @@ _NAME = re.compile(r"[^a-z0-9]+")
 
 
 def is_epos(path: Path) -> bool:
-    """Say whether a file is such an export, from its first lines."""
+    """Return whether a file is such an export, from its first lines."""
     try:
         with path.open("rb") as stream:
             start = stream.read(4096)
@@ -51,8 +51,8 @@ def is_epos(path: Path) -> bool:
 def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mapping, list[str]]:
     """Return the columns of an export, the mapping filled with the signals that it names, notes.
 
-    Torque in percent becomes N m where `mapping` tells the rated torque. A mapping with signals of
-    its own keeps them: columns by the names in the file, `time` the first. Raises `RunFileError`
+    Torque in percent becomes N m where `mapping` states the rated torque. A mapping with signals
+    of its own keeps them: columns by the names in the file, `time` the first. Raises `RunFileError`
     for a header or lines that are damaged.
     """
     lines = split_lines(decode(read_bytes(path)), None)
@@ -130,7 +130,7 @@ def _meaning(name: str, index: int, unit: str, mapping: Mapping) -> tuple[str, s
 
 
 def _missing(path: Path, header: dict[str, list[str]], data: Lines, skip_bad: bool) -> list[str]:
-    """Return a note where there are fewer samples than the header says; raise unless `skip_bad`."""
+    """Return a note if samples are missing according to the header; raise unless `skip_bad`."""
     recorded = _field(header, "Recorded samples")
     if not recorded or not recorded[0].isdigit() or int(recorded[0]) <= len(data.text):
         return []

@@ -1,4 +1,4 @@
-"""Which files are imported, and what their run files are called."""
+"""The files to import, and the names of their run files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rigtool.runfile.importers.convert import stem
 
 BINARY = (".mat", ".npy", ".npz")
 TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc")
-"""Endings of files that are taken from a folder, in any case, text also with .gz behind."""
+"""Suffixes of files to import from a folder, in upper or lower case, also followed by .gz."""
 
 
 def plan(

@@ -12,29 +12,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe.mapping import Mapping
 
-Array = NDArray[np.float64]
-Column = int | str
+ColumnKey = int | str
 """A column by its number from 1, or by its name."""
 
-LARGEST = 2**31
-"""Bytes of a source file, uncompressed: a file that claims more is refused."""
+MAX_BYTES = 2**31
+"""Most bytes of a source file, uncompressed."""
 
-SHOWN = 5
-"""Bad lines that a message lists."""
+LISTED_LINES = 5
+"""Most bad lines that a message lists."""
 
 
 @dataclass(frozen=True, eq=False)
 class Raw:
     """Columns (n,) of a file, the numbers of their lines, and what was left out.
 
-    `place` (n,) counts samples from 0 as the file has them: where samples were left out it has
-    gaps. `line` (n,) are line numbers from 1 in text, sample numbers from 1 elsewhere; `what` says
-    which. `left_out` maps the number of each line left out to why.
+    `place` (n,) counts the samples of the file from 0, with gaps for samples that were left out.
+    `line` (n,) holds line numbers from 1 in text, sample numbers from 1 elsewhere; `what` names
+    either. `left_out` maps the number of each line left out to the reason.
     """
 
-    columns: dict[Column, Array]
+    columns: dict[ColumnKey, Array]
     place: NDArray[np.int64]
     line: NDArray[np.int64]
     what: str
@@ -68,9 +68,9 @@ def require_good(path: Path, what: str, bad: dict[int, str]) -> None:
     if not bad:
         return
     numbers = sorted(bad)
-    listed = [f"  {path}, {what} {number}: {bad[number]}" for number in numbers[:SHOWN]]
-    if len(numbers) > SHOWN:
-        listed.append(f"  and {len(numbers) - SHOWN} more")
+    listed = [f"  {path}, {what} {number}: {bad[number]}" for number in numbers[:LISTED_LINES]]
+    if len(numbers) > LISTED_LINES:
+        listed.append(f"  and {len(numbers) - LISTED_LINES} more")
     count = len(numbers)
     head = f"{path}: {count} bad {what}{'s' if count > 1 else ''}"
     remedy = "correct the file, or read the rest of it by --skip-bad-lines"
@@ -86,7 +86,7 @@ def read_bytes(path: Path) -> bytes:
             require_size(path, path.stat().st_size)
             return path.read_bytes()
         with gzip.open(path) as stream:
-            data = stream.read(LARGEST + 1)
+            data = stream.read(MAX_BYTES + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise RunFileError(f"{path}: is a damaged gzip file: {error}; fetch it again") from None
     except OSError as error:
@@ -99,11 +99,13 @@ def require_size(path: Path, size: int) -> None:
     """Raise `RunFileError` where a file is empty or larger than is read."""
     if size == 0:
         raise RunFileError(f"{path}: is empty: fetch it again")
-    if size > LARGEST:
-        raise RunFileError(f"{path}: is larger than {LARGEST} bytes unpacked: split it")
+    if size > MAX_BYTES:
+        raise RunFileError(f"{path}: is larger than {MAX_BYTES} bytes unpacked: split it")
 
 
-def missing_column(path: Path, column: Column, there: Sequence[Column], count: int) -> RunFileError:
+def missing_column(
+    path: Path, column: ColumnKey, there: Sequence[ColumnKey], count: int
+) -> RunFileError:
     """Return the error for a column that a file does not have."""
     named = [str(name) for name in there if isinstance(name, str)]
     known = f"{count} columns" if not named else ", ".join(named[:30])

@@ -1,7 +1,8 @@
-"""Delimited text, also gzipped: fast by numpy; line by line only to find what is wrong.
+"""Delimited text, also gzipped: parsed by numpy, and line by line only to locate errors.
 
-Every line is held to the number of fields that most lines have: a line that was cut short is found
-even where the columns that are read are still there.
+Every line must have the number of fields that most lines have. A line that was cut short is thus
+found even if it still holds the columns that are read. pandas reports neither its line number among
+comments nor an exact value without its slower parser.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import FileLayout
 from rigtool.runfile.importers.raw import (
     Array,
-    Column,
+    ColumnKey,
     Raw,
     missing_column,
     read_bytes,
@@ -47,7 +48,7 @@ class Lines:
         return Lines(self.text[count:], self.number[count:], self.whole)
 
 
-def read_text(path: Path, layout: FileLayout, columns: Sequence[Column], skip_bad: bool) -> Raw:
+def read_text(path: Path, layout: FileLayout, columns: Sequence[ColumnKey], skip_bad: bool) -> Raw:
     """Read columns of a text file as numbers.
 
     Raises `RunFileError` for a missing column, and, unless `skip_bad`, for lines that are cut
@@ -69,7 +70,7 @@ def read_numbers(
     path: Path,
     lines: Lines,
     layout: FileLayout,
-    columns: Sequence[Column],
+    columns: Sequence[ColumnKey],
     names: Sequence[str],
     skip_bad: bool,
 ) -> Raw:
@@ -105,7 +106,7 @@ def read_numbers(
 
 
 def decode(data: bytes) -> str:
-    """Return text: UTF-16 where it says so, else UTF-8, else Latin-1, which fits any bytes."""
+    """Return text: UTF-16 with a byte order mark, else UTF-8 or, for any other bytes, Latin-1."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return data.decode("utf-16", "replace")
     try:
@@ -123,13 +124,13 @@ def split_lines(text: str, comment: str | None) -> Lines:
     if comment is not None and comment in text:
         everything = [line.partition(comment)[0] for line in everything]
     numbered = [(line, number) for number, line in enumerate(everything, 1) if line.strip()]
-    # A file that ends within a comment has lost no number.
+    # A file that ends within a comment lacks no number.
     whole = whole or not numbered or numbered[-1][1] < len(everything)
     return Lines([line for line, _ in numbered], [number for _, number in numbered], whole)
 
 
 def split_fields(line: str, delimiter: str) -> list[str]:
-    """Return the fields of one line, quotes and spaces around them taken off."""
+    """Return the fields of one line without surrounding quotes and spaces."""
     if delimiter == WHITESPACE:
         return line.split()
     return [field.strip() for field in next(csv.reader([line], delimiter=delimiter))]
@@ -141,7 +142,7 @@ def _field_counts(lines: Sequence[str], delimiter: str | None) -> list[int]:
     return [line.count(delimiter) + 1 for line in lines]
 
 
-def _index(path: Path, column: Column, names: Sequence[str], count: int) -> int:
+def _index(path: Path, column: ColumnKey, names: Sequence[str], count: int) -> int:
     if isinstance(column, str):
         if column not in names:
             raise missing_column(path, column, names, count)

@@ -27,6 +27,7 @@ from tests.cli.test_run_commands import call
 from tests.rigs.serial.emulators.moteus import TABLE, MoteusEmulator
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
 
+pytestmark = pytest.mark.usefixtures("world")
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 SPEED = 4 * math.pi
 SERIAL = "000030000000004200005a17"

@@ -349,7 +349,11 @@ def test_the_unit_that_a_drive_takes(tmp_path):
     """Current from torque needs a calibration, and only then may one be given."""
     from rigtool.experiments.deploy.stored_export import in_unit
 
-    constant = {"torque_constant_mean": Quantity(0.045, "N m/A", 1e-5)}
+    constant = {
+        "torque_constant_mean": Quantity(0.045, "N m/A", 1e-5),
+        "amplifier_gain": Quantity(1.02, "1", 1e-4),
+    }
+    per_ampere = 0.045 * 1.02  # of the set point, which is what a drive adds to
     path = tmp_path / "kt.h5"
     with RunWriter(path, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
         writer.finish(constant, {})
@@ -358,10 +362,13 @@ def test_the_unit_that_a_drive_takes(tmp_path):
     torque, current = taken(table, u), taken(table, u, unit="A", quantity="current")
     with open_run(path) as kt:
         np.testing.assert_allclose(
-            in_unit(turn, torque, "moteus", kt).values, turn.values / 0.045, rtol=1e-12, atol=0
+            in_unit(turn, torque, "moteus", kt).values, turn.values / per_ampere, rtol=1e-12, atol=0
         )
         np.testing.assert_allclose(
-            in_unit(turn, current, "odrive", kt).values, turn.values * 0.045, rtol=1e-12, atol=0
+            in_unit(turn, current, "odrive", kt).values,
+            turn.values * per_ampere,
+            rtol=1e-12,
+            atol=0,
         )
         with pytest.raises(UsageError, match="leave it out"):
             in_unit(turn, torque, "odrive", kt)

@@ -16,9 +16,9 @@ from rigtool.experiments.force import procedure as measure_force
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import tables_of
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.rigs import Block, Task

@@ -7,8 +7,8 @@ import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
-from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.recipe.mapping import load_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
@@ -154,7 +154,7 @@ def test_wrong_signs_are_told(tmp_path):
 def test_a_position_is_needed(tmp_path):
     text = MOVED.replace('position = { column = "x", unit = "rad" }', "")
     paths = take(tmp_path, text, {"a": moved()})
-    with pytest.raises(RunFileError, match="nothing tells the position"):
+    with pytest.raises(RunFileError, match="the position is unknown"):
         analyse(paths, tmp_path / "f.h5")
 
 

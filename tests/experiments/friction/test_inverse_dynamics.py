@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import t as student
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction.inverse_dynamics import identify
+from rigtool.experiments.friction.inverse_dynamics import identify_dynamics
 from rigtool.experiments.friction.motion_terms import band_limit
 
 INERTIA, VISCOUS, COULOMB, OFFSET = 1.5e-5, 5e-5, 2.3e-3, 0.4e-3
@@ -29,7 +29,7 @@ def moving(seconds=20.0, seed=0, frequencies=(0.5, 1.3), amplitude=4.0):
 
 
 def fit(*signals):
-    return identify(
+    return identify_dynamics(
         [
             band_limit(time=time, position=position, torque=torque)
             for time, position, torque in signals
@@ -139,7 +139,7 @@ def test_samples_near_standstill_are_left_out():
     motion = band_limit(time=time, position=position, torque=torque)
     other = band_limit(time=time, position=position, torque=torque + 50 * slow * torque)
     assert motion.left_out > np.count_nonzero(slow)
-    clean, dirty = identify([motion]).parameters, identify([other]).parameters
+    clean, dirty = identify_dynamics([motion]).parameters, identify_dynamics([other]).parameters
     np.testing.assert_allclose(dirty, clean, rtol=0.02, atol=0)
 
 
@@ -160,7 +160,9 @@ def test_an_irregular_time_axis_is_resampled():
         torque=np.interp(uneven, time, torque),
     )
     assert motion.resampled
-    np.testing.assert_allclose(identify([motion]).parameters[2], COULOMB, rtol=0.03, atol=0)
+    np.testing.assert_allclose(
+        identify_dynamics([motion]).parameters[2], COULOMB, rtol=0.03, atol=0
+    )
     assert not band_limit(time=time, position=position, torque=torque).resampled
 
 
@@ -198,5 +200,5 @@ def test_motions_that_do_not_carry_it(change, message):
 def test_one_direction_does_not_tell_friction_from_offset():
     time, _, torque = moving()
     position = 20 * time + np.sin(2 * np.pi * 0.5 * time)
-    with pytest.raises(InsufficientDataError, match="apart"):
+    with pytest.raises(InsufficientDataError, match="cannot be separated"):
         fit((time, position, torque))

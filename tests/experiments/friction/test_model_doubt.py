@@ -5,8 +5,8 @@ import pytest
 from scipy.signal import lfilter
 
 from rigtool.experiments.friction.model_doubt import (
-    TIMES,
-    VELOCITIES,
+    STRIBECK_VELOCITIES,
+    TIME_PARTS,
     curvature,
     own_part,
     structure,
@@ -15,7 +15,7 @@ from rigtool.experiments.friction.model_doubt import (
 COUNT = 6000
 TIME = np.linspace(0, 60, COUNT)
 PLACES = np.sin(0.7 * 2 * np.pi * TIME) + 0.6 * np.sin(0.31 * 2 * np.pi * TIME + 1)
-PARTS = np.arange(COUNT) * TIMES // COUNT
+PARTS = np.arange(COUNT) * TIME_PARTS // COUNT
 DESIGN = np.column_stack([PLACES, np.ones(COUNT)])
 
 
@@ -91,7 +91,7 @@ def test_the_doubt_covers_the_error():
 
 
 def friction_of(speed, height):
-    velocity = VELOCITIES[6] * np.max(np.abs(speed))
+    velocity = STRIBECK_VELOCITIES[6] * np.max(np.abs(speed))
     return height * np.sign(speed) * np.exp(-((speed / velocity) ** 2))
 
 

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
-from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.session import run_command
-from rigtool.recipe import Stribeck
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
+from rigtool.recipe.commands import Stribeck
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt
 
@@ -150,7 +150,7 @@ def test_stribeck_model_where_the_data_carry_it(folder, kt):
 
 def test_no_stribeck_effect_is_said_so(measured):
     assert "stribeck_velocity" not in measured[1].results
-    assert any("do not carry a Stribeck effect" in note for note in measured[1].notes)
+    assert any("do not resolve a Stribeck effect" in note for note in measured[1].notes)
     # static friction is then what breaks the shaft away
     assert_allclose(measured[1].results["static_friction"].value, 3.7e-3, rtol=0.1)
 
@@ -258,5 +258,7 @@ def test_what_samples_lack_is_in_the_uncertainty_of_friction_or_refuses_it(measu
         assert after.u == pytest.approx(expected, rel=1e-6, abs=0)
         assert after.u > 1.2 * before.u
     assert any("which is in the uncertainty of friction" in note for note in outcome.notes)
-    with pytest.raises(InsufficientDataError, match=r"most at 30(\.\d)? rad/s .* 10% of what was"):
+    with pytest.raises(
+        InsufficientDataError, match=r"most at 30(\.\d)? rad/s .* 10% of the torque"
+    ):
         between_set_points(path, kt, [(30.0, 0.02)])

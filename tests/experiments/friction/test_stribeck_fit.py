@@ -233,7 +233,7 @@ def test_one_level_of_friction_leaves_offset_and_asymmetry_together():
 
 @pytest.mark.parametrize("spanned", [0.1e-3, 1.5e-3])
 def test_offset_and_asymmetry_scatter_by_their_uncertainty(spanned):
-    """Viscous friction that differs between directions is told by the same speeds."""
+    """Viscous friction that differs between directions shows at the same speeds."""
     random = np.random.default_rng(11)
     speed = np.array([0.2, 0.5, 1, 2, 3, 5, 8, 12, 16, 20, 25, 30])
     level = 2.3e-3 + spanned * np.exp(-((speed / 1.0) ** 2))

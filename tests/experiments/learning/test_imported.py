@@ -11,8 +11,8 @@ from rigtool.experiments.learning.check import procedure as ilc_check
 from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.stored_table import learned_table_from, lookup_table_from
-from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.quantity import Quantity
 from rigtool.recipe.mapping import load_mapping
 from rigtool.runfile import RunWriter, open_run

@@ -2,6 +2,7 @@
 
 import math
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from rigtool.experiments.learning.stored_table import (
     require_same_rig,
 )
 from rigtool.recipe import load_recipe
+from rigtool.recipe.commands import IlcLearn
 from rigtool.runfile import Column, Table, open_run
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt, write_results
 
@@ -206,11 +208,11 @@ def test_inputs_that_do_not_fit_are_refused(learned, folder, kt, friction):
             ilc_learn.analyse([stored], stored.recipe, kt=constant, friction=constant)
 
 
-def test_what_cannot_be_learned_with_is_refused():
-    for name in ("A", "B", "C", "standard"):
-        ilc_learn.require_implementation(name)
-    with pytest.raises(UsageError, match=r"there is A .*C \(limited angle"):
-        ilc_learn.require_implementation("Z")
+def test_every_letter_of_the_recipe_has_its_implementation():
+    letters = get_args(IlcLearn.model_fields["implementation"].annotation)
+    assert set(ilc_learn.IMPLEMENTATIONS) == set(letters)
+    with pytest.raises(RecipeError, match=r"ilc_learn\.implementation"):
+        load_recipe(RECIPE, ["ilc_learn.implementation=Z"])
 
 
 @pytest.mark.parametrize(

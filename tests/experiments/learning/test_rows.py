@@ -121,11 +121,13 @@ def test_residual_of_a_scaled_disturbance(scale, seed):
     after = [Row(row.speed, scale * row.moves) for row in before]
     found = residual(before, after)
     everything = np.concatenate([row.mean for row in after])
-    assert found.peak.value == pytest.approx(np.abs(everything).max(), rel=1e-9, abs=0)
-    assert found.rms.value == pytest.approx(np.sqrt(np.mean(everything**2)), rel=1e-9, abs=0)
-    assert found.reduction.value == pytest.approx(1 - scale, rel=1e-9, abs=1e-12)
-    assert found.peak.u == pytest.approx(0, abs=1e-12)
-    assert found.rms.dof == 4
+    assert found["residual_peak"].value == pytest.approx(np.abs(everything).max(), rel=1e-9, abs=0)
+    assert found["residual_rms"].value == pytest.approx(
+        np.sqrt(np.mean(everything**2)), rel=1e-9, abs=0
+    )
+    assert found["reduction"].value == pytest.approx(1 - scale, rel=1e-9, abs=1e-12)
+    assert found["residual_peak"].u == pytest.approx(0, abs=1e-12)
+    assert found["residual_rms"].dof == 4
 
 
 def test_residual_uncertainty_covers_what_repetition_shows():
@@ -135,7 +137,7 @@ def test_residual_uncertainty_covers_what_repetition_shows():
 
     def experiment():
         rows = [Row(v, shape + rng.normal(0, 4e-4, (20, 30))) for v in (-1.0, 1.0)]
-        return residual(rows, rows).rms
+        return residual(rows, rows)["residual_rms"]
 
     found = [experiment() for _ in range(150)]
     scatter = np.std([item.value for item in found], ddof=1)

@@ -9,10 +9,10 @@ from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.plant import procedure as identify_plant
 from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
 from rigtool.experiments.plant.procedure_excitation import (
+    excitations,
     excited_lines,
     multisine,
-    plans,
-    samples,
+    period_samples,
     tasks,
 )
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
@@ -226,9 +226,9 @@ def test_settings_that_cannot_be_are_mistakes(folder, overrides, message):
 def test_the_excitation_keeps_to_its_limits(attachment):
     recipe = load_recipe(RECIPE, [f"rig.attachment={attachment}"])[0]
     lines = excited_lines(recipe)
-    for plan in plans(recipe):
+    for plan in excitations(recipe):
         torque = multisine(recipe, plan)
-        assert len(torque) == samples(recipe) == 2000
+        assert len(torque) == period_samples(recipe) == 2000
         spectrum = np.abs(np.fft.rfft(torque))
         spectrum /= spectrum.max()
         others = np.delete(spectrum, lines)
@@ -248,7 +248,7 @@ def test_turns_are_cut_into_equal_parts():
     """Periods begin at equally spaced angles of the turn: ripple drops out of their mean."""
     recipe = load_recipe(RECIPE, [PULLEY])[0]
     periods, period = recipe.identify_plant.periods, recipe.identify_plant.period
-    for plan in plans(recipe):
+    for plan in excitations(recipe):
         starts = np.sort((np.arange(periods) * plan.speed * period) % (2 * np.pi))
         steps = np.diff(starts, append=starts[0] + 2 * np.pi)
         np.testing.assert_allclose(steps, 2 * np.pi / periods, rtol=0, atol=1e-6)
@@ -256,7 +256,7 @@ def test_turns_are_cut_into_equal_parts():
 
 def test_strokes_turn_the_excitation_over():
     recipe = load_recipe(RECIPE)[0]
-    plan = plans(recipe)[0]
+    plan = excitations(recipe)[0]
     (task,) = tasks(recipe, plan)
     signal, motion = task.feedforward.signal, task.motion
     half = len(signal) // 2

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.recipe.mapping import load_mapping, parse_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
@@ -77,7 +77,7 @@ def test_one_turn_says_that_nothing_repeats(turns):
     folder, paths = turns
     outcome = analyse(paths[:1], folder / "one.h5")
     assert outcome.results["strongest_order"].value == 7
-    assert any("one turn: what repeats cannot be told" in note for note in outcome.notes)
+    assert any("one turn, so the repeatable part is unknown" in note for note in outcome.notes)
 
 
 def test_a_torque_constant_makes_torque_of_current(tmp_path):

@@ -72,8 +72,8 @@ def test_the_typical_map_is_not_the_odd_one():
 @pytest.mark.parametrize(
     ("angle", "message"),
     [
-        (sampled(50), "50 angles tell orders up to 24, 40 are needed"),
-        (sampled(512)[:400], "tell orders up to"),
+        (sampled(50), "50 angles resolve orders up to 24, 40 are needed"),
+        (sampled(512)[:400], "resolve orders up to"),
         (sampled(8), "too few, 16"),
         (sampled(512)[::-1], "time does not rise|does not rise"),
     ],

@@ -76,7 +76,7 @@ def test_averaging_into_few_samples_costs_no_amplitude(folder, kt):
     assert found[39] == pytest.approx(expected, rel=0.02, abs=0)
     assert np.isfinite(found[:52]).all()
     assert np.isnan(found[52:]).all()
-    said = "at 3 rad/s there are 131 samples a turn: orders above 52 are not told"
+    said = "at 3 rad/s there are 131 samples a turn: orders above 52 are not resolved"
     assert said in coarse.notes
     assert not any("at 3 rad/s" in note for note in fine.notes)
 

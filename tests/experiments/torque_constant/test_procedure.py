@@ -5,11 +5,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from rigtool.errors import RecipeError
-from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant import procedure as calibrate_kt
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
-from rigtool.recipe import CalibrateKt, load_recipe
+from rigtool.recipe import load_recipe
+from rigtool.recipe.commands import CalibrateKt
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run
 

@@ -96,7 +96,7 @@ def test_a_sweep_shows_every_extreme(of_a):
         (axes,) = PLOTS[number].draw(of_a).axes
         (line,) = axes.lines
         assert np.abs(line.get_ydata()).max() == pytest.approx(peak, rel=1e-3)
-        assert len(line.get_xdata()) <= 2 * sweep.POINTS
+        assert len(line.get_xdata()) <= 2 * sweep.MAX_POINTS
         assert line.get_xdata()[0] == pytest.approx(-30 / (2 * np.pi), rel=1e-9)
         low, high = axes.get_ylim()
         assert low < -1 < 1 < high  # one scale for all

@@ -19,7 +19,7 @@ def kt():
 
 def test_turns_are_those_of_the_recording_and_their_mean(kt):
     with open_run(FIXTURES / "turning.h5") as run:
-        left, right = turns.before_learning(run, kt).axes
+        left, right = turns.draw_before_learning(run, kt).axes
         assert len(left.lines) == run.recording("learn_000").condition("revolutions")
         drawn = np.array([line.get_ydata() for line in left.lines])
         np.testing.assert_allclose(right.lines[0].get_ydata(), drawn.mean(axis=0), atol=1e-12)
@@ -34,7 +34,7 @@ def test_turns_are_those_of_the_recording_and_their_mean(kt):
 
 def test_constant_speeds_are_drawn_with_their_spread(kt):
     with open_run(FIXTURES / "friction.h5") as run:
-        (axes,) = turns.faulty_amplifier(run, kt).axes
+        (axes,) = turns.draw_faulty_amplifier(run, kt).axes
         speeds = sorted(np.abs(axes.containers[0].lines[0].get_xdata()))
         torque = axes.containers[0].lines[0].get_ydata()
     np.testing.assert_allclose(speeds, np.repeat([1, 3, 8, 16, 30], 2), rtol=1e-3)

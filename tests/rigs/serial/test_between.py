@@ -65,9 +65,9 @@ def test_few_readings_tell_nothing():
 
 
 @pytest.mark.parametrize("delay", [3e-4, 3e-3])
-def test_the_set_point_of_a_sample_is_that_of_its_time(monkeypatch, delay):
+def test_the_set_point_of_a_sample_is_that_of_its_time(world, delay):
     """However long the answer takes."""
-    _, _, rig = emulated(monkeypatch, "moteus", 0.02, delay=delay)
+    _, rig = emulated(world, "moteus", 0.02, delay=delay)
     with rig:
         got = perform(rig, HOLD)
     # The first question is sent as the motion begins, and answered at a delay each way.

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rigtool.errors import HardwareError, RecipeError
-from rigtool.experiments.dry_run import rehearse, require_offered
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
+from rigtool.experiments.running.dry_run import rehearse, require_offered
 from rigtool.rigs import NEEDS, Feedforward, Load, Task
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator

@@ -19,12 +19,12 @@ from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
 from rigtool.rigs.serial.drivers import Driver
+from rigtool.rigs.serial.emulators import server
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.odrive import driver as odrive
 from tests.rigs.serial import toy
-from tests.rigs.serial.emulated_time import pass_time
 from tests.rigs.serial.emulators.maxon import Epos4Emulator
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
 from tests.rigs.serial.emulators.odrive import ODriveEmulator
@@ -51,15 +51,18 @@ def make_positions_only(line, recipe):
     return PositionsOnly(line)
 
 
-def emulated(monkeypatch, name, period, *more, make_drive=None, **world):
+def emulated(world, name, period, *more, make_drive=None, delay=3e-4):
     make_device, usual = DRIVES[name]
-    world, device = pass_time(monkeypatch, make_device, **world)
+    world.delay = delay
+    device = make_device()
+    line = server.PtyServer(device)  # that of emulated time
+    line.start()
     driver = "odrive" if name == "toy" else name
-    recipe = serial_recipe("none", *more, driver=driver, sample_time=period)
+    recipe = serial_recipe(line.port, *more, driver=driver, sample_time=period)
     operator = Operator(say=lambda text: None, present=False, yes=True)
     make_drive = make_drive or usual
     rig = HostedRig(recipe, CONSTANT, "test", operator, Driver(toy.probe, (115200,), make_drive))
-    return world, device, rig
+    return device, rig
 
 
 def perform(rig, task):
@@ -98,8 +101,8 @@ def friction_fits(rig, **settings):
         ("maxon", 0.02, 3e-4, 0.03),
     ],
 )
-def test_viscous_friction_is_that_of_the_motor(monkeypatch, name, period, delay, tolerance):
-    _, device, rig = emulated(monkeypatch, name, period, delay=delay)
+def test_viscous_friction_is_that_of_the_motor(world, name, period, delay, tolerance):
+    device, rig = emulated(world, name, period, delay=delay)
     with rig:
         fits = list(friction_fits(rig, hold_speeds=(2, 5, 10, 20, 30), hold_time=1.0))
     for fit in fits:
@@ -107,9 +110,9 @@ def test_viscous_friction_is_that_of_the_motor(monkeypatch, name, period, delay,
         assert fit.coulomb[0] == pytest.approx(device.motor.coulomb, rel=tolerance)
 
 
-def test_a_drive_that_follows_steps_of_position_reads_friction_that_is_not_there(monkeypatch):
+def test_a_drive_that_follows_steps_of_position_reads_friction_that_is_not_there(world):
     """And what was read between the set points says by how much, within a tenth."""
-    _, device, rig = emulated(monkeypatch, "toy", 0.01, make_drive=make_positions_only)
+    device, rig = emulated(world, "toy", 0.01, make_drive=make_positions_only)
     with rig:
         got = perform(rig, HOLD)
         facts = json.loads(rig.report())
@@ -124,8 +127,8 @@ def test_a_drive_that_follows_steps_of_position_reads_friction_that_is_not_there
 
 
 @pytest.mark.parametrize("name", DRIVES)
-def test_current_is_the_same_all_through_the_period(monkeypatch, name):
-    _, device, rig = emulated(monkeypatch, name, 0.02)
+def test_current_is_the_same_all_through_the_period(world, name):
+    device, rig = emulated(world, name, 0.02)
     with rig:
         perform(rig, Task(SpeedProfile((0.0, 0.2, 3.2), (0.0, 12.0, 12.0))))
         facts = json.loads(rig.report())
@@ -136,22 +139,22 @@ def test_current_is_the_same_all_through_the_period(monkeypatch, name):
     assert not facts["steps_in_position"]
 
 
-def test_steps_of_position_need_a_line_that_shows_them(monkeypatch):
+def test_steps_of_position_need_a_line_that_shows_them(world):
     options = {"make_drive": make_positions_only, "delay": 1.5e-3}
     with pytest.raises(RecipeError, match=r"two readings and a half, .* takes 7\.50 ms .* 0\.02 s"):
-        emulated(monkeypatch, "toy", 0.005, **options)[2].__enter__()
+        emulated(world, "toy", 0.005, **options)[1].__enter__()
 
 
-def test_a_single_repeated_reading_does_not_refuse_a_good_line(monkeypatch):
+def test_a_single_repeated_reading_does_not_refuse_a_good_line(world):
     """It costs 50 ms, and 40 readings have 160: their mean would be beyond the period."""
-    _, device, rig = emulated(monkeypatch, "toy", 0.002, "serial.watchdog=0.25")
+    device, rig = emulated(world, "toy", 0.002, "serial.watchdog=0.25")
     answer, asked = device.receive, []
 
     def receive(data):
         asked.append(data)
         return b"" if len(asked) == 20 else answer(data)
 
-    monkeypatch.setattr(device, "receive", receive)
+    device.receive = receive
     with rig:
         assert rig.line.counts.retries == 1
 
@@ -159,15 +162,16 @@ def test_a_single_repeated_reading_does_not_refuse_a_good_line(monkeypatch):
 SLOW_HOST, SLOW_LINE = "this computer did not let rigtool run", "exchanges with the drive took"
 
 
-def test_a_loop_that_is_late_says_that_this_computer_stalled(monkeypatch):
-    _, device, rig = emulated(monkeypatch, "toy", 0.004, stalls={0.7: 0.3})
+def test_a_loop_that_is_late_says_that_this_computer_stalled(world):
+    world.stalls = {0.7: 0.3}
+    device, rig = emulated(world, "toy", 0.004)
     with rig, pytest.raises(HardwareError, match=rf"late after \d+ .* for 300 ms .*{SLOW_HOST}"):
         perform(rig, HOLD)
     assert device.mode is None
 
 
-def test_a_loop_that_is_late_says_that_the_line_is_slow(monkeypatch):
-    world, device, rig = emulated(monkeypatch, "toy", 0.004)
+def test_a_loop_that_is_late_says_that_the_line_is_slow(world):
+    device, rig = emulated(world, "toy", 0.004)
     with rig:
         running = rig.perform(HOLD)
         next(running)

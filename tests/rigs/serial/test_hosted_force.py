@@ -85,9 +85,9 @@ SLOW_LOOP = (
 )
 
 
-def force_rig(monkeypatch, name, period, rev_per_s, *more, **options):
+def force_rig(world, name, period, rev_per_s, *more, **options):
     speed = f"measure_force.speed_rev_per_s={rev_per_s}"
-    return emulated(monkeypatch, name, period, *SLOW_LOOP, speed, *more, **options)[1:]
+    return emulated(world, name, period, *SLOW_LOOP, speed, *more, **options)
 
 
 @pytest.mark.parametrize(
@@ -106,9 +106,9 @@ def force_rig(monkeypatch, name, period, rev_per_s, *more, **options):
     ],
 )
 def test_loads_and_friction_are_within_their_uncertainty(
-    monkeypatch, chain, name, period, rev_per_s, stiffness
+    world, chain, name, period, rev_per_s, stiffness
 ):
-    device, rig = force_rig(monkeypatch, name, period, rev_per_s)
+    device, rig = force_rig(world, name, period, rev_per_s)
     device.motor.gain_speed = stiffness
     outcome = chain(MEASURE_FORCE, device, rig)
     loads = outcome.tables["loads"]
@@ -127,27 +127,27 @@ def test_loads_and_friction_are_within_their_uncertainty(
         (0.004, 4.0, r"go up and down 3\.27 times a second, .* of 5 Hz lets 2\.5 pass: set"),
     ],
 )
-def test_loads_that_are_moved_too_fast_are_refused(monkeypatch, chain, period, rev_per_s, why):
+def test_loads_that_are_moved_too_fast_are_refused(world, chain, period, rev_per_s, why):
     with pytest.raises(InsufficientDataError, match=why):
-        chain(MEASURE_FORCE, *force_rig(monkeypatch, "toy", period, rev_per_s))
+        chain(MEASURE_FORCE, *force_rig(world, "toy", period, rev_per_s))
 
 
 @pytest.mark.parametrize(
     ("period", "rev_per_s", "lowpass_hz", "gain"), [(0.01, 2.0, 15, 30), (0.004, 4.0, 30, 60)]
 )
 def test_fast_loads_are_read_with_a_low_pass_and_a_gain_that_fit(
-    monkeypatch, chain, period, rev_per_s, lowpass_hz, gain
+    world, chain, period, rev_per_s, lowpass_hz, gain
 ):
     more = (f"measure_force.lowpass_hz={lowpass_hz}", f"serial.position_gain={gain}")
-    device, rig = force_rig(monkeypatch, "toy", period, rev_per_s, *more)
+    device, rig = force_rig(world, "toy", period, rev_per_s, *more)
     loads = chain(MEASURE_FORCE, device, rig).tables["loads"]
     assert (np.abs(loads["error_torque"][1:]) <= 2 * loads["mean_torque_u"][1:]).all()
     assert (np.abs(loads["error_percent"][1:]) < 1.5).all()
 
 
-def test_steps_of_position_are_in_the_uncertainty_or_refused(monkeypatch, chain):
+def test_steps_of_position_are_in_the_uncertainty_or_refused(world, chain):
     options = {"make_drive": make_positions_only}
-    device, rig = force_rig(monkeypatch, "toy", 0.01, 0.4, **options)
+    device, rig = force_rig(world, "toy", 0.01, 0.4, **options)
     outcome = chain(MEASURE_FORCE, device, rig)
     read = outcome.results["mean_torque_no_load"]
     friction = device.motor.coulomb + device.motor.viscous * 0.8 * math.pi
@@ -155,7 +155,7 @@ def test_steps_of_position_are_in_the_uncertainty_or_refused(monkeypatch, chain)
     assert abs(read.value - friction) < 2 * read.u  # and known to be
     assert any("mN m at the output, which is in the uncertainty" in n for n in outcome.notes)
     with pytest.raises(InsufficientDataError, match=r"13\.\d mN m .* more than 3\.5 mN m, 10% of"):
-        chain(MEASURE_FORCE, *force_rig(monkeypatch, "toy", 0.01, 2.0, **options))
+        chain(MEASURE_FORCE, *force_rig(world, "toy", 0.01, 2.0, **options))
 
 
 HOLDS = (
@@ -184,9 +184,9 @@ HOLDS = (
         ("maxon", 0.02, 0.05),
     ],
 )
-def test_friction_is_within_its_uncertainty(monkeypatch, chain, name, period, u):
+def test_friction_is_within_its_uncertainty(world, chain, name, period, u):
     """`u` is what viscous friction may be uncertain by, relative: a drive tells it or not."""
-    _, device, rig = emulated(monkeypatch, name, period, *HOLDS)
+    device, rig = emulated(world, name, period, *HOLDS)
     found = chain(STRIBECK, device, rig).results
     for result, truth in (
         ("viscous_friction", device.motor.viscous),
@@ -197,7 +197,7 @@ def test_friction_is_within_its_uncertainty(monkeypatch, chain, name, period, u)
         assert read.u < u * truth
 
 
-def test_friction_by_steps_of_position_is_refused(monkeypatch, chain):
-    _, device, rig = emulated(monkeypatch, "toy", 0.01, *HOLDS, make_drive=make_positions_only)
+def test_friction_by_steps_of_position_is_refused(world, chain):
+    device, rig = emulated(world, "toy", 0.01, *HOLDS, make_drive=make_positions_only)
     with pytest.raises(InsufficientDataError, match=r"torque between set points .* 10% of what"):
         chain(STRIBECK, device, rig)

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import effort_of, is_linear, require_one_rig, signals_of
@@ -20,15 +19,13 @@ from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import (
-    ORDERS,
-    POSITIONS,
-    SAME_SPEED,
-    TOLD,
-    Group,
+    GROUP_SPEED_TOLERANCE,
+    ORDERS_REPORTED,
+    RepeatedRuns,
     groups_of,
     turns_of,
 )
-from rigtool.experiments.ripple.imported_maps import ALIKE, CERTAIN
+from rigtool.experiments.ripple.imported_maps import SAME_MAP_VARIANCE, SIGNIFICANT_SHIFT
 from rigtool.experiments.ripple.imported_turns import (
     fill,
     neighbours_floor,
@@ -36,12 +33,12 @@ from rigtool.experiments.ripple.imported_turns import (
     turn_spectrum,
 )
 from rigtool.experiments.ripple.map_shift import Match, match_maps
-from rigtool.experiments.ripple.orders import Spectrum
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, POSITIONS, Spectrum, cell_centres
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
 
-Array = NDArray[np.float64]
-Orders = NDArray[np.complex128]
+Orders = ComplexArray
 
 FITS = "table_fits"
 """Result that states whether a table fits: 1 or 0."""
@@ -93,13 +90,13 @@ class _Compared:
 
     @property
     def fits(self) -> bool:
-        return self.left_part <= 1 - ALIKE
+        return self.left_part <= 1 - SAME_MAP_VARIANCE
 
     @property
     def shifted(self) -> bool:
         """Whether it is the same map, turned."""
-        certain = abs(self.match.shift) > CERTAIN * self.match.shift_u
-        return not self.fits and certain and self.match.best_correlation**2 >= ALIKE
+        certain = abs(self.match.shift) > SIGNIFICANT_SHIFT * self.match.shift_u
+        return not self.fits and certain and self.match.best_correlation**2 >= SAME_MAP_VARIANCE
 
     @property
     def left_part(self) -> float:
@@ -137,7 +134,7 @@ class _Compared:
     def strongest(self) -> list[int]:
         """Return the strongest orders of the map that the run shows, too."""
         strength = np.where(self.shown.clear, np.abs(self.mapped), 0.0)
-        order = np.argsort(-strength, kind="stable")[:TOLD]
+        order = np.argsort(-strength, kind="stable")[:ORDERS_REPORTED]
         return [int(i) + 1 for i in order if strength[i] > 0]
 
     def table(self, unit: str) -> Table:
@@ -162,7 +159,7 @@ class _Compared:
 
     def waveforms(self, learned: LearnedTable) -> Table:
         """Return run, map and what is left around the turn."""
-        angle = _centres()
+        angle = cell_centres(POSITIONS)
         order = np.arange(1, len(self.mapped) + 1)
         mapped = np.real(np.exp(1j * np.multiply.outer(angle, order)) @ self.mapped)
         return Table(
@@ -177,7 +174,7 @@ class _Compared:
             "mean of the turns against the map",
         )
 
-    def notes(self, group: Group) -> tuple[str, ...]:
+    def notes(self, group: RepeatedRuns) -> tuple[str, ...]:
         """State in words whether the map still fits, and what changed."""
         match, removed = self.match, 1 - math.sqrt(self.left_part)
         turns, runs = (
@@ -203,11 +200,11 @@ class _Compared:
         return (head + verdict, "the map was not switched on: what it would leave is computed")
 
 
-def _compare(group: Group, torque: Array, learned: LearnedTable) -> _Compared:
+def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable) -> _Compared:
     """Compare turns (turns, positions), NaN where none passed, with the map of their speed."""
     mapped = _orders_of(learned, group.speed)
     order = np.arange(1, mapped.size + 1)
-    cells = np.exp(1j * np.multiply.outer(_centres(), order))
+    cells = np.exp(1j * np.multiply.outer(cell_centres(POSITIONS), order))
     # A cell has the mean over its width. Where a turn left cells out, what is left is bridged, not
     # what is there: it is smaller.
     expected = np.real(cells @ (mapped * np.sinc(order / POSITIONS)))
@@ -237,7 +234,7 @@ def _row(learned: LearnedTable, speed: float) -> int:
     """Return the row that was learned at a speed, rad/s."""
     rows = learned.table.speed
     nearest = int(np.argmin(np.abs(rows - speed)))
-    if abs(rows[nearest] - speed) > SAME_SPEED * abs(rows[nearest]):
+    if abs(rows[nearest] - speed) > GROUP_SPEED_TOLERANCE * abs(rows[nearest]):
         raise InsufficientDataError(
             f"the runs turn at {speed:.4g} rad/s, the nearest speed that was learned is "
             f"{rows[nearest]:.4g} rad/s: check at a speed that was learned"
@@ -251,17 +248,11 @@ def _orders_of(learned: LearnedTable, speed: float) -> Orders:
     if table.period is None or not math.isclose(table.period, 2 * math.pi, rel_tol=1e-9):
         raise UsageError("the table is not of a whole turn: imported runs are checked by that only")
     count = table.position.size
-    orders = min(ORDERS, (count - 1) // 2)
+    orders = min(HIGHEST_ORDER, (count - 1) // 2)
     order = np.arange(1, orders + 1)
     found = np.fft.rfft(table.torque[_row(learned, speed)])[1 : orders + 1] * (2 / count)
     turned: Orders = found * np.exp(-1j * order * table.position[0])
     return turned
-
-
-def _centres() -> Array:
-    """Return the middles of the cells of a turn, rad."""
-    centres: Array = (np.arange(float(POSITIONS)) + 0.5) * (2 * math.pi / POSITIONS)
-    return centres
 
 
 def _rms(spectrum: Spectrum) -> tuple[float, float]:

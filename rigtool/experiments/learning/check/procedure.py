@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
@@ -29,15 +28,14 @@ from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.stored_table import feedforward, learned_table_from, require_rig
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, record
+from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig, Task
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
-
-Array = NDArray[np.float64]
 
 MOVES = 6
 """Moves, or turns, that are recorded at each speed, unless `--set` changes it."""

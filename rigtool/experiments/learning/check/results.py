@@ -6,17 +6,15 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.learning.check.imported import FITS as FITS
 from rigtool.experiments.learning.check.table_health import Change, Part, TableHealth
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
-
-Array = NDArray[np.float64]
 
 NO_PATTERN = "the table holds no pattern above its noise"
 BOUND = "what exceeds the scatter of the mean; compare with non_repeatable_rms"

@@ -23,13 +23,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.rows import Row
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array, Mask
 
 REACH = 0.25
 """Part of a limited range by which a shift is looked for, in either direction."""
@@ -219,7 +217,7 @@ def judge_table(parts: Sequence[Part], position: Array, period: float | None) ->
     # The table's own noise, in the proportion of the moves'.
     wider = math.sqrt(noise.sum() / max(means.sum(), np.finfo(float).tiny))
 
-    def excess(off: Array, chosen: NDArray[np.bool_] | slice = slice(None)) -> float:
+    def excess(off: Array, chosen: Mask | slice = slice(None)) -> float:
         power = np.mean(off**2, axis=1) - noise
         return math.sqrt(max(0.0, float(power[chosen].sum())) / speeds)
 
@@ -227,7 +225,7 @@ def judge_table(parts: Sequence[Part], position: Array, period: float | None) ->
     off, change = now - learned, (now - learned).mean(axis=1)
     scatter = wider * moves.mean(axis=2).std(axis=0, ddof=1) / math.sqrt(count)
 
-    def mean_change(chosen: NDArray[np.bool_]) -> Change:
+    def mean_change(chosen: Mask) -> Change:
         return Change(
             float(change[chosen].mean()), float(np.linalg.norm(scatter[chosen]) / chosen.sum())
         )

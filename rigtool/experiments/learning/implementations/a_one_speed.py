@@ -12,7 +12,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
@@ -20,16 +19,15 @@ from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.implementations.bare_motor import (
     BareMotor,
-    TaughtTurns,
     Turned,
     learned_by,
 )
 from rigtool.experiments.learning.implementations.runs import (
     kind_of,
-    last_to_learn_from,
+    last_update,
     runs_at_most,
-    spread,
 )
+from rigtool.experiments.learning.implementations.skeleton import TaughtTable
 from rigtool.experiments.learning.procedure_design import FilterDesign
 from rigtool.experiments.learning.rows import Amplitudes, Row
 from rigtool.experiments.learning.speed_tuning import Tuning, tune, written_out
@@ -38,11 +36,9 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
-class TaughtMap(TaughtTurns):
+class TaughtMap(TaughtTable):
     """The map at the speed of learning; once it is tuned also how, and the turns it was tuned by.
 
     Until then the table does not depend on speed.
@@ -56,7 +52,6 @@ class TaughtMap(TaughtTurns):
 class OneSpeed(BareMotor[TaughtMap]):
     """Learning at one speed, in one direction, with amplitude and phase tuned by speed."""
 
-    ABOUT = "turning at one speed, by position, amplitude and phase by speed"
     LEARNED_FROM = "ripple of the controller"
 
     @staticmethod
@@ -90,15 +85,14 @@ class OneSpeed(BareMotor[TaughtMap]):
         counts, learning = self.recipe.rig.encoder_counts, self.learning
         cut = [[_ripple(item) for item in self.turned(run)] for run in runs]
         history = [self.judge(run, updates) for updates, run in enumerate(cut)]
-        last = last_to_learn_from(history)
-        variance = spread(last + 1, learning.factor)
+        last, variance = last_update(history, learning.factor)
         updated = learned_by(cut[last][0], learning, counts, first=last == 0)
         # The scatter of single turns, as wide as what several updates carry.
         mean = repeatable_row(updated, variance).mean
         row = Row(updated.speed, mean + np.sqrt(variance) * (updated.moves - updated.mean))
         table = untuned(row, self.recipe)
         u = np.broadcast_to(row.u, table.torque.shape)
-        return TaughtMap(table, u, _fading(table), history, row)
+        return TaughtMap(table, u, Amplitudes.fading(table.low_speed[-1]), history, row)
 
     def finish(self, taught: TaughtMap, others: Sequence[Recording]) -> TaughtMap:
         """Find amplitude and phase at the other speeds, within the band of the map."""
@@ -114,7 +108,13 @@ class OneSpeed(BareMotor[TaughtMap]):
         tuning = tune(learned, rows)
         table, u = written_out(turn_angles(counts), learned, tuning)
         return TaughtMap(
-            table, u, _fading(table), taught.history, learned, tuning=tuning, others=turned
+            table,
+            u,
+            Amplitudes.fading(table.low_speed[-1]),
+            taught.history,
+            learned,
+            tuning=tuning,
+            others=turned,
         )
 
     def without_tuning(self, taught: TaughtMap) -> LookupTable:
@@ -190,11 +190,6 @@ class OneSpeed(BareMotor[TaughtMap]):
                 "there"
             )
         return notes
-
-
-def _fading(table: LookupTable) -> Amplitudes:
-    """Return the amplitude table of a table that fades to zero at standstill."""
-    return Amplitudes(table.low_speed, table.amplitude, np.zeros(2))
 
 
 def bandwidth(learning: Learning) -> float:

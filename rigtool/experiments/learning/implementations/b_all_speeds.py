@@ -18,16 +18,15 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.implementations.bare_motor import (
     BareMotor,
-    TaughtTurns,
     Turned,
     learned_by,
 )
 from rigtool.experiments.learning.implementations.runs import (
     kind_of,
-    last_to_learn_from,
+    last_update,
     runs_at_most,
-    spread,
 )
+from rigtool.experiments.learning.implementations.skeleton import TaughtTable
 from rigtool.experiments.learning.rows import Amplitudes, Row, fit_amplitudes
 from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
 from rigtool.recipe import Recipe
@@ -35,7 +34,7 @@ from rigtool.runfile import Recording, RecordingSpec, Table
 
 
 @dataclass(frozen=True, eq=False)
-class TaughtSpeeds(TaughtTurns):
+class TaughtSpeeds(TaughtTable):
     """The table, and the turns of the first run, without it."""
 
     first: list[Turned]
@@ -43,8 +42,6 @@ class TaughtSpeeds(TaughtTurns):
 
 class AllSpeeds(BareMotor[TaughtSpeeds]):
     """Learning at each speed and in both directions."""
-
-    ABOUT = "turning, both directions, by position and speed"
 
     @staticmethod
     def kinds(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
@@ -67,8 +64,7 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
         counts, learning = self.recipe.rig.encoder_counts, self.learning
         cut = [self.turned(run) for run in runs]
         history = [self.judge(run, updates) for updates, run in enumerate(cut)]
-        last = last_to_learn_from(history)
-        variance = spread(last + 1, learning.factor)
+        last, variance = last_update(history, learning.factor)
         updated = [learned_by(item, learning, counts, first=last == 0) for item in cut[last]]
         updated.sort(key=lambda row: row.speed)
         rows = [repeatable_row(row, variance) for row in updated]
@@ -126,5 +122,5 @@ def _amplitudes(low: Sequence[Row], rows: Sequence[Row]) -> Amplitudes:
     """Fit the amplitude table; where nothing was learned at the lowest speed, nothing is scaled."""
     lowest = min(abs(row.speed) for row in rows)
     if any(not row.mean.any() for row in rows if abs(row.speed) == lowest):
-        return Amplitudes(np.array([0.0, lowest]), np.array([0.0, 1.0]), np.zeros(2))
+        return Amplitudes.fading(lowest)
     return fit_amplitudes(low, rows)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import RunFileError
@@ -17,7 +16,11 @@ from rigtool.experiments.learning.convergence import Cycles, LearningRun, learni
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.implementations.runs import iterations_table
-from rigtool.experiments.learning.implementations.skeleton import Implementation, Report
+from rigtool.experiments.learning.implementations.skeleton import (
+    Implementation,
+    Report,
+    TaughtTable,
+)
 from rigtool.experiments.learning.implementations.validation import (
     Steady,
     Sweep,
@@ -25,7 +28,7 @@ from rigtool.experiments.learning.implementations.validation import (
     steady_outcome,
 )
 from rigtool.experiments.learning.results_residual import Remaining
-from rigtool.experiments.learning.rows import Amplitudes, Row
+from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.learning.stored_table import period_results, tables_of
 from rigtool.experiments.learning.turns import (
     TURN,
@@ -37,14 +40,13 @@ from rigtool.experiments.learning.turns import (
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import channels
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.moves import Moves
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Recording, RecordingSpec, Run, Table
-
-Array = NDArray[np.float64]
 
 ACCELERATION = 30.0
 """Acceleration of run-up and stop, rad/s2."""
@@ -226,17 +228,7 @@ def require_friction_fed(
     common.require_friction_fed(recording.name, recorded, recording.condition("speed"), fed)
 
 
-@dataclass(frozen=True, eq=False)
-class TaughtTurns:
-    """The table, its standard uncertainty and amplitude table, and all runs judged."""
-
-    table: LookupTable
-    u: Array
-    amplitudes: Amplitudes
-    history: list[LearningRun]
-
-
-T = TypeVar("T", bound=TaughtTurns)
+T = TypeVar("T", bound=TaughtTable)
 
 
 class BareMotor(Implementation[T]):

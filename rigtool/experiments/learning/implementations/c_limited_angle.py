@@ -12,22 +12,23 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import RunFileError
 from rigtool.experiments.controller_torque import CHANNELS, naming
-from rigtool.experiments.learning.convergence import Cycles, LearningRun, learning_run
+from rigtool.experiments.learning.convergence import Cycles, learning_run
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.implementations.runs import (
     iterations_table,
     kind_of,
-    last_to_learn_from,
+    last_update,
     runs_at_most,
-    spread,
 )
-from rigtool.experiments.learning.implementations.skeleton import Implementation, Report
+from rigtool.experiments.learning.implementations.skeleton import (
+    Implementation,
+    Report,
+    TaughtTable,
+)
 from rigtool.experiments.learning.implementations.validation import (
     Steady,
     midpoints,
@@ -35,7 +36,6 @@ from rigtool.experiments.learning.implementations.validation import (
 )
 from rigtool.experiments.learning.results_residual import Remaining
 from rigtool.experiments.learning.rows import (
-    Amplitudes,
     Row,
     assemble,
     fit_amplitudes,
@@ -44,6 +44,7 @@ from rigtool.experiments.learning.rows import (
 )
 from rigtool.experiments.learning.stored_table import tables_of
 from rigtool.experiments.procedure import channels
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.moves import Moves, at_positions, cut_moves
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -51,24 +52,16 @@ from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Recording, RecordingSpec, Run, Table
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
-class TaughtMoves:
-    """The table, its standard uncertainty, the first run's moves by speed, and all runs judged."""
+class TaughtMoves(TaughtTable):
+    """The table, and the first run's moves by speed, without it."""
 
-    table: LookupTable
-    u: Array
-    amplitudes: Amplitudes
     moves: dict[float, Moves]
-    history: list[LearningRun]
 
 
 class LimitedAngle(Implementation[TaughtMoves]):
     """Learning from moves to and fro."""
-
-    ABOUT = "limited angle, both directions, by position and speed"
 
     @staticmethod
     def kinds(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
@@ -109,7 +102,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
         ]
         rows: list[Row] = []
         low_rows: list[Row] = []
-        last = last_to_learn_from(history)
+        last, variance = last_update(history, learning.factor)
         for speed, moves, before in cut[last]:
             rows += learned_rows(moves, speed, learning, position, before if last else 0.0)
         for recording in slower:
@@ -117,10 +110,10 @@ class LimitedAngle(Implementation[TaughtMoves]):
             low_rows += learned_rows(moves, recording.condition("speed"), learning, position)
         rows.sort(key=lambda row: row.speed)
         amplitudes = fit_amplitudes(low_rows, rows)
-        wider = math.sqrt(spread(last + 1, learning.factor))
+        wider = math.sqrt(variance)
         u = wider * np.stack([row.u for row in rows])
         first = {speed: moves for speed, moves, _ in cut[0]}
-        return TaughtMoves(assemble(position, rows, amplitudes), u, amplitudes, first, history)
+        return TaughtMoves(assemble(position, rows, amplitudes), u, amplitudes, history, first)
 
     def report(
         self, run: Run, taught: TaughtMoves, recorded: Sequence[Sequence[Recording]]

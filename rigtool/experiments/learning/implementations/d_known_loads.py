@@ -75,8 +75,6 @@ def _explored() -> RecordingSpec:
 class KnownLoads(LimitedAngle):
     """Learning as implementation C does, and then from known loads."""
 
-    ABOUT = "as C, and known loads: torque as a third input"
-
     @classmethod
     def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
         """List what implementation C records, the known loads at each speed, the exploration."""

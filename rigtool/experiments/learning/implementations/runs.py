@@ -32,15 +32,15 @@ def recorded_runs(run: Run, recipe: Recipe) -> list[list[Recording]]:
     return [found(run, kind_of(0)), *(recordings for recordings in later if recordings)]
 
 
-def last_to_learn_from(history: Sequence[LearningRun]) -> int:
-    """Return the run of the last update; a run that found nothing left to learn has none."""
+def last_update(history: Sequence[LearningRun], factor: float) -> tuple[int, float]:
+    """Return the run of the last update, and the variance of the torque relative to that update.
+
+    A run that found nothing left to learn makes no update; `factor` is p.
+    """
     last = len(history) - 1
-    return last - 1 if last > 0 and history[last].finished else last
-
-
-def spread(updates: int, factor: float) -> float:
-    """Return the variance of a table's torque relative to that of its last update alone."""
-    return carried_noise(updates, factor) / factor**2
+    if last > 0 and history[last].finished:
+        last -= 1
+    return last, carried_noise(last + 1, factor) / factor**2
 
 
 def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Table:

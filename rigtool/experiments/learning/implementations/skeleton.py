@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
+from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.convergence import LearningRun
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations.runs import (
@@ -23,10 +24,12 @@ from rigtool.experiments.learning.implementations.runs import (
 )
 from rigtool.experiments.learning.implementations.signals import filled, found, only_run
 from rigtool.experiments.learning.procedure_design import FilterDesign, design_filters
+from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Rig, Task
@@ -42,6 +45,16 @@ class Taught(Protocol):
 
 
 T = TypeVar("T", bound=Taught)
+
+
+@dataclass(frozen=True, eq=False)
+class TaughtTable:
+    """A learned table, its standard uncertainty and amplitude table, and all runs judged."""
+
+    table: LookupTable
+    u: Array
+    amplitudes: Amplitudes
+    history: list[LearningRun]
 
 
 @dataclass(frozen=True)
@@ -63,9 +76,6 @@ class Implementation(ABC, Generic[T]):
 
     `plain` is the feed-forward without anything learned: inertia and, if given, friction.
     """
-
-    ABOUT: ClassVar[str]
-    """What it does, in a line."""
 
     BARE_MOTOR: ClassVar[bool] = False
     """Whether the shaft turns round and round, which no instrument can follow."""

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import TransferFunction
 from rigtool.errors import InsufficientDataError
@@ -25,20 +24,18 @@ from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.implementations.runs import (
     iterations_table,
     kind_of,
-    last_to_learn_from,
+    last_update,
     runs_at_most,
-    spread,
 )
 from rigtool.experiments.learning.implementations.skeleton import Implementation, Report
 from rigtool.experiments.learning.stored_table import TRAJECTORY
 from rigtool.experiments.procedure import channels
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table
-
-Array = NDArray[np.float64]
 
 RUN_IN = 1
 """Moves that are made first and left out."""
@@ -66,7 +63,6 @@ class TaughtSignal:
 class RepeatedMove(Implementation[TaughtSignal]):
     """Learning by time along one move."""
 
-    ABOUT = "a repeated move, by time"
     RIG_NEED = "signal"
     UNIT = "mrad"
 
@@ -98,10 +94,9 @@ class RepeatedMove(Implementation[TaughtSignal]):
         learning = self.learning
         cut = [self._cut(run[0]) for run in runs]
         history = [_judge(run, learning, updates) for updates, run in enumerate(cut)]
-        last = last_to_learn_from(history)
+        last, variance = last_update(history, learning.factor)
         cycles = cut[last].cycles
         each = learning.updated(cycles.signal, cycles.period, cycles.before)
-        variance = spread(last + 1, learning.factor)
         u = np.sqrt(variance * each.var(axis=0, ddof=1) / len(each))
         return TaughtSignal(each.mean(axis=0), u, cut, history)
 

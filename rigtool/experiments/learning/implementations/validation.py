@@ -8,15 +8,13 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.jackknife import standard_uncertainty
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
-
-Array = NDArray[np.float64]
 
 LEVEL = 0.01
 """Probability that chance alone makes a table look worse than none at any of the speeds."""

@@ -30,7 +30,7 @@ class Motor:
     speed: float = 0.0
     current: float = 0.0
     current_setpoint: float = 0.0
-    _then: float = field(default_factory=time.monotonic)
+    _then: float = field(default_factory=lambda: time.monotonic())
 
     def advance(
         self,

@@ -19,8 +19,11 @@ TICK = 0.002
 
 CHUNK = 65536
 
-BACKLOG = 1 << 18
-"""Bytes that wait to be sent at which a device that sends unasked is held up."""
+BACKLOG = 1 << 14
+"""Bytes that wait to be sent at which a device that sends unasked is held up.
+
+An answer waits behind them: few enough that it comes in time on any line that carries the stream.
+"""
 
 PATIENCE = 1.0
 """Time after which bytes that nobody reads are dropped, s."""
@@ -92,22 +95,32 @@ class Server:
 
     def _serve(self) -> None:
         try:
-            while not self._stop.is_set():
-                ready = self._ready(0.0 if self.emulator.busy and not self._waiting else TICK)
-                if ready and (data := self._read()):
-                    self._waiting += self._out.apply(self.emulator.receive(self._in.apply(data)))
-                if len(self._waiting) < BACKLOG:
-                    self._waiting += self._out.apply(self.emulator.idle())
-                self._send()
+            while not self._stop.is_set() and self.serve_once():
+                pass
+        finally:
+            self._close()
+
+    def serve_once(self) -> bool:
+        """Wait for bytes, `TICK` at most, and serve them; return whether the line is still there.
+
+        An error is kept in `error`.
+        """
+        try:
+            ready = self._ready(0.0 if self.emulator.busy and not self._waiting else TICK)
+            if ready and (data := self._read()):
+                self._waiting += self._out.apply(self.emulator.receive(self._in.apply(data)))
+            if len(self._waiting) < BACKLOG:
+                self._waiting += self._out.apply(self.emulator.idle())
+            self._send()
         except Pulled:
-            pass
+            return False
         except OSError as error:
             self.error = error
+            return False
         except BaseException as error:  # a mistake in an emulator: tests look here
             self.error = error
             raise
-        finally:
-            self._close()
+        return True
 
     def _send(self) -> None:
         """Send what waits. What nobody takes for a while is lost, as on a real line."""

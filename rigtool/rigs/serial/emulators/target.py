@@ -105,7 +105,8 @@ class TargetEmulator(Emulator):
                 self._end(State.OFF)
             elif silence > self._watchdog:
                 self._end(State.TRIPPED, f"the host was silent for {silence:.2f} s: watchdog")
-        if self.state is State.RUNNING:
+        # All samples are sent before the state says that the motion is over.
+        if self.state is State.RUNNING and not self._log.behind(self._visible):
             self._proceed()
         out = b"" if self.state is State.ARMED else self._log.frames(self._visible)
         self.busy = self.state is State.RUNNING and not self._paced

@@ -11,6 +11,9 @@ from rigtool.rigs.serial.target import link
 STREAMED = 64
 """Samples in a streamed frame at most: what a small target keeps for it."""
 
+AT_ONCE = 4
+"""Frames at most that are streamed before the line is looked at again: answers come between."""
+
 
 class TargetLog:
     """Samples of one motion with the channels of `mask`, packed as they go over the line.
@@ -29,6 +32,10 @@ class TargetLog:
         """Samples so far, those forgotten included."""
         return self.first + len(self._data) // max(1, self.sample.itemsize)
 
+    def behind(self, visible: int) -> bool:
+        """Say whether there is more to stream, up to sample `visible`."""
+        return self._streams and self._sent < visible
+
     def add(self, block: Block) -> None:
         """Record a block."""
         rows = np.zeros(len(block["time"]), self.sample)
@@ -42,11 +49,11 @@ class TargetLog:
         return bytes(self._data[begin : begin + count * self.sample.itemsize])
 
     def frames(self, visible: int) -> bytes:
-        """Return frames with what was recorded since the last, up to sample `visible`."""
+        """Return the next frames with what was recorded, up to sample `visible`."""
         if not self._streams:
             return b""
-        out = []
-        while self._sent < visible:
+        out: list[bytes] = []
+        while self._sent < visible and len(out) < AT_ONCE:
             count = min(STREAMED, visible - self._sent)
             payload = link.FIRST.pack(self._sent) + self.read(self._sent, count)
             out.append(encode(Frame(link.SAMPLES, self._sent // STREAMED & 0xFFFF, payload)))

@@ -13,15 +13,13 @@ from types import ModuleType
 from typing import Any, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RecipeError
-from rigtool.recipe.serial import Instrument
+from rigtool.numerics.arrays import Array
+from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.line import Line
-
-Array = NDArray[np.float64]
 
 
 class Gauge(Protocol):
@@ -29,11 +27,11 @@ class Gauge(Protocol):
 
     def __enter__(self) -> Self:
         """Connect and begin to read. Raises `HardwareError` where nothing sensible answers."""
-        ...
+        return self
 
     def __exit__(self, *details: object) -> None:
         """Let go of the line."""
-        ...
+        return None
 
     @property
     def name(self) -> str:
@@ -50,25 +48,19 @@ class Gauge(Protocol):
 
     def problem(self) -> str | None:
         """Return why a run cannot go on with this instrument, None where it can."""
-        ...
+        return None
 
     def report(self) -> dict[str, Any]:
         """Return facts about the instrument that are stored with a run."""
         ...
 
 
-class OperatorGauge:
+class OperatorGauge(Gauge):
     """An instrument that the operator reads once for each recording."""
 
-    def __init__(self, channel: str, settings: Instrument, operator: Operator) -> None:
+    def __init__(self, channel: str, settings: MeasuringInstrument, operator: Operator) -> None:
         self._channel, self._settings, self._operator = channel, settings, operator
         self._value = math.nan
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        pass
 
     @property
     def name(self) -> str:
@@ -84,10 +76,6 @@ class OperatorGauge:
     def at(self, moments: Array) -> Array:
         """Return what was read, for each moment."""
         return np.full(len(moments), self._value)
-
-    def problem(self) -> str | None:
-        """Nothing is wrong: the operator reads again until it is right."""
-        return None
 
     def report(self) -> dict[str, Any]:
         """Return driver, scale and offset."""
@@ -120,7 +108,7 @@ def instrument_module(name: str) -> ModuleType:
 
 def open_gauge(
     channel: str,
-    settings: Instrument,
+    settings: MeasuringInstrument,
     operator: Operator,
     beside: Callable[[], Line | None] = lambda: None,
 ) -> Gauge:

@@ -10,16 +10,14 @@ from collections.abc import Callable
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import HardwareError
-from rigtool.recipe.serial import Instrument
+from rigtool.numerics.arrays import Array, Mask
+from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.serial.instruments.readings import UNSTABLE, Reader, Reading
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
 from rigtool.rigs.serial.spy import RecordEnd
-
-Array = NDArray[np.float64]
 
 NEAR = {"force": 0.5, "deflection": 0.5, "temperature": 10.0}
 """Longest time for which a reading holds, s."""
@@ -65,7 +63,7 @@ class LineGauge:
     def __init__(
         self,
         channel: str,
-        settings: Instrument,
+        settings: MeasuringInstrument,
         make_reader: Callable[[Line, str], Reader],
         *,
         baud_rate: int,
@@ -308,7 +306,7 @@ def latest(times: Array, values: Array, moments: Array, near: float) -> Array:
     return found
 
 
-def spikes(values: Array, resolution: float = 0.0, finest: float = 0.0) -> NDArray[np.bool_]:
+def spikes(values: Array, resolution: float = 0.0, finest: float = 0.0) -> Mask:
     """Return (n,) which readings lie alone, far beyond both neighbours: a damaged digit.
 
     Far is `SPIKE` times the usual difference of neighbours, at least the `resolution`; where they

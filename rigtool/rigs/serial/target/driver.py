@@ -13,25 +13,22 @@ import zlib
 from collections.abc import Callable, Generator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import HardwareError, RecipeError
+from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import CHANNELS, Block, Load, Task
-from rigtool.rigs.motion import Move
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import Line
-from rigtool.rigs.serial.rig import SETTLE_TIME, SerialRig, in_thread
-from rigtool.rigs.serial.safety import Watch, speed_of_moves
+from rigtool.rigs.serial.rig import SerialRig, in_thread
+from rigtool.rigs.serial.safety import Watch, slow_move
 from rigtool.rigs.serial.target import link
 from rigtool.rigs.serial.target import talk as target_talk
 from rigtool.rigs.serial.target.link import Ability, Kind, Refusal, Slot, State, Status
 from rigtool.rigs.serial.target.log import Log
 from rigtool.rigs.serial.target.talk import Refused, Talk
-
-Array = NDArray[np.float64]
 
 BAUD_RATE = 115200
 
@@ -202,8 +199,7 @@ class TargetRig(SerialRig):
 
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
-        speed = speed_of_moves(self._limits)
-        self._require_permission(Task(Move(angle, SETTLE_TIME + abs(angle) / speed)))
+        self._require_permission(Task(slow_move(angle, self._limits)))
         self._call(Kind.MOVE, link.NUMBER.pack(angle))
         self._require_done(self._await_end(PATIENCE))
 

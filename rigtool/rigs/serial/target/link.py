@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
+from rigtool.numerics.arrays import Array
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.base import CHANNELS, Feedforward, Load
 from rigtool.rigs.motion import (
@@ -29,8 +29,6 @@ from rigtool.rigs.motion import (
     Triangle,
 )
 from rigtool.rigs.serial.line import DamagedReply
-
-Array = NDArray[np.float64]
 
 VERSION = 1
 REPLY = 0x80

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 
@@ -15,7 +16,7 @@ TIMEOUT = 0.5
 """Longest wait for a reply, s."""
 
 RETRIES = 8
-"""Times that a request is sent again."""
+"""Times that a request is sent again; as much oftener as `Talk.timeout` is shortened later."""
 
 
 class Refused(HardwareError):
@@ -30,8 +31,9 @@ class Talk:
     """Requests and replies on a line; streamed samples that come between go to `samples`."""
 
     def __init__(self, line: Line, *, timeout: float | None = None, retries: int = RETRIES) -> None:
-        self._line, self._retries = line, retries
+        self._line = line
         self.timeout = TIMEOUT if timeout is None else timeout
+        self._patience = retries * self.timeout
         self.streaming = False  # then a damaged frame need not be the reply
         self._splitter = Splitter()
         self._waiting: list[Frame] = []
@@ -57,7 +59,8 @@ class Talk:
             deadline = time.monotonic() + self.timeout
             while True:
                 damaged = self.damaged
-                for frame in self._frames(max(0.0, deadline - time.monotonic())):
+                heard = self._hear(max(0.0, deadline - time.monotonic()))
+                for frame in self._frames():
                     if frame.kind == link.SAMPLES:
                         self._take_samples(frame)
                     elif frame.sequence != sequence:
@@ -68,23 +71,33 @@ class Talk:
                         return frame.payload
                 if self.damaged > damaged and not self.streaming:
                     raise DamagedReply(f"a frame came damaged while {kind.name} waited")
-                if time.monotonic() >= deadline:
+                if not heard or time.monotonic() >= deadline:
                     raise LineTimeout(f"no reply to {kind.name} within {self.timeout:g} s")
 
         return self._line.exchange(
-            encode(Frame(kind, sequence, payload)), receive, retries=self._retries, settle=False
+            encode(Frame(kind, sequence, payload)),
+            receive,
+            retries=math.ceil(self._patience / self.timeout),
+            settle=False,
         )
 
     def listen(self, timeout: float) -> None:
         """Take the samples that come within this time, s."""
-        for frame in self._frames(timeout):
+        self._hear(timeout)
+        for frame in self._frames():
             if frame.kind == link.SAMPLES:
                 self._take_samples(frame)
 
-    def _frames(self, timeout: float) -> Iterator[Frame]:
-        """Yield what has come; frames that are not taken wait for the next call."""
-        if not self._waiting:
-            self._waiting = self._splitter.feed(self._line.read_some(timeout))
+    def _hear(self, timeout: float) -> bool:
+        """Read, unless frames wait already; return whether anything came within the time, s."""
+        if self._waiting:
+            return True
+        data = self._line.read_some(timeout)
+        self._waiting = self._splitter.feed(data)
+        return bool(data)
+
+    def _frames(self) -> Iterator[Frame]:
+        """Yield frames that have come; those that are not taken wait for the next call."""
         while self._waiting:
             yield self._waiting.pop(0)
 

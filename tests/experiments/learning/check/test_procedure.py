@@ -11,7 +11,7 @@ from rigtool.experiments.learning.check import procedure as ilc_check
 from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.stored_table import learned_table_from
-from rigtool.experiments.options import CommonOptions
+from rigtool.experiments.running.options import CommonOptions
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt, write_results

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import HardwareError
-from rigtool.recipe.serial import Instrument
+from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs import Load, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.rigs.operator import Operator
@@ -80,7 +80,7 @@ class Shown:
 
 
 def opened(driver, port):
-    return open_gauge(DEVICES[driver][0], Instrument(driver=driver, port=port), SILENT)
+    return open_gauge(DEVICES[driver][0], MeasuringInstrument(driver=driver, port=port), SILENT)
 
 
 def bad_line(seed, first=25, every=5, count=14):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import HardwareError, RecipeError
-from rigtool.recipe.serial import Instrument
+from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
@@ -26,7 +26,7 @@ NOBODY = Operator(say=lambda text: None, present=False)
 
 
 def opened(driver, port, channel="force", **settings):
-    return open_gauge(channel, Instrument(driver=driver, port=port, **settings), NOBODY)
+    return open_gauge(channel, MeasuringInstrument(driver=driver, port=port, **settings), NOBODY)
 
 
 def watch(instrument, seconds=0.2, moments=40):
@@ -165,7 +165,7 @@ def test_nothing_is_zeroed_or_set_where_it_need_not_be():
             "sends no unit: switch it on",
         ),
         ("mark10", Mark10Emulator(lambda: 1.0, unit="lbFin"), "force", "no unit of force"),
-        ("mark10", Mark10Emulator(lambda: 9.0, highest=5), "force", "says 'overload'"),
+        ("mark10", Mark10Emulator(lambda: 9.0, highest=5), "force", "sends 'overload'"),
         (
             "mecmesin",
             with_options(MecmesinEmulator(lambda: 1.0), mode="MaxC"),

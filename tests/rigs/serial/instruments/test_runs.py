@@ -10,12 +10,12 @@ import pytest
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import HardwareError
-from rigtool.experiments import session
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import tables_of
-from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.session import run_command
+from rigtool.experiments.running import session
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.recipe import load_recipe
 from rigtool.rigs import Load, Task

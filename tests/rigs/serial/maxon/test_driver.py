@@ -48,7 +48,7 @@ def short_blocks(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def no_guard(monkeypatch):
-    """Start no process beside each of these tests; test_maxon_guard.py has those about it."""
+    """Start no process beside each of these tests; test_guard.py has those about it."""
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
     monkeypatch.setattr(maxon_guard.Guard, "_send", lambda guard, word: None)
 
@@ -545,7 +545,7 @@ def test_recipe_says_what_it_would_do(tmp_path):
     assert result.exit_code == 0, result.output
     assert "6 motions to record" in result.output
     assert "Within the limits 2 A, 40 rad/s" in result.output
-    assert "no watchdog: where computer or cable fail it goes on" in result.output
+    assert "no watchdog: where computer or cable fail it continues with its last" in result.output
     assert list(tmp_path.iterdir()) == []
 
 

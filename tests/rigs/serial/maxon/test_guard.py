@@ -12,11 +12,14 @@ import pytest
 from rigtool.errors import HardwareError
 from rigtool.rigs import Task
 from rigtool.rigs.motion import SpeedProfile
+from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.maxon.guard import Guard
 from tests.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4Emulator
 from tests.rigs.serial.maxon.test_driver import maxon_rig
-from tests.rigs.serial.recipes import RECIPE, overrides
+from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
 from tests.rigs.serial.target.test_driver_faults import wait_until
 
 ROOT = Path(__file__).parents[4]
@@ -27,10 +30,17 @@ SLOW = Task(SpeedProfile((0.0, 0.1, 5.0), (0.0, 4.0, 4.0)))
 
 TURNS = """
 import sys
-from tests.rigs.serial.maxon.test_guard import SLOW, maxon_rig
-with maxon_rig(sys.argv[1]) as rig:
+from tests.rigs.serial.maxon.test_guard import SLOW, patient_rig
+with patient_rig(sys.argv[1]) as rig:
     list(rig.perform(SLOW))
 """
+
+
+def patient_rig(port):
+    """Return a rig that bears a machine that stalls for seconds."""
+    recipe = serial_recipe(port, "serial.watchdog=10", driver="maxon", sample_time=0.1)
+    operator = Operator(say=lambda text: None, present=False, yes=True)
+    return HostedRig(recipe, 0.045, "test", operator, maxon.DRIVER)
 
 
 def program(*arguments):
@@ -46,9 +56,9 @@ def learning(port, folder):
         "rig.controller.integrator_hz=0.2",
         "rig.controller.lowpass_hz=10",
         "ilc_learn.robustness_hz=3",
-        "serial.watchdog=0.5",
+        "serial.watchdog=3",
         driver="maxon",
-        sample_time=0.02,
+        sample_time=0.04,
     )
     changes = [part for value in settings for part in ("--set", value)]
     learn = (RIGTOOL, "ilc-learn", RECIPE, "--implementation", "B", "--kt", KT, "--yes")
@@ -56,36 +66,41 @@ def learning(port, folder):
 
 
 def until_it_turns(device, process):
-    wait_until(lambda: device.mode == "velocity" or process.poll() is not None, 15)
-    wait_until(lambda: device.motor.speed > 1 or process.poll() is not None, 5)
+    wait_until(lambda: device.mode == "velocity" or process.poll() is not None)
+    wait_until(lambda: device.motor.speed > 1 or process.poll() is not None)
     assert process.poll() is None, process.communicate()[1]
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("make_device", [Epos4Emulator, Epos2Emulator, DesEmulator])
 def test_killed_program_leaves_it_off(make_device):
     device = make_device()
     with serve(device) as server, program(sys.executable, "-c", TURNS, server.port) as process:
         until_it_turns(device, process)
         process.send_signal(signal.SIGKILL)
-        wait_until(lambda: device.mode is None, 4)
+        wait_until(lambda: device.mode is None)
         assert "it is switched off now" in process.stderr.read()
     assert device.log[-1] == "off"
 
 
+@pytest.mark.real_time
 def test_rigtool_that_hangs_leaves_it_off_and_says_so_when_it_goes_on(tmp_path):
     device = Epos4Emulator()
     with serve(device) as server, learning(server.port, tmp_path) as process:
         until_it_turns(device, process)
+        start = device.motor.position  # some turns are recorded
+        wait_until(lambda: abs(device.motor.position - start) > 30 or process.poll() is not None)
         process.send_signal(signal.SIGSTOP)
-        wait_until(lambda: device.mode is None, 4)
+        wait_until(lambda: device.mode is None)
         process.send_signal(signal.SIGCONT)
         told = process.stderr.read()
-        assert process.wait(10) == 5
+        assert process.wait(60) == 5
     assert "was killed, hangs or lost the line while the drive was on: it is switched off" in told
     assert re.search("ms late|is switched off|is gone", told)
     assert (tmp_path / "x.h5.part").exists()
 
 
+@pytest.mark.real_time
 def test_a_guard_that_is_not_needed_does_nothing():
     device = Epos4Emulator()
     with serve(device) as server:
@@ -132,29 +147,32 @@ def turned_while_its_guard_is_killed(rig):
         rig.drive.guard.process.kill()
 
 
+@pytest.mark.real_time
 def test_without_its_guard_a_motion_ends():
     device = Epos4Emulator()
     with (
         serve(device) as server,
         pytest.raises(HardwareError, match="is gone: it was ended"),
-        maxon_rig(server.port) as rig,
+        patient_rig(server.port) as rig,
     ):
         turned_while_its_guard_is_killed(rig)
     assert device.mode is None
 
 
+@pytest.mark.real_time
 def test_a_guard_that_cannot_be_started_keeps_the_motor_off(monkeypatch):
     device = Epos4Emulator()
     monkeypatch.setattr(sys, "executable", "/bin/false")
     with (
         serve(device) as server,
         pytest.raises(HardwareError, match="cannot be started"),
-        maxon_rig(server.port) as rig,
+        patient_rig(server.port) as rig,
     ):
         list(rig.perform(SLOW))
     assert device.log == []
 
 
+@pytest.mark.real_time
 def test_signals_do_not_end_a_guard():
     """They are for the program that it watches, and end it with that."""
     device = Epos4Emulator()
@@ -171,6 +189,7 @@ def test_signals_do_not_end_a_guard():
     assert device.mode is None
 
 
+@pytest.mark.real_time
 def test_a_guard_that_was_stopped_does_not_stop_the_loop_with_it():
     """It reads no more: when no word fits into the pipe, the motion ends as without a guard."""
     guard = Guard("/dev/no-such-port", 115200, 1, silence=1000.0)
@@ -188,7 +207,7 @@ def test_a_guard_that_was_stopped_does_not_stop_the_loop_with_it():
     loop = threading.Thread(target=beat, daemon=True)
     try:
         loop.start()
-        loop.join(10)
+        loop.join(60)
         assert not loop.is_alive()
     finally:
         guard.process.kill()

@@ -2,11 +2,11 @@
 
 import contextlib
 import json
-import os
 import threading
 import time
 
 import pytest
+import serial
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs import Feedforward, Task, open_rig
@@ -17,6 +17,7 @@ from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.line import LineLost
 from rigtool.rigs.serial.target import talk as target_talk
 from rigtool.rigs.serial.target.link import State
+from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver import KT, assert_same, blocks_of, target_rig, virtual
 
 MOTION = Task(Triangle(0.1, 1.1, 6.0, 0.2, cycles=3), Feedforward(1.5e-5), record_every=2)
@@ -87,6 +88,20 @@ def test_pulled_cable_ends_at_once(log):
     assert "cable pulled" in str(error)
     assert "watchdog stops it after 5 s" in "".join(error.__notes__)
     assert time.monotonic() - start < 2
+
+
+def test_answers_come_between_streamed_samples_on_a_line_that_is_slower_than_the_target(world):
+    """With the watchdog of a recipe that says none."""
+    world.rate = 5e5
+    motion = Task(SpeedProfile((0.0, 1.0, 15.0), (0.0, 3.0, 3.0)), record_every=2)
+    recipe = serial_recipe("none", "serial.log=stream").serial
+    with (
+        serve(TargetEmulator(virtual())) as server,
+        target_rig(server.port, "serial.log=stream", f"serial.watchdog={recipe.watchdog}") as rig,
+    ):
+        assert len(blocks_of(rig, motion)["time"]) == 60000
+        facts = json.loads(rig.report())
+    assert facts["retries"] == facts["missing_samples"] == 0
 
 
 def test_silence_for_good_is_given_up(monkeypatch):
@@ -188,13 +203,13 @@ def test_another_program_that_reads_along_costs_retries_only(expected):
 
 def steal(port, seconds):
     """Read from a port without asking whose it is, with pauses."""
-    descriptor = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    other = serial.serial_for_url(port, timeout=3e-4)
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        with contextlib.suppress(BlockingIOError):
-            os.read(descriptor, 100)
+        with contextlib.suppress(serial.SerialException):
+            other.read(100)
         time.sleep(0.001)
-    os.close(descriptor)
+    other.close()
 
 
 def test_recipe_of_another_loop_is_refused():
@@ -211,7 +226,8 @@ def test_log_that_does_not_fit_is_refused_before_it_moves():
     assert "record less often, or stream" in str(error)
 
 
-def wait_until(condition, limit=3.0):
+def wait_until(condition, limit=60.0):
+    """Wait; the limit is for what never happens, however busy the machine is."""
     end = time.monotonic() + limit
     while not condition():
         assert time.monotonic() < end

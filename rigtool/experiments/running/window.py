@@ -16,9 +16,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rigtool.experiments.live.terminal import READY
+from rigtool.experiments.running.terminal import READY
+from rigtool.numerics.arrays import Array
 from rigtool.rigs import CHANNELS
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-Array = NDArray[np.float64]
 
 SPAN = 20.0
 """Time span of the plots, s."""

@@ -118,7 +118,7 @@ class Window:
     """
 
     def __init__(self) -> None:
-        command = [sys.executable, "-m", "rigtool.experiments.live.window"]
+        command = [sys.executable, "-m", "rigtool.experiments.running.window"]
         self._process = subprocess.Popen(
             command,
             bufsize=0,

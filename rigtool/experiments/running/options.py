@@ -1,4 +1,4 @@
-"""What every command is told beside its sources and output."""
+"""The options that all commands share, in addition to sources and output."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class CommonOptions:
-    """The options that all commands share, as `rigtool.cli.options` collects them.
+    """Options as `rigtool.cli.options` collects them.
 
-    `progress` says whether progress bars are drawn (stderr is a terminal and nobody objected).
-    `overrides` are the `key=value` texts of `--set`. `dry_run` says what would move and moves
+    With `progress`, progress bars are drawn (stderr is a terminal and --quiet was not given).
+    `overrides` are the `key=value` texts of `--set`. `dry_run` lists the motions and moves
     nothing; `yes` lets a rig on a serial line move without asking; `spy` is a file for every byte
-    on that line; `live` says where signals are drawn while they come, if anywhere.
+    on that line; `live` is where signals are drawn as they arrive, None for nowhere.
     """
 
     json: bool = False
@@ -28,5 +28,5 @@ class CommonOptions:
     live: Literal["terminal", "window"] | None = None
 
     def with_override(self, override: str) -> CommonOptions:
-        """Return the options with one more `key=value`, which counts above those given so far."""
+        """Return the options with one more `key=value`, which overrules those given so far."""
         return replace(self, overrides=(*self.overrides, override))

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rigtool.experiments.live.terminal import BARS, FORGOTTEN, INTERVAL, PLAIN, Live, sparkline
-from rigtool.experiments.session import STATUS_ONLY
+from rigtool.experiments.running.session import STATUS_ONLY
+from rigtool.experiments.running.terminal import BARS, FORGOTTEN, INTERVAL, PLAIN, Live, sparkline
 from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator

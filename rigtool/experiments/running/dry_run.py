@@ -1,7 +1,7 @@
-"""The plan of a command: its motions, found by running it on a rig that only notes them.
+"""The motions that a command will make, listed by running its procedure on a rig of paper.
 
-Motions that depend on earlier measurements are not known beforehand: the plan ends there and
-states that it is not complete.
+Motions that depend on earlier measurements are not known beforehand: the list ends there, with a
+note.
 """
 
 from __future__ import annotations
@@ -23,17 +23,20 @@ from rigtool.rigs.serial.drivers import REPLAY, driver
 from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
 
-MAX_LINES = 12
-"""Lines for motions that differ in a plan at most; the rest is counted."""
+LISTED_MOTIONS = 12
+"""Kinds of motion that are listed; the others are only counted."""
 
 
 class _NeedsData(Exception):
-    """From here on the motions depend on what was measured."""
+    """From here on the motions depend on measurements."""
 
 
 @dataclass
-class Plan:
-    """Motions with what they ask at most, in order; `needs` by name; whether that is all."""
+class MotionPlan:
+    """Motions in order, with the extremes of each; what they need of the rig, by name.
+
+    `complete` is false where further motions depend on what these measure.
+    """
 
     motions: list[tuple[str, safety.Extremes]] = field(default_factory=list)
     bench_work: list[str] = field(default_factory=list)
@@ -49,8 +52,11 @@ class Plan:
             f"  {line}" if count == 1 else f"  {count} times {line}"
             for line, count in together.items()
         ]
-        if len(lines) > MAX_LINES:
-            lines = [*lines[:MAX_LINES], f"  and {len(lines) - MAX_LINES} kinds of motion more"]
+        if (rest := len(lines) - LISTED_MOTIONS) > 0:
+            lines = [
+                *lines[:LISTED_MOTIONS],
+                f"  and {rest} kinds of motion more",
+            ]
         total = sum(found.duration for _, found in self.motions)
         count = len(self.motions)
         head = f"{count} motion{'s' if count != 1 else ''} to record, {total:.0f} s in all"
@@ -68,10 +74,10 @@ class Plan:
 
 
 class _Rehearsal(Rig):
-    """A rig that only notes the tasks that it is given."""
+    """A rig that only lists the motions that it is asked for."""
 
     def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
-        self.plan = Plan()
+        self.plan = MotionPlan()
         self._dt = recipe.rig.sample_time
         self._attachment = recipe.rig.attachment
         on_line = recipe.rig.source == "serial" and recipe.serial is not None
@@ -85,7 +91,7 @@ class _Rehearsal(Rig):
         return self._position
 
     def perform(self, task: Task) -> Iterator[Block]:
-        """Remember a task; there are no signals."""
+        """List a task; there are no signals."""
         if self._limits is not None:
             safety.check_duration(task, self._limits)
         found = safety.extremes(task, self._position, self._dt, self._torque_constant)
@@ -98,21 +104,21 @@ class _Rehearsal(Rig):
         return iter(())
 
     def move_by(self, angle: float) -> None:
-        """Remember a move between recordings."""
+        """Follow a move between recordings."""
         self._need("closed_loop", None)
         if math.isfinite(self._position):
             self._position += angle
 
     def clamp(self, angle: float) -> None:
-        """Remember that the arm is clamped."""
+        """List the clamping of the arm."""
         self._need("clamp", "clamp the arm at several angles")
 
     def soak(self, temperature_degc: float) -> None:
-        """Remember a temperature."""
+        """List a temperature."""
         self._need("soak", f"bring the motor to {temperature_degc:g} degC")
 
     def power_cycle(self) -> None:
-        """Remember that the amplifier is switched off and on."""
+        """List a power cycle of the amplifier."""
         self._need("power_cycle", "switch the amplifier off and on")
 
     def _need(self, need: str, work: str | None) -> None:
@@ -122,7 +128,7 @@ class _Rehearsal(Rig):
 
 
 class _Recorder:
-    """Takes what a rehearsal records, which is nothing; what was recorded cannot be had."""
+    """Stands for the writer in a rehearsal; has no recording to return."""
 
     def __init__(self, specs: Sequence[RecordingSpec]) -> None:
         self._names = {spec.name: tuple(c.name for c in spec.channels) for spec in specs}
@@ -130,9 +136,6 @@ class _Recorder:
     def channel_names(self, recording: str) -> tuple[str, ...]:
         """Return the channels of a recording."""
         return self._names[recording]
-
-    def append(self, recording: str, block: Mapping[str, Any]) -> None:
-        """Nothing to take."""
 
     def recording(self, name: str) -> Any:
         """Raise: nothing was recorded."""
@@ -149,8 +152,8 @@ def rehearse(
     torque_constant: float,
     inputs: Mapping[str, Run],
     position: float = 0.0,
-) -> Plan:
-    """Return what a command is going to do, from the shaft's position [rad] on."""
+) -> MotionPlan:
+    """Return the motions of a command; the shaft starts at `position`, rad."""
     specs = procedure.recordings(recipe)
     rig = _Rehearsal(recipe, torque_constant, position)
     try:
@@ -163,7 +166,7 @@ def rehearse(
     return rig.plan
 
 
-def require_offered(rig: Rig, plan: Plan, command: str) -> None:
+def require_offered(rig: Rig, plan: MotionPlan, command: str) -> None:
     """Raise `HardwareError` with every reason why this rig cannot run a command."""
     reasons = [
         f"it needs to {NEEDS[need]}: {reason}" if need in NEEDS else f"it records {need}: {reason}"
@@ -177,7 +180,7 @@ def require_offered(rig: Rig, plan: Plan, command: str) -> None:
 def dry_run(
     procedure: Procedure, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
 ) -> Outcome:
-    """Return a plan as remarks, checked against the limits of a rig that has some."""
+    """Return the motions as notes, checked against the limits of a rig on a serial line."""
     plan = rehearse(procedure, recipe, torque_constant, inputs)
     notes = [str(plan)]
     if recipe.rig.source == "serial" and recipe.serial is not None:
@@ -189,19 +192,20 @@ def dry_run(
         limits = recipe.serial.limits
         notes.append(
             f"Within the limits {limits.current:g} A, {limits.speed:g} rad/s, {low:g} to {high:g} "
-            f"rad (counted from where the shaft is), {limits.duration:g} s a motion"
+            f"rad (counted from the shaft's position at the start), {limits.duration:g} s a motion"
         )
-        notes.append("Whether the drive offers all that is asked when it is connected")
+        notes.append("Whether the drive offers all of this is checked when it is connected")
         if found is not None and not found.has_watchdog:
             notes.append(
-                "This drive has no watchdog: where computer or cable fail it follows its last "
-                "set point. It runs only with serial.emergency_stop = true; try that stop first"
+                "This drive has no watchdog: where computer or cable fail it continues with its "
+                "last set point. It runs only with serial.emergency_stop = true; try that stop "
+                "first"
             )
     return Outcome(results={}, tables={}, notes=tuple(notes))
 
 
-def _require_gauges(plan: Plan, settings: Serial, command: str) -> None:
-    """Raise `HardwareError` for a gauge that the recipe does not name: no drive has one."""
+def _require_gauges(plan: MotionPlan, settings: Serial, command: str) -> None:
+    """Raise `HardwareError` for a gauge that no drive has and the recipe does not name."""
     for need in ("force", "deflection"):
         if need in plan.needs and getattr(settings, need) is None:
             raise HardwareError(

@@ -16,11 +16,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rigtool.errors import UsageError
-from rigtool.experiments.live import terminal as live
-from rigtool.experiments.live.terminal import WAITING, Feed, Window, open_live
-from rigtool.experiments.live.window import POINTS, SPAN, Panel, thinned
+from rigtool.experiments.running import terminal as live
+from rigtool.experiments.running.terminal import WAITING, Feed, Window, open_live
+from rigtool.experiments.running.window import POINTS, SPAN, Panel, thinned
 from tests.cli.test_run_commands import call
-from tests.experiments.live.test_terminal import fft_ripple
+from tests.experiments.running.test_terminal import fft_ripple
 
 ROOT = Path(__file__).parents[3]
 
@@ -118,7 +118,7 @@ class Slow:
         self.go, self.seen = threading.Event(), []
 
     def show(self, recording, block):
-        self.go.wait(10)
+        self.go.wait(60)
         self.seen.append(recording)
 
 
@@ -126,12 +126,10 @@ def test_a_view_that_hangs_holds_nobody_up_and_blocks_are_left_out(monkeypatch):
     monkeypatch.setattr(live, "CLOSING", 0.1)
     view = Slow()
     feed = Feed(view)
-    start = time.monotonic()
     for number in range(1000):
         feed.show(str(number), {})
-    assert time.monotonic() - start < 0.2
     feed.close()
-    assert time.monotonic() - start < 1.0
+    assert view.seen == []  # nobody has waited for it
     view.go.set()
     feed._thread.join(5)
     assert WAITING <= len(view.seen) <= WAITING + 1
@@ -167,13 +165,13 @@ def test_what_waits_at_the_end_is_drawn():
 @pytest.fixture
 def imagined(tmp_path, monkeypatch):
     """A desktop that is not there; the window's pictures are files."""
-    monkeypatch.setenv("MPLBACKEND", "module://tests.experiments.live.live_canvas")
+    monkeypatch.setenv("MPLBACKEND", "module://tests.experiments.running.live_canvas")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("LIVE_PICTURE", str(tmp_path / "window.png"))
     return tmp_path / "window.txt"
 
 
-def texts_with(path, word, patience=20.0):
+def texts_with(path, word, patience=60.0):
     """Wait until a word is drawn; return all that was."""
     end = time.monotonic() + patience
     while time.monotonic() < end:
@@ -199,7 +197,7 @@ def test_a_window_that_is_closed_ends_no_measurement(imagined, monkeypatch):
     monkeypatch.setenv("LIVE_CLOSE", "1")
     with open_live("window") as feed:
         feed.show("a", block(0.0, current=1.0))
-        assert feed._view._process.wait(20) == 0
+        assert feed._view._process.wait(60) == 0
         for number in range(100):
             feed.show("a", block(number, current=1.0))
             time.sleep(0.001)
@@ -212,10 +210,8 @@ def test_a_window_that_hangs_ends_with_the_run(imagined, monkeypatch):
     with open_live("window") as feed:
         process = feed._view._process
         os.kill(process.pid, signal.SIGSTOP)
-        start = time.monotonic()
-        for number in range(300):
+        for number in range(300):  # who waited for it would wait for ever
             feed.show("a", block(number, current=1.0, force=1.0))
-        assert time.monotonic() - start < 0.5
         os.kill(process.pid, signal.SIGCONT)
     assert process.poll() is not None
 
@@ -230,13 +226,16 @@ def test_ctrl_c_is_for_the_measurement(imagined):
 def test_window_closes_where_the_measurement_was_killed(imagined):
     with Window() as window:
         window._process.stdin.close()  # what the system does
-        assert window._process.wait(20) == 0
+        assert window._process.wait(60) == 0
 
 
 @pytest.mark.parametrize(
     ("backend", "message"),
     [
-        ("agg", "or is told to use agg; run rigtool on a desktop, or use --live, which draws at"),
+        (
+            "agg",
+            "or MPLBACKEND selects agg; run rigtool on a desktop, or use --live, which",
+        ),
         ("nonsense", "no window can be opened: .*nonsense.*; run rigtool on a desktop"),
     ],
 )

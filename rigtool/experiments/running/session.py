@@ -1,6 +1,6 @@
-"""From sources to an outcome: what every measuring command does, whatever it measures.
+"""From sources to an outcome: the steps that all measuring commands share.
 
-A source is a recipe (measure on its rig, then analyse) or run files (analyse what they hold).
+A source is a recipe (measure on its rig, then analyse) or run files (analyse their signals).
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.dry_run import dry_run, rehearse, require_offered
-from rigtool.experiments.live.terminal import Feed, open_live
-from rigtool.experiments.options import CommonOptions
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
+from rigtool.experiments.running.dry_run import dry_run, rehearse, require_offered
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.terminal import Feed, open_live
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import Rig, open_rig
@@ -27,7 +27,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
 
 IMPORTED = "import"
-"""The command of runs that hold other people's measurements."""
+"""Command of the runs that hold measurements of other rigs."""
 
 
 STATUS_ONLY = "status while it moves, not recorded"
@@ -133,7 +133,7 @@ def _permit(
     torque_constant: float,
     inputs: Mapping[str, Run],
 ) -> None:
-    """Refuse what this rig cannot do or must not, show the rest, and let somebody agree."""
+    """Refuse what this rig cannot do or must not do, show the motions, and ask for consent."""
     assert recipe.serial is not None
     plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
     require_offered(rig, plan, procedure.command)
@@ -180,7 +180,7 @@ def _analyse_stored(
 
 
 def _require_as_recorded(overrides: Sequence[str]) -> None:
-    """Raise `UsageError` for settings that would misjudge what is stored."""
+    """Raise `UsageError` for settings that contradict how the signals were recorded."""
     for override in overrides:
         if override.partition("=")[0].strip().endswith(".record_every"):
             raise UsageError(
@@ -197,7 +197,7 @@ def _analyse_imported(
     options: CommonOptions,
     inputs: Mapping[str, Run],
 ) -> Outcome:
-    """Analyse measurements of other rigs: there is no recipe, the runs say what is known."""
+    """Analyse measurements of other rigs: their runs replace the recipe."""
     for run in runs:
         run.require_command(IMPORTED)
     settings = _imported_settings(procedure.imported_settings, options.overrides)
@@ -216,14 +216,14 @@ def _analyse_imported(
 
 
 def _imported_settings(accepted: Mapping[str, str], overrides: Sequence[str]) -> dict[str, float]:
-    """Return the values of `--set` that an analysis of imported runs takes, by its own names."""
+    """Return the values of `--set` by the argument names of the analysis of imported runs."""
     settings = {}
     for override in overrides:
         key, _, value = override.partition("=")
         if key.strip() not in accepted:
             raise UsageError(
-                f"--set {override}: imported runs have no recipe; what is known of the rig is in "
-                "the mapping file, import them again"
+                f"--set {override}: imported runs have no recipe; the mapping file states what is "
+                "known of the rig: change it there and import them again"
             )
         try:
             settings[accepted[key.strip()]] = number = float(value)
@@ -245,16 +245,17 @@ def require_inputs(procedure: Procedure, inputs: Mapping[str, Run]) -> None:
 
 
 def _assumed_torque_constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float:
-    """Return what turns torque into current: the calibration's value, else the data sheet's."""
+    """Return the torque constant of the calibration, else that of the data sheet, N m/A."""
     if "kt" in inputs:
         return torque_per_ampere(inputs["kt"]).value
     return recipe.rig.torque_constant
 
 
 class _WatchedWriter(RunWriter):
-    """A writer that tells somebody which recording grows."""
+    """A writer that shows each block to a live drawing and a progress bar."""
 
     live: Feed | None = None
+    _bar: Any = None
 
     def watch(self, bar: Any, order: Mapping[str, int]) -> None:
         """Advance a progress bar by one for each new recording."""
@@ -265,9 +266,9 @@ class _WatchedWriter(RunWriter):
         super().append(recording, block)
         if self.live is not None:
             self.live.show(recording, block)
-        if (bar := getattr(self, "_bar", None)) is not None:
-            bar.label = recording
-            bar.update(max(0, self._order[recording] - bar.pos))
+        if self._bar is not None:
+            self._bar.label = recording
+            self._bar.update(max(0, self._order[recording] - self._bar.pos))
 
 
 @contextmanager
