@@ -268,7 +268,7 @@ class Problem:
         self.variance = np.maximum(pooled, power * near) * INDEPENDENT
 
     def remaining(self, number: int, shape: Shape, coefficient: Array) -> Array:
-        """Return what a model and the strokes' own deviations leave of a record's used rows."""
+        """Return what coefficients (t,) and the strokes' own deviations leave of used rows (r,)."""
         columns, right = self.rows(number, shape, None)
         left: Array = (right - coefficient @ columns)[self.records[number].used]
         v = self.variance[number]
@@ -304,6 +304,6 @@ def logarithms(shape: Shape) -> Array:
 
 
 def moved(shape: Shape, step: Array) -> Shape:
-    """Return a shape whose logarithms are moved by a step."""
+    """Return a shape whose logarithms are moved by a step (p,)."""
     values = np.exp(logarithms(shape) + step)
     return replace(shape, **dict(zip(NAMES, values.tolist(), strict=True)))

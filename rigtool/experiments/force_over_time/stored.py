@@ -126,14 +126,12 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
         shape = Shape(**{field.name: value(field.name) for field in fields(Shape)})
         lengths = [run.result(PREFIX + f"{name}_length") for name in ("bearing", "housing")]
         covariance = run.table(COVARIANCE)["covariance"]
-        if covariance.shape != (len(NAMES) + len(terms),) * 2:
-            raise KeyError(f"a covariance of shape {covariance.shape}")
         learned = Learned(
             terms,
             shape,
             Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, value(OFFSET)),
             table["coefficient"],
-            covariance,
+            covariance.reshape(len(NAMES) + len(terms), -1),
             np.array([(length.u or 0.0) / length.value for length in lengths]),
         )
         deviations = Deviations(**{field.name: value(field.name) for field in fields(Deviations)})
