@@ -4,7 +4,7 @@
 
 The filter of `rigtool.experiments.force_over_time` with every parameter of the virtual rig, and
 none of its random draws; what a product learns can come close to it, hardly beyond. Contacts are
-drawn pulses of 0.05 to 2.5 N. Errors are those of torque after a low-pass of the stated bandwidth:
+drawn pulses of 0.05 to 2.5 N, or of all kinds. Errors are those of torque after a low-pass:
 Butterworth of second order, on both sides of the comparison, zero-phase where smoothed. States are
 those of the set point: moving (the housing's bristle is bent to nine tenths), after a reversal, at
 rest. `cover` is the share of errors within 1.96 of the filter's own standard deviations, `half` the
@@ -30,7 +30,7 @@ from rigtool.experiments.force_over_time.estimate import Filter, Signals, smooth
 from rigtool.experiments.force_over_time.kalman import Uncertainty
 from rigtool.experiments.force_over_time.plant import Plant, dahl
 from rigtool.recipe import Recipe, load_recipe
-from rigtool.recipe.virtual import Hand, Pulse
+from rigtool.recipe.virtual import Hand, Mass, Pulse, Ramp, Sine, Tissue
 from rigtool.rigs import Feedforward, Task, open_rig
 from rigtool.rigs.motion import Motion, Triangle
 from rigtool.rigs.virtual import hand
@@ -48,7 +48,29 @@ RIGS = {
     "15 K warmer": ("virtual.thermal.ambient_degc=42",),
 }
 MOTIONS = ("strokes", "free")
-CONTACTS = (Pulse(kind="pulse", rate_per_min=14, duration=(0.3, 3.0), force=(0.05, 2.5)),)
+CONTACTS = {
+    "pulses": (Pulse(kind="pulse", rate_per_min=14, duration=(0.3, 3.0), force=(0.05, 2.5)),),
+    "mixed": (
+        Pulse(kind="pulse", rate_per_min=3, duration=(0.3, 3.0), force=(-1.0, 1.5)),
+        Ramp(kind="ramp", rate_per_min=3, duration=(0.5, 4.0), force=(0.1, 1.5)),
+        Mass(kind="mass", rate_per_min=2, duration=(1.0, 6.0), force=(0.1, 1.0), rise_time=0.2),
+        Sine(
+            kind="sine",
+            rate_per_min=4,
+            duration=(1.0, 5.0),
+            force=(0.1, 1.0),
+            frequency_hz=(0.5, 10.0),
+        ),
+        Tissue(
+            kind="tissue",
+            rate_per_min=6,
+            duration=(2.0, 8.0),
+            angle_deg=100.0,
+            stiffness=(0.01, 0.06),
+            damping=2e-4,
+        ),
+    ),
+}
 STEP = 8
 """Samples in a step of the filter: 1 ms."""
 BANDS = (5.0, 10.0)
@@ -75,11 +97,13 @@ class Recorded:
         return torque[STEP - 1 :: STEP][: (torque.size - 1) // STEP]
 
 
-def record(rig: str, seed: int, motion: str, duration: float = 120.0) -> Recorded:
+def record(
+    rig: str, seed: int, motion: str, duration: float = 120.0, contacts: str = "pulses"
+) -> Recorded:
     """Move a virtual rig for about `duration` s while contacts touch it."""
     recipe, _ = load_recipe(RECIPE, [*RIGS[rig], f"virtual.seed={seed}"])
     assert recipe.virtual is not None
-    virtual = recipe.virtual.model_copy(update={"contact": CONTACTS})
+    virtual = recipe.virtual.model_copy(update={"contact": CONTACTS[contacts]})
     recipe = recipe.model_copy(update={"virtual": virtual})
     task = Task(
         _motion(recipe, motion, duration, seed),
@@ -329,11 +353,11 @@ def score(error: Array, deviation: Array) -> Score:
     )
 
 
-def measured(rig: str, seed: int, duration: float) -> tuple[str, dict[Key, Score]]:
+def measured(rig: str, seed: int, duration: float, contacts: str) -> tuple[str, dict[Key, Score]]:
     """Return the scores of one rig and seed."""
     found = {}
     for motion in MOTIONS:
-        found.update(scores(record(rig, seed, motion, duration), motion))
+        found.update(scores(record(rig, seed, motion, duration, contacts), motion))
     return rig, found
 
 
@@ -352,9 +376,10 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--rig", choices=RIGS, action="append")
     parser.add_argument("--duration", type=float, default=120.0)
+    parser.add_argument("--contacts", choices=CONTACTS, default="pulses")
     arguments = parser.parse_args()
     work = [
-        (rig, seed, arguments.duration)
+        (rig, seed, arguments.duration, arguments.contacts)
         for rig in arguments.rig or RIGS
         for seed in range(1, arguments.seeds + 1)
     ]

@@ -22,6 +22,18 @@ from rigtool.experiments.running.options import CommonOptions
     help="Correction for effects of the load; load and full need tables of implementation D. "
     "[default: the recipe's, none unless set]",
 )
+@click.option(
+    "--record",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="Read an unknown force over time while the rig moves as [measure_force.motion] states.",
+)
+@click.option(
+    "--observe",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="SECONDS",
+    help="The same while another controller, or a hand, moves the rig: sends nothing that moves.",
+)
 @common_options
 def command(
     sources: tuple[str, ...],
@@ -29,9 +41,11 @@ def command(
     kt: str | None,
     tables: str,
     correction: str | None,
+    record: float | None,
+    observe: float | None,
     options: CommonOptions,
 ) -> None:
-    """Measure known loads, reading force from current.
+    """Measure known loads, or an unknown force over time, from current.
 
     Lifts and lowers each load of the recipe with the learned table switched on; reads the torque at
     one angle of each rising stroke: mean, scatter, error. With an instrument, also reports friction
@@ -39,11 +53,30 @@ def command(
     from this reading; full reads whole strokes and also corrects for compliance, ripple by current
     and motor temperature.
 
+    --record and --observe read an unknown force over time, with its interval of 95 %, in any
+    motion; a stored run without known loads is read so, too. Needs tables of implementation D.
+
     Imported runs need tables of implementation D from runs of the same rig; the reference_torque of
     a sensor, where recorded, is compared with the result.
     """
     from rigtool.experiments.force.procedure import PROCEDURE
+    from rigtool.experiments.force.procedure_over_time import over_time
 
+    procedure, seconds = PROCEDURE, record if observe is None else observe
+    if seconds is not None:
+        if record is not None and observe is not None:
+            raise click.UsageError("--record moves the rig, --observe does not: give one of them")
+        if correction is not None:
+            raise click.UsageError(
+                f"--correction {correction} is one of known loads: leave it out, force over time "
+                "has all corrections"
+            )
+        if not any(source.endswith(".toml") for source in sources):
+            raise click.UsageError(
+                "--record and --observe measure on the rig of a recipe; a stored run is read as it "
+                "is: leave them out"
+            )
+        procedure = over_time(seconds, observed=observe is not None)
     if correction is not None:
         options = options.with_override(f"measure_force.correction={correction}")
-    run_and_print(PROCEDURE, sources, output, options, kt=kt, tables=tables)
+    run_and_print(procedure, sources, output, options, kt=kt, tables=tables)

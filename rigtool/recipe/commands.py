@@ -188,6 +188,29 @@ class IlcLearn(Section):
         return self
 
 
+class ForceMotion(Section):
+    """How measure-force moves while it reads a force over time; angles are those of the output."""
+
+    kind: Literal["strokes", "sine", "hold", "path"] = Field(
+        "strokes", description="strokes of measure_force; sine over its angle; or a path's file"
+    )
+    frequency_hz: float = Field(0.3, gt=0, le=100, description="of the sine, Hz")
+    file: str | None = Field(
+        None, description="of the path: CSV with the columns time_s and angle_deg, of the output"
+    )
+    time_max: float = Field(3600.0, gt=0, le=3600, description="longest recording, s")
+    bandwidth_hz: float = Field(10.0, gt=0, le=50, description="low-pass on the torque, Hz")
+    record_every: int = Field(1, ge=1, description="samples averaged into a recorded one")
+
+    @model_validator(mode="after")
+    def _path_has_its_file(self) -> ForceMotion:
+        if (self.kind == "path") != (self.file is not None):
+            raise ValueError(
+                'kind = "path" needs file, a CSV of time_s and angle_deg; other kinds have none'
+            )
+        return self
+
+
 class MeasureForce(Section):
     """Known loads on the output, force read from current [8.1, 8.2]."""
 
@@ -216,6 +239,7 @@ class MeasureForce(Section):
     )
     extra_cycles: int = Field(5, ge=1, description="for these two loads")
     record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
+    motion: ForceMotion = ForceMotion()
 
 
 class Suspension(Section):

@@ -249,7 +249,7 @@ class Hand(Section):
     )
     angle_deg: tuple[float, float] = Field((0.0, 180.0), description="range at the output, deg")
     speed_rev_per_s: PositiveRange = Field(
-        (0.1, 2.0), description="each stretch draws its highest, of the motor, rev/s"
+        (0.3, 2.0), description="each stretch draws its highest, of the motor, rev/s"
     )
     stretch: Seconds = Field((1.0, 8.0), description="how long a pace lasts, s")
     pause_share: float = Field(0.3, ge=0, lt=1, description="part of the stretches that rest")

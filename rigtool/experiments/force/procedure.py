@@ -14,6 +14,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force.imported import analyse_imported
+from rigtool.experiments.force.procedure_over_time import analyse_over_time
 from rigtool.experiments.force.procedure_readings import read_load, unloaded_cycles
 from rigtool.experiments.force.results import ZERO_AGAIN, Reading, load_rows, loads_outcome
 from rigtool.experiments.force.results_instrument import instrument_outcome
@@ -95,18 +96,21 @@ def strokes(recipe: Recipe, cycles: int) -> Triangle:
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Outcome:
     """Read the force of each load from the stored currents, with its uncertainty.
 
-    Raises `UsageError` for several runs, `RunFileError` for one without loads or inputs of another
-    rig, `InsufficientDataError` where the signals do not carry a reading.
+    A run without known loads gives the torque over time. Raises `UsageError` for several runs,
+    `RunFileError` for inputs of another rig, `InsufficientDataError` where the signals do not carry
+    a reading.
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: measure-force takes one, with all its loads")
     run = runs[0]
+    recorded = run.recordings_named("load_")
+    if not recorded:
+        return analyse_over_time(runs, recipe, kt=kt, tables=tables)
     _require_inputs(recipe, kt, tables)
     require_slow_strokes(recipe, strokes(recipe, 1))
     per_ampere = torque_per_ampere(kt)
     constant = _constant_at_one_angle(per_ampere, kt)
-    recorded = run.recordings_named("load_")
-    if not recorded or recorded[0].condition("force") != 0:
+    if recorded[0].condition("force") != 0:
         raise RunFileError(
             f"{run.path}: has no recording load_000 without load: give the run file in which "
             "measure-force recorded its signals"
@@ -251,5 +255,6 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     needed=("kt",),
+    accepts=("ilc-learn", "identify-plant", "stribeck", "fft-ripple"),
     analyse_imported=analyse_imported,
 )

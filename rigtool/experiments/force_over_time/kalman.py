@@ -3,9 +3,10 @@
     prediction   x- = f(x),  P- = Phi P Phi' + Q,  Phi the derivative of f in closed form
     update       the angle lies within its count: `interval`; K = P-[:, 0] / s^2,
                  x = x- + K s d,  P = P- - K K' s^2 (1 - rho)
-    torque       random walk with two levels: a contact is no steady drift, and one level between
-                 the two would give a load step to the bristles instead. The high level lasts for
-                 `busy_time` once the leaky sum of the corrections s d / s exceeds `surprise`.
+    torque       random walk with three levels: a contact is no steady drift, and one level for all
+                 would give a load step to the bristles instead. Leaky sums of the corrections d
+                 over SHORT and LONG tell a step and a slow change from none: where one exceeds
+                 its threshold, its level holds for `busy_time`.
     reversal     where the housing's bristle crosses -1/2 in the direction of motion, a new stroke
                  begins: its deviations are drawn anew.
 
@@ -46,8 +47,11 @@ from rigtool.experiments.force_over_time.plant import (
 
 Array = NDArray[np.float64]
 
-SURPRISE_TIME = 6e-3
-"""Memory of the leaky sum of corrections, s."""
+SHORT, LONG = 6e-3, 0.1
+"""Memories of the leaky sums of corrections, s."""
+
+STEP_THRESHOLD, SLOW_THRESHOLD = 4.0, 10.0
+"""Sums from which on a step, or a slow change, is under way."""
 
 LEAST_VARIANCE = 1e-3
 """Of the angle after an update, relative to before: keeps the covariance positive."""
@@ -57,8 +61,11 @@ STATE = np.dtype(
         ("mean", "f8", (STATES,)),
         ("covariance", "f8", (STATES, STATES)),
         ("direction", "f8"),
-        ("surprise", "f8"),
-        ("busy", "f8"),
+        # of a step and of a slow change: leaky sum of corrections, time left at its level
+        ("step_sum", "f8"),
+        ("step_left", "f8"),
+        ("slow_sum", "f8"),
+        ("slow_left", "f8"),
     ]
 )
 
@@ -79,20 +86,20 @@ class Uncertainty:
     load_stroke: float
     friction_noise: float
     friction_noise_time: float
-    torque_rate: float = 5e-3
-    busy_torque_rate: float = 80e-3
+    torque_rate: float = 2.5e-3
+    slow_torque_rate: float = 20e-3
+    step_torque_rate: float = 250e-3
     busy_time: float = 0.06
-    surprise: float = 3.0
     angle_rate: float = 1e-4
     speed_rate: float = 1.0
-    bristle_rate: float = 0.1
-    slip_rate: float = 0.05
+    bristle_rate: float = 0.2
+    slip_rate: float = 0.1
     grasper_rate: float = 1e-3
     torque_start: float = 20e-3
     bristle_start: float = 0.6
     speed_start: float = 0.05
     undecided: float = 1.0
-    edge: float = 0.1
+    edge: float = 0.05
 
 
 def begin(plant: Plant, uncertainty: Uncertainty, low: float, width: float) -> NDArray[np.void]:
@@ -161,8 +168,13 @@ def _predict(
             covariance[j, NOISE] = covariance[NOISE, j]
     covariance[NOISE, NOISE] *= kept * kept
     covariance[NOISE, NOISE] += u.friction_noise**2 * (1.0 - kept * kept)
-    walk = u.busy_torque_rate if s.busy > 0.0 else u.torque_rate
-    s.busy -= span
+    walk = u.torque_rate
+    if s.step_left > 0.0:
+        walk = u.step_torque_rate
+    elif s.slow_left > 0.0:
+        walk = u.slow_torque_rate
+    s.step_left -= span
+    s.slow_left -= span
     covariance[TORQUE, TORQUE] += walk * walk * span
     covariance[ANGLE, ANGLE] += u.angle_rate**2 * span
     covariance[SPEED, SPEED] += u.speed_rate**2 * span
@@ -203,9 +215,12 @@ def _update(
             covariance[j, i] = covariance[i, j]
     for i in (BRISTLE, HOUSING, TIP):
         x[i] = min(max(x[i], -1.0), 1.0)
-    s.surprise = math.exp(-span / SURPRISE_TIME) * s.surprise + mean
-    if abs(s.surprise) > u.surprise:
-        s.busy = u.busy_time
+    s.step_sum = math.exp(-span / SHORT) * s.step_sum + mean
+    s.slow_sum = math.exp(-span / LONG) * s.slow_sum + mean
+    if abs(s.step_sum) > STEP_THRESHOLD:
+        s.step_left = u.busy_time
+    if abs(s.slow_sum) > SLOW_THRESHOLD:
+        s.slow_left = u.busy_time
     return mean / deviation, weight, variance
 
 

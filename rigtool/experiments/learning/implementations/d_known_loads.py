@@ -3,8 +3,10 @@
 First C learns by position and speed. Then known loads are lifted and lowered at several speeds,
 each speed beginning and ending without load; from these the disturbance of a load is learned
 (`experiments.load_disturbance.model`): friction that grows with load, stiffness of the tendon,
-ripple by current. Both go into one run file: the table is fed forward while moving, the disturbance
-converts the motor's torque into a load afterwards.
+ripple by current. A short motion without load explores what strokes do not show: rest and reversals
+anywhere. From all of them the model of motor and instrument is learned that reads torque over time
+(`experiments.force_over_time.model`). All go into one run file: the table is fed forward while
+moving, disturbance and model convert the motor's torque into a load.
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.controller_torque import loop_signals, naming
+from rigtool.experiments.force_over_time import stored
+from rigtool.experiments.force_over_time.procedure_learning import exploring, learn_force
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.cycles import LoadedCycles
@@ -42,6 +46,9 @@ from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Ta
 LOADED = "known"
 """First part of the names of recordings of known loads."""
 
+EXPLORED = "explore"
+"""First part of the name of the recording that explores."""
+
 
 def _loaded(recipe: Recipe) -> list[RecordingSpec]:
     settings, ratio = recipe.ilc_learn.loads, recipe.rig.angle_ratio
@@ -61,13 +68,17 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
     ]
 
 
+def _explored() -> RecordingSpec:
+    return RecordingSpec(f"{EXPLORED}_000", channels(*CHANNELS), {"force": (0.0, "N")})
+
+
 class KnownLoads(LimitedAngle):
     """Learning as implementation C does, and then from known loads."""
 
     @classmethod
     def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
-        """List what implementation C records, then the known loads at each speed."""
-        return (*super().recordings(recipe), *_loaded(recipe))
+        """List what implementation C records, the known loads at each speed, the exploration."""
+        return (*super().recordings(recipe), *_loaded(recipe), _explored())
 
     def require(self, recipe: Recipe, friction: Run | None) -> None:
         """Raise `RecipeError` without the instrument."""
@@ -94,6 +105,7 @@ class KnownLoads(LimitedAngle):
             load = Load(force=spec.conditions["force"][0])
             task = Task(motion, plain, load, record_every=spec.record_every)
             record(rig, task, recorder, spec.name)
+        record(rig, Task(exploring(recipe), plain), recorder, _explored().name)
 
     @classmethod
     def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
@@ -103,11 +115,22 @@ class KnownLoads(LimitedAngle):
         """
         table = super().analyse(runs, recipe, **inputs)
         loads = _learn_loads(runs[0], recipe, inputs["kt"])
+        force = _learn_force(runs[0], recipe, inputs["kt"])
         return Outcome(
-            {**table.results, **loads.results},
-            {**table.tables, **loads.tables},
-            (*table.notes, *loads.notes),
+            {**table.results, **loads.results, **force.results},
+            {**table.tables, **loads.tables, **force.tables},
+            (*table.notes, *loads.notes, *force.notes),
         )
+
+
+def _learn_force(run: Run, recipe: Recipe, kt: Run) -> Outcome:
+    explored = run.recordings_named(f"{EXPLORED}_")
+    if not explored:
+        note = "no recording explores rest and reversals: force over time needs tables learned anew"
+        return Outcome({}, {}, (note,))
+    moves = [r for kind in ("learn", "low") for r in run.recordings_named(f"{kind}_")]
+    model = learn_force(run.recordings_named(f"{LOADED}_"), moves, explored[0], recipe, kt)
+    return Outcome(stored.model_results(model), stored.model_tables(model))
 
 
 def _learn_loads(run: Run, recipe: Recipe, kt: Run) -> Outcome:

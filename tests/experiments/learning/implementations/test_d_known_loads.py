@@ -11,6 +11,7 @@ from rigtool.experiments.force import procedure as measure_force
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force.results import COLUMNS, LoadRow
 from rigtool.experiments.force.results_corrected import load_outcome
+from rigtool.experiments.force_over_time.stored import model_from, model_results
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.load_disturbance.stored import (
     COVARIANCE,
@@ -69,6 +70,34 @@ def test_the_rig_gives_its_tendon_and_load_friction_back(rig):
     friction = results["load_friction_coefficient"]
     assert friction.value == pytest.approx(0.2, abs=max(0.02, 3 * friction.u))
     assert results["learned_torque"].value == pytest.approx(0.06, rel=1e-9)
+
+
+def test_the_model_of_force_over_time_gives_tendon_and_load_friction_back(rig):
+    results = rig.learned.results
+    for name, true in (("stiffness", 0.13), ("damping", 8e-4), ("tip_friction", 1e-3)):
+        found = results[f"model_{name}"]
+        assert found.value == pytest.approx(true, abs=max(0.1 * true, 3 * found.u))
+    with open_run(rig.tables) as stored:
+        plant = model_from(stored, stored.recipe).plant(125e-6)
+    carried = np.array([10e-3, 50e-3])
+    grown = np.hypot(carried, plant.load_friction_onset) - plant.load_friction_onset
+    expected = 0.2 * (np.hypot(carried, 1.8e-3) - 1.8e-3)
+    np.testing.assert_allclose(plant.load_friction * grown, expected, rtol=0.1)
+
+
+def test_a_stored_model_is_the_learned_one(rig):
+    with open_run(rig.tables) as stored:
+        model = model_from(stored, stored.recipe)
+        assert model_results(model).keys() <= stored.results.keys()
+        for name, result in model_results(model).items():
+            assert result.value == pytest.approx(stored.result(name).value, rel=1e-12)
+        covariance = stored.table("force_covariance")["covariance"]
+    np.testing.assert_array_equal(model.learned.covariance, covariance)
+
+
+def test_a_run_without_the_model_is_refused(rig):
+    with open_run(KT) as other, pytest.raises(RunFileError, match="learn again"):
+        model_from(other, other.recipe)
 
 
 def test_loads_left_out_are_read(rig):

@@ -1,0 +1,64 @@
+"""The angle between an encoder's counts: from the instants of its edges while it is slow.
+
+An encoder that shows floor(angle / count) is exact at its edges. A recorded sample that is the mean
+of some samples of the loop keeps the instant of a single edge within it: the part of the samples
+behind the edge. Where edges follow each other faster, the mean itself, half a count up, is the
+angle at the middle. Between these points the angle is interpolated monotonically (F. N. Fritsch and
+R. E. Carlson, SIAM J. Numer. Anal. 17(2) 238-246, 1980).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def known_angles(encoder: Array) -> tuple[Array, Array]:
+    """Return places, in samples, and angles there, in counts, from recorded samples (n,), counts.
+
+    A place of 0 is the begin of the first sample, 1 its end.
+    """
+    low, high = np.floor(encoder), np.ceil(encoder)
+    part = encoder - low
+    number = np.arange(len(encoder))
+    before = np.concatenate([encoder[:1], encoder[:-1]])
+    after = np.concatenate([encoder[1:], encoder[-1:]])
+    rising = (before <= low) & (after >= high) & (part > 0)
+    falling = (before >= high) & (after <= low) & (part > 0)
+    # Neighbours further off than the edge's two counts: the rotor passes several in a sample
+    single = (np.abs(before - encoder) <= 1) & (np.abs(after - encoder) <= 1)
+    edge = (rising | falling) & single
+    between = (part == 0) & (np.abs(after - encoder) == 1)  # an edge just between two samples
+    fast = ~single
+    places = [
+        number[rising & edge] + 1 - part[rising & edge],
+        number[falling & edge] + part[falling & edge],
+        number[between] + 1.0,
+        number[fast] + 0.5,
+    ]
+    angles = [
+        high[rising & edge],
+        high[falling & edge],
+        np.maximum(encoder, after)[between],
+        encoder[fast] + 0.5,
+    ]
+    place, angle = np.concatenate(places), np.concatenate(angles)
+    order = np.argsort(place, kind="stable")
+    place, angle = place[order], angle[order]
+    keep = np.concatenate([[True], np.diff(place) > 1e-6])
+    return place[keep], angle[keep]
+
+
+def interpolated(encoder: Array, place: Array) -> Array:
+    """Return the angle, in counts, at places of recorded samples (n,), see `known_angles`."""
+    from scipy.interpolate import PchipInterpolator
+
+    known, angle = known_angles(encoder)
+    ends = np.array([0.0, len(encoder)])
+    inside = (known > 0) & (known < len(encoder))
+    known = np.concatenate([ends[:1], known[inside], ends[1:]])
+    angle = np.concatenate([encoder[:1] + 0.5, angle[inside], encoder[-1:] + 0.5])
+    found: Array = PchipInterpolator(known, angle)(place)
+    return found

@@ -1,0 +1,148 @@
+"""What a path leaves behind: bristles, lagging waves, a load swinging on its tendon.
+
+bristle     dz = (sign(dx) - z) |dx| / length, solved exactly for each step of a path
+            (P. R. Dahl, AIAA J. 14(12) 1675-1682, 1976): it depends on the path, not on time
+lag         T dy/dt = u - y, exact for an input that is linear between samples
+tendon      J a'' = s - t z - M sin a,  s = k (b - a) + c (b' - a'): `tendon`
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LONGEST_STEP = 2.5e-4
+"""And under a load in s: half of it is what the torque carried comes late."""
+
+SETTLING = 2.0
+"""Time after which a swing is taken to repeat itself, s."""
+
+STEP = 0.15
+"""Longest step of the tendon's integration, in radians of its resonance."""
+
+
+def bristle(path: Array, length: float, periodic: bool) -> Array:
+    """Return the deflection, -1 to 1 (n,), along a path (n,), both in rad.
+
+    A path that repeats is gone through twice, of which the second time counts.
+    """
+    found = np.empty(path.size)
+    _bristle(path, length, 2 if periodic else 1, found)
+    return found
+
+
+def lagged(waves: Array, interval: float, time: float, periodic: bool) -> Array:
+    """Return waves (m, n), sampled every `interval` s, after a first-order lag of `time` s."""
+    if not len(waves):
+        return waves.copy()
+    found = np.empty_like(waves)
+    _lag(waves, interval / time, 2 if periodic else 1, found)
+    return found
+
+
+def tendon(
+    angle: Array,
+    interval: float,
+    stiffness: float,
+    damping: float,
+    inertia: float,
+    tip_friction: float,
+    tip_length: float,
+    moment: float,
+    periodic: bool,
+) -> tuple[Array, Array]:
+    """Return torque carried, N m, and angle of the output, rad, (n,) each.
+
+    `angle` (n,) is the motor's at the output, `inertia` kg m2 and `moment` N m those of what hangs
+    on the output.
+    """
+    longest = STEP / math.sqrt(stiffness / inertia)
+    if moment:
+        longest = min(longest, LONGEST_STEP)
+    finer = max(1, math.ceil(interval / longest))
+    carried, output = np.empty(angle.size), np.empty(angle.size)
+    _tendon(
+        angle,
+        interval,
+        finer,
+        stiffness,
+        damping,
+        inertia,
+        tip_friction,
+        tip_length,
+        moment,
+        1 + math.ceil(SETTLING / (interval * angle.size)) if periodic else 1,
+        carried,
+        output,
+    )
+    return carried, output
+
+
+@njit(cache=True)
+def _bristle(path: Array, length: float, rounds: int, found: Array) -> None:
+    z = 0.0
+    last = path[0]
+    for _ in range(rounds):
+        for i in range(path.size):
+            d = path[i] - last
+            last = path[i]
+            sign = 1.0 if d > 0 else -1.0
+            z = sign - (sign - z) * math.exp(-abs(d) / length)
+            found[i] = z
+
+
+@njit(cache=True)
+def _lag(waves: Array, x: float, rounds: int, found: Array) -> None:
+    kept = math.exp(-x)
+    after = 1.0 - (1.0 - kept) / x
+    before = (1.0 - kept) / x - kept
+    count = waves.shape[1]
+    for m in range(waves.shape[0]):
+        y, last = waves[m, 0], waves[m, 0]
+        for _ in range(rounds):
+            for i in range(count):
+                y = kept * y + before * last + after * waves[m, i]
+                last = waves[m, i]
+                found[m, i] = y
+
+
+@njit(cache=True)
+def _tendon(
+    angle: Array,
+    interval: float,
+    finer: int,
+    stiffness: float,
+    damping: float,
+    inertia: float,
+    tip: float,
+    tip_length: float,
+    moment: float,
+    rounds: int,
+    carried: Array,
+    output: Array,
+) -> None:
+    """Integrate by semi-implicit Euler, damping implicitly, the bristle exactly."""
+    count = angle.size
+    dt = interval / finer
+    a, speed, z = angle[0] - moment * math.sin(angle[0]) / stiffness, 0.0, 0.0
+    for _ in range(rounds):
+        for i in range(count):
+            here = angle[i]
+            there = angle[(i + 1) % count] if rounds > 1 or i + 1 < count else here
+            rise = (there - here) / finer
+            for j in range(finer):
+                b = here + j * rise
+                driven = stiffness * (b - a) + damping * rise / dt
+                if j == 0:
+                    carried[i], output[i] = driven - damping * speed, a
+                d = dt * speed
+                sign = 1.0 if d > 0 else -1.0
+                z = sign - (sign - z) * math.exp(-abs(d) / tip_length)
+                pull = driven - tip * z - moment * math.sin(a)
+                speed = (speed + dt * pull / inertia) / (1.0 + dt * damping / inertia)
+                a += dt * speed

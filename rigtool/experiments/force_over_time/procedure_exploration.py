@@ -1,0 +1,98 @@
+"""A short motion that shows what strokes do not: pre-sliding, rest, reversals anywhere.
+
+Small triangles about the middle of the range keep friction within its bristles, from a few counts
+of the encoder to a part of the stroke; a hold shows it at rest; the remainder is free motion, with
+speeds, ways and pauses drawn from a fixed seed, so that each recording repeats it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.rigs.motion import SpeedProfile
+
+Array = NDArray[np.float64]
+
+TRIANGLES = (3, 6, 12, 25, 50, 100)
+"""Counts of the encoder from end to end, in turn."""
+
+LEGS = 6
+"""Of each triangle."""
+
+LEG_TIME = 0.35
+"""From end to end of a triangle, s."""
+
+HOLD_TIME = 1.0
+
+SLOWEST = 0.1
+"""Speed of free motion, rad/s of the motor."""
+
+ACCELERATION_TIME = 0.1
+"""From standstill to speed, s."""
+
+PAUSES = 0.15
+"""Share of free motion's moves that are followed by a pause of up to `HOLD_TIME`."""
+
+SHORTEST = 1e-6
+"""Piece of the motion, s: shorter ones are rounding of longer ones."""
+
+SEED = 20060607
+
+
+def exploration(low: float, high: float, count: float, fastest: float, time: float) -> SpeedProfile:
+    """Return the motion from `low`, within `low`..`high` rad, at most `fastest` rad/s.
+
+    `count` rad is that of the encoder; `time` s is what free motion lasts, about.
+    """
+    path = _Path(low)
+    path.go((low + high) / 2, fastest / 4)
+    for counts in TRIANGLES:
+        for leg in range(LEGS):
+            length = counts * count * (0.5 if leg in (0, LEGS - 1) else 1.0)
+            path.go(path.angle + (-1) ** leg * length, counts * count / LEG_TIME)
+    path.hold(HOLD_TIME)
+    rng = np.random.default_rng(SEED)
+    begun = path.times[-1]
+    while path.times[-1] < begun + time:
+        speed = math.exp(rng.uniform(math.log(SLOWEST), math.log(fastest)))
+        way = math.exp(rng.uniform(math.log(count), math.log(high - low)))
+        way = min(way, speed * time / 10)
+        room_up, room_down = high - path.angle, path.angle - low
+        up = rng.uniform() < room_up / (room_up + room_down)
+        path.go(path.angle + (min(way, room_up) if up else -min(way, room_down)), speed)
+        if rng.uniform() < PAUSES:
+            path.hold(rng.uniform(0.1, HOLD_TIME))
+    path.hold(HOLD_TIME)
+    return SpeedProfile(tuple(path.times), tuple(path.speeds))
+
+
+class _Path:
+    """Points of a speed profile, from rest to rest."""
+
+    def __init__(self, angle: float) -> None:
+        self.angle = angle
+        self.times, self.speeds = [0.0], [0.0]
+
+    def go(self, angle: float, speed: float) -> None:
+        """Move to an angle, rad, at a speed, rad/s, or as fast as the way allows."""
+        way = angle - self.angle
+        if way == 0:
+            return
+        ramp = ACCELERATION_TIME
+        speed = min(speed, abs(way) / ramp)
+        self._add(ramp, math.copysign(speed, way))
+        self._add(abs(way) / speed - ramp, math.copysign(speed, way))
+        self._add(ramp, 0.0)
+        self.angle = angle
+
+    def hold(self, time: float) -> None:
+        """Stand still, s."""
+        self._add(time, 0.0)
+
+    def _add(self, time: float, speed: float) -> None:
+        if time > SHORTEST:
+            self.times.append(self.times[-1] + time)
+            self.speeds.append(speed)

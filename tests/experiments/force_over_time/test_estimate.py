@@ -1,0 +1,118 @@
+"""The filter finds a torque that the plant's own equations have felt, and says how well."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.force_over_time import estimate
+from rigtool.experiments.force_over_time.estimate import Filter, Signals, smoothed
+from rigtool.experiments.force_over_time.plant import (
+    ANGLE,
+    BRISTLE,
+    GRASPER,
+    HOUSING,
+    NOISE,
+    SPEED,
+    STATES,
+    TIP,
+    TORQUE,
+    advance,
+    as_record,
+)
+from tests.experiments.force_over_time.plants import PLANT, UNCERTAINTY
+
+WIDTH = 2 * np.pi / 4000
+STEP = 8
+
+
+def simulated(seconds, seed=1):
+    """Move the plant by a controller to and fro with rests, while a torque comes and goes."""
+    rng = np.random.default_rng(seed)
+    count, dt = round(seconds / PLANT.sample_time), PLANT.sample_time
+    time = np.arange(count) * dt
+    torque = 0.03 * np.clip(np.minimum((time % 3.1 - 1) / 0.05, (2.2 - time % 3.1) / 0.05), 0, 1)
+    pace = np.where(time % 4 < 3, 1.0, 0.0)
+    wanted = 0.8 * np.sin(2.0 * np.cumsum(pace) * dt)
+    x, record = np.zeros(STATES), as_record(PLANT)[0]
+    low, drive = np.empty(count), np.empty(count)
+    kept, integral = np.exp(-dt / UNCERTAINTY.friction_noise_time), 0.0
+    for k in range(count):
+        low[k] = np.floor(x[ANGLE] / WIDTH) * WIDTH
+        error = wanted[k] - x[ANGLE]
+        integral += error * dt
+        drive[k] = 2.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
+        x[TORQUE] = torque[k]
+        x[NOISE] = kept * x[NOISE] + 0.1e-3 * np.sqrt(1 - kept**2) * rng.standard_normal()
+        advance(x, record, PLANT.friction_map, drive[k], 5e-5, None, 0.0, 0.0)
+    signals = Signals(drive, np.full(count, 5e-5), low, WIDTH)
+    return signals, torque[STEP - 1 :: STEP][: (count - 1) // STEP], wanted
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulated(16.0)
+
+
+def test_blocks_of_any_length_give_the_same(recording):
+    signals, _, _ = recording
+    whole = Filter(PLANT, UNCERTAINTY, STEP).add(signals)
+    parts, by_blocks = Filter(PLANT, UNCERTAINTY, STEP), []
+    edges = [0, 1, 5, 8, 9, 1000, 1003, 40000, len(signals.low)]
+    for first, last in itertools.pairwise(edges):
+        span = slice(first, last)
+        piece = Signals(signals.drive_torque[span], signals.viscous[span], signals.low[span], WIDTH)
+        by_blocks.append(parts.add(piece))
+    states = np.concatenate([found.states for found in by_blocks])
+    deviation = np.concatenate([found.deviation for found in by_blocks])
+    np.testing.assert_array_equal(states, whole.states)
+    np.testing.assert_array_equal(deviation, whole.deviation)
+    assert len(whole.torque) == (len(signals.low) - 1) // STEP
+
+
+def test_torque_is_found_and_its_uncertainty_holds(recording):
+    signals, truth, _ = recording
+    causal = Filter(PLANT, UNCERTAINTY, STEP).add(signals)
+    later = smoothed(PLANT, UNCERTAINTY, STEP, signals)
+    used = slice(1000, -1000)  # after the start, whose history is unknown
+    for torque, deviation, limit in ((causal.torque, causal.deviation, 2.5e-3), (*later, 1.2e-3)):
+        error = (torque - truth)[used]
+        # of 30 mN m that come and go; friction is 14 mN m at the output
+        assert np.sqrt(np.mean(error**2)) < limit
+        assert np.mean(np.abs(error) < 1.96 * deviation[used]) > 0.9
+    bristles = causal.states[:, [BRISTLE, HOUSING, TIP]]
+    assert np.abs(bristles).max() <= 1.0
+    angle = causal.states[used, ANGLE]
+    inside = signals.low[STEP::STEP][: len(truth)][used]
+    assert np.mean((angle > inside - 0.2 * WIDTH) & (angle < inside + 1.2 * WIDTH)) > 0.999
+
+
+def test_smoothing_is_better_and_does_not_depend_on_its_segments(recording, monkeypatch):
+    signals, truth, _ = recording
+    torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, signals)
+    causal = Filter(PLANT, UNCERTAINTY, STEP).add(signals)
+    assert np.mean((torque - truth) ** 2) < 0.5 * np.mean((causal.torque - truth) ** 2)
+    assert np.mean(deviation) < np.mean(causal.deviation)
+    monkeypatch.setattr(estimate, "SEGMENT", 777)
+    again, same = smoothed(PLANT, UNCERTAINTY, STEP, signals)
+    np.testing.assert_allclose(again, torque, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(same, deviation, rtol=1e-9)
+
+
+def test_without_motion_the_friction_of_an_unknown_history_stays_in_the_uncertainty():
+    count = 8001
+    low = np.zeros(count)
+    still = Signals(np.full(count, 5e-3), np.full(count, 5e-5), low, WIDTH)
+    found = Filter(PLANT, UNCERTAINTY, STEP).add(still)
+    # friction of bearings and housing may be anywhere between plus and minus 12 mN m at the motor
+    assert found.deviation[-1] > 4e-3
+    assert abs(found.torque[-1]) < 20e-3
+    assert np.isfinite(found.states).all()
+    assert abs(found.states[-1, GRASPER]) < 0.2
+
+
+def test_less_than_a_step_gives_nothing():
+    few = Signals(np.zeros(STEP), np.zeros(STEP), np.zeros(STEP), WIDTH)
+    assert len(Filter(PLANT, UNCERTAINTY, STEP).add(few).torque) == 0
+    with pytest.raises(ValueError, match="8 samples are less than a step of 8"):
+        smoothed(PLANT, UNCERTAINTY, STEP, few)
