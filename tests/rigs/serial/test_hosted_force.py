@@ -199,5 +199,7 @@ def test_friction_is_within_its_uncertainty(world, chain, name, period, u):
 
 def test_friction_by_steps_of_position_is_refused(world, chain):
     device, rig = emulated(world, "toy", 0.01, *HOLDS, make_drive=make_positions_only)
-    with pytest.raises(InsufficientDataError, match=r"torque between set points .* 10% of the torque"):
+    with pytest.raises(
+        InsufficientDataError, match=r"torque between set points .* 10% of the torque"
+    ):
         chain(STRIBECK, device, rig)
