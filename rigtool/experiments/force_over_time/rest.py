@@ -47,13 +47,13 @@ SETTLING = 1.0
 """Of the filter at its begin, s."""
 
 ROWS_HZ = 50.0
-ERROR = 0.07
+ERROR = 0.03
 """Of the friction: error of a row."""
 
 INDEPENDENT = 20.0
 """Rows that one independent row is worth: a stroke's deviation lasts for all of it."""
 
-SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2, 0.4)
+SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2)
 """Where the search begins: lengths of both bristles in parts of what they were said to be, and the
 short one's share of the friction; the best of all."""
 
@@ -65,6 +65,10 @@ ENOUGH = 0.01
 STEP = 0.05
 LONGEST = 2.0
 """Of the parameters, in standard deviations of their prior."""
+
+HELD = 1e-3
+"""Random walk of the torque here, N m per square root of a second: nothing acts, and what a filter
+that expects contacts would take for one is an error of the model."""
 
 THINNED = 2
 """Samples of the loop that are one of the filter's here: half the time."""
@@ -105,7 +109,10 @@ class RestProblem:
     ) -> None:
         from scipy.signal import butter
 
-        self.learned, self.uncertainty = learned, uncertainty
+        self.learned = learned
+        self.uncertainty = replace(
+            uncertainty, torque_rate=HELD, slow_torque_rate=HELD, step_torque_rate=HELD
+        )
         self._signals_of = _Inputs(exploration)
         self.step_samples = max(1, round(step_time / self._signals_of.sample_time))
         rate = 1 / (self.step_samples * self._signals_of.sample_time)
