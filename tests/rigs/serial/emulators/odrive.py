@@ -144,7 +144,7 @@ class ODriveEmulator(Emulator):
         self.motor.advance(
             mode if self.state == CLOSED_LOOP else None,
             self["controller.input_pos"] * TURN + self._zero,
-            float(np.clip(self["controller.input_vel"], -limit, limit)) * TURN,
+            min(max(self["controller.input_vel"], -limit), limit) * TURN,
             self["controller.input_torque"] / max(self[self.dialect.torque_constant], 1e-9),
         )
 
