@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rigtool.errors import RecipeError, RunFileError
+from rigtool.errors import RecipeError, RunFileError, UsageError
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force.procedure_over_time import over_time
 from rigtool.experiments.force_over_time.motion_states import State
@@ -103,7 +103,7 @@ def test_motions_beyond_what_was_learned_are_refused_before_anything_moves(rig):
     with pytest.raises(RecipeError, match=r"rad/s.*learned up to"):
         rig(4.0, *fast, name="fast.h5")
     assert not (rig.folder / "fast.h5").exists()
-    with pytest.raises(RecipeError, match="time_max = 60 s"):
+    with pytest.raises(UsageError, match="time_max = 60 s"):
         rig(61.0, "measure_force.motion.time_max=60", name="fast.h5")
 
 
