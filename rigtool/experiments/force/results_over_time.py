@@ -1,4 +1,4 @@
-"""Torque over time as a run file stores it: tables `force` and `accuracy`, and results."""
+"""Torque over time as a run file stores it: tables `force` and `force_accuracy`, and results."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def force_outcome(
     if judged:
         found, table = _judged(Reading.joined(judged), reach)
         results |= found
-        tables["accuracy"] = table
+        tables["force_accuracy"] = table
     notes = _notes(readings, known, reach, scales)
     return Outcome(results, tables, tuple(notes))
 

@@ -65,7 +65,7 @@ def test_the_reference_judges_each_form(strokes):
     assert results["rmse"].value < 3e-3
     assert 0.7 < results["coverage_95"].value <= 1.0
     assert 0.7 < results["causal_coverage_95"].value <= 1.0
-    accuracy = strokes.tables["accuracy"]
+    accuracy = strokes.tables["force_accuracy"]
     assert np.nansum(accuracy["share"]) == pytest.approx(1.0)
 
 
