@@ -73,7 +73,8 @@ def _measure(
     seconds: float,
     observed: bool,
 ) -> None:
-    _require_inputs(recipe, kt, tables)
+    require_calibration(kt, recipe)
+    require_rig(tables, recipe)
     model_from(tables, recipe)
     (spec,) = _recordings(recipe, seconds=seconds, observed=observed)
     task = Task(Observe(seconds), record_every=spec.record_every, touched=True)
@@ -98,7 +99,8 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: measure-force takes one")
-    _require_inputs(recipe, kt, tables)
+    require_calibration(kt, recipe)
+    require_rig(tables, recipe)
     run, model = runs[0], model_from(tables, recipe)
     recorded = [r for r in run.recordings.values() if all(r.has(name) for name in NEEDED)]
     if not recorded:
@@ -134,11 +136,11 @@ def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:
     )
 
 
-def _require_inputs(recipe: Recipe, kt: Run, tables: Run) -> None:
+def require_calibration(kt: Run, recipe: Recipe) -> None:
+    """Raise `RunFileError` unless a calibration belongs to the recipe's rig, or states none."""
     kt.require_command("calibrate-kt")
     if kt.rig not in (None, recipe.rig.name):
         raise RunFileError(
             f"{kt.path}: is the calibration of rig {kt.rig}, the recipe is that of "
             f"{recipe.rig.name}: calibrate this one"
         )
-    require_rig(tables, recipe)

@@ -77,6 +77,22 @@ def test_a_stored_run_gives_the_same_again(rig, strokes):
         np.testing.assert_array_equal(again.tables["force"][name], strokes.tables["force"][name])
 
 
+def test_there_is_no_value_while_the_current_is_at_its_limit(rig, strokes):
+    with open_run(rig.folder / "strokes.h5") as stored:
+        current = np.abs(stored.recording("strokes_000").read("current_setpoint"))
+    limit = f"rig.current_limit={np.quantile(current, 0.9)}"
+    found = run(
+        MEASURE_FORCE,
+        rig.folder / "strokes.h5",
+        rig.folder / "limited.h5",
+        limit,
+        kt=KT,
+        tables=rig.tables,
+    )
+    assert 0.2 < found.results["valid_share"].value < 0.9
+    assert any("current at its limit" in note for note in found.notes)
+
+
 def test_recordings_of_learning_are_read_too(rig):
     found = run(MEASURE_FORCE, rig.tables, rig.folder / "learned.h5", kt=KT, tables=rig.tables)
     table = found.tables["force"]
