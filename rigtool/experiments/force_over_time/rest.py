@@ -11,7 +11,9 @@ that everything else with them. Large errors count in proportion (P. J. Huber, A
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,20 +47,28 @@ SETTLING = 1.0
 """Of the filter at its begin, s."""
 
 ROWS_HZ = 50.0
-ERROR = 0.07
+ERROR = 0.03
 """Of the friction: error of a row."""
 
 INDEPENDENT = 20.0
 """Rows that one independent row is worth: a stroke's deviation lasts for all of it."""
 
+SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2)
+"""Where the search begins: lengths of both bristles in parts of what they were said to be, and the
+short one's share of the friction; the best of all."""
+
 HUBER = 2.0
-ROUNDS = 5
+ROUNDS = 8
 ENOUGH = 0.01
 """Of the cost: a round that gains less is the last one."""
 
 STEP = 0.05
 LONGEST = 2.0
 """Of the parameters, in standard deviations of their prior."""
+
+HELD = 1e-3
+"""Random walk of the torque here, N m per square root of a second: nothing acts, and what a filter
+that expects contacts would take for one is an error of the model."""
 
 THINNED = 2
 """Samples of the loop that are one of the filter's here: half the time."""
@@ -83,11 +93,11 @@ def learn_rest(
 
     `step_time` s is that of the filter.
     """
-    problem = _Problem(learned, exploration, uncertainty, step_time)
+    problem = RestProblem(learned, exploration, uncertainty, step_time)
     return problem.solution()
 
 
-class _Problem:
+class RestProblem:
     """Errors of the filter by parameters: logarithms of the two lengths, then of what is shown."""
 
     def __init__(
@@ -99,7 +109,10 @@ class _Problem:
     ) -> None:
         from scipy.signal import butter
 
-        self.learned, self.uncertainty = learned, uncertainty
+        self.learned = learned
+        self.uncertainty = replace(
+            uncertainty, torque_rate=HELD, slow_torque_rate=HELD, step_torque_rate=HELD
+        )
         self._signals_of = _Inputs(exploration)
         self.step_samples = max(1, round(step_time / self._signals_of.sample_time))
         rate = 1 / (self.step_samples * self._signals_of.sample_time)
@@ -122,7 +135,7 @@ class _Problem:
         self.covariance[2:, 2:] = own
 
     def model(self, parameters: Array) -> Learned:
-        """Return the model with these parameters, all others moved as far as they go with them."""
+        """Return the model with parameters (p,), all others moved as far as they go with them."""
         every = self.known + self.follows @ (parameters[2:] - self.known[self.shown])
         shape = moved(self.learned.shape, every[: len(NAMES)] - self.known[: len(NAMES)])
         lengths = np.exp(parameters[:2]).tolist()
@@ -130,7 +143,7 @@ class _Problem:
         return replace(self.learned, shape=shape, coefficient=every[len(NAMES) :])
 
     def errors(self, parameters: Array) -> Array:
-        """Return the torque that the filter finds where there is none, low-passed (rows,), N m."""
+        """Return the torque that the filter finds where there is none, low-passed (r,), N m."""
         from scipy.signal import sosfilt
 
         model = self.model(parameters)
@@ -141,6 +154,19 @@ class _Problem:
         torque = Filter(plant, self.uncertainty, self.step_samples).add(signals).torque
         found: Array = sosfilt(self._sections, torque)[self._first :: self._apart]
         return found
+
+    def tried(self, friction: float) -> Iterator[Array]:
+        """Yield parameters (p,) on a grid of lengths and of the bearing's share of friction N m."""
+        kinds = [self.learned.terms[n - len(NAMES)].kind for n in self.shown if n >= len(NAMES)]
+        bearing, housing = (
+            2 + len(SHOWN_SHAPE) + kinds.index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
+        )
+        for short, long, share in product(SHORT, LONG, SHARES):
+            parameters = self.start.copy()
+            parameters[:2] += np.log([short, long])
+            more = share * friction - parameters[bearing]
+            parameters[[bearing, housing]] += [more, -more]
+            yield parameters
 
     def solution(self) -> Learned:
         """Return the model of least error; its covariance comes from both."""
@@ -153,7 +179,8 @@ class _Problem:
         def cost(x: Array) -> Array:
             return np.append(self.errors(self.start + root @ x) / scale, x)
 
-        here = np.zeros(count)
+        tried = [np.linalg.solve(root, one - self.start) for one in self.tried(friction)]
+        here = min(tried, key=lambda x: float(np.sum(np.hypot(1, cost(x)))))
         left = cost(here)
         damping = 0.0
         for _ in range(ROUNDS):
