@@ -14,7 +14,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force.imported import analyse_imported
-from rigtool.experiments.force.procedure_over_time import analyse_over_time
+from rigtool.experiments.force.procedure_over_time import analyse_over_time, require_calibration
 from rigtool.experiments.force.procedure_readings import read_load, unloaded_cycles
 from rigtool.experiments.force.results import ZERO_AGAIN, Reading, load_rows, loads_outcome
 from rigtool.experiments.force.results_instrument import instrument_outcome
@@ -187,12 +187,7 @@ def _require_inputs(recipe: Recipe, kt: Run, tables: Run) -> None:
     With a correction also unless the tables hold it, `InsufficientDataError` at another speed. A
     calibration that does not state its rig is accepted: it is one number, of any source.
     """
-    kt.require_command("calibrate-kt")
-    if kt.rig not in (None, recipe.rig.name):
-        raise RunFileError(
-            f"{kt.path}: is the calibration of rig {kt.rig}, the recipe is that of "
-            f"{recipe.rig.name}: calibrate this one"
-        )
+    require_calibration(kt, recipe)
     require_same_rig(tables, recipe)
     if recipe.measure_force.correction != "none":
         from rigtool.experiments.force.results_corrected import corrects

@@ -1,4 +1,4 @@
-"""Torque over time as a run file stores it: tables `force` and `accuracy`, and results."""
+"""Torque over time as a run file stores it: tables `force` and `force_accuracy`, and results."""
 
 from __future__ import annotations
 
@@ -90,9 +90,28 @@ class Reading:
 SIGNALS = ("time", "torque", "deviation", "causal", "causal_deviation")
 
 
-def force_outcome(readings: Sequence[Reading], recipe: Recipe, reach: Reach) -> Outcome:
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Factors on the filter's deviations by state, (5,) each, in the order of `State`."""
+
+    smoothed: Array
+    causal: Array
+
+    def applied(self, rows: Reading) -> Reading:
+        """Return rows with standard uncertainties in place of the filter's deviations."""
+        return replace(
+            rows,
+            deviation=rows.deviation * self.smoothed[rows.states],
+            causal_deviation=rows.causal_deviation * self.causal[rows.states],
+        )
+
+
+def force_outcome(
+    readings: Sequence[Reading], recipe: Recipe, reach: Reach, scales: Scales
+) -> Outcome:
     """Return tables, results and notes of the recordings of a run."""
-    rows = [reading.low_passed(recipe.measure_force.motion.bandwidth_hz) for reading in readings]
+    bandwidth = recipe.measure_force.motion.bandwidth_hz
+    rows = [scales.applied(reading.low_passed(bandwidth)) for reading in readings]
     whole = Reading.joined([replace(r, reference=None, causal_reference=None) for r in rows])
     number = np.repeat(np.arange(len(rows)), [len(row.time) for row in rows])
     known = whole.states != State.OUTSIDE
@@ -101,8 +120,9 @@ def force_outcome(readings: Sequence[Reading], recipe: Recipe, reach: Reach) -> 
     if judged:
         found, table = _judged(Reading.joined(judged), reach)
         results |= found
-        tables["accuracy"] = table
-    return Outcome(results, tables, tuple(_notes(readings, known, reach)))
+        tables["force_accuracy"] = table
+    notes = _notes(readings, known, reach, scales)
+    return Outcome(results, tables, tuple(notes))
 
 
 def _results(whole: Reading, known: NDArray[np.bool_]) -> dict[str, Quantity]:
@@ -192,11 +212,15 @@ def _cells(prefix: str, cells: list[list[Accuracy]]) -> dict[str, Column]:
     }
 
 
-def _notes(readings: Sequence[Reading], known: NDArray[np.bool_], reach: Reach) -> list[str]:
+def _notes(
+    readings: Sequence[Reading], known: NDArray[np.bool_], reach: Reach, scales: Scales
+) -> list[str]:
     low, high = reach.angle
+    factors = ", ".join(f"{scales.smoothed[s]:.2f} {NAMES[s]}" for s in JUDGED)
     notes = [
         f"torque was learned up to {reach.torque * 1e3:.4g} mN m, from {low:.4g} to {high:.4g} rad "
-        f"of the motor, up to {reach.speed:.4g} rad/s; outside there is no value"
+        f"of the motor, up to {reach.speed:.4g} rad/s; outside there is no value",
+        f"u is the filter's deviation times what errors under the known loads show: {factors}",
     ]
     if (outside := 1 - known.mean()) > 0:
         notes.append(f"no value in {outside:.1%} of the time: outside what was learned")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rigtool.errors import RecipeError, RunFileError
+from rigtool.errors import RecipeError, RunFileError, UsageError
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force.procedure_over_time import over_time
 from rigtool.experiments.force_over_time.motion_states import State
@@ -65,7 +65,7 @@ def test_the_reference_judges_each_form(strokes):
     assert results["rmse"].value < 3e-3
     assert 0.7 < results["coverage_95"].value <= 1.0
     assert 0.7 < results["causal_coverage_95"].value <= 1.0
-    accuracy = strokes.tables["accuracy"]
+    accuracy = strokes.tables["force_accuracy"]
     assert np.nansum(accuracy["share"]) == pytest.approx(1.0)
 
 
@@ -75,6 +75,22 @@ def test_a_stored_run_gives_the_same_again(rig, strokes):
     )
     for name in strokes.tables["force"].columns:
         np.testing.assert_array_equal(again.tables["force"][name], strokes.tables["force"][name])
+
+
+def test_there_is_no_value_while_the_current_is_at_its_limit(rig, strokes):
+    with open_run(rig.folder / "strokes.h5") as stored:
+        current = np.abs(stored.recording("strokes_000").read("current_setpoint"))
+    limit = f"rig.current_limit={np.quantile(current, 0.9)}"
+    found = run(
+        MEASURE_FORCE,
+        rig.folder / "strokes.h5",
+        rig.folder / "limited.h5",
+        limit,
+        kt=KT,
+        tables=rig.tables,
+    )
+    assert 0.2 < found.results["valid_share"].value < 0.9
+    assert any("current at its limit" in note for note in found.notes)
 
 
 def test_recordings_of_learning_are_read_too(rig):
@@ -103,7 +119,7 @@ def test_motions_beyond_what_was_learned_are_refused_before_anything_moves(rig):
     with pytest.raises(RecipeError, match=r"rad/s.*learned up to"):
         rig(4.0, *fast, name="fast.h5")
     assert not (rig.folder / "fast.h5").exists()
-    with pytest.raises(RecipeError, match="time_max = 60 s"):
+    with pytest.raises(UsageError, match="time_max = 60 s"):
         rig(61.0, "measure_force.motion.time_max=60", name="fast.h5")
 
 

@@ -1,0 +1,37 @@
+"""measure-force --record and --observe, as a user types them."""
+
+import pytest
+
+from tests.cli.test_run_commands import call
+from tests.experiments.virtual_runs import RECIPE, write_kt
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "message"),
+    [
+        (["--record", "5", "--observe", "5"], 2, "give one of them"),
+        (["--record", "0"], 2, "x>0"),
+        (["--record", "-3"], 2, "x>0"),
+        (["--record", "nan"], 2, "nan s cannot be recorded"),
+        (["--record", "1e9"], 2, "time_max = 3600 s"),
+        (["--record", "5", "--correction", "full"], 2, "leave it out"),
+        (["--observe", "x"], 2, "not a valid float"),
+        (["--record", "5", "--set", "measure_force.motion.kind=path"], 3, "time_s and angle_deg"),
+        (["--record", "5", "--set", "measure_force.motion.kind=walk"], 3, "strokes"),
+        (["--record", "5"], 3, "is a run of calibrate-kt"),
+    ],
+)
+def test_bad_input_ends_with_a_message_and_without_a_file(tmp_path, capsys, options, code, message):
+    kt, output = write_kt(tmp_path), tmp_path / "f.h5"
+    inputs = ["--kt", kt, "--tables", kt, "-o", output]
+    found, _, err = call(capsys, "measure-force", RECIPE, *inputs, *options)
+    assert (found, message in err) == (code, True), err
+    assert not output.exists()
+
+
+def test_a_stored_run_is_not_recorded(tmp_path, capsys):
+    kt = write_kt(tmp_path)
+    arguments = [kt, "--kt", kt, "--tables", kt, "-o", tmp_path / "f.h5", "--record", "5"]
+    code, _, err = call(capsys, "measure-force", *arguments)
+    assert code == 2
+    assert "leave them out" in err
