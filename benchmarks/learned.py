@@ -36,13 +36,13 @@ from oracle import (
     scores,
     sum_of,
 )
-from rigtool.experiments.options import CommonOptions
-from rigtool.experiments.session import run_command
 
 from rigtool.experiments.force_over_time.estimate import Filter, Signals, smoothed
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.stored import model_from
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import load_recipe
