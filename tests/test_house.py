@@ -20,6 +20,7 @@ FLOORS = (
     "recipe",
     "plugins",
     "quantity",
+    "escapes",
     "errors",
     "interrupts",
 )
