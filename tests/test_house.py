@@ -20,8 +20,8 @@ FLOORS = (
     "recipe",
     "plugins",
     "quantity",
-    "escapes",
     "errors",
+    "escapes",
     "interrupts",
 )
 """From the top; a module imports from its own floor and from those below."""
