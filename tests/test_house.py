@@ -21,6 +21,7 @@ FLOORS = (
     "plugins",
     "quantity",
     "errors",
+    "escapes",
     "interrupts",
 )
 """From the top; a module imports from its own floor and from those below."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from rigtool.errors import RigtoolError
+from rigtool.escapes import terminal
 from rigtool.interrupts import Terminated, handled
 
 if TYPE_CHECKING:
@@ -171,5 +172,5 @@ def _report(error: BaseException) -> int:
 
 def _say(error: BaseException, message: str, code: int) -> int:
     for line in (message, *getattr(error, "__notes__", ())):
-        click.echo(line, err=True)
+        click.echo(terminal(line), err=True)
     return code

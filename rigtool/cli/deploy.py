@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, example, open_inputs, quiet_option, run_option
+from rigtool.cli.options import debug_option, echo, example, open_inputs, quiet_option, run_option
 
 
 @click.command(
@@ -62,6 +62,6 @@ def command(
     if quiet:
         return
     for line in done.lines:
-        click.echo(line)
+        echo(line)
     for remark in done.remarks:
-        click.echo(f"Note: {remark}", err=True)
+        echo(f"Note: {remark}", err=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, example, json_option
+from rigtool.cli.options import debug_option, echo, example, json_option
 
 
 @click.command(epilog=example("rigtool devices", "rigtool devices /dev/ttyACM0 --json"))
@@ -34,8 +34,8 @@ def command(ports: tuple[str, ...], drivers: tuple[str, ...], as_json: bool) -> 
         if not as_json:
             answer = f"{device.driver}: {device.identity}" if device.driver else device.problem
             about = f" ({device.description})" if device.description else ""
-            click.echo(f"{device.port}{about}: {answer or 'nothing answers'}")
+            echo(f"{device.port}{about}: {answer or 'nothing answers'}")
     if as_json:
-        click.echo(json.dumps([asdict(device) for device in found], indent=2))
+        echo(json.dumps([asdict(device) for device in found], indent=2))
     elif not found:
-        click.echo("no serial ports on this computer", err=True)
+        echo("no serial ports on this computer", err=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, example
+from rigtool.cli.options import debug_option, echo, example
 
 
 @click.command(epilog=example("rigtool diff kt.h5 kt-again.h5 --rtol 1e-6"))
@@ -26,8 +26,8 @@ def command(ctx: click.Context, first: str, second: str, rtol: float, atol: floa
     differ = False
     with open_run(first) as one, open_run(second) as other:
         for line in differences(one, other, Tolerance(rtol, atol)):
-            click.echo(line)
+            echo(line)
             differ = True
     if differ:
         ctx.exit(1)
-    click.echo("no difference", err=True)
+    echo("no difference", err=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from rigtool.cli.options import debug_option, example, open_inputs, run_option
+from rigtool.cli.options import debug_option, echo, example, open_inputs, run_option
 
 
 @click.command(
@@ -71,4 +71,4 @@ def command(
             run, Path(output), chosen, speed=speed, kt=inputs.get("kt"), overwrite=overwrite
         )
     for remark in remarks:
-        click.echo(f"Note: {remark}", err=True)
+        echo(f"Note: {remark}", err=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, example, overwrite_option, quiet_option
+from rigtool.cli.options import debug_option, echo, example, overwrite_option, quiet_option
 
 
 @click.command(
@@ -42,12 +42,19 @@ def command(
     from rigtool.runfile.importers import import_files
 
     mapping = None if map_path is None else load_mapping(map_path)
-    done = import_files(sources, output, mapping, skip_bad=skip_bad_lines, overwrite=overwrite)
+    done = import_files(
+        sources,
+        output,
+        mapping,
+        skip_bad=skip_bad_lines,
+        overwrite=overwrite,
+        map_path=map_path,
+    )
     for item in done:
         left_out = f", {item.left_out} bad left out" if item.left_out else ""
-        click.echo(f"{item.output}: {item.samples} samples{left_out}")
+        echo(f"{item.output}: {item.samples} samples{left_out}")
     if quiet:
         return
     for item in done:
         for note in item.notes:
-            click.echo(f"Note: {item.output.name}: {note}", err=True)
+            echo(f"Note: {item.output.name}: {note}", err=True)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rigtool.cli.options import debug_option, example, json_option
+from rigtool.cli.options import debug_option, echo, example, json_option
 
 if TYPE_CHECKING:
     from rigtool.runfile import Recording
@@ -48,7 +48,7 @@ def command(path: str, as_json: bool, plot: str | None, overwrite: bool) -> None
             from rigtool.report.default_plot import write_default_plot
 
             write_default_plot(run, plot, overwrite=overwrite)
-    click.echo(text)
+    echo(text)
 
 
 def _recording(recording: Recording) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from rigtool.escapes import terminal
 from rigtool.experiments.running.options import CommonOptions
 
 if TYPE_CHECKING:
@@ -26,6 +27,11 @@ if TYPE_CHECKING:
     from rigtool.runfile import Run
 
 Function = Callable[..., Any]
+
+
+def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
+    """Print text on stdout or stderr; control characters in it cannot steer the terminal."""
+    click.echo(terminal(text), err=err, nl=nl)
 
 
 def example(*lines: str) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rigtool.escapes import terminal
 from rigtool.quantity import Quantity
 from rigtool.runfile import Table, open_run
 from rigtool.runfile.summary import result_lines
@@ -24,7 +25,7 @@ def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) 
     """Print the results of a command on stdout, its notes and `output` on stderr."""
     if options.dry_run:
         for note in outcome.notes:
-            click.echo(note)
+            click.echo(terminal(note))
         return
     if options.json:
         with open_run(output) as run:
@@ -34,10 +35,10 @@ def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) 
     if options.quiet:
         return
     for line in result_lines(outcome.results):
-        click.echo(line)
+        click.echo(terminal(line))
     for note in outcome.notes:
-        click.echo(f"Note: {note}", err=True)
-    click.echo(f"Written: {output}", err=True)
+        click.echo(terminal(f"Note: {note}"), err=True)
+    click.echo(terminal(f"Written: {output}"), err=True)
 
 
 def to_json(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
-from rigtool.cli.options import debug_option, example, overwrite_option
+from rigtool.cli.options import debug_option, echo, example, overwrite_option
 
 
 @click.command(epilog=example("rigtool recipe briaire-2006 -o rig.toml"))
@@ -18,13 +20,17 @@ def command(name: str | None, output: str | None, overwrite: bool) -> None:
     Without NAME, lists them. Without -o, prints the recipe. Mappings of imports are among them, as
     import/NAME.
     """
-    from rigtool.recipe.shipped import copy_recipe, shipped_recipe, shipped_recipes
+    from rigtool.recipe.shipped import shipped_recipe, shipped_recipes
 
     if name is None:
         for known in shipped_recipes():
-            click.echo(known)
+            echo(known)
     elif output is None:
-        click.echo(shipped_recipe(name), nl=False)
+        echo(shipped_recipe(name), nl=False)
     else:
-        copy_recipe(name, output, overwrite=overwrite)
-        click.echo(f"Written: {output}", err=True)
+        from rigtool.runfile.export import write_new
+
+        text = shipped_recipe(name)
+        inputs = [shipped_recipes()[name]]
+        write_new(Path(output), overwrite, lambda path: path.write_text(text, "utf-8"), inputs)
+        echo(f"Written: {output}", err=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, example
+from rigtool.cli.options import debug_option, echo, example
 
 
 @click.command(
@@ -26,7 +26,7 @@ def command(part: str, output: str | None, overwrite: bool) -> None:
 
     found = recover(part, output, overwrite=overwrite)
     for name, samples in found.samples.items():
-        click.echo(f"{name}: {samples} samples")
+        echo(f"{name}: {samples} samples")
     if found.lost:
-        click.echo(f"{found.lost} samples were damaged and are left out", err=True)
-    click.echo(f"Written: {found.output}; remove {part} when you have looked at it", err=True)
+        echo(f"{found.lost} samples were damaged and are left out", err=True)
+    echo(f"Written: {found.output}; remove {part} when you have looked at it", err=True)

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rigtool.cli.options import debug_option, example, json_option, overwrite_option, quiet_option
+from rigtool.cli.options import (
+    debug_option,
+    echo,
+    example,
+    json_option,
+    overwrite_option,
+    quiet_option,
+)
 
 if TYPE_CHECKING:
     from rigtool.report.build import Report
@@ -46,15 +53,15 @@ def command(
     if as_json:
         from rigtool.cli.printing import json_text
 
-        click.echo(json_text(_document(report)))
+        echo(json_text(_document(report)))
         return
     if quiet:
         return
     if report.force_tables:
-        click.echo(terminal_text(report), nl=False)
+        echo(terminal_text(report), nl=False)
     for warning in report.warnings:
-        click.echo(f"Warning: {warning}", err=True)
-    click.echo(f"Written: {output}", err=True)
+        echo(f"Warning: {warning}", err=True)
+    echo(f"Written: {output}", err=True)
 
 
 def _document(report: Report) -> dict[str, Any]:

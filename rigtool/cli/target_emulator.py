@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, example
+from rigtool.cli.options import debug_option, echo, example
 
 
 @click.command(
@@ -49,7 +49,7 @@ def command(
     )
     server: Server = PtyServer(emulator) if tcp is None else TcpServer(emulator, address=tcp)
     server.start()
-    click.echo(server.port)
+    echo(server.port)
     try:
         server.wait(seconds)
     finally:

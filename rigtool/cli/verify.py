@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, example
+from rigtool.cli.options import debug_option, echo, example
 
 
 @click.command(epilog=example("rigtool verify force.h5", "rigtool verify kt.h5 tables.h5"))
@@ -25,7 +25,7 @@ def command(paths: tuple[str, ...]) -> None:
         for link in verify(path):
             state = "BROKEN" if link.problem else "ok"
             text = link.problem or link.remark or link.command
-            click.echo(f"{'  ' * link.depth}{link.path}: {state}: {text}")
+            echo(f"{'  ' * link.depth}{link.path}: {state}: {text}")
             if link.problem:
                 broken.append(str(link.path))
     if broken:

@@ -30,6 +30,15 @@ Document = TypeVar("Document", bound=Section)
 
 RECIPE_VERSION = 1
 
+MAX_BYTES = 2**18
+"""Of a recipe or mapping."""
+
+MAX_DOTS = 1000
+"""In a line of it: of numbers and of keys with parts."""
+
+MAX_DEPTH = 20
+"""Tables and lists within each other."""
+
 
 class Recipe(Section):
     """A recipe: the rig, parameters of the virtual rig, and settings of the commands."""
@@ -96,19 +105,42 @@ def parse_recipe(text: str, name: str = "recipe", overrides: Sequence[str] = ())
 def read_document(path: str | Path, kind: str, examples: str) -> str:
     """Return the text of a recipe or mapping; `RecipeError` where the file cannot be read."""
     try:
-        return Path(path).read_text(encoding="utf-8")
+        with Path(path).open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        text = data.decode("utf-8")
     except FileNotFoundError:
         raise RecipeError(f"{path}: no such {kind}; {examples} holds examples") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise RecipeError(f"{path}: cannot be read as a {kind}: {error}") from None
+    if len(data) > MAX_BYTES:
+        raise RecipeError(f"{path}: is larger than {MAX_BYTES} bytes: it is no {kind}")
+    return text.replace("\r\n", "\n")
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """Return the tables of a TOML text; `RecipeError` where it is not valid."""
+    """Return the tables of a TOML text; `RecipeError` where it is not valid, or beyond limits."""
+    # The parser needs the square of the parts of a key.
+    if any(line.count(".") > MAX_DOTS for line in text.splitlines()):
+        raise RecipeError(f"{name}: a line has more than {MAX_DOTS} dots: divide it")
     try:
-        return tomllib.loads(text)
+        data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise RecipeError(f"{name}: is not valid TOML: {error}") from None
+    except RecursionError:
+        raise RecipeError(f"{name}: is nested more than {MAX_DEPTH} deep: flatten it") from None
+    except ValueError as error:  # an integer with more digits than Python reads
+        raise RecipeError(f"{name}: is not valid TOML: {error}") from None
+    waiting: list[tuple[Any, int]] = [(data, 0)]
+    while waiting:
+        value, depth = waiting.pop()
+        if depth > MAX_DEPTH:
+            raise RecipeError(f"{name}: is nested more than {MAX_DEPTH} deep: flatten it")
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise RecipeError(f"{name}: an integer is beyond the 64 bits of TOML: correct it")
+        if isinstance(value, dict | list):
+            parts = value.values() if isinstance(value, dict) else value
+            waiting += [(part, depth + 1) for part in parts]
+    return data
 
 
 def validate(
@@ -165,11 +197,15 @@ def _apply_override(data: dict[str, Any], override: str) -> None:
     key, equals, value = override.partition("=")
     if not equals or not key.strip():
         raise UsageError(f"--set {override!r}: expected key=value, e.g. rig.attachment=pulley")
-    try:
-        parsed = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
-        parsed = value.strip()  # a bare word is a string
     *tables, last = key.strip().split(".")
+    if len(tables) > MAX_DEPTH:
+        raise UsageError(f"--set {key[:40]!r}...: a key has at most {MAX_DEPTH} parts")
+    try:
+        parsed = parse_toml(f"value = {value}", "--set")["value"]
+    except RecipeError as error:
+        if "is not valid TOML" not in str(error):
+            raise
+        parsed = value.strip()  # a bare word is a string
     target = data
     for table in tables:
         target = target.setdefault(table, {})

@@ -167,6 +167,22 @@ class Signal(Section):
         return self
 
 
+MAX_REPEATS = 3
+"""Repeats in a pattern: n of them may take the length of a file's name to the power n + 1."""
+
+_ATOM = re.compile(r"\\.|\[\^?\]?(?:\\.|[^\]\\])*\]", re.DOTALL)
+
+
+def require_quick(pattern: str) -> None:
+    """Raise ValueError for a regular expression that may backtrack without end."""
+    plain = _ATOM.sub("x", pattern)
+    if re.search(r"\)[*+{]", plain):
+        raise ValueError("pattern repeats a group, which may take for ever: repeat a character")
+    repeats = len(re.findall(r"[*+{]", plain)) + len(re.findall(r"(?<![(*+?}])\?", plain))
+    if repeats > MAX_REPEATS:
+        raise ValueError(f"pattern has {repeats} repeats, at most {MAX_REPEATS} are matched")
+
+
 class Condition(Section):
     """A condition of the recording, contained in the name of the file."""
 
@@ -183,6 +199,7 @@ class Condition(Section):
             groups = re.compile(self.pattern).groups
         except re.error as error:
             raise ValueError(f"pattern is no regular expression: {error}") from None
+        require_quick(self.pattern)
         if groups != 1:
             raise ValueError(f"pattern needs one pair of parentheses, has {groups}")
         if not _NAME.fullmatch(self.name):

@@ -38,15 +38,3 @@ def shipped_recipe(name: str) -> str:
     if name not in known:
         raise UsageError(f"no recipe {name} comes with rigtool; choose one of {', '.join(known)}")
     return known[name].read_text(encoding="utf-8")
-
-
-def copy_recipe(name: str, output: str, *, overwrite: bool = False) -> None:
-    """Write a recipe to a file; `UsageError` where the file exists or cannot be written."""
-    text = shipped_recipe(name)
-    try:
-        with Path(output).open("w" if overwrite else "x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise UsageError(f"{output} exists: give another name, or --overwrite") from None
-    except OSError as error:
-        raise UsageError(f"{output} cannot be written: {error.strerror}") from None

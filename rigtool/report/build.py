@@ -98,12 +98,16 @@ def _labels(runs: Sequence[Run]) -> list[tuple[str, Run]]:
         )
         return place, run.command, run.path.stem, run.content_sha256
 
-    taken: dict[str, int] = {}
-    labelled = []
+    # A stem that a file has stays its label; the label names files, which differ in more than case.
+    stems = {run.path.stem.casefold() for run in runs}
+    labelled: dict[str, tuple[str, Run]] = {}
     for run in sorted(runs, key=key):
-        count = taken[run.path.stem] = taken.get(run.path.stem, 0) + 1
-        labelled.append((run.path.stem if count == 1 else f"{run.path.stem}-{count}", run))
-    return labelled
+        label, count = run.path.stem, 1
+        while label.casefold() in labelled or (count > 1 and label.casefold() in stems):
+            count += 1
+            label = f"{run.path.stem}-{count}"
+        labelled[label.casefold()] = label, run
+    return list(labelled.values())
 
 
 def _warnings(labelled: Sequence[tuple[str, Run]]) -> list[str]:

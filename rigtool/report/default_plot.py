@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError
+from rigtool.escapes import figure as figure_text
 from rigtool.quantity import display_unit
 from rigtool.runfile import Recording, Run, Table
 from rigtool.runfile.outputs import replacing, require_output
@@ -57,7 +58,7 @@ def draw_default_plot(run: Run) -> Figure:
         _draw_recording(axes, recordings[0])
     else:
         raise RunFileError(f"{run.path}: has neither tables nor signals to draw")
-    axes.set_title(f"{run.command}: {name}" + (f" ({run.rig})" if run.rig else ""))
+    axes.set_title(figure_text(f"{run.command}: {name}" + (f" ({run.rig})" if run.rig else "")))
     axes.grid(True, alpha=0.3)
     return figure
 

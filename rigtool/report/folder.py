@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from pathlib import Path
 
-from rigtool.errors import RigtoolError, UsageError
+from rigtool.errors import UsageError
 from rigtool.report.build import Report
 from rigtool.report.formats import csv_text, latex, markdown, terminal
 from rigtool.report.page import render_page, render_pdf
+from rigtool.runfile.outputs import own_folder
 
 ENTRIES = frozenset({"index.html", "report.pdf", "tables.txt", "tables", "figures"})
 """Entries of a report's folder; a folder with any other entry is never replaced."""
@@ -55,20 +54,13 @@ def write_report(
     Raises `UsageError` as `require_free`, `RigtoolError` where the disk refuses.
     """
     target = require_free(output, overwrite=overwrite)
-    scratch: Path | None = None
-    try:
-        scratch = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    with own_folder(target.parent) as scratch:
         new = scratch / "new"
         for name, data in _contents(report, pdf).items():
             path = new / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         _swap(new, target, scratch / "old")
-    except OSError as error:
-        raise RigtoolError(f"{output}: cannot be written: {error.strerror}") from error
-    finally:
-        if scratch is not None:
-            shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _contents(report: Report, pdf: bool) -> dict[str, bytes]:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rigtool import escapes
 from rigtool.quantity import format_number
 
 if TYPE_CHECKING:
@@ -87,12 +88,12 @@ def records(table: Table) -> Iterator[dict[str, float]]:
 
 def markdown(table: ReportTable) -> str:
     """Write a pipe table under its title."""
-    heads = [_head(column).replace("|", r"\|") for column in table.columns]
+    heads = [escapes.markdown(_head(column)) for column in table.columns]
     rules = ["---:" if column.numeric else ":---" for column in table.columns]
-    rows = [[cell.text.replace("|", r"\|") for cell in row] for row in table.rows]
+    rows = [[escapes.markdown(cell.text) for cell in row] for row in table.rows]
     lines = [f"| {' | '.join(cells)} |" for cells in (heads, rules, *rows)]
-    note = f"\n{table.note}\n" if table.note else ""
-    return f"**{table.title}**\n\n" + "\n".join(lines) + "\n" + note
+    note = f"\n{escapes.markdown(table.note)}\n" if table.note else ""
+    return f"**{escapes.markdown(table.title)}**\n\n" + "\n".join(lines) + "\n" + note
 
 
 def csv_text(table: ReportTable) -> str:
@@ -119,14 +120,14 @@ def csv_text(table: ReportTable) -> str:
 def latex(table: ReportTable) -> str:
     """Write a table environment with caption and label; its tabular needs no package."""
     alignment = "".join("r" if column.numeric else "l" for column in table.columns)
-    titles = " & ".join(_latex(column.title) for column in table.columns)
-    units = " & ".join(_latex(f"[{c.unit}]") if c.unit else "" for c in table.columns)
-    body = [" & ".join(_latex(cell.text) for cell in row) for row in table.rows]
+    titles = " & ".join(escapes.latex(column.title) for column in table.columns)
+    units = " & ".join(escapes.latex(f"[{c.unit}]") if c.unit else "" for c in table.columns)
+    body = [" & ".join(escapes.latex(cell.text) for cell in row) for row in table.rows]
     lines = [
         r"\begin{table}",
         r"  \centering",
-        rf"  \caption{{{_latex(table.title)}}}",
-        rf"  \label{{tab:{table.name}}}",
+        rf"  \caption{{{escapes.latex(table.title)}}}",
+        rf"  \label{{tab:{escapes.latex_label(table.name)}}}",
         rf"  \begin{{tabular}}{{{alignment}}}",
         r"    \hline",
         rf"    {titles} \\",
@@ -135,7 +136,7 @@ def latex(table: ReportTable) -> str:
         *(rf"    {line} \\" for line in body),
         r"    \hline",
         r"  \end{tabular}",
-        *([rf"  \par {_latex(table.note)}"] if table.note else []),
+        *([rf"  \par {escapes.latex(table.note)}"] if table.note else []),
         r"\end{table}",
     ]
     return "\n".join(lines) + "\n"
@@ -168,27 +169,4 @@ def _head(column: ReportColumn) -> str:
 def _plain(value: float | str | None) -> str:
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return ""
-    return value if isinstance(value, str) else repr(float(value))
-
-
-_LATEX = str.maketrans(
-    {
-        "\\": r"\textbackslash{}",
-        "%": r"\%",
-        "&": r"\&",
-        "#": r"\#",
-        "_": r"\_",
-        "$": r"\$",
-        "{": r"\{",
-        "}": r"\}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        "–": "--",
-    }
-)
-
-
-def _latex(text: str) -> str:
-    escaped = text.translate(_LATEX)
-    # A hyphen before a digit is a minus sign: maths mode.
-    return f"${escaped}$" if text[:1] in "+-" and text[1:2].isdigit() else escaped
+    return escapes.csv_text(value) if isinstance(value, str) else repr(float(value))

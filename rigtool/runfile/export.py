@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
+from rigtool.escapes import csv_text
 from rigtool.quantity import Quantity
 from rigtool.runfile import schema
 from rigtool.runfile.model import Table
@@ -62,7 +63,7 @@ def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite
 
 
 def write_new(
-    output: Path, overwrite: bool, write: Callable[[Path], None], inputs: Sequence[Path] = ()
+    output: Path, overwrite: bool, write: Callable[[Path], object], inputs: Sequence[Path] = ()
 ) -> None:
     """Let `write` make a file beside `output`, that takes its name when it is whole.
 
@@ -125,6 +126,8 @@ def write_csv(frame: Frame, path: Path) -> None:
         head = [f"{name} [{unit}]" if unit else name for name, unit in frame.units.items()]
         csv.writer(stream, lineterminator="\n").writerow(head)
         for block in frame.blocks:
+            texts = block.select_dtypes(["object", "string"]).columns
+            block = block.assign(**{name: block[name].map(csv_text, "ignore") for name in texts})
             block.to_csv(stream, header=False, index=False, lineterminator="\n")
 
 

@@ -78,6 +78,21 @@ def own_file(output: Path) -> Iterator[Path]:
 
 
 @contextmanager
+def own_folder(parent: Path) -> Iterator[Path]:
+    """Give a new, empty folder in `parent`; it goes with all that is left in it.
+
+    Raises `RigtoolError` where the disk refuses.
+    """
+    path = own_name(parent)
+    with storage_errors(parent):
+        try:
+            path.mkdir()
+            yield path
+        finally:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+@contextmanager
 def replacing(output: Path) -> Iterator[Path]:
     """Give a new file that takes the name `output` where the block of code ends well.
 

@@ -13,9 +13,9 @@ from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import schema, tree
 from rigtool.runfile.model import RecordingSpec
 from rigtool.runfile.opened import OpenFile, guard, open_hdf5, require_schema
+from rigtool.runfile.outputs import own_folder, require_output
 from rigtool.runfile.reader import Run
 from rigtool.runfile.recording import Recording
-from rigtool.runfile.storage import storage_errors
 from rigtool.runfile.unclosed import open_unclosed
 from rigtool.runfile.writer import RunWriter
 
@@ -44,8 +44,8 @@ def recover(
     part = Path(part)
     output = _output(part, output, overwrite)
     # The part may have the name that a writer of `output` would give to its own.
-    beside = output.with_name(output.name + ".recovered")
-    with _open_unfinished(part) as run:
+    with own_folder(output.parent) as folder, _open_unfinished(part) as run:
+        beside = folder / "recovered.h5"
         specs = [_spec(recording) for recording in run.recordings.values()]
         with RunWriter(
             beside,
@@ -53,7 +53,6 @@ def recover(
             recipe=None,
             recipe_text=None,
             recordings=specs,
-            overwrite=True,
             origin=run,
         ) as writer:
             samples = {item.name: _copy(item, writer) for item in run.recordings.values()}
@@ -62,7 +61,6 @@ def recover(
             total = sum(samples.values())
             lost = sum(item.size for item in run.recordings.values()) - total
             writer.finish({}, {}, [f"recovered {total} samples of a run that was interrupted"])
-    with storage_errors(output):
         os.replace(beside, output)
     return Recovered(output, samples, lost)
 
@@ -71,11 +69,7 @@ def _output(part: Path, output: str | os.PathLike[str] | None, overwrite: bool) 
     if output is None and part.suffix != ".part":
         raise UsageError(f"{part}: its name does not end in .part: name the output by -o")
     found = part.with_suffix("") if output is None else Path(output)
-    if found.exists() and not overwrite:
-        raise UsageError(f"{found}: exists already: give another name with -o, or --overwrite")
-    if found.exists() and part.exists() and found.samefile(part):
-        raise UsageError(f"{found}: is the file to recover: give another name with -o")
-    return found
+    return require_output(found, overwrite=overwrite, inputs=[part])
 
 
 def _open_unfinished(path: Path) -> Run:

@@ -58,7 +58,8 @@ class RunWriter:
     `<path>.part`. With `origin`, a run that was interrupted and is written anew, its provenance is
     kept instead of that of the running program, and no part stays after a failure, nor with
     `copied`, where the signals exist elsewhere. `rig` names the rig where no recipe does; `source`
-    is the file of another program that is imported.
+    is the file of another program that is imported; `sources` are files that the output must not
+    replace, beside inputs.
     """
 
     def __init__(
@@ -77,11 +78,12 @@ class RunWriter:
         rig: str | None = None,
         source: provenance.Source | None = None,
         copied: bool = False,
+        sources: Sequence[str | os.PathLike[str]] = (),
     ) -> None:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
         self._overwrite = overwrite
-        self._require_free(inputs)
+        self._require_free([*(run.path for run in inputs), *sources])
         self._command = command
         self._specs = tuple(recordings)
         self._is_copy = copied or origin is not None
@@ -208,11 +210,9 @@ class RunWriter:
                 self.part.unlink()
                 sync_folder(self.path.parent)
 
-    def _require_free(self, inputs: Sequence[Run]) -> None:
+    def _require_free(self, inputs: Sequence[str | os.PathLike[str]]) -> None:
         """Refuse an output, or a part beside it, that would be lost."""
-        self.path = require_output(
-            self.path, overwrite=self._overwrite, inputs=[run.path for run in inputs]
-        )
+        self.path = require_output(self.path, overwrite=self._overwrite, inputs=inputs)
         self.part = self.path.with_name(self.path.name + ".part")
         if not self.part.exists() and not self.part.is_symlink():
             return
@@ -223,7 +223,7 @@ class RunWriter:
             )
         if self.part.is_symlink() or not _is_hdf5_or_empty(self.part):
             raise UsageError(f"{self.part}: is no part of a run of rigtool: move it away")
-        if any(self.part.samefile(run.path) for run in inputs):
+        if any(os.path.exists(name) and self.part.samefile(name) for name in inputs):
             raise UsageError(f"{self.part}: is an input of this run: give the output another name")
         if is_locked(self.part):
             raise UsageError(

@@ -71,10 +71,10 @@ def test_a_failure_leaves_the_old_folder_and_nothing_else(report, tmp_path, monk
     full = replace(report, remarks=("changed",))
 
     def refuse(*args: object) -> None:
-        raise OSError(28, "No space left on device")
+        raise OSError(28, "the disk is full")
 
     monkeypatch.setattr(Path, "write_bytes", refuse)
-    with pytest.raises(RigtoolError, match="No space left on device"):
+    with pytest.raises(RigtoolError, match="the disk is full"):
         write_report(full, out, overwrite=True)
     monkeypatch.undo()
     assert {name: (out / name).read_bytes() for name in tree(out)} == before

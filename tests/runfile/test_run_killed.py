@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rigtool.cli as cli
-from rigtool.errors import RunFileError, UsageError
+from rigtool.errors import RigtoolError, RunFileError, UsageError
 from rigtool.runfile import RunWriter, chunk_of, open_run, writer
 from rigtool.runfile.recovery import recover
 from tests.runfile.whole_run import SPECS, samples, write
@@ -291,7 +291,7 @@ def test_recovering_does_not_overwrite(tmp_path):
     before = (tmp_path / "run.h5").read_bytes()
     with pytest.raises(UsageError, match="exists already"):
         recover(part, tmp_path / "run.h5")
-    with pytest.raises(UsageError, match="is the file to recover"):
+    with pytest.raises(UsageError, match="is an input"):
         recover(part, part, overwrite=True)
     assert (tmp_path / "run.h5").read_bytes() == before
 
@@ -304,7 +304,7 @@ def test_a_failure_while_recovering_leaves_what_was_there(tmp_path, monkeypatch)
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(RunWriter, "finish", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(RigtoolError, match="disk is full"):
         recover(part)
     assert os.listdir(tmp_path) == ["run.h5.part"]
     assert part.read_bytes() == before

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.escapes import c_comment
 from rigtool.experiments.deploy.quantised_table import loss, nodes, quantise
 from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS, LearnedTable
 from rigtool.numerics.arrays import Array
@@ -88,7 +89,7 @@ def header(learned: LearnedTable, stem: str, *, short: bool) -> tuple[str, str]:
     `stem` is the file's name without its ending; the names in the header begin with it.
     """
     table, name = learned.table, identifier(stem)
-    macro, at = name.upper(), nodes(learned.table)
+    macro, at, unit = name.upper(), nodes(learned.table), c_comment(learned.unit)
     if short:
         quantised = quantise(table.torque, INT16)
         entries: Array | NDArray[np.int64] = quantised.codes
@@ -107,14 +108,14 @@ def header(learned: LearnedTable, stem: str, *, short: bool) -> tuple[str, str]:
         "NODES": str(at.speed.size),
     }
     if short:
-        defines["SCALE"] = f"{_float(quantised.scale)} /* {learned.unit} */"
+        defines["SCALE"] = f"{_float(quantised.scale)} /* {unit} */"
     defines |= _friction(learned)
     kind = "int16_t" if short else "float"
     functions = FUNCTIONS.format(
         p=name,
         P=macro,
         type=kind,
-        unit=learned.unit,
+        unit=unit,
         q=learned.quantity,
         Q=learned.quantity.capitalize(),
         scaled=f"{macro}_SCALE * " if short else "",
@@ -130,7 +131,7 @@ def header(learned: LearnedTable, stem: str, *, short: bool) -> tuple[str, str]:
         _array(f"float {name}_speed[{macro}_NODES]", at.speed),
         _array(f"uint16_t {name}_row_of[{macro}_NODES]", at.row),
         _array(f"float {name}_factor[{macro}_NODES]", at.factor),
-        f"/* {learned.quantity.capitalize()}, {'codes' if short else learned.unit}. */",
+        f"/* {learned.quantity.capitalize()}, {'codes' if short else unit}. */",
         _rows(f"{kind} {name}_table[{macro}_ROWS][{macro}_POSITIONS]", entries),
         functions,
         f"#endif /* {macro}_H */",
@@ -146,8 +147,7 @@ def identifier(stem: str) -> str:
 
 def comment(lines: Sequence[str]) -> str:
     """Return lines as a C comment that nothing in them can end."""
-    safe = [line.replace("*/", "* /").replace("\n", " ") for line in lines]
-    return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in safe) + " */"
+    return "/*\n" + "".join(f" * {c_comment(line)}".rstrip() + "\n" for line in lines) + " */"
 
 
 def _head(learned: LearnedTable, name: str, lost: str) -> list[str]:

@@ -84,7 +84,8 @@ def export_table(
             if value is not None:
                 raise UsageError(f"{option} is for {', '.join(MAPS)}: {wanted} holds all speeds")
         contents, lost = _table_contents(learned, output, wanted)
-    write_new(output, overwrite, lambda path: _write(path, contents))
+    inputs = [run.path] if kt is None else [run.path, kt.path]
+    write_new(output, overwrite, lambda path: _write(path, contents), inputs)
     remarks += learned.friction_lines()
     return (f"lost {lost}", *remarks)
 

@@ -97,6 +97,7 @@ def _measure(
         inputs=list(inputs.values()),
         seed=seed,
         overwrite=options.overwrite,
+        sources=[source, *([options.spy] if options.spy is not None else [])],
     )
     live = nullcontext() if options.live is None else open_live(options.live)
     with live as feed, writer, _progress(options, plan, writer):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Mapping as MappingType
 from contextlib import contextmanager, suppress
@@ -29,6 +28,7 @@ from rigtool.runfile.importers.plan import BINARY, plan
 from rigtool.runfile.importers.raw import Array, Importer, Raw
 from rigtool.runfile.importers.text import read_text
 from rigtool.runfile.model import Channel, Column, RecordingSpec, Table
+from rigtool.runfile.outputs import own_folder, require_output
 from rigtool.runfile.provenance import Source, file_sha256
 from rigtool.runfile.writer import RunWriter
 
@@ -66,28 +66,34 @@ def import_files(
     *,
     skip_bad: bool = False,
     overwrite: bool = False,
+    map_path: str | None = None,
 ) -> list[Imported]:
     """Make a run file of one source file, or a folder of run files of a folder or several files.
 
-    `mapping` comes with its text. If one file cannot be imported, no file is written. Raises
-    `UsageError` for names that do not go together, `RunFileError` for a bad source.
+    `mapping` comes with its text, from `map_path`; no output replaces that or a source. If one file
+    cannot be imported, no file is written. Raises `UsageError` for names that do not go together,
+    `RunFileError` for a bad source.
     """
+    read = [Path(source) for source in sources] + ([] if map_path is None else [Path(map_path)])
     endings = [ending for importer in importers().values() for ending in importer.endings]
     names, is_folder = plan(sources, Path(output), overwrite, endings)
     if not is_folder:
         (source,) = names
-        return [_import_file(source, Path(output), Path(output), mapping, skip_bad, overwrite)]
+        final = require_output(output, overwrite=overwrite, inputs=read)
+        return [_import_file(source, final, Path(output), mapping, skip_bad, overwrite)]
     folder = Path(output)
     with _new_folders() as make_folder:
         make_folder(folder)
-        with tempfile.TemporaryDirectory(prefix=".import-", dir=folder) as beside:
+        with own_folder(folder) as beside:
             done = []
             for number, (source, name) in enumerate(names.items()):
-                here, final = Path(beside) / f"{number}.h5", folder / name
+                here, final = beside / f"{number}.h5", folder / name
                 done.append(_import_file(source, here, final, mapping, skip_bad, overwrite))
-            for number, name in enumerate(names.values()):
+            for name in names.values():
                 make_folder((folder / name).parent)
-                os.replace(Path(beside) / f"{number}.h5", folder / name)
+                require_output(folder / name, overwrite=overwrite, inputs=[*names, *read])
+            for number, name in enumerate(names.values()):
+                os.replace(beside / f"{number}.h5", folder / name)
     return done
 
 

@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import warnings
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import h5py
 import numpy as np
 
 from rigtool.errors import RigtoolError, RunFileError
 from rigtool.runfile.importers.raw import (
-    MAX_BYTES,
     Array,
     ColumnKey,
     Raw,
     missing_column,
     require_good,
     require_size,
+    unpacked_limit,
 )
 
 _NAMELESS = ""
@@ -114,20 +115,45 @@ def _load_npz(path: Path) -> dict[str, Any]:
 def _load_mat(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
+    _require_unpacked(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the checks below decide what is usable
         contents = loadmat(str(path), simplify_cells=True)
     return _flat("", {name: value for name, value in contents.items() if name[:2] != "__"})
 
 
+def _require_unpacked(path: Path) -> None:
+    """Refuse a .mat of version 5 whose compressed elements unpack to more than is read.
+
+    After a header of 128 bytes each element has its type and size, 4 bytes each; type 15 is zlib
+    (MAT-File Format, R2023b, 1-9).
+    """
+    limit = unpacked_limit(path)
+    unpacked = 1
+    with path.open("rb") as stream:
+        head = stream.read(128)
+        order: Literal["little", "big"] = "little" if head[126:] == b"IM" else "big"
+        while len(tag := stream.read(8)) == 8:
+            kind, size = (int.from_bytes(tag[i : i + 4], order) for i in (0, 4))
+            data = stream.read(size)
+            packed = zlib.decompressobj()
+            while kind == 15 and data and unpacked <= limit:
+                unpacked += len(packed.decompress(data, 2**20))
+                data = packed.unconsumed_tail
+            require_size(path, unpacked)
+
+
 def _load_hdf5(path: Path) -> dict[str, Any]:
     """Return the datasets of a .mat file of version 7.3; only those that are in the file itself."""
     found: dict[str, Any] = {}
+    claimed = 1
 
     def take(name: str, node: h5py.Group | h5py.Dataset) -> None:
         # visititems follows hard links only: it stays in this file and ends.
+        nonlocal claimed
         if isinstance(node, h5py.Dataset) and not name.startswith("#") and not node.external:
-            require_size(path, max(1, node.size * node.dtype.itemsize))
+            claimed += node.size * node.dtype.itemsize
+            require_size(path, claimed)
             if not node.is_virtual and node.dtype.kind in "iufb":
                 found[name.replace("/", ".")] = node[()]
 
@@ -148,8 +174,6 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _fields(name: str, array: Any) -> dict[str, Any]:
     """Return an array under its name, or the fields of a structured one."""
-    if array.nbytes > MAX_BYTES:
-        require_size(Path(name), array.nbytes)
     if array.dtype.names is None:
         return {name: np.asarray(array)}
     prefix = f"{name}." if name else ""

@@ -21,6 +21,9 @@ ColumnKey = int | str
 MAX_BYTES = 2**31
 """Most bytes of a source file, uncompressed."""
 
+FREE_BYTES, MAX_RATIO = 2**24, 100
+"""A compressed source may unpack to `MAX_RATIO` times its own size, and to `FREE_BYTES` anyway."""
+
 LISTED_LINES = 5
 """Most bad lines that a message lists."""
 
@@ -86,7 +89,7 @@ def read_bytes(path: Path) -> bytes:
             require_size(path, path.stat().st_size)
             return path.read_bytes()
         with gzip.open(path) as stream:
-            data = stream.read(MAX_BYTES + 1)
+            data = stream.read(unpacked_limit(path) + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise RunFileError(f"{path}: is a damaged gzip file: {error}; fetch it again") from None
     except OSError as error:
@@ -95,12 +98,17 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
+def unpacked_limit(path: Path) -> int:
+    """Return the most bytes that are unpacked from a file: more than its size makes credible."""
+    return min(MAX_BYTES, max(FREE_BYTES, MAX_RATIO * path.stat().st_size))
+
+
 def require_size(path: Path, size: int) -> None:
-    """Raise `RunFileError` where a file is empty or larger than is read."""
+    """Raise `RunFileError` where a file is empty or unpacks to more than is read."""
     if size == 0:
         raise RunFileError(f"{path}: is empty: fetch it again")
-    if size > MAX_BYTES:
-        raise RunFileError(f"{path}: is larger than {MAX_BYTES} bytes unpacked: split it")
+    if size > (limit := unpacked_limit(path)):
+        raise RunFileError(f"{path}: is larger than {limit} bytes unpacked: split it, or unpack it")
 
 
 def missing_column(
