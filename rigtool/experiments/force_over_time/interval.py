@@ -18,8 +18,8 @@ from numba import njit
 FARTHEST = 35.0
 """Edge, in standard deviations, from which on the normal's tail is below what a double holds."""
 
-NARROWEST = 1e-4
-"""Width in standard deviations below which the density is even between the edges."""
+NARROWEST = 1e-2
+"""Width in standard deviations below which the density's logarithm is a straight line."""
 
 
 @njit(cache=True)
@@ -28,15 +28,25 @@ def _density(u: float) -> float:
 
 
 @njit(cache=True)
+def _exponential(slope: float, width: float) -> tuple[float, float]:
+    """Return mean and variance of a density exp(-slope x) between 0 and width."""
+    if slope * width < 1e-2:
+        return width * (0.5 - slope * width / 12.0), width * width / 12.0
+    end = math.exp(-slope * width)
+    mean = 1.0 / slope - width * end / (1.0 - end)
+    return mean, 1.0 / slope**2 - width**2 * end / (1.0 - end) ** 2
+
+
+@njit(cache=True)
 def truncated(alpha: float, beta: float) -> tuple[float, float]:
     """Return mean and variance of a standard normal between alpha < beta."""
     if alpha + beta < 0.0:  # by symmetry: above zero the tails are those that erfc resolves
         mean, variance = truncated(-beta, -alpha)
         return -mean, variance
-    if beta - alpha < NARROWEST:
-        return (alpha + beta) / 2.0, (beta - alpha) ** 2 / 12.0
-    if alpha > FARTHEST:  # an exponential from the edge on
-        return alpha + 1.0 / alpha, 1.0 / alpha**2
+    if beta - alpha < NARROWEST or alpha > FARTHEST:
+        width = min(beta - alpha, 1.0)  # beyond 1 nothing is left of a tail that far out
+        mean, variance = _exponential(alpha + min(width, NARROWEST) / 2.0, width)
+        return alpha + mean, variance
     tail = 0.5 * (math.erfc(alpha / math.sqrt(2.0)) - math.erfc(beta / math.sqrt(2.0)))
     low, high = _density(alpha) / tail, _density(beta) / tail
     mean = low - high

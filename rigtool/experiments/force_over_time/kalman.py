@@ -1,12 +1,12 @@
 """Torque on the output by a filter over angle, speed, bristles and torque, causal.
 
     prediction   x- = f(x),  P- = Phi P Phi' + Q,  Phi the derivative of f in closed form
-    update       the angle lies within its count: `interval`; K = P-[:, 0] / s^2,
-                 x = x- + K s d,  P = P- - K K' s^2 (1 - rho)
+    update       the angle lies within its count: `interval`, with s^2 = P-[0, 0] and the spread
+                 of an edge; K = P-[:, 0] / s^2, x = x- + K s d, P = P- - K K' s^2 (1 - rho)
     torque       random walk with three levels: a contact is no steady drift, and one level for all
                  would give a load step to the bristles instead. Leaky sums of the corrections d
-                 over SHORT and LONG tell a step and a slow change from none: where one exceeds
-                 its threshold, its level holds for `busy_time`.
+                 over SHORT and LONG show a step and a slow change: where one exceeds its
+                 threshold, its level holds for `busy_time`.
     reversal     where the housing's bristle crosses -1/2 in the direction of motion, a new stroke
                  begins: its deviations are drawn anew.
 
@@ -50,8 +50,8 @@ Array = NDArray[np.float64]
 SHORT, LONG = 6e-3, 0.1
 """Memories of the leaky sums of corrections, s."""
 
-STEP_THRESHOLD, SLOW_THRESHOLD = 4.0, 10.0
-"""Sums from which on a step, or a slow change, is under way."""
+STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
+"""Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
 LEAST_VARIANCE = 1e-3
 """Of the angle after an update, relative to before: keeps the covariance positive."""
@@ -91,14 +91,14 @@ class Uncertainty:
     step_torque_rate: float = 250e-3
     busy_time: float = 0.06
     angle_rate: float = 1e-4
-    speed_rate: float = 1.0
+    speed_rate: float = 0.3
     bristle_rate: float = 0.2
     slip_rate: float = 0.1
     grasper_rate: float = 1e-3
     torque_start: float = 20e-3
     bristle_start: float = 0.6
     speed_start: float = 0.05
-    undecided: float = 1.0
+    undecided: float = 0.5
     edge: float = 0.05
 
 
@@ -215,8 +215,8 @@ def _update(
             covariance[j, i] = covariance[i, j]
     for i in (BRISTLE, HOUSING, TIP):
         x[i] = min(max(x[i], -1.0), 1.0)
-    s.step_sum = math.exp(-span / SHORT) * s.step_sum + mean
-    s.slow_sum = math.exp(-span / LONG) * s.slow_sum + mean
+    s.step_sum = math.exp(-span / SHORT) * s.step_sum + mean * span
+    s.slow_sum = math.exp(-span / LONG) * s.slow_sum + mean * span
     if abs(s.step_sum) > STEP_THRESHOLD:
         s.step_left = u.busy_time
     if abs(s.slow_sum) > SLOW_THRESHOLD:
