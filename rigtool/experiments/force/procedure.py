@@ -252,4 +252,9 @@ PROCEDURE = Procedure(
     analyse,
     needed=("kt",),
     analyse_imported=analyse_imported,
+    analysis_settings=(
+        "measure_force.lowpass_hz",
+        "measure_force.correction",
+        "measure_force.zero",
+    ),
 )
