@@ -181,4 +181,5 @@ PROCEDURE = Procedure(
     bare_motor=True,
     analyse_imported=analyse_imported,
     rig_needs=rig_needs,
+    analysis_settings=("stribeck.breakaway_angle",),
 )

@@ -179,4 +179,5 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     bare_motor=True,
+    analysis_settings=("suspension.speeds_rev_per_s",),
 )
