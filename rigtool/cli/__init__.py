@@ -33,7 +33,7 @@ COMMANDS = {
     "fft-ripple": "Measure torque ripple by order of rotation, speed and torque.",
     "identify-plant": "Measure the frequency response of the plant; fit inertia and friction.",
     "ilc-learn": "Learn the disturbance that repeats with position and speed.",
-    "measure-force": "Measure known loads, reading force from current.",
+    "measure-force": "Measure known loads, or an unknown force over time, from current.",
     "deploy": "Store a learned table in the drive, which then adds it by itself.",
     "suspension": "Measure the motor's leaf springs; compute what eccentric pulleys do.",
     "report": "Write tables, figures and one page from any run files.",

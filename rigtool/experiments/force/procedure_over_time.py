@@ -99,15 +99,16 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: measure-force takes one")
-    require_calibration(kt, recipe)
-    require_rig(tables, recipe)
-    run, model = runs[0], model_from(tables, recipe)
+    run = runs[0]
     recorded = [r for r in run.recordings.values() if all(r.has(name) for name in NEEDED)]
     if not recorded:
         raise RunFileError(
             f"{run.path}: has no recording with the channels {', '.join(NEEDED)}: record one with "
             "--record or --observe"
         )
+    require_calibration(kt, recipe)
+    require_rig(tables, recipe)
+    model = model_from(tables, recipe)
     reach = reach_of(tables, kt, recipe)
     read = [read_recording(r, recipe, kt, model, reach) for r in recorded if r.size]
     readings = [reading for reading in read if reading is not None]
