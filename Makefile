@@ -4,6 +4,7 @@
 # make real-data DATA=folder of mis-tool  a real instrument: torque from current against a sensor
 # make test     style, types and tests
 # make docs     the documentation as a site, in build/docs
+# make coverage whether stated intervals hold, on virtual rigs drawn anew
 # make fixtures store the fixtures anew; make bench measures speed; make clean removes results
 
 PYTHON ?= python3
@@ -19,7 +20,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: real-data tables corrected thesis test docs fixtures bench clean
+.PHONY: real-data tables corrected thesis test docs fixtures bench coverage clean
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -133,6 +134,9 @@ fixtures: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench.py
+
+coverage: $(INSTALLED)
+	$(BIN)/python benchmarks/coverage.py
 
 clean:
 	rm -rf $(BUILD)
