@@ -34,6 +34,7 @@ from rigtool.experiments.force_over_time.model import (
 )
 from rigtool.experiments.force_over_time.paths import bristle
 from rigtool.experiments.force_over_time.records import SLOWEST, Record
+from rigtool.experiments.load_disturbance.tendon import Tendon
 
 Array = NDArray[np.float64]
 
@@ -94,11 +95,20 @@ class Learned:
     length_u: Array
 
 
+TENDON = ("stiffness", "damping", "tip_friction")
+"""What a shape has of a tendon; positive, as the search is over logarithms."""
+
+
 def learn_sliding(
-    records: Sequence[Record], known: Known, count: float, deviation: Deviations
+    records: Sequence[Record],
+    known: Known,
+    count: float,
+    deviation: Deviations,
+    tendon: Tendon | None = None,
 ) -> Learned:
     """Learn from records of known loads; `count` rad is that of the encoder.
 
+    The search begins at a `tendon`, where one was found from the differences between loads.
     Raises `InsufficientDataError` where nothing slides in any record.
     """
     if not any(record.used.any() for record in records):
@@ -109,6 +119,8 @@ def learn_sliding(
     sizes = sizes_of(records, known)
     terms = terms_for(sizes, known)
     shape = _start(sizes, known, count)
+    if tendon is not None:
+        shape = replace(shape, **{f: getattr(tendon, f) for f in TENDON if getattr(tendon, f) > 0})
     problem = Problem(records, terms, known, shape, deviation, sizes.friction)
     coefficient, covariance = problem.step(shape, None)
     for _ in range(ROUNDS):

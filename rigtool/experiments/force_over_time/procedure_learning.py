@@ -15,6 +15,7 @@ from rigtool.experiments.force_over_time.model import Known
 from rigtool.experiments.force_over_time.procedure_exploration import exploration
 from rigtool.experiments.force_over_time.records import Condition, Record, repeated, single
 from rigtool.experiments.force_over_time.rest import Exploration, learn_rest
+from rigtool.experiments.load_disturbance.tendon import Tendon
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import SpeedProfile
@@ -46,9 +47,11 @@ def learn_force(
     explored: Recording,
     recipe: Recipe,
     kt: Run,
+    tendon: Tendon,
 ) -> ForceModel:
     """Learn from strokes under known loads, moves without one, and the exploration.
 
+    `tendon` is the one that differences between loads show, where the search begins.
     Raises `InsufficientDataError` where they do not carry it.
     """
     rig = recipe.rig
@@ -75,7 +78,8 @@ def learn_force(
         offset.value if offset is not None else 0.0,
     )
     deviating = deviations(records, known.angle_ratio, known.torque_factor)
-    sliding = ForceModel(learn_sliding(records, known, own.count, deviating), deviating)
+    learned = learn_sliding(records, known, own.count, deviating, tendon)
+    sliding = ForceModel(learned, deviating)
     shown = Exploration(
         explored.read("encoder"),
         explored.read("current_setpoint"),

@@ -35,6 +35,7 @@ from rigtool.experiments.load_disturbance.stored import (
     tendon_results,
 )
 from rigtool.experiments.load_disturbance.stored_recordings import CHANNELS, cycles_of
+from rigtool.experiments.load_disturbance.tendon import Tendon
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import channels, record
 from rigtool.quantity import Quantity
@@ -114,8 +115,10 @@ class KnownLoads(LimitedAngle):
         Raises `InsufficientDataError` where the loads do not carry it.
         """
         table = super().analyse(runs, recipe, **inputs)
-        loads = _learn_loads(runs[0], recipe, inputs["kt"])
-        force = _learn_force(runs[0], recipe, inputs["kt"])
+        pairs, moments = _pairs(runs[0], recipe, inputs["kt"])
+        disturbance = fit_disturbance(pairs, moments)
+        loads = _loads_outcome(runs[0], recipe, disturbance, pairs, moments)
+        force = _learn_force(runs[0], recipe, inputs["kt"], disturbance.tendon)
         return Outcome(
             {**table.results, **loads.results, **force.results},
             {**table.tables, **loads.tables, **force.tables},
@@ -123,19 +126,24 @@ class KnownLoads(LimitedAngle):
         )
 
 
-def _learn_force(run: Run, recipe: Recipe, kt: Run) -> Outcome:
+def _learn_force(run: Run, recipe: Recipe, kt: Run, tendon: Tendon) -> Outcome:
     explored = run.recordings_named(f"{EXPLORED}_")
     if not explored:
         note = "no recording explores rest and reversals: force over time needs tables learned anew"
         return Outcome({}, {}, (note,))
     moves = [r for kind in ("learn", "low") for r in run.recordings_named(f"{kind}_")]
-    model = learn_force(run.recordings_named(f"{LOADED}_"), moves, explored[0], recipe, kt)
+    strokes = run.recordings_named(f"{LOADED}_")
+    model = learn_force(strokes, moves, explored[0], recipe, kt, tendon)
     return Outcome(stored.model_results(model), stored.model_tables(model))
 
 
-def _learn_loads(run: Run, recipe: Recipe, kt: Run) -> Outcome:
-    pairs, moments = _pairs(run, recipe, kt)
-    disturbance = fit_disturbance(pairs, moments)
+def _loads_outcome(
+    run: Run,
+    recipe: Recipe,
+    disturbance: Disturbance,
+    pairs: list[LoadedPair],
+    moments: list[float],
+) -> Outcome:
     grid = grid_of(disturbance, pairs, recipe)
     return Outcome(
         {
