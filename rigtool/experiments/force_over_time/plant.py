@@ -42,7 +42,15 @@ MOVING_STATES = 7
 
 @dataclass(frozen=True)
 class Plant:
-    """Parameters of the equations above, SI; `friction_map` (n + 1,) is m over one turn of a."""
+    """Parameters of the equations above, in SI, in their order.
+
+    `inertia` J is that of rotor, pulley and wheel; `coulomb`, `static`, `stribeck_velocity` and
+    `asymmetry` are Fc, Fs, vs and A of the bearings, with the bristle's length `presliding_angle`
+    x0 [rad] and damping D [s]; `housing_...` are Fh, Ah, B and x0 of the housing at the motor,
+    `tip_...` Ft and x0 at the grasper; `load_friction` l and `load_friction_onset` o [N m].
+    `friction_map` (n + 1,) is m over one turn of a. A bare pulley has no grasper_inertia, housing,
+    tip and load friction, and the factors 1.
+    """
 
     sample_time: float
     inertia: float
@@ -85,11 +93,61 @@ def dahl(deflection: float, path: float, presliding_angle: float) -> float:
 
 
 @njit(cache=True)
-def _direction(speed: float, spread: float) -> float:
-    """Return the sign of a speed, the mean of its signs where it is not certain."""
-    if spread <= 0.0:
-        return 1.0 if speed > 0.0 else -1.0
-    return min(max(speed / spread, -1.0), 1.0)
+def _bend(z: float, speed: float, dt: float, x0: float, spread: float) -> tuple[float, ...]:
+    """Return a bristle one sample later, and its derivatives by itself and by the speed.
+
+    A bristle yields to motion in either direction, but not alike: where the speed is within a
+    `spread` of zero, the derivative by it lies between both.
+    """
+    left = math.exp(-abs(speed) * dt / x0)
+    side = 1.0 if speed > 0.0 else -1.0
+    after = side - (side - z) * left
+    if abs(speed) < spread:
+        side = speed / spread
+    return after, left, (1.0 - side * z) * left * dt / x0
+
+
+@njit(cache=True)
+def _bearings(
+    p: Record, w: float, old: float, z: float, noise: float, viscous: float
+) -> tuple[float, ...]:
+    """Return the bearings' friction, and its derivatives by the bristle, the old one and w."""
+    ratio = w / p.stribeck_velocity
+    bump = (p.static - p.coulomb) * math.exp(-ratio * ratio) if abs(ratio) < 5.0 else 0.0
+    level = p.coulomb + bump
+    rate = p.presliding_damping / p.sample_time
+    shape = (1.0 + p.asymmetry * z) * z + rate * (z - old)
+    return (
+        level * shape + noise * z + viscous * w,
+        level * (1.0 + 2.0 * p.asymmetry * z + rate) + noise,
+        -level * rate,
+        -2.0 * ratio / p.stribeck_velocity * bump * shape + viscous,
+    )
+
+
+@njit(cache=True)
+def _housing(p: Record, friction_map: Array, x: Array, h: float, twist: float) -> tuple[float, ...]:
+    """Return the housing's friction, and its derivatives by h, tendon torque, a and load."""
+    size = friction_map.shape[0] - 1
+    per_angle = size / (2.0 * math.pi)
+    place = x[GRASPER] * per_angle
+    place -= math.floor(place / size) * size
+    cell = min(int(place), size - 1)
+    slope = friction_map[cell + 1] - friction_map[cell]
+    by_angle = friction_map[cell] + (place - cell) * slope
+    sine, cosine = math.sin(x[GRASPER]), math.cos(x[GRASPER])
+    root = math.sqrt(twist * twist + p.load_friction_onset**2)
+    carried = (root - p.load_friction_onset) / p.torque_factor
+    leaning = p.housing_friction * (1.0 + p.housing_asymmetry * h)
+    per_load = p.load_friction * (1.0 + x[LOAD])
+    level = leaning * by_angle + per_load * carried + x[SINE] * sine + x[COSINE] * cosine
+    return (
+        level * h,
+        level + p.housing_friction * p.housing_asymmetry * by_angle * h,
+        per_load * twist / (root * p.torque_factor) * h,
+        (leaning * slope * per_angle + x[SINE] * cosine - x[COSINE] * sine) * h,
+        p.load_friction * carried * h,
+    )
 
 
 @njit(cache=True)
@@ -106,137 +164,55 @@ def advance(
     """Advance the states x (12,) by one sample under a drive torque [N m].
 
     `rows` (12, 12), where it is not None, is the derivative of x by the states of an earlier time,
-    and is carried along. A bristle yields to motion in either direction, but not alike: where the
-    speed is within a `spread` [rad/s] of zero, the derivative is the mean of both.
+    and is carried along; speeds within their spread [rad/s] of zero have no certain direction.
     """
-    dt = p.sample_time
-    w, z, v, t, a = x[SPEED], x[BRISTLE], x[GRASPER_SPEED], x[TIP], x[GRASPER]
-    h = x[HOUSING]
-    # Bristles
-    side = 1.0 if w > 0.0 else -1.0
-    z_left = math.exp(-abs(w) * dt / p.presliding_angle)
-    h_left = math.exp(-abs(w) * dt / p.housing_presliding_angle)
-    z_new = side - (side - z) * z_left
-    h_new = side - (side - h) * h_left
-    tip_side = 1.0 if v > 0.0 else -1.0
-    t_left = math.exp(-abs(v) * dt / p.tip_presliding_angle)
-    t_new = tip_side - (tip_side - t) * t_left
-    # Bearings
-    ratio = w / p.stribeck_velocity
-    bump = (p.static - p.coulomb) * math.exp(-ratio * ratio) if abs(ratio) < 5.0 else 0.0
-    level = p.coulomb + bump
-    rate = p.presliding_damping / dt
-    shape = (1.0 + p.asymmetry * z_new) * z_new + rate * (z_new - z)
-    friction = level * shape + x[NOISE] * z_new + viscous * w
-    # Tendon and housing
-    free = p.grasper_inertia <= 0.0
-    twist = p.stiffness * (x[ANGLE] / p.angle_ratio - a) + p.damping * (w / p.angle_ratio - v)
-    if free:
-        twist = x[TORQUE]
-    root = math.sqrt(twist * twist + p.load_friction_onset**2)
-    carried = root - p.load_friction_onset
-    size = friction_map.shape[0] - 1
-    place = a * (size / (2.0 * math.pi))
-    place -= math.floor(place / size) * size
-    cell = min(int(place), size - 1)
-    slope = friction_map[cell + 1] - friction_map[cell]
-    by_angle = friction_map[cell] + (place - cell) * slope
-    sine, cosine = math.sin(a), math.cos(a)
-    own = p.housing_friction * by_angle
-    per_load = p.load_friction / p.torque_factor
-    housing = (
-        own * (1.0 + p.housing_asymmetry * h_new)
-        + per_load * (1.0 + x[LOAD]) * carried
-        + x[SINE] * sine
-        + x[COSINE] * cosine
-    )
-    net = torque - friction - twist / p.torque_factor - housing * h_new - p.housing_viscous * w
-    outer = twist - p.tip_friction * t_new - x[TORQUE]
-    if rows is not None:
-        side, tip_side = _direction(w, spread), _direction(v, grasper_spread)
-        _differentiate(
-            rows,
-            p,
-            (z_left, h_left, t_left),
-            ((1.0 - side * z) * z_left, (1.0 - side * h) * h_left, (1.0 - tip_side * t) * t_left),
-            (
-                level * (1.0 + 2.0 * p.asymmetry * z_new + rate) + x[NOISE],
-                level * rate,
-                -2.0 * ratio / p.stribeck_velocity * bump * shape + viscous + p.housing_viscous,
-                z_new,
-            ),
-            (
-                housing + own * p.housing_asymmetry * h_new,
-                1.0 / p.torque_factor + h_new * per_load * (1.0 + x[LOAD]) * twist / root,
-                h_new
-                * (
-                    p.housing_friction
-                    * (1.0 + p.housing_asymmetry * h_new)
-                    * slope
-                    * (size / (2.0 * math.pi))
-                    + x[SINE] * cosine
-                    - x[COSINE] * sine
-                ),
-                h_new * sine,
-                h_new * cosine,
-                h_new * per_load * carried,
-            ),
-        )
-    x[BRISTLE], x[HOUSING], x[TIP] = z_new, h_new, t_new
-    x[SPEED] = w + dt * net / p.inertia
+    dt, r, g = p.sample_time, p.angle_ratio, p.torque_factor
+    bare = p.grasper_inertia <= 0.0
+    w, v, a, old = x[SPEED], x[GRASPER_SPEED], x[GRASPER], x[BRISTLE]
+    z, z_by_z, z_by_w = _bend(old, w, dt, p.presliding_angle, spread)
+    h, h_by_h, h_by_w = _bend(x[HOUSING], w, dt, p.housing_presliding_angle, spread)
+    t, t_by_t, t_by_v = _bend(x[TIP], v, dt, p.tip_presliding_angle, grasper_spread)
+    twist = x[TORQUE] if bare else p.stiffness * (x[ANGLE] / r - a) + p.damping * (w / r - v)
+    bearings, by_z, by_old, by_w = _bearings(p, w, old, z, x[NOISE], viscous)
+    housing, by_h, by_twist, by_a, by_load = _housing(p, friction_map, x, h, twist)
+    sine, cosine = h * math.sin(a), h * math.cos(a)
+    net = torque - bearings - twist / g - housing - p.housing_viscous * w
+    outer = twist - p.tip_friction * t - x[TORQUE]
+    x[BRISTLE], x[HOUSING], x[TIP] = z, h, t
+    x[SPEED] += dt * net / p.inertia
     x[ANGLE] += dt * x[SPEED]
-    if free:
-        x[GRASPER_SPEED], x[GRASPER] = x[SPEED] / p.angle_ratio, x[ANGLE] / p.angle_ratio
+    if bare:
+        x[GRASPER_SPEED], x[GRASPER] = x[SPEED] / r, x[ANGLE] / r
     else:
-        x[GRASPER_SPEED] = v + dt * outer / p.grasper_inertia
-        x[GRASPER] = a + dt * x[GRASPER_SPEED]
-
-
-@njit(cache=True)
-def _differentiate(
-    rows: Array,
-    p: Record,
-    left: tuple[float, float, float],
-    open_: tuple[float, float, float],
-    bearing: tuple[float, float, float, float],
-    tendon: tuple[float, float, float, float, float, float],
-) -> None:
-    """Carry the derivatives through one sample; all arguments are as before the step."""
-    dt = p.sample_time
-    by_z, by_old_z, by_w, by_noise = bearing
-    by_h, by_twist, by_a, by_sine, by_cosine, by_load = tendon
-    z_w = open_[0] * dt / p.presliding_angle
-    h_w = open_[1] * dt / p.housing_presliding_angle
-    t_v = open_[2] * dt / p.tip_presliding_angle
-    k, c, r = p.stiffness, p.damping, p.angle_ratio
-    free = p.grasper_inertia <= 0.0
-    for j in range(STATES):
-        angle, w, z, h = rows[ANGLE, j], rows[SPEED, j], rows[BRISTLE, j], rows[HOUSING, j]
-        a, v, t = rows[GRASPER, j], rows[GRASPER_SPEED, j], rows[TIP, j]
-        z_new = left[0] * z + z_w * w
-        h_new = left[1] * h + h_w * w
-        t_new = left[2] * t + t_v * v
-        twist = rows[TORQUE, j] if free else k * (angle / r - a) + c * (w / r - v)
-        net = -(
-            by_z * z_new
-            - by_old_z * z
-            + by_w * w
-            + by_noise * rows[NOISE, j]
-            + by_h * h_new
-            + by_twist * twist
-            + by_a * a
-            + by_sine * rows[SINE, j]
-            + by_cosine * rows[COSINE, j]
-            + by_load * rows[LOAD, j]
+        x[GRASPER_SPEED] += dt * outer / p.grasper_inertia
+        x[GRASPER] += dt * x[GRASPER_SPEED]
+    if rows is None:
+        return
+    by_w += p.housing_viscous
+    by_twist += 1.0 / g
+    for j in range(STATES):  # the same once more, for small changes
+        d_angle, d_w, d_a, d_v = (
+            rows[ANGLE, j],
+            rows[SPEED, j],
+            rows[GRASPER, j],
+            rows[GRASPER_SPEED, j],
         )
-        outer = twist - p.tip_friction * t_new - rows[TORQUE, j]
-        w += dt / p.inertia * net
-        angle += dt * w
-        if free:
-            v, a = w / r, angle / r
+        d_z = z_by_z * rows[BRISTLE, j] + z_by_w * d_w
+        d_h = h_by_h * rows[HOUSING, j] + h_by_w * d_w
+        d_t = t_by_t * rows[TIP, j] + t_by_v * d_v
+        d_twist = p.stiffness * (d_angle / r - d_a) + p.damping * (d_w / r - d_v)
+        if bare:
+            d_twist = rows[TORQUE, j]
+        d_net = by_z * d_z + by_old * rows[BRISTLE, j] + by_w * d_w + z * rows[NOISE, j]
+        d_net += by_h * d_h + by_twist * d_twist + by_a * d_a + by_load * rows[LOAD, j]
+        d_net += sine * rows[SINE, j] + cosine * rows[COSINE, j]
+        d_outer = d_twist - p.tip_friction * d_t - rows[TORQUE, j]
+        d_w -= dt / p.inertia * d_net
+        d_angle += dt * d_w
+        if bare:
+            d_v, d_a = d_w / r, d_angle / r
         else:
-            v += dt / p.grasper_inertia * outer
-            a += dt * v
-        rows[ANGLE, j], rows[SPEED, j] = angle, w
-        rows[BRISTLE, j], rows[HOUSING, j], rows[TIP, j] = z_new, h_new, t_new
-        rows[GRASPER, j], rows[GRASPER_SPEED, j] = a, v
+            d_v += dt / p.grasper_inertia * d_outer
+            d_a += dt * d_v
+        rows[ANGLE, j], rows[SPEED, j], rows[BRISTLE, j], rows[HOUSING, j] = d_angle, d_w, d_z, d_h
+        rows[GRASPER, j], rows[GRASPER_SPEED, j], rows[TIP, j] = d_a, d_v, d_t

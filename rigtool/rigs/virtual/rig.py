@@ -221,7 +221,7 @@ class VirtualRig(Rig):
             if closed_loop:
                 self._setpoint = float(signals["position_setpoint"][-1])
             recorded = self._recorded(signals, out, done, every, task.load, rng)
-            if outside is not None:
+            if task.touched:
                 recorded["reference_torque"] = reference[: done // every]
             yield recorded
             self._time += done * dt

@@ -81,14 +81,7 @@ def test_there_is_no_value_while_the_current_is_at_its_limit(rig, strokes):
     with open_run(rig.folder / "strokes.h5") as stored:
         current = np.abs(stored.recording("strokes_000").read("current_setpoint"))
     limit = f"rig.current_limit={np.quantile(current, 0.9)}"
-    found = run(
-        MEASURE_FORCE,
-        rig.folder / "strokes.h5",
-        rig.folder / "limited.h5",
-        limit,
-        kt=KT,
-        tables=rig.tables,
-    )
+    found = rig(8.0, "measure_force.speed_rev_per_s=0.5", limit, name="limited.h5")
     assert 0.2 < found.results["valid_share"].value < 0.9
     assert any("current at its limit" in note for note in found.notes)
 

@@ -11,7 +11,7 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.running.dry_run import rehearse, require_offered
 from rigtool.rigs import NEEDS, Feedforward, Load, Task
-from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
+from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Observe, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
 from rigtool.rigs.serial.emulators.faults import Fault
@@ -182,6 +182,16 @@ def test_interrupted_consumer_leaves_the_drive_off():
 def interrupt_at_first_block(rig):
     for _ in rig.perform(Task(SpeedProfile((0.0, 0.1, 5.0), (0.0, 4.0, 4.0)))):
         raise KeyboardInterrupt
+
+
+def test_observing_is_refused_and_nothing_is_sent():
+    device = toy.ToyEmulator()
+    with serve(device) as server, toy_rig(server.port) as rig:
+        before = len(device.log)
+        assert "move the motor" in rig.lacks("observe")
+        with pytest.raises(HardwareError, match="cannot be observed"):
+            perform(rig, Task(Observe(0.1)))
+        assert len(device.log) == before
 
 
 def test_line_that_is_too_slow_for_the_loop_is_refused():

@@ -11,7 +11,7 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import HardwareError, RecipeError, UsageError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs import Feedforward, Load, Task
-from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Move, SpeedProfile, Triangle
+from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Move, Observe, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.rig import describe_load
@@ -47,6 +47,13 @@ def test_extremes_in_open_loop():
     assert found.current == pytest.approx(1.5, rel=1e-3)
     assert math.isnan(found.position[0])
     assert extremes(CurrentSteps((0.0, 0.4, -0.7), 0.1)).current == 0.7
+
+
+def test_observing_asks_for_nothing():
+    found = extremes(Observe(30.0))
+    assert (found.duration, found.speed, found.current) == (30.0, 0.0, 0.0)
+    assert math.isnan(found.end)
+    safety.check(found, LIMITS)
 
 
 def test_feed_forward_current_adds_up():

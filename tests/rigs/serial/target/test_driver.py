@@ -9,6 +9,7 @@ import pytest
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.recipe import load_recipe
+from rigtool.recipe.virtual import Tissue
 from rigtool.rigs import CHANNELS, Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
@@ -78,6 +79,20 @@ def test_signals_are_those_of_the_virtual_rig(log, tcp):
                 each.move_by(0.2)
             expected = blocks_of(direct, task)
             assert_same(blocks_of(rig, task), expected)
+    assert server.error is None
+
+
+def test_contacts_of_the_emulators_recipe_act_and_are_not_recorded():
+    tissue = Tissue(kind="tissue", at=(0.0,), angle_deg=20.0, stiffness=0.1)
+    recipe = virtual()
+    changed = recipe.virtual.model_copy(update={"contact": (tissue,)})
+    touching = recipe.model_copy(update={"virtual": changed})
+    direct = open_rig(touching, KT, "test")
+    expected = blocks_of(direct, replace(TRIANGLE, touched=True))
+    assert expected.pop("reference_torque").max() > 0.01
+    with serve(TargetEmulator(touching)) as server, target_rig(server.port) as rig:
+        assert rig.lacks("reference_torque") is not None
+        assert_same(blocks_of(rig, TRIANGLE), expected)
     assert server.error is None
 
 
