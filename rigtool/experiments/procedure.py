@@ -24,9 +24,6 @@ class Procedure:
     whose stored runs it analyses. `analyse_imported(runs, **inputs)` takes runs of other rigs;
     `imported_settings` maps the keys of `--set` that it takes to its argument names.
 
-    `analysis_settings` are the keys of a recipe that a stored run may be analysed with anew; all
-    others state how it was recorded.
-
     `rig_needs(recipe)` names what a rig has to offer for motions that depend on what is measured
     first, see `dry_run`.
     """
@@ -40,7 +37,6 @@ class Procedure:
     accepts: tuple[str, ...] = ()
     analyse_imported: Callable[..., Outcome] | None = None
     imported_settings: Mapping[str, str] = field(default_factory=dict)
-    analysis_settings: tuple[str, ...] = ()
     rig_needs: Callable[[Recipe], tuple[str, ...]] = lambda recipe: ()
 
 

@@ -181,5 +181,4 @@ PROCEDURE = Procedure(
     bare_motor=True,
     analyse_imported=analyse_imported,
     rig_needs=rig_needs,
-    analysis_settings=("stribeck.breakaway_angle",),
 )

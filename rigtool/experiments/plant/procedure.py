@@ -162,10 +162,4 @@ def _swing(experiment: Experiment, lines: LineNumbers, sample_time: float) -> fl
     return float(np.abs(periodic(lines, amplitude, samples_of_period)).max())
 
 
-PROCEDURE = Procedure(
-    "identify-plant",
-    recordings,
-    measure,
-    analyse,
-    analysis_settings=("identify_plant.settle_time",),
-)
+PROCEDURE = Procedure("identify-plant", recordings, measure, analyse)

@@ -179,5 +179,4 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     bare_motor=True,
-    analysis_settings=("suspension.speeds_rev_per_s",),
 )
