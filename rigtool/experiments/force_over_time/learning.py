@@ -19,6 +19,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import constants
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_over_time.deviations import Deviations
@@ -68,7 +69,7 @@ NEAR = 0.3
 LENGTH_SPREAD = 1.0
 """Of the logarithm of a bristle's length, before anything is known."""
 
-STRETCH, DAMPING_RATIO, GRASPER_HZ, LOAD_ARM, GRAVITY = 0.2, 0.1, 70.0, 0.02, 9.81
+STRETCH, DAMPING_RATIO, GRASPER_HZ, LOAD_ARM = 0.2, 0.1, 70.0, 0.02
 """Where the search for the tendon begins: its stretch under the largest load, rad, its damping
 ratio then, the resonance of the bare output, and how far out a load hangs, m."""
 
@@ -171,7 +172,7 @@ def _start(sizes: Sizes, known: Known, count: float) -> Shape:
         stribeck_speed=2 * SLOWEST * count,
         ripple_time=0.03,
         stiffness=stiffness,
-        damping=2 * DAMPING_RATIO * math.sqrt(stiffness * load * LOAD_ARM / GRAVITY),
+        damping=2 * DAMPING_RATIO * math.sqrt(stiffness * load * LOAD_ARM / constants.g),
         tip_friction=0.1 * sizes.friction,
         grasper_inertia=stiffness / (2 * math.pi * GRASPER_HZ) ** 2,
         load_onset=load / 64,

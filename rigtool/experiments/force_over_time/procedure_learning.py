@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import constants
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_over_time.deviations import deviations
@@ -20,8 +21,6 @@ from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Recording, Run
-
-GRAVITY = 9.81
 
 FREE_TIME = 14.0
 """Of the exploration's free motion, s."""
@@ -109,7 +108,7 @@ def _condition(recipe: Recipe, kt: Run, temperature: float, force: float) -> Con
     return Condition(
         torque_per_ampere_at(kt, temperature).value,
         force * rig.load_arm,
-        force * rig.load_arm**2 / GRAVITY,
+        force * rig.load_arm**2 / constants.g,
         2 * math.pi / rig.encoder_counts,
     )
 
