@@ -122,7 +122,8 @@ def _warnings(labelled: Sequence[tuple[str, Run]]) -> list[str]:
     for label, run in labelled:
         for used in run.provenance["inputs"]:
             there = shown.get(used["command"], {})
-            if there and used["content_sha256"] not in there.values():
+            analysed_again = used["command"] == run.command
+            if there and not analysed_again and used["content_sha256"] not in there.values():
                 found.append(
                     f"{label}: was made with {used['command']} run {used['content_sha256'][:12]}, "
                     f"which is not the one shown here ({', '.join(there)})."

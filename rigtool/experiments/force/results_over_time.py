@@ -113,9 +113,8 @@ def force_outcome(
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     rows = [scales.applied(reading.low_passed(bandwidth)) for reading in readings]
     whole = Reading.joined([replace(r, reference=None, causal_reference=None) for r in rows])
-    number = np.repeat(np.arange(len(rows)), [len(row.time) for row in rows])
     known = whole.states != State.OUTSIDE
-    results, tables = _results(whole, known), {"force": _table(whole, known, number, recipe)}
+    results, tables = _results(whole, known), {"force": _table(rows, whole, known, recipe)}
     judged = [row for row in rows if row.reference is not None]
     if judged:
         found, table = _judged(Reading.joined(judged), reach)
@@ -140,11 +139,12 @@ def _share(values: NDArray[np.bool_]) -> Quantity:
 
 
 def _table(
-    whole: Reading, known: NDArray[np.bool_], number: NDArray[np.intp], recipe: Recipe
+    rows: Sequence[Reading], whole: Reading, known: NDArray[np.bool_], recipe: Recipe
 ) -> Table:
     def valid(values: Array) -> Array:
         return np.where(known, values, np.nan)
 
+    number = np.repeat(np.arange(len(rows)), [len(row.time) for row in rows])
     half = COVERAGE_FACTOR * whole.deviation
     states = ", ".join(f"{state.value} {name}" for state, name in NAMES.items())
     columns = {
@@ -160,12 +160,21 @@ def _table(
         "causal_torque": Column(valid(whole.causal), "N m", "from samples up to its time only"),
         "causal_u": Column(valid(whole.causal_deviation), "N m", "its standard uncertainty"),
     }
+    if any(row.reference is not None for row in rows):
+        columns["reference"] = Column(_references(rows), "N m", "torque that acted, low-passed")
     return Table(
         ("row",),
         columns,
         "torque",
         "torque on the output over time, positive where it resists positive motion, low-passed at "
         f"{recipe.measure_force.motion.bandwidth_hz:g} Hz",
+    )
+
+
+def _references(rows: Sequence[Reading]) -> Array:
+    """Return what acted in all recordings (m,), N m; NaN in those without a reference."""
+    return np.concatenate(
+        [np.full(len(row.time), np.nan) if row.reference is None else row.reference for row in rows]
     )
 
 

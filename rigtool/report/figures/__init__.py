@@ -11,6 +11,7 @@ from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLO
     instrument,
     learning,
     motor,
+    over_time,
     plant,
     ripple,
     style,
