@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_over_time.accuracy import (
+from rigtool.experiments.force.accuracy import (
     BANDS,
     JUDGED,
     Accuracy,
@@ -33,9 +33,9 @@ COVERAGE_FACTOR = 1.96
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Torque on the output at each step of a recording (m,), N m: smoothed, and causal, with their
-    standard deviations; `reference` N m where it was recorded. `limited` counts the samples whose
-    current was at its limit."""
+    """Torque on the output at each step of a recording (m,), N m: smoothed, and causal behind the
+    low-pass; deviations are those behind the low-pass. `reference` N m where it was recorded.
+    `limited` counts the samples whose current was at its limit."""
 
     name: str
     step_time: float
@@ -65,7 +65,7 @@ class Reading:
         return replace(first, **together, limited=sum(part.limited for part in parts))
 
     def low_passed(self, cutoff_hz: float) -> Reading:
-        """Return the rows of the table: low-passed at a cut-off, Hz, the causal torque causally."""
+        """Return the rows of the table, low-passed at a cut-off, Hz, as the causal torque is."""
         from scipy.signal import butter, sosfilt
 
         rate = 1 / self.step_time
@@ -73,7 +73,7 @@ class Reading:
         every = max(1, int(rate / (ROWS * cutoff_hz)))
         kept = {
             name: getattr(self, name)[::every]
-            for name in ("time", "states", "deviation", "causal_deviation")
+            for name in ("time", "states", "deviation", "causal", "causal_deviation")
         }
         if self.reference is not None:
             kept["reference"] = lowpass(rate, self.reference, cutoff_hz)[::every]
@@ -82,7 +82,6 @@ class Reading:
             self,
             step_time=self.step_time * every,
             torque=lowpass(rate, self.torque, cutoff_hz)[::every],
-            causal=sosfilt(sections, self.causal)[::every],
             **kept,
         )
 
