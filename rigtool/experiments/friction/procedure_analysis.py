@@ -20,7 +20,6 @@ from rigtool.experiments.friction.breakaway import Breakaway, Ramp, around_turn,
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import require_linear_at_low_current
 from rigtool.experiments.friction.results import (
-    DIRECTIONS,
     Findings,
     Scale,
     Uncertain,
@@ -37,9 +36,8 @@ from rigtool.experiments.friction.results import (
 from rigtool.experiments.friction.stribeck_fit import (
     DirectionFit,
     Offset,
-    fit_direction,
+    fit_directions,
     mean_by_speed,
-    require_explained,
     separate_offset,
 )
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
@@ -186,26 +184,6 @@ def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> N
         )
     if abs(left_out[worst]) > NOTED_SHARE * limit:
         found.notes.append(f"{text}, which is in the uncertainty of friction: {REMEDY}")
-
-
-def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
-    """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,).
-
-    Raises `InsufficientDataError` where no direction can be fitted.
-    """
-    fits, reasons = {}, []
-    for sign in (1, -1):
-        chosen = speed * sign > 0
-        if not chosen.any():
-            continue
-        try:
-            fits[sign] = fit_direction(speed[chosen] * sign, torque[chosen] * sign, u[chosen])
-        except InsufficientDataError as error:
-            reasons.append(f"{DIRECTIONS[sign]} direction: {error}")
-    if reasons or not fits:
-        raise InsufficientDataError("; ".join(reasons) or "no speed but zero was held")
-    require_explained(list(fits.values()))
-    return fits
 
 
 def _fit_sweep(curve: TorqueSpeed) -> dict[int, DirectionFit]:

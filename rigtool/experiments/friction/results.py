@@ -9,7 +9,7 @@ import numpy as np
 
 from rigtool.experiments.friction.breakaway import Breakaway, Ramp
 from rigtool.experiments.friction.holds import Holds
-from rigtool.experiments.friction.stribeck_fit import DirectionFit, Offset
+from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, DirectionFit, Offset
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
@@ -27,8 +27,6 @@ RAMP_POINTS = 2000
 
 TANH_DONE = 3.0
 """Speed above which the compensation's tanh(v / (1 rad/s)) is within 0.5 % of 1, rad/s."""
-
-DIRECTIONS = {1: "positive", -1: "negative"}
 
 NOT_SEPARATED = (
     "the data do not separate a constant torque from friction that differs between directions: "
