@@ -42,7 +42,7 @@ from rigtool.experiments.friction.stribeck_fit import (
 )
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.torque_per_ampere import mean_constant_note, torque_per_ampere
+from rigtool.experiments.torque_per_ampere import mean_constant_note
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run, Table
@@ -57,7 +57,7 @@ BREAKAWAY, BREAKAWAY_LOADED = "breakaway", "breakaway_loaded"
 
 def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
     """Return Coulomb [N m] and viscous friction [N m s/rad] from holds in both directions."""
-    scale = Scale.of(kt)
+    scale = Scale.of(kt, [holds])
     fits, _, _ = _fit_holds([holds], recipe, scale)
     return (
         float(np.mean([fit.coulomb[0] for fit in fits.values()])),
@@ -67,13 +67,14 @@ def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
 
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     """Return friction from the recordings that the runs hold; notes name those that are missing."""
-    found = Findings(Scale.of(kt))
-    found.notes.append(mean_constant_note(torque_per_ampere(kt)))
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
         for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
     }
-    if not any(recordings.values()):
+    everything = [recording for parts in recordings.values() for recording in parts]
+    found = Findings(Scale.of(kt, everything))
+    found.notes.append(mean_constant_note(kt, everything))
+    if not everything:
         runs[0].recording(HOLDS)  # raises, naming the recordings that are there
     missing = [name for name, parts in recordings.items() if not parts]
     if missing:

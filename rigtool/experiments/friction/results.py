@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,7 +15,7 @@ from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Run, Table
+from rigtool.runfile import Column, Recording, Run, Table
 
 Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""
@@ -43,9 +44,9 @@ class Scale:
     relative_u: float
 
     @classmethod
-    def of(cls, kt: Run) -> Scale:
-        """Take the mean torque constant of a calibration [7.1.1]."""
-        mean = torque_per_ampere(kt)
+    def of(cls, kt: Run, recordings: Sequence[Recording]) -> Scale:
+        """Take the mean torque constant of a calibration [7.1.1], for recordings to be read."""
+        mean = torque_per_ampere(kt, recordings)
         return cls(mean.value, (mean.u or 0.0) / mean.value)
 
     def quantity(self, estimate: Uncertain, unit: str, dof: float | None) -> Quantity:

@@ -121,8 +121,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: fft-ripple takes one, with all its recordings")
-    per_ampere = torque_per_ampere(kt)
-    constant, run = per_ampere.value, runs[0]
+    run = runs[0]
     speeds = sorted(run.recordings_named("speed_"), key=lambda r: r.condition("speed"))
     if not speeds:
         raise RunFileError(
@@ -131,6 +130,9 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         )
     torques = sorted(run.recordings_named("torque_"), key=lambda r: r.condition("torque"))
     cycles = run.recordings_named("power_cycle_")
+    recorded = [*speeds, *torques, *cycles]
+    per_ampere = torque_per_ampere(kt, recorded)
+    constant = per_ampere.value
     segment = _segment(speeds)
     welches = [Welch(segment) for _ in speeds]
     by_speed = [
@@ -155,7 +157,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     for name in ("repeatable_rms", "non_repeatable_rms"):
         results[name] = with_constant(results[name], per_ampere)
     notes = [
-        mean_constant_note(per_ampere),
+        mean_constant_note(kt, recorded),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
         *unsampled_note(runs, constant),
