@@ -43,6 +43,7 @@ def project() -> dict:
 
 
 def read(name: str) -> str:
+    """Return the text of a file of the repository."""
     return (ROOT / name).read_text(encoding="utf-8")
 
 
@@ -52,6 +53,7 @@ def tracked() -> list[str]:
 
 
 def output(*command: str, cwd: Path = ROOT) -> str:
+    """Return what a command prints; end with its messages where it fails."""
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
     if done.returncode:
         sys.exit(f"{' '.join(command)}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
@@ -97,7 +99,7 @@ def untagged() -> Iterator[str]:
 
 
 def distributions() -> Iterator[str]:
-    """The source distribution is complete, the wheel is built from it, its description has links that hold"""
+    """The source distribution is complete, and so is the wheel that is built from it"""
     source, wheel = build(DIST)
     yield from faults_of(source, wheel)
 
