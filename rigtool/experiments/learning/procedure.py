@@ -105,4 +105,11 @@ PROCEDURE = Procedure(
     needed=("kt",),
     analyse_imported=analyse_imported,
     rig_needs=rig_needs,
+    analysis_settings=(
+        "ilc_learn.robustness_hz",
+        "ilc_learn.robustness_order",
+        "ilc_learn.learning_factor",
+        "ilc_learn.learning_filter",
+        "ilc_learn.cancel_radius",
+    ),
 )

@@ -212,4 +212,10 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     bare_motor=True,
+    analysis_settings=(
+        "calibrate_kt.settle_time",
+        "calibrate_kt.reference_range_degc",
+        "rig.arm.length_u",
+        "rig.arm.gauge_relative_u",
+    ),
 )
