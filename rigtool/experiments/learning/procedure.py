@@ -44,7 +44,7 @@ def asked(options: CommonOptions, name: str | None, *, validate: bool) -> Common
     if name is not None:
         options = options.with_override(f"ilc_learn.implementation={name}")
         if name in IMPLEMENTATIONS and IMPLEMENTATIONS[name].BARE_MOTOR:
-            options = options.with_override("rig.attachment=pulley")
+            options = replace(options, overrides=("rig.attachment=pulley", *options.overrides))
     return options.with_override("ilc_learn.validation=true") if validate else options
 
 

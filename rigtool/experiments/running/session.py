@@ -67,11 +67,11 @@ def _measure(
 ) -> Outcome:
     require_inputs(procedure, inputs)
     overrides = list(options.overrides)
-    if procedure.bare_motor:
-        overrides.append("rig.attachment=pulley")
     if options.seed is not None:
         overrides.append(f"virtual.seed={options.seed}")
     recipe, text = load_recipe(source, overrides)
+    if procedure.bare_motor:
+        recipe = override_recipe(recipe, ["rig.attachment=pulley"])
     on_line = recipe.rig.source == "serial"
     if on_line and options.seed is not None:
         raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
@@ -83,6 +83,8 @@ def _measure(
         return dry_run(procedure, recipe, constant, inputs)
     operator = Operator(yes=options.yes, spy=options.spy)
     rig = open_rig(recipe, constant, procedure.command, operator)
+    if not rig.physical:
+        rehearse(procedure, recipe, constant, inputs, evaluated=False)
     plan = procedure.recordings(recipe)
     rig.use_only({channel.name for spec in plan for channel in spec.channels})
     if rig.physical:
