@@ -241,6 +241,17 @@ class MeasureForce(Section):
     record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
     motion: ForceMotion = ForceMotion()
 
+    @model_validator(mode="after")
+    def _reads_within_the_stroke(self) -> MeasureForce:
+        require_straight_part("turn_angle", self.turn_angle, self.angle)
+        low, high = self.turn_angle, self.angle - self.turn_angle
+        if not low <= self.measure_angle <= high:
+            raise ValueError(
+                f"measure_angle {self.measure_angle:g} deg is not between {low:g} and {high:g} "
+                "deg, where a stroke has a constant speed: choose an angle there, in degrees"
+            )
+        return self
+
 
 class Suspension(Section):
     """Known forces pull at the motor, a micrometer reads how far its leaf springs give [App. E]."""

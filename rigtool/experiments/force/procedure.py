@@ -252,4 +252,11 @@ PROCEDURE = Procedure(
     needed=("kt",),
     accepts=("ilc-learn", "identify-plant", "stribeck", "fft-ripple"),
     analyse_imported=analyse_imported,
+    analysis_settings=(
+        "measure_force.measure_angle",
+        "measure_force.lowpass_hz",
+        "measure_force.correction",
+        "measure_force.zero",
+        "measure_force.motion.bandwidth_hz",
+    ),
 )

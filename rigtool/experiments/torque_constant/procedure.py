@@ -25,6 +25,9 @@ from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
 
 STAIRCASE = "staircase"
 
+FAR_OFF = 3.0
+"""Ratio of measured constant and data sheet that no motor explains: magnets differ by a tenth."""
+
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """One recording of all staircases in sequence; the bench clock runs on."""
@@ -78,7 +81,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
         gauge_relative_u=arm.gauge_relative_u,
         reference_range_degc=settings.reference_range_degc,
     )
-    return Outcome(_results(found), _tables(found), _notes(found, settings))
+    return Outcome(_results(found), _tables(found), _notes(found, recipe))
 
 
 def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
@@ -170,8 +173,14 @@ def _tables(found: Calibration) -> dict[str, Table]:
     }
 
 
-def _notes(found: Calibration, settings: CalibrateKt) -> tuple[str, ...]:
-    notes = []
+def _notes(found: Calibration, recipe: Recipe) -> tuple[str, ...]:
+    notes, settings = [], recipe.calibrate_kt
+    ratio = found.mean.value / recipe.rig.torque_constant
+    if not 1 / FAR_OFF < ratio < FAR_OFF:
+        notes.append(
+            f"the measured constant is {ratio:.3g} times the data sheet's, rig.torque_constant = "
+            f"{recipe.rig.torque_constant:g} N m/A: see to the units of force, arm and current"
+        )
     parts = sorted(found.components.items(), key=lambda item: -item[1])
     budget = ", ".join(f"{name} {u * 100:.2g} %" for name, u in parts if u > 0)
     notes.append(f"standard uncertainty of torque_constant_mean: {budget}")
@@ -212,4 +221,10 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     bare_motor=True,
+    analysis_settings=(
+        "calibrate_kt.settle_time",
+        "calibrate_kt.reference_range_degc",
+        "rig.arm.length_u",
+        "rig.arm.gauge_relative_u",
+    ),
 )
