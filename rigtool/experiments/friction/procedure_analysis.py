@@ -15,7 +15,11 @@ from rigtool.experiments.between_set_points import (
     UnsampledCurrent,
     setpoint_resolution,
 )
-from rigtool.experiments.controller_torque import controller_torque
+from rigtool.experiments.controller_torque import (
+    controller_torque,
+    naming,
+    require_unlimited,
+)
 from rigtool.experiments.friction.breakaway import Breakaway, Ramp, around_turn, find_ramps
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import require_linear_at_low_current
@@ -49,6 +53,8 @@ from rigtool.runfile import Recording, Run, Table
 
 NOTED_SHARE = 0.1
 """Part of its limit above which unsampled torque is worth a note."""
+
+SATURATED = "lower stribeck.speed_max, or the load on the shaft"
 
 HOLDS = "holds"
 SWEEPS = ("sweep", "sweep_coulomb", "sweep_viscous")
@@ -128,6 +134,9 @@ def _fit_holds(
     parts, notes = [], []
     setpoints, currents = [], []
     for recording in recordings:
+        with naming(recording):
+            asked = recording.read("current_setpoint")
+            require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED)
         found = find_holds(
             time=recording.read("time"),
             angle=_angle(recording, recipe),

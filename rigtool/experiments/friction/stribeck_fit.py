@@ -308,8 +308,9 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
             f"torque against speed has structure of {worst.structure * 1e3:.3g} mN m rms about "
             f"the best friction model, far beyond the scatter of its points; limit "
             f"{limit * 1e3:.3g} mN m ({STRUCTURE_LIMIT:.0%} of the friction); worst at "
-            f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect the current "
-            "amplifier at low current (thesis Appendix C), or a resonance of the speed loop"
+            f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
+            "that is slower than a hold (raise stribeck.hold_time), the current amplifier at low "
+            "current (thesis Appendix C), or a resonance of the speed loop"
         )
 
 
