@@ -7,7 +7,7 @@ i is the current set point, g the gain of the amplifier, k the torque constant o
 The thesis takes one constant, the mean over 20 to 35 degC, for all that it measures [7.1.1]:
 `torque_per_ampere`, of every command but those below. Its standard uncertainty includes the change
 of k over that range, since the motor may have any temperature within it: a rectangular distribution
-(GUM 4.3.7). What `ilc-learn` stores is fed forward as current by the same constant, so that the
+(GUM 4.3.7). A table of `ilc-learn` is fed forward as current by the same constant, so that the
 constant cancels: uncertainties of learned tables are those of their scatter.
 
 `identify-plant` and `measure-force --correction full` resolve less than the change of k. They take
@@ -82,7 +82,7 @@ def with_constant(quantity: Quantity, constant: Quantity) -> Quantity:
 
 
 def mean_constant_note(constant: Quantity) -> str:
-    """State by which constant torques were computed, and what its uncertainty includes."""
+    """State the constant behind the torques, and the parts of its uncertainty."""
     return (
         f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A; its standard "
         f"uncertainty, {(constant.u or 0.0) / constant.value:.2%}, includes its change over the "

@@ -16,7 +16,7 @@ from rigtool.experiments.between_set_points import (
     setpoint_resolution,
 )
 from rigtool.experiments.controller_torque import controller_torque
-from rigtool.experiments.friction.breakaway import Breakaway, Ramp, around_turn, find_ramps
+from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp, around_turn, find_ramps
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import require_linear_at_low_current
 from rigtool.experiments.friction.results import (
@@ -50,7 +50,7 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run, Table
 
 NOTED_SHARE = 0.1
-"""Part of its limit above which unsampled torque is worth a note."""
+"""Part of its limit above which unsampled torque gets a note."""
 
 HOLDS = "holds"
 SWEEPS = ("sweep", "sweep_coulomb", "sweep_viscous")
@@ -286,7 +286,7 @@ def _breakaway(
 
     Positions are those of `pair`, where another series is given to compare with.
     """
-    ramps: list[Ramp] = []
+    ramps: list[TorqueRamp] = []
     highest: Table | None = None
     for recording in recordings:
         time, angle = recording.read("time"), _angle(recording, recipe)

@@ -91,7 +91,7 @@ def _filters(recipe: Recipe, plant: Run | None, tables: Run) -> Learning:
 
 
 def fits(outcome: Outcome) -> bool:
-    """Return whether the table fits; if not, the first note states what changed."""
+    """Return whether the table fits; if not, the first note states the change."""
     return outcome.results[FITS].value == 1
 
 

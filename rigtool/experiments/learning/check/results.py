@@ -1,4 +1,4 @@
-"""What `ilc-learn --check` reports of a table's health: numbers, waveforms, and words."""
+"""Results of `ilc-learn --check` on a table's health: numbers, waveforms, and words."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
 NO_PATTERN = "the table holds no pattern above its noise"
-BOUND = "what exceeds the scatter of the mean; compare with non_repeatable_rms"
+BOUND = "the part above the scatter of the mean; compare with non_repeatable_rms"
 
 
 def outcome_of(
@@ -61,11 +61,11 @@ def _results(found: TableHealth, counts: int, dof: float) -> dict[str, Quantity]
 
 
 def verdict(found: TableHealth, counts: int) -> str:
-    """State in words whether the table fits, what changed, and whether a shift would mend it."""
+    """State in words whether the table fits, its changes, and whether a shift would correct it."""
     limit = f"a single move scatters by {found.limit * 1e3:.2g} mN m rms"
     off = f"the table is off by {found.mismatch * 1e3:.2g} mN m rms"
     if found.fits:
-        return f"the table fits: {limit}, {off} beyond what scatter explains"
+        return f"the table fits: {limit}, {off} beyond the scatter"
     changes = [*_pattern(found, counts), *_means(found)]
     changed = "; ".join(changes) or "a little of everything changed"
     remedy = ""
@@ -85,7 +85,7 @@ def _pattern(found: TableHealth, counts: int) -> list[str]:
     if found.shift_would_do and found.shift is not None:
         return [_shifted(found.shift, found.shifted, counts)]
     if found.even >= found.odd:
-        what = "what does not depend on the direction has another shape, as after a power cycle"
+        what = "the part independent of direction has another shape, as after a power cycle"
         what += " of the amplifier"
     else:
         what = "friction depends on the position in another way"
@@ -143,7 +143,7 @@ def _by_speed(rows: Sequence[Row], position: Array, learned: LearnedTable) -> Ta
             ),
         },
         "mismatch_rms",
-        "what the table is off by, scatter of the mean included",
+        "error of the table, scatter of the mean included",
     )
 
 
