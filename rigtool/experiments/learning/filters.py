@@ -250,5 +250,5 @@ def convergence(learning: Learning, frequency: Array) -> Convergence:
 
 
 def _product(gain: Array, doubt: Array) -> Array:
-    """Return gain times doubt, zero where nothing is learned, however doubtful the plant is."""
+    """Return gain times doubt, zero where nothing is learned, for any doubt of the plant."""
     return np.multiply(gain, doubt, out=np.zeros(len(gain)), where=gain > 0)

@@ -78,7 +78,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """A run against a map, orders 1..m: `shown` by the run, `mapped` by the map, and `left`."""
+    """A run against a map, orders 1..m: those of run, map, and remainder `left`."""
 
     shown: Spectrum
     mapped: Orders
@@ -94,7 +94,7 @@ class _Compared:
 
     @property
     def shifted(self) -> bool:
-        """Whether it is the same map, turned."""
+        """Whether it is the same map, shifted."""
         certain = abs(self.match.shift) > SIGNIFICANT_SHIFT * self.match.shift_u
         return not self.fits and certain and self.match.best_correlation**2 >= SAME_MAP_VARIANCE
 
@@ -140,7 +140,7 @@ class _Compared:
     def table(self, unit: str) -> Table:
         """Return all orders."""
         removed, u = reduction(self.shown, self.left)
-        floor = "amplitude that scatter alone would show"
+        floor = "amplitude due to scatter alone"
         return Table(
             ("order",),
             {
@@ -193,7 +193,7 @@ class _Compared:
             )
         else:
             verdict = (
-                f"the table does not fit, and shifting would not do: correlation "
+                f"the table does not fit, and a shift is not enough: correlation "
                 f"{match.correlation:.3f} as it is, {match.best_correlation:.3f} at best, shifted "
                 f"by {degrees:.1f} deg: learn again"
             )

@@ -67,12 +67,12 @@ def verdict(found: TableHealth, counts: int) -> str:
     if found.fits:
         return f"the table fits: {limit}, {off} beyond the scatter"
     changes = [*_pattern(found, counts), *_means(found)]
-    changed = "; ".join(changes) or "a little of everything changed"
+    changed = "; ".join(changes) or "several parts changed slightly"
     remedy = ""
-    if not found.shift_would_do:
-        remedy = "; shifting it would not do: learn again"
+    if not found.shift_is_enough:
+        remedy = "; a shift is not enough: learn again"
     elif found.friction_changed or found.offset_changed:
-        remedy = "; shifting alone would not do: learn again"
+        remedy = "; a shift alone is not enough: learn again"
     return f"the table does not fit, {off} while {limit}: {changed}{remedy}"
 
 
@@ -80,9 +80,9 @@ def _pattern(found: TableHealth, counts: int) -> list[str]:
     """State how the pattern changed; nothing where it still fits."""
     if found.pattern_fits:
         return []
-    if found.scale_would_do and found.scale is not None:
-        return [f"the pattern is where it was, {found.scale.value:.3g} times as large"]
-    if found.shift_would_do and found.shift is not None:
+    if found.scale_is_enough and found.scale is not None:
+        return [f"the pattern is at the same position, {found.scale.value:.3g} times as large"]
+    if found.shift_is_enough and found.shift is not None:
         return [_shifted(found.shift, found.shifted, counts)]
     if found.even >= found.odd:
         what = "the part independent of direction has another shape, as after a power cycle"
@@ -105,7 +105,7 @@ def _shifted(shift: Change, left: float, counts: int) -> str:
     return (
         f"it is the same pattern, shifted by {'half a turn, ' if half else ''}{degrees:.2f} +- "
         f"{u:.2f} deg ({steps:.0f} +- {steps_u:.0f} counts), as after another index; shifting the "
-        f"table by that would do, and leave {rest}"
+        f"table by that is enough, and leaves {rest}"
     )
 
 

@@ -119,19 +119,19 @@ class TableHealth:
         return self.shape <= self.limit
 
     @property
-    def shift_would_do(self) -> bool:
+    def shift_is_enough(self) -> bool:
         """Whether the pattern is the same but shifted, which only a whole turn shows."""
-        if self.pattern_fits or self.scale_would_do or self.shift is None:
+        if self.pattern_fits or self.scale_is_enough or self.shift is None:
             return False
         return self.whole_turn and self._explains(self.shifted)
 
     @property
-    def scale_would_do(self) -> bool:
+    def scale_is_enough(self) -> bool:
         """Whether the pattern is the same one where it was, larger or smaller."""
         return not self.pattern_fits and self.scale is not None and self._explains(self.scaled)
 
     def _explains(self, left: float) -> bool:
-        """Return whether a change that leaves this rms explains the pattern now."""
+        """Return whether a change that leaves this rms explains the present pattern."""
         return left <= min(self.limit, math.sqrt(1 - ALIKE) * self.pattern)
 
     @property
@@ -162,7 +162,7 @@ def parts(table: LookupTable, u: Array, rows: Sequence[Row], position: Array) ->
     by_speed: dict[float, dict[bool, Part]] = {}
     for row in rows:
         if len(row.moves) < 2:
-            raise InsufficientDataError("one move has no scatter: record at least 2")
+            raise InsufficientDataError("a single move has no scatter: record at least 2")
         at = (position, np.full(position.size, row.speed))
         if not table.covers(*at).all():
             raise InsufficientDataError(
@@ -305,7 +305,7 @@ def _fit(
         # scale*learned(p - shift - d) = scale*turned + scale*d*slope
         inverse = np.linalg.pinv(np.column_stack([turned.ravel(), slope.ravel()]))
         scale, moved = inverse @ there.ravel()
-        # No leaps from one summit to the next.
+        # No jumps from one maximum to the next.
         shift += float(np.clip(moved / scale, -step, step)) if scale > 0 else 0.0
     inverse[1] /= scale
     each = varying.reshape(len(moves), -1) @ inverse.T
@@ -362,7 +362,7 @@ def _nearest(leftovers: Array, periodic: bool) -> int:
     shifts = np.where(shifts > size // 2, shifts - size, shifts) if periodic else shifts - size // 2
     good = np.flatnonzero(leftovers <= leftovers.min() + EQUALLY_GOOD)
     first = good[np.argmin(np.abs(shifts[good]))]
-    # Down to the bottom of its own valley.
+    # Down to the minimum of its own valley.
     while True:
         around = [
             (first + k) % size if periodic else min(max(first + k, 0), size - 1) for k in (0, -1, 1)

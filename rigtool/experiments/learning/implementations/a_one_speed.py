@@ -82,7 +82,7 @@ class OneSpeed(BareMotor[TaughtMap]):
         return narrowed(self.filters, self.recipe)
 
     def learn(self, runs: Sequence[Sequence[Recording]], slower: Sequence[Recording]) -> TaughtMap:
-        """Return the map that all runs so far teach, as a table that does not depend on speed."""
+        """Return the map learned from all runs so far, as a table that does not depend on speed."""
         counts, learning = self.recipe.rig.encoder_counts, self.learning
         cut = [[_ripple(item) for item in self.turned(run)] for run in runs]
         history = [self.judge(run, updates) for updates, run in enumerate(cut)]
@@ -187,8 +187,8 @@ class OneSpeed(BareMotor[TaughtMap]):
         if zero.size:
             listed = ", ".join(f"{speed:.3g}" for speed in zero)
             notes.append(
-                f"nothing like the map repeats above chance at {listed} rev/s: the table is zero "
-                "there"
+                f"nothing similar to the map repeats above the noise at {listed} rev/s: the table "
+                "is zero there"
             )
         return notes
 
@@ -231,7 +231,7 @@ def untuned(learned: Row, recipe: Recipe) -> LookupTable:
 
 
 def _ripple(item: Turned) -> Turned:
-    """Take the mean off each turn: it is friction, which A does not learn."""
+    """Subtract the mean of each turn: it is friction, which A does not learn."""
     signal = item.cycles.signal - item.cycles.signal.mean(axis=1, keepdims=True)
     return replace(
         item,

@@ -105,7 +105,7 @@ def _steady(recipe: Recipe, name: str, speed: float) -> RecordingSpec:
             "speed": (TURN * speed, "rad/s"),
             "revolutions": (float(turns), "1"),
             "steady_from": (start, "s"),
-            # a little more, as samples do not end where turns do
+            # with a margin, since samples do not end where turns do
             "steady_until": (start + (turns + 0.05) / abs(speed), "s"),
         },
         recipe.ilc_learn.turning.record_every,

@@ -1,8 +1,8 @@
 """Implementation C, 'limited rotation angle' [7.2.4.2, Fig. 55, 56].
 
 At each speed the rig moves to and fro, one learning update makes two rows of the table, low speeds
-give the amplitude table. Then the same moves are made with the table switched on, and what remains
-is reported.
+give the amplitude table. Then the rig repeats the moves with the table switched on, and the
+remaining disturbance is reported.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
         }
 
     def task(self, spec: RecordingSpec, fed: Feedforward) -> Task:
-        """Return the moves of a recording with this fed forward."""
+        """Return the moves of a recording with this feed-forward."""
         return Task(motion(self.recipe, spec), fed)
 
     def fed(self, taught: TaughtMoves) -> Feedforward:
