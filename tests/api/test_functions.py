@@ -162,7 +162,7 @@ def test_sources_that_do_not_go_together(kt, staircase):
         (lambda frame: dict(frame), "time.* is given, recordings of this recipe are staircase"),
         (lambda frame: {"staircase": frame.assign(weight=1.0)}, "no signal 'weight'; .* force .N."),
         (lambda frame: {"staircase": frame.drop(columns="time")}, "needs time"),
-        (lambda frame: {"staircase": frame[["time"]]}, "needs time and what was measured"),
+        (lambda frame: {"staircase": frame[["time"]]}, "needs time and a measured signal"),
         (lambda frame: {"staircase": frame[::-1]}, "time must rise"),
         (lambda frame: {"staircase": frame[:1]}, "2 or more samples"),
         (lambda frame: {"staircase": frame[::2]}, r"are 0.04 s apart, by the recipe 0\.02 s"),

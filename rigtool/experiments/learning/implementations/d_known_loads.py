@@ -3,7 +3,7 @@
 First C learns by position and speed. Then known loads are lifted and lowered at several speeds,
 each speed beginning and ending without load; from these the disturbance of a load is learned
 (`experiments.load_disturbance.model`): friction that grows with load, stiffness of the tendon,
-ripple by current. A short motion without load explores what strokes do not show: rest and reversals
+ripple by current. A short motion without load explores states that strokes lack: rest and reversals
 anywhere. From all of them the model of motor and instrument is learned that reads torque over time
 (`experiments.force_over_time.model`). All go into one run file: the table is fed forward while
 moving, disturbance and model convert the motor's torque into a load.
@@ -78,14 +78,14 @@ class KnownLoads(LimitedAngle):
 
     @classmethod
     def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
-        """List what implementation C records, the known loads at each speed, the exploration."""
+        """List the recordings of implementation C, the known loads by speed, the exploration."""
         return (*super().recordings(recipe), *_loaded(recipe), _explored())
 
     def require(self, recipe: Recipe, friction: Run | None) -> None:
         """Raise `RecipeError` without the instrument."""
         if recipe.rig.attachment != "instrument":
             raise RecipeError(
-                "implementation D learns what an instrument does to a load; rig.attachment is "
+                "implementation D learns the effects of an instrument on a load; rig.attachment is "
                 f"{recipe.rig.attachment}: attach the instrument, or learn with implementation C"
             )
 
@@ -129,7 +129,7 @@ class KnownLoads(LimitedAngle):
 def _learn_force(run: Run, recipe: Recipe, kt: Run, tendon: Tendon) -> Outcome:
     explored = run.recordings_named(f"{EXPLORED}_")
     if not explored:
-        note = "no recording explores rest and reversals: force over time needs tables learned anew"
+        note = "no recording explores rest and reversals: force over time needs new tables"
         return Outcome({}, {}, (note,))
     moves = [r for kind in ("learn", "low") for r in run.recordings_named(f"{kind}_")]
     strokes = run.recordings_named(f"{LOADED}_")
@@ -150,7 +150,7 @@ def _loads_outcome(
             **_tendon_results(disturbance, pairs, moments),
             "load_friction_coefficient": _friction_coefficient(grid, recipe),
             "learned_torque": Quantity(
-                disturbance.torque, "N m", reason="a bound of what was learned, not measured"
+                disturbance.torque, "N m", reason="a bound of the learned range, not measured"
             ),
             "learned_temperature": Quantity(
                 _temperature(run), "degC", reason="how well the sensor is calibrated is not known"
@@ -236,7 +236,7 @@ def _left_out(
     moments: list[float],
     recipe: Recipe,
 ) -> Table:
-    """Read each load with what was learned from the other loads, at all speeds."""
+    """Read each load with a model learned from the other loads, at all speeds."""
     loads, speeds = sorted(set(moments)), disturbance.speeds
     angle = math.radians(recipe.measure_force.measure_angle)
     error, u = np.full((2, len(speeds), len(loads)), math.nan)
