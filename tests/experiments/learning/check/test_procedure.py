@@ -232,7 +232,7 @@ def test_what_cannot_be_compared_is_refused(turned, moved, folder, kt):
         check(tables, folder, kt, "rig.name=another")
     with pytest.raises(RunFileError, match="is a run of calibrate-kt"):
         check(kt, folder, kt)
-    with pytest.raises(RunFileError, match="needed is one of ilc-check or ilc-learn"):
+    with pytest.raises(RunFileError, match="a run of ilc-check or ilc-learn is needed"):
         check(tables, folder, kt, source=kt)
     with pytest.raises(UsageError, match="--kt is missing"):
         run(ILC_CHECK, RECIPE, folder / "no.h5", PULLEY, tables=tables)
