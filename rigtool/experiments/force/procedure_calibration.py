@@ -40,16 +40,14 @@ def scales_of(tables: Run, recipe: Recipe, kt: Run, model: ForceModel, reach: Re
     found: dict[str, list[tuple[Array, States]]] = {"smoothed": [], "causal": []}
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     for recording in _informative(tables):
-        reading = read_recording(recording, recipe, kt, model, reach, LENGTH)
-        if reading is None:
-            continue
-        rows = reading.low_passed(bandwidth)
-        truth = _known(recording, rows, recipe, model)
-        for name, torque, deviation in (
-            ("smoothed", rows.torque, rows.deviation),
-            ("causal", rows.causal, rows.causal_deviation),
-        ):
-            found[name].append((np.abs(torque - truth) / deviation, rows.states))
+        for part in read_recording(recording, recipe, kt, model, reach, LENGTH).parts:
+            rows = part.low_passed(bandwidth)
+            truth = _known(recording, rows, recipe, model)
+            for name, torque, deviation, states in (
+                ("smoothed", rows.torque, rows.deviation, rows.states),
+                ("causal", rows.causal, rows.causal_deviation, rows.causal_states),
+            ):
+                found[name].append((np.abs(torque - truth) / deviation, states))
     return Scales(*(_factors(found[name]) for name in ("smoothed", "causal")))
 
 

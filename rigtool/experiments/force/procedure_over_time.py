@@ -111,12 +111,11 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
     model = model_from(tables, recipe)
     reach = reach_of(tables, kt, recipe)
     read = [read_recording(r, recipe, kt, model, reach) for r in recorded if r.size]
-    readings = [reading for reading in read if reading is not None]
-    if not readings:
+    if not any(r.parts for r in read):
         raise InsufficientDataError(
             f"{run.path}: no recording has {SHORTEST:g} s without a gap: record for longer"
         )
-    return force_outcome(readings, recipe, reach, scales_of(tables, recipe, kt, model, reach))
+    return force_outcome(read, recipe, reach, scales_of(tables, recipe, kt, model, reach))
 
 
 def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:
