@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from rigtool.experiments.force.results_over_time import Reading, Recorded
-from rigtool.experiments.force_over_time.estimate import PIECE, Smoother
+from rigtool.experiments.force.sensor import Instrument, Sensor
+from rigtool.experiments.force_over_time.estimate import PIECE, Smoother, without_delay
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.motion_states import Moments, Reach
-from rigtool.experiments.force_over_time.sensor import Instrument, Sensor
 from rigtool.experiments.force_over_time.steps import unbroken
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
@@ -47,7 +47,8 @@ def instrument_of(
     cold = torque_per_ampere_at(kt, 0.0).value
     slope = torque_per_ampere_at(kt, 1.0).value - cold
     count = 2 * math.pi / rig.encoder_counts
-    return Instrument(model, reach, interval, count, (cold, slope), rig.current_limit)
+    bandwidth = recipe.measure_force.motion.bandwidth_hz
+    return Instrument(model, reach, interval, count, (cold, slope), rig.current_limit, bandwidth)
 
 
 def read_recording(
@@ -136,7 +137,7 @@ class _Stretch:
         sensed = self._sensor.add(samples, last=last)
         self._limited += int(self._instrument.limited(samples[1]).sum())
         estimate = sensed.estimate
-        found = [estimate.torque.copy(), estimate.deviation, sensed.states, *sensed.others]
+        found = [estimate.passed, estimate.deviation, sensed.states, *sensed.others]
         names = ("causal", "causal_deviation", "causal_states", "reference")
         for name, values in zip(names, found, strict=False):
             self._found[name].append(values)
@@ -173,6 +174,8 @@ class _Stretch:
         if not whole or len(whole["torque"]) * step_time < SHORTEST:
             return []
         reference = whole.pop("reference", None)
+        bandwidth = self._instrument.bandwidth_hz
+        whole["deviation"] = without_delay(whole["deviation"], bandwidth, step_time)
         steps = np.arange(1.0, len(whole["torque"]) + 1)
         time: Any = self._began + step_time * steps
         limited = self._limited

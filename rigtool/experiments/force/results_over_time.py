@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_over_time.accuracy import (
+from rigtool.experiments.force.accuracy import (
     BANDS,
     JUDGED,
     Accuracy,
@@ -33,9 +33,10 @@ COVERAGE_FACTOR = 1.96
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Torque on the output at each step of a stretch without gaps (m,), N m: smoothed, and causal,
-    each with its standard deviation and states; `reference` N m where it was recorded. `limited`
-    counts the samples whose current was at its limit."""
+    """Torque on the output at each step of a stretch without gaps (m,), N m: smoothed, and causal
+    behind the low-pass, each with its states; deviations are those behind the low-pass.
+    `reference` N m where it was recorded. `limited` counts the samples whose current was at its
+    limit."""
 
     name: str
     step_time: float
@@ -65,17 +66,13 @@ class Reading:
         return replace(first, **together, limited=sum(part.limited for part in parts))
 
     def low_passed(self, cutoff_hz: float) -> Reading:
-        """Return the rows of the table: low-passed at a cut-off, Hz, the causal torque causally."""
+        """Return the rows of the table, low-passed at a cut-off, Hz, as the causal torque is."""
         from scipy.signal import butter, sosfilt
 
         rate = 1 / self.step_time
         sections = butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos")
         every = max(1, int(rate / (ROWS * cutoff_hz)))
-        kept = {
-            name: getattr(self, name)[::every]
-            for name in SIGNALS
-            if name not in ("torque", "causal")
-        }
+        kept = {name: getattr(self, name)[::every] for name in SIGNALS if name != "torque"}
         if self.reference is not None:
             kept["reference"] = lowpass(rate, self.reference, cutoff_hz)[::every]
             kept["causal_reference"] = sosfilt(sections, self.reference)[::every]
@@ -83,7 +80,6 @@ class Reading:
             self,
             step_time=self.step_time * every,
             torque=lowpass(rate, self.torque, cutoff_hz)[::every],
-            causal=sosfilt(sections, self.causal)[::every],
             **kept,
         )
 
@@ -138,7 +134,7 @@ def force_outcome(
     known = whole.states != State.OUTSIDE
     lost = sum(r.lost for r in recordings)
     results = _results(whole, known, sum(len(r.time) * r.step_time for r in rows), lost)
-    tables = {"force": _table(whole, known, number, recipe)}
+    tables = {"force": _table(rows, whole, known, number, recipe)}
     judged = [row for row in rows if row.reference is not None]
     if judged:
         found, table = _judged(Reading.joined(judged), reach)
@@ -162,7 +158,11 @@ def _results(
 
 
 def _table(
-    whole: Reading, known: NDArray[np.bool_], number: NDArray[np.intp], recipe: Recipe
+    rows: Sequence[Reading],
+    whole: Reading,
+    known: NDArray[np.bool_],
+    number: NDArray[np.intp],
+    recipe: Recipe,
 ) -> Table:
     def valid(values: Array, where: NDArray[np.bool_] = known) -> Array:
         return np.where(where, values, np.nan)
@@ -189,12 +189,21 @@ def _table(
         ),
         "causal_state": Column(whole.causal_states, "1", "from samples up to its time only"),
     }
+    if any(row.reference is not None for row in rows):
+        columns["reference"] = Column(_references(rows), "N m", "torque that acted, low-passed")
     return Table(
         ("row",),
         columns,
         "torque",
         "torque on the output over time, positive where it resists positive motion, low-passed at "
         f"{recipe.measure_force.motion.bandwidth_hz:g} Hz",
+    )
+
+
+def _references(rows: Sequence[Reading]) -> Array:
+    """Return what acted in all recordings (m,), N m; NaN in those without a reference."""
+    return np.concatenate(
+        [np.full(len(row.time), np.nan) if row.reference is None else row.reference for row in rows]
     )
 
 

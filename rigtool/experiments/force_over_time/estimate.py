@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_over_time import kalman, smoother
+from rigtool.experiments.force_over_time import kalman, passed, smoother
 from rigtool.experiments.force_over_time.kalman import Uncertainty
 from rigtool.experiments.force_over_time.plant import STATES, TORQUE, Plant, as_record
 
@@ -25,8 +25,8 @@ PIECE = 8192
 """Steps that are filtered at a time where the smoother keeps what the filter did."""
 
 BLOCK, AHEAD = 64.0, 20.0
-"""Time that is smoothed at once, and what must follow it, s: what comes later than that changes the
-torque by less than 1e-6 of its deviation while the rotor moves."""
+"""Time that is smoothed at once, and what must follow it, s: with 20 s, what follows later changes
+the torque by less than 1e-4 of its deviation, with 10 s by up to 0.7 where the rotor rests long."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,15 @@ class Signals:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate after each of m steps: all states (m, 12), and the torque's deviation (m,) N m.
+    """Estimate after each of m steps: all states (m, 12); the torque behind the low-pass, and its
+    deviation, (m, 2) N m.
 
     `low` (m,) rad is the count's edge after each, `kept` what the smoother needs of the steps,
     None where it was not asked for.
     """
 
     states: Array
-    deviation: Array
+    outputs: Array
     low: Array
     kept: tuple[Array, ...] | None = None
 
@@ -63,12 +64,28 @@ class Estimate:
         torque: Array = self.states[:, TORQUE]
         return torque
 
+    @property
+    def passed(self) -> Array:
+        """Torque on the output behind the low-pass, (m,) N m."""
+        return self.outputs[:, 0]
+
+    @property
+    def deviation(self) -> Array:
+        """Its standard deviation, (m,) N m."""
+        return self.outputs[:, 1]
+
 
 class Filter:
-    """The causal estimate; samples are added as they come, in blocks of any length."""
+    """The causal estimate; samples are added as they come, in blocks of any length.
 
-    def __init__(self, plant: Plant, uncertainty: Uncertainty, step_samples: int) -> None:
+    Torque behind the low-pass and its deviation are for a `bandwidth_hz` Hz.
+    """
+
+    def __init__(
+        self, plant: Plant, uncertainty: Uncertainty, step_samples: int, bandwidth_hz: float
+    ) -> None:
         self._plant, self._uncertainty, self._size = plant, uncertainty, step_samples
+        self._low_pass = passed.section(bandwidth_hz, step_samples * plant.sample_time)
         self._waiting: Signals | None = None
         self._state: NDArray[np.void] | None = None
 
@@ -83,7 +100,7 @@ class Filter:
         self._waiting = _part(signals, count * size, None)
         kept = smoother.room(count) if keep else None
         low = np.ascontiguousarray(signals.low[size : count * size + 1 : size])
-        found = Estimate(np.empty((count, STATES)), np.empty(count), low, kept)
+        found = Estimate(np.empty((count, STATES)), np.empty((count, 2)), low, kept)
         if self._state is None or not count:
             return found
         kalman.run(
@@ -95,8 +112,9 @@ class Filter:
             signals.viscous[: count * size].reshape(count, size),
             low,
             signals.width,
+            self._low_pass,
             found.states,
-            found.deviation,
+            found.outputs,
             kept,
         )
         return found
@@ -152,23 +170,38 @@ class Smoother:
 
 
 def smoothed(
-    plant: Plant, uncertainty: Uncertainty, step_samples: int, signals: Signals
+    plant: Plant,
+    uncertainty: Uncertainty,
+    step_samples: int,
+    bandwidth_hz: float,
+    signals: Signals,
 ) -> tuple[Array, Array]:
-    """Return torque and its deviation after each step, (m,) N m each, from the whole recording.
+    """Return torque after each step, and the deviation that a low-pass without phase shift leaves
+    of it, (m,) N m each, from the whole recording.
 
     Raises `ValueError` for less than a step of samples.
     """
     if signals.low.size <= step_samples:
         raise ValueError(f"{signals.low.size} samples are less than a step of {step_samples}")
-    causal = Filter(plant, uncertainty, step_samples)
-    later = Smoother(uncertainty, step_samples * plant.sample_time)
+    causal = Filter(plant, uncertainty, step_samples, bandwidth_hz)
+    step_time = step_samples * plant.sample_time
+    later = Smoother(uncertainty, step_time)
     found = []
     for first in range(0, signals.low.size, PIECE * step_samples):
         piece = _part(signals, first, first + PIECE * step_samples)
         found.append(later.add(causal.add(piece, keep=True)))
     found.append(later.finish())
     torque, deviation = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return torque, deviation
+    return torque, without_delay(deviation, bandwidth_hz, step_time)
+
+
+def without_delay(deviation: Array, bandwidth_hz: float, step_time: float) -> Array:
+    """Return the deviation behind a low-pass without phase shift, (m,) N m.
+
+    It is that of the causal low-pass of the same bandwidth, by its delay later.
+    """
+    late = min(round(passed.delay(bandwidth_hz) / step_time), len(deviation) - 1)
+    return np.append(deviation[late:], np.full(late, deviation[-1]))
 
 
 def _part(signals: Signals, first: int, last: int | None) -> Signals:

@@ -1,7 +1,9 @@
 """The sensor: torque on the output from recorded samples, block by block as they come.
 
-Nothing that it gives depends on how samples are divided into blocks, nor on what comes later than
-the step that an estimate belongs to: live and from a file the numbers are the same.
+    torque constant k(T) = k_0 + k_1 T at the temperature T of each sample
+
+and then `estimate.Filter`. Nothing that it gives depends on how samples are divided into blocks, nor
+on what comes later than the sample that ends a step: live and from a file the numbers are the same.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ class Instrument:
     """What a sensor knows besides signals.
 
     `interval` s is from one recorded sample to the next, `count` rad that of the encoder,
-    `torque_constant` N m/A at 0 degC and its change per kelvin, `current_limit` in A.
+    `torque_constant` N m/A at 0 degC and its change per kelvin, `current_limit` in A;
+    `bandwidth_hz` is that of the low-pass.
     """
 
     model: ForceModel
@@ -36,6 +39,7 @@ class Instrument:
     count: float
     torque_constant: tuple[float, float]
     current_limit: float
+    bandwidth_hz: float
 
     @property
     def grid(self) -> Grid:
@@ -88,10 +92,11 @@ class Sensor:
         self._sampler = Sampler(grid, instrument.count, model.drive, CONTEXT if context else 0)
         self._stepper = Stepper(grid.step_samples)
         plant, u = model.plant(grid.sample_time), model.uncertainty
-        self._filter = Filter(plant, u, grid.step_samples)
+        self._filter = Filter(plant, u, grid.step_samples, instrument.bandwidth_hz)
         rate = u.torque_rate
         quiet = replace(u, slow_torque_rate=rate, step_torque_rate=rate)
-        self._untouched = Filter(plant, quiet, grid.step_samples) if contacts else None
+        other = Filter(plant, quiet, grid.step_samples, instrument.bandwidth_hz)
+        self._untouched = other if contacts else None
         self._judge = instrument.judge(causal=True)
         self._before: Moments | None = None
 
@@ -113,7 +118,7 @@ class Sensor:
             estimate.low,
             estimate.states[:, SPEED],
             estimate.states[:, HOUSING],
-            estimate.torque,
+            estimate.passed,
             found[0],
             found[1],
         )
