@@ -67,7 +67,7 @@ class Motion(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Tests:
+class Trial:
     """Values of both tests at m steps, `jump` N m and `level`, both with their sign, and the
     `torque` N m; the motion, -1 where none is tested; (m,) each. `step_time` in s."""
 
@@ -87,7 +87,7 @@ class Contact:
     end: int
 
 
-def tests(torque: Array, deviation: Array, states: States, step_time: float) -> Tests:
+def trial(torque: Array, deviation: Array, states: States, step_time: float) -> Trial:
     """Return the tests of a stretch from what the filter without contacts gives, N m; (m,)."""
     from scipy.signal import lfilter
 
@@ -101,7 +101,7 @@ def tests(torque: Array, deviation: Array, states: States, step_time: float) -> 
     motion[states == State.STILL] = Motion.STILL
     motion[_lately(states == State.OUTSIDE, window)] = -1
     motion[: round(SETTLING / step_time)] = -1
-    return Tests(smooth, jump, smooth / deviation, motion, step_time)
+    return Trial(smooth, jump, smooth / deviation, motion, step_time)
 
 
 def _lately(there: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
@@ -112,7 +112,7 @@ def _lately(there: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
     return found
 
 
-def thresholds(untouched: Sequence[Tests], rate: float = FALSE_ALARMS) -> Array:
+def thresholds(untouched: Sequence[Trial], rate: float = FALSE_ALARMS) -> Array:
     """Return thresholds (3, 2) of jump N m and level by motion, infinite where too few are known.
 
     `rate` Hz is that of false alarms of both tests in one motion.
@@ -127,7 +127,7 @@ def thresholds(untouched: Sequence[Tests], rate: float = FALSE_ALARMS) -> Array:
     return found
 
 
-def _highest(test: Tests, values: Array, motion: Motion, memory: float) -> Array:
+def _highest(test: Trial, values: Array, motion: Motion, memory: float) -> Array:
     """Return the highest absolute value in each block of `memory` s that has this motion."""
     size = round(memory / test.step_time)
     count = len(values) // size
@@ -145,7 +145,7 @@ def _exceeded(values: Array, probability: float) -> float:
     return start + float(beyond.mean()) * math.log((1 - TAIL) / probability)
 
 
-def contacts(test: Tests, limits: Array) -> list[Contact]:
+def contacts(test: Trial, limits: Array) -> list[Contact]:
     """Return the contacts in a stretch, by thresholds (3, 2) as `thresholds` gives them."""
     longest = round(STROKE / test.step_time)
     rows = _contacts(test.torque, test.jump, test.level, test.motion, limits, longest)
@@ -163,19 +163,22 @@ def _contacts(
 ) -> list[tuple[int, int, int]]:
     rows = []
     begin, found, side, total = 0, -1, 0.0, 0.0
+    ending = False  # a contact's level still falls: it is no other contact
     for k in range(len(torque)):
         if found >= 0:
             total += side * torque[k]
             if motion[k] < 0 or side * torque[k] < total / (k - found + 1) / 2.0:
                 rows.append((begin, found, k))
-                found, total = -1, 0.0
+                found, total, ending = -1, 0.0, True
             continue
         if motion[k] < 0:
             continue
         # a jump away from zero: what it ends at is nearer to itself than to nothing
         away = jump[k] * torque[k] > 0.0 and abs(torque[k]) > abs(jump[k]) / 2.0
         rises = away and abs(jump[k]) > limits[motion[k], 0]
-        if not rises and abs(level[k]) <= limits[motion[k], 1]:
+        high = abs(level[k]) > limits[motion[k], 1]
+        ending = ending and high
+        if not rises and (ending or not high):
             continue
         found, side, begin = k, np.sign(torque[k]), k
         while begin > max(0, k - longest) and side * torque[begin - 1] > abs(torque[k]) / 2.0:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from rigtool.experiments.force.contacts import Contact, contacts, trial
 from rigtool.experiments.force.results_over_time import Reading, Recorded
 from rigtool.experiments.force.sensor import Instrument, Sensor
 from rigtool.experiments.force_over_time.estimate import PIECE, Smoother, without_delay
@@ -51,6 +52,13 @@ def instrument_of(
     return Instrument(model, reach, interval, count, (cold, slope), rig.current_limit, bandwidth)
 
 
+def instrument_for(
+    recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, reach: Reach
+) -> Instrument:
+    """Return what a sensor knows of this rig, for the samples of a recording."""
+    return instrument_of(recipe, kt, model, reach, _interval(recording, recipe))
+
+
 def read_recording(
     recording: Recording,
     recipe: Recipe,
@@ -58,20 +66,24 @@ def read_recording(
     model: ForceModel,
     reach: Reach,
     seconds: float = math.inf,
+    limits: Array | None = None,
 ) -> Recorded:
-    """Return the torque over a recording, its first `seconds` s, by stretches without gaps."""
+    """Return the torque over a recording, its first `seconds` s, by stretches without gaps.
+
+    With `limits`, thresholds as `contacts.thresholds` gives them, contacts are looked for.
+    """
     if recording.size < 2:
         return Recorded(recording.name, (), 0, 0.0)
-    interval = _interval(recording, recipe)
-    instrument = instrument_of(recipe, kt, model, reach, interval)
+    instrument = instrument_for(recording, recipe, kt, model, reach)
+    interval = instrument.interval
     stop = None if math.isinf(seconds) else round(seconds / interval)
     parts: list[Reading] = []
     stretch, breaks, first, last = None, -1, math.nan, math.nan
-    for block, begins in _unbroken_blocks(recording, instrument, stop):
+    for block, begins in unbroken_blocks(recording, instrument, stop):
         if begins:
             breaks += 1
             parts += [] if stretch is None else stretch.reading()
-            stretch = _Stretch(recording.name, instrument, float(block[0, 0]))
+            stretch = _Stretch(recording.name, instrument, float(block[0, 0]), limits)
         assert stretch is not None
         stretch.add(block[1:])
     parts += [] if stretch is None else stretch.reading()
@@ -91,7 +103,7 @@ def _interval(recording: Recording, recipe: Recipe) -> float:
     return asked if math.isclose(asked, measured, rel_tol=AS_ASKED) else measured
 
 
-def _unbroken_blocks(
+def unbroken_blocks(
     recording: Recording, instrument: Instrument, stop: int | None
 ) -> Iterator[tuple[Array, bool]]:
     """Yield the channels (c, n), time first, and whether a sample is missing before them.
@@ -120,16 +132,20 @@ def _unbroken_blocks(
 class _Stretch:
     """Samples without a gap: causal at once, smoothed as soon as enough has followed."""
 
-    def __init__(self, name: str, instrument: Instrument, began: float) -> None:
+    def __init__(
+        self, name: str, instrument: Instrument, began: float, limits: Array | None
+    ) -> None:
         step_time = instrument.grid.step_time
         self._name, self._instrument = name, instrument
         self._began = began - instrument.interval / 2
-        self._sensor = Sensor(instrument, keep=True)
+        self._limits = limits
+        self._sensor = Sensor(instrument, keep=True, contacts=limits is not None)
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._judge = instrument.judge(causal=False)
         self._waiting: Moments | None = None  # of which some, in front, give states alone
         self._in_front = 0
         self._found: dict[str, list[Any]] = {name: [] for name in FOUND}
+        self._untouched: list[Array] = []
         self._limited = 0
 
     def add(self, samples: Array, *, last: bool = False) -> None:
@@ -141,6 +157,8 @@ class _Stretch:
         names = ("causal", "causal_deviation", "causal_states", "reference")
         for name, values in zip(names, found, strict=False):
             self._found[name].append(values)
+        if sensed.untouched is not None:
+            self._untouched.append(sensed.untouched)
         before = self._waiting
         self._waiting = sensed.moments if before is None else before.joined(before, sensed.moments)
         self._smooth(*self._smoother.add(estimate))
@@ -176,10 +194,15 @@ class _Stretch:
         reference = whole.pop("reference", None)
         bandwidth = self._instrument.bandwidth_hz
         whole["deviation"] = without_delay(whole["deviation"], bandwidth, step_time)
+        found: list[Contact] = []
+        if self._limits is not None:
+            torque, deviation = np.hstack(self._untouched)
+            tested = trial(torque, deviation, whole["causal_states"], step_time)
+            found = contacts(tested, self._limits)
         steps = np.arange(1.0, len(whole["torque"]) + 1)
         time: Any = self._began + step_time * steps
-        limited = self._limited
-        return [Reading(self._name, step_time, time, reference=reference, limited=limited, **whole)]
+        whole |= {"limited": self._limited, "contacts": tuple(found), "reference": reference}
+        return [Reading(self._name, step_time, time, **whole)]
 
 
 FOUND = (

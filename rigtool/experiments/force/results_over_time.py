@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,6 +17,7 @@ from rigtool.experiments.force.accuracy import (
     accuracy,
     by_band_and_state,
 )
+from rigtool.experiments.force.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
 from rigtool.experiments.force_over_time.motion_states import NAMES, Reach, State, States
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
@@ -36,7 +38,7 @@ class Reading:
     """Torque on the output at each step of a stretch without gaps (m,), N m: smoothed, and causal
     behind the low-pass, each with its states; deviations are those behind the low-pass.
     `reference` N m where it was recorded. `limited` counts the samples whose current was at its
-    limit."""
+    limit; `contacts` are in steps."""
 
     name: str
     step_time: float
@@ -50,6 +52,7 @@ class Reading:
     reference: Array | None
     limited: int
     causal_reference: Array | None = None
+    contacts: tuple[Contact, ...] = ()
 
     @classmethod
     def joined(cls, parts: Sequence[Reading]) -> Reading:
@@ -123,9 +126,12 @@ class Scales:
 
 
 def force_outcome(
-    recordings: Sequence[Recorded], recipe: Recipe, reach: Reach, scales: Scales
+    recordings: Sequence[Recorded], recipe: Recipe, reach: Reach, scales: Scales, limits: Array
 ) -> Outcome:
-    """Return tables, results and notes of the recordings of a run."""
+    """Return tables, results and notes of the recordings of a run.
+
+    `limits` (3, 2) are the thresholds by which contacts were looked for.
+    """
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     parts = [(number, part) for number, r in enumerate(recordings) for part in r.parts]
     rows = [scales.applied(part.low_passed(bandwidth)) for _, part in parts]
@@ -135,12 +141,16 @@ def force_outcome(
     lost = sum(r.lost for r in recordings)
     results = _results(whole, known, sum(len(r.time) * r.step_time for r in rows), lost)
     tables = {"force": _table(rows, whole, known, number, recipe)}
+    if np.isfinite(limits).any():
+        tables |= (events := _events(parts, rows))
+        count = events["events"].shape[0] if events else 0
+        results["contacts"] = Quantity(float(count), "1", reason="counted")
     judged = [row for row in rows if row.reference is not None]
     if judged:
         found, table = _judged(Reading.joined(judged), reach)
         results |= found
         tables["force_accuracy"] = table
-    notes = _notes(recordings, known, reach, scales)
+    notes = [*_notes(recordings, known, reach, scales), *_contact_notes(limits)]
     return Outcome(results, tables, tuple(notes))
 
 
@@ -254,6 +264,60 @@ def _cells(prefix: str, cells: list[list[Accuracy]]) -> dict[str, Column]:
         f"{prefix}coverage_95": Column(values("coverage"), "1", "share within the 95 % interval"),
         f"{prefix}share": Column(values("share"), "1", "of the samples with a value"),
     }
+
+
+def _events(parts: Sequence[tuple[int, Reading]], rows: Sequence[Reading]) -> dict[str, Table]:
+    """Return the table of contacts, from stretches and their rows; none without contacts."""
+    found: list[tuple[float, ...]] = []
+    for (number, part), row in zip(parts, rows, strict=True):
+        every = round(row.step_time / part.step_time)
+        known = row.states != State.OUTSIDE
+        for contact in part.contacts:
+            span = slice(contact.begin // every, contact.end // every + 1)
+            torque, u = row.torque[span][known[span]], row.deviation[span][known[span]]
+            if not len(torque):
+                continue
+            peak = int(np.argmax(np.abs(torque)))
+            times = part.time[[contact.begin, contact.found, contact.end]]
+            found.append((number, *times, torque[peak], u[peak], torque.mean(), u.mean()))
+    if not found:
+        return {}
+    numbers = np.array(found).T
+    u_time = np.full(len(found), WINDOW / math.sqrt(12))
+    columns = {
+        "event": Column(np.arange(len(found)), "1"),
+        "recording": Column(numbers[0].astype(np.int32), "1", "of this run, in order"),
+        "start": Column(numbers[1], "s", "bench clock, where the torque passes half of it"),
+        "start_u": Column(u_time, "s", "standard uncertainty of start"),
+        "found": Column(numbers[2], "s", "first time at which samples up to it show the contact"),
+        "end": Column(
+            numbers[3], "s", "bench clock, where the torque falls below half of its mean"
+        ),
+        "end_u": Column(u_time, "s", "standard uncertainty of end"),
+        "peak": Column(numbers[4], "N m", "torque of largest magnitude"),
+        "peak_u": Column(numbers[5], "N m", "standard uncertainty of peak"),
+        "mean": Column(numbers[6], "N m", "mean torque from start to end"),
+        "mean_u": Column(numbers[7], "N m", "standard uncertainty of mean"),
+    }
+    return {"events": Table(("event",), columns, "mean", "contacts found in the torque over time")}
+
+
+def _contact_notes(limits: Array) -> list[str]:
+    """State by which jumps contacts are found."""
+    names = {
+        Motion.STEADY: "in steady motion",
+        Motion.REVERSED: "after reversals",
+        Motion.STILL: "at rest",
+    }
+    jumps = limits[:, 0] * 1e3
+    known = [f"{jumps[m]:.2g} mN m {names[m]}" for m in Motion if np.isfinite(jumps[m])]
+    if not known:
+        return ["contacts are not looked for: the tables hold no recordings without load"]
+    return [
+        f"contacts are found by torques that rise within {WINDOW * 1e3:.0f} ms by more than "
+        f"{', '.join(known)}: the tables show such errors less than once in "
+        f"{1 / FALSE_ALARMS / 3600:.0f} h"
+    ]
 
 
 def _notes(

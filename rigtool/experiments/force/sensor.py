@@ -2,8 +2,9 @@
 
     torque constant k(T) = k_0 + k_1 T at the temperature T of each sample
 
-and then `estimate.Filter`. Nothing that it gives depends on how samples are divided into blocks, nor
-on what comes later than the sample that ends a step: live and from a file the numbers are the same.
+and then `estimate.Filter`. Nothing that it gives depends on how samples are divided into blocks,
+nor on what comes later than the sample that ends a step: live and from a file the numbers are the
+same.
 """
 
 from __future__ import annotations
