@@ -230,9 +230,9 @@ def test_what_cannot_be_compared_is_refused(turned, moved, folder, kt):
         check(other, folder, kt, PULLEY)
     with pytest.raises(RunFileError, match="rig briaire-2006, the recipe has another"):
         check(tables, folder, kt, "rig.name=another")
-    with pytest.raises(RunFileError, match="is a run of calibrate-kt"):
+    with pytest.raises(RunFileError, match="was written by calibrate-kt"):
         check(kt, folder, kt)
-    with pytest.raises(RunFileError, match="needed is one of ilc-check or ilc-learn"):
+    with pytest.raises(RunFileError, match="a run of ilc-check or ilc-learn is needed"):
         check(tables, folder, kt, source=kt)
     with pytest.raises(UsageError, match="--kt is missing"):
         run(ILC_CHECK, RECIPE, folder / "no.h5", PULLEY, tables=tables)
