@@ -45,7 +45,7 @@ def load(entry: EntryPoint, kind: type[Plugin]) -> Plugin:
         ) from error
     if not isinstance(plugin, kind):
         raise RigtoolError(
-            f"{describe(entry)} is of type {type(plugin).__name__}, needed is {kind.__name__}: "
+            f"{describe(entry)} is of type {type(plugin).__name__}, but must be {kind.__name__}: "
             "repair or remove that package"
         )
     return plugin

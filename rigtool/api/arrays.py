@@ -95,7 +95,9 @@ def _signals(spec: RecordingSpec, signals: Signals) -> dict[str, Array]:
         if name not in units:
             raise UsageError(f"{spec.name}: has no signal {name!r}; its signals are {known}")
         if stated.get(name, units[name]) != units[name]:
-            raise UsageError(f"{spec.name}: {name} is in {stated[name]}, needed is {units[name]}")
+            raise UsageError(
+                f"{spec.name}: {name} is in {stated[name]}, but must be in {units[name]}"
+            )
         found[name] = _numbers(f"{spec.name}: {name}", signals[name])
     if "time" not in found or len(found) < 2:
         raise UsageError(f"{spec.name}: needs time and a measured signal; its signals are {known}")
@@ -113,7 +115,7 @@ def _numbers(what: str, values: Any) -> Array:
     except (TypeError, ValueError) as error:
         raise UsageError(f"{what}: is no array of numbers: {error}") from None
     if found.ndim != 1:
-        raise UsageError(f"{what}: has shape {found.shape}, needed is one dimension")
+        raise UsageError(f"{what}: has shape {found.shape}, but must have one dimension")
     return found
 
 

@@ -127,7 +127,7 @@ def rigtool() -> None:
     stdout, everything else to stderr.
 
     Exit codes: 0 done; 1 failed while running; 2 usage; 3 bad recipe or run file; 4 the data do
-    not carry the result; 5 hardware.
+    not support the result; 5 hardware.
     """
 
 

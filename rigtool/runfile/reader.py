@@ -71,7 +71,7 @@ class Run:
         if self.command not in commands:
             raise RunFileError(
                 f"{self.path}: was written by {self.command}; a run of {' or '.join(commands)} "
-                "is needed here: give another file"
+                "is needed: give another file"
             )
 
     def recording(self, name: str) -> Recording:

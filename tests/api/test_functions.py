@@ -186,7 +186,7 @@ def test_arrays_that_are_no_recording_are_refused(staircase, change, message):
 
 def test_units_that_a_frame_states_are_compared(staircase):
     staircase.attrs["units"] = staircase.attrs["units"] | {"force": "mN"}
-    with pytest.raises(UsageError, match="force is in mN, needed is N"):
+    with pytest.raises(UsageError, match="force is in mN, but must be in N"):
         rigtool.calibrate_kt({"staircase": staircase}, recipe=RECIPE)
 
 

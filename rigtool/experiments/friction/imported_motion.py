@@ -28,7 +28,7 @@ TABLE_RANGES = 60
 def add_dynamics(motions: Sequence[SmoothedMotion], found: Findings) -> None:
     """Fit the equation of motion to all motions and add its parameters.
 
-    Raises `InsufficientDataError` where they do not carry friction.
+    Raises `InsufficientDataError` where they do not determine friction.
     """
     dynamics = identify_dynamics(motions)
     dof = float(dynamics.dof)

@@ -111,7 +111,7 @@ class KnownLoads(LimitedAngle):
     def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
         """Learn the table from its moves, and the disturbance from the known loads.
 
-        Raises `InsufficientDataError` where the loads do not carry it.
+        Raises `InsufficientDataError` where the loads do not determine it.
         """
         table = super().analyse(runs, recipe, **inputs)
         run = runs[0]
