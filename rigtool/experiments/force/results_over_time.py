@@ -34,8 +34,8 @@ COVERAGE_FACTOR = 1.96
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Torque on the output at each step of a recording (m,), N m: smoothed, and causal behind the
-    low-pass; deviations are those behind the low-pass. `reference` N m where it was recorded.
-    `limited` counts the samples whose current was at its limit."""
+    low-pass, empty where there is none; deviations are those behind the low-pass. `reference` N m
+    where it was recorded. `limited` counts the samples whose current was at its limit."""
 
     name: str
     step_time: float
@@ -111,16 +111,27 @@ def force_outcome(
     """Return tables, results and notes of the recordings of a run."""
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     rows = [scales.applied(reading.low_passed(bandwidth)) for reading in readings]
+    results, tables = over_time_tables(rows, reach.torque, bandwidth, recipe.rig.load_arm)
+    notes = _notes(readings, tables["force"]["state"] != State.OUTSIDE, reach, scales)
+    return Outcome(results, tables, tuple(notes))
+
+
+def over_time_tables(
+    rows: Sequence[Reading], largest: float, bandwidth_hz: float, load_arm: float | None = None
+) -> tuple[dict[str, Quantity], dict[str, Table]]:
+    """Return results and tables of recordings, low-passed at `bandwidth_hz`, with uncertainties.
+
+    `largest` N m is the largest torque that was learned; the force at the tip needs a `load_arm` m.
+    """
     whole = Reading.joined([replace(r, reference=None, causal_reference=None) for r in rows])
     known = whole.states != State.OUTSIDE
-    results, tables = _results(whole, known), {"force": _table(rows, whole, known, recipe)}
+    results = _results(whole, known)
+    tables = {"force": _table(rows, whole, known, bandwidth_hz, load_arm)}
     judged = [row for row in rows if row.reference is not None]
     if judged:
-        found, table = _judged(Reading.joined(judged), reach)
+        found, tables["force_accuracy"] = _judged(Reading.joined(judged), largest)
         results |= found
-        tables["force_accuracy"] = table
-    notes = _notes(readings, known, reach, scales)
-    return Outcome(results, tables, tuple(notes))
+    return results, tables
 
 
 def _results(whole: Reading, known: NDArray[np.bool_]) -> dict[str, Quantity]:
@@ -138,7 +149,11 @@ def _share(values: NDArray[np.bool_]) -> Quantity:
 
 
 def _table(
-    rows: Sequence[Reading], whole: Reading, known: NDArray[np.bool_], recipe: Recipe
+    rows: Sequence[Reading],
+    whole: Reading,
+    known: NDArray[np.bool_],
+    bandwidth_hz: float,
+    load_arm: float | None,
 ) -> Table:
     def valid(values: Array) -> Array:
         return np.where(known, values, np.nan)
@@ -151,14 +166,19 @@ def _table(
         "recording": Column(number, "1", "of this run, in order"),
         "time": Column(whole.time, "s", "bench clock"),
         "torque": Column(valid(whole.torque), "N m", "on the output, from the whole recording"),
-        "force": Column(valid(whole.torque / recipe.rig.load_arm), "N", "at the tip"),
+        "force": Column(valid(whole.torque / (load_arm or np.nan)), "N", "at the tip"),
         "u": Column(valid(whole.deviation), "N m", "standard uncertainty of torque"),
         "low": Column(valid(whole.torque - half), "N m", "lower end of the 95 % interval"),
         "high": Column(valid(whole.torque + half), "N m", "upper end of the 95 % interval"),
         "state": Column(whole.states, "1", states),
-        "causal_torque": Column(valid(whole.causal), "N m", "from samples up to its time only"),
-        "causal_u": Column(valid(whole.causal_deviation), "N m", "its standard uncertainty"),
     }
+    if load_arm is None:
+        del columns["force"]
+    if whole.causal.size:
+        columns |= {
+            "causal_torque": Column(valid(whole.causal), "N m", "from samples up to its time only"),
+            "causal_u": Column(valid(whole.causal_deviation), "N m", "its standard uncertainty"),
+        }
     if any(row.reference is not None for row in rows):
         columns["reference"] = Column(_references(rows), "N m", "torque that acted, low-passed")
     return Table(
@@ -166,7 +186,7 @@ def _table(
         columns,
         "torque",
         "torque on the output over time, positive where it resists positive motion, low-passed at "
-        f"{recipe.measure_force.motion.bandwidth_hz:g} Hz",
+        f"{bandwidth_hz:g} Hz",
     )
 
 
@@ -177,21 +197,22 @@ def _references(rows: Sequence[Reading]) -> Array:
     )
 
 
-def _judged(rows: Reading, reach: Reach) -> tuple[dict[str, Quantity], Table]:
+def _judged(rows: Reading, largest: float) -> tuple[dict[str, Quantity], Table]:
     """Return errors and coverage against the reference, which has no other use."""
     assert rows.reference is not None
-    assert rows.causal_reference is not None
     known = rows.states != State.OUTSIDE
     moving = known & (rows.states != State.STILL)
     results: dict[str, Quantity] = {}
     columns = {
-        "band": Column(np.array(BANDS[:-1]) * reach.torque, "N m", "lower end of the load's band"),
+        "band": Column(np.array(BANDS[:-1]) * largest, "N m", "lower end of the load's band"),
         "state": Column(np.array([int(state) for state in JUDGED]), "1", "as in table force"),
     }
     for prefix, torque, reference, u in (
         ("", rows.torque, rows.reference, rows.deviation),
         ("causal_", rows.causal, rows.causal_reference, rows.causal_deviation),
     ):
+        if reference is None:
+            continue  # there is no causal form
         error = np.where(known, torque - reference, np.nan)
         covered = np.abs(error) <= COVERAGE_FACTOR * u
         overall, while_moving = (accuracy(error, covered, among) for among in (known, moving))
@@ -201,7 +222,7 @@ def _judged(rows: Reading, reach: Reach) -> tuple[dict[str, Quantity], Table]:
             f"{prefix}rmse_moving": Quantity(while_moving.rmse, "N m", reason=why),
             f"{prefix}coverage_95": Quantity(overall.coverage, "1", reason="counted"),
         }
-        cells = by_band_and_state(error, covered, rows.reference, rows.states, reach.torque)
+        cells = by_band_and_state(error, covered, rows.reference, rows.states, largest)
         columns |= _cells(prefix, cells)
     return results, Table(
         ("band", "state"), columns, "rmse", "torque against the reference, by load and state"
