@@ -26,8 +26,8 @@ from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.lowpass import lowpass
 
-WORK_RATE = 10
-"""Samples for each period of the cut-off at which functions are computed, at most."""
+WORK_RATE = 5
+"""Samples for each period of the cut-off at which functions are computed, at least `ROW_RATE`."""
 
 ROW_RATE = 50.0
 """Rows per second that are kept after the low-pass, at least: closer neighbours add nothing."""
@@ -129,7 +129,8 @@ def follow(
     arrays = {f"signal {i}": signal for i, signal in enumerate(signals)}
     t, p, *rest = require_signals(20, time=time, position=position, **arrays)
     step = require_rising(t)
-    size = max(1, math.floor(1 / (step * WORK_RATE * bandwidth_hz) * (1 + 1e-6)))
+    work_rate = max(WORK_RATE * bandwidth_hz, ROW_RATE)
+    size = max(1, math.floor(1 / (step * work_rate) * (1 + 1e-6)))
     t, p, *rest = (block_means(values, size) for values in (t, p, *rest))
     rate = 1 / (step * size)
     factor = max(1, round(rate / ROW_RATE))
