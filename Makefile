@@ -4,6 +4,7 @@
 # make thesis   every figure and table of the thesis beside the virtual rig: docs/reproduction.md
 # make real-data DATA=folder of mis-tool  a real instrument: torque from current against a sensor
 # make test     style, types and tests
+# make attack   kills, signals, damaged and malicious files, mutated recipes; SECONDS=600 SEED=20061
 # make docs     the documentation as a site, in build/docs
 # make coverage whether stated intervals hold, on virtual rigs drawn anew
 # make fixtures store the fixtures anew; make bench measures speed; make clean removes results
@@ -12,6 +13,8 @@ PYTHON ?= python3
 RECIPE ?= recipes/briaire-2006.toml
 BUILD ?= build
 SET ?=
+SECONDS ?= 600
+SEED ?= 20061
 BIN := .venv/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 RIGTOOL := $(BIN)/rigtool
 INSTALLED := .venv/installed
@@ -21,7 +24,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: real-data tables corrected over-time thesis test docs fixtures bench coverage clean
+.PHONY: real-data tables corrected over-time thesis test docs fixtures bench coverage attack clean
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -151,6 +154,9 @@ test: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist worksteal
+
+attack: $(INSTALLED)
+	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)
 
 docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
