@@ -6,6 +6,7 @@
 # make test           style, types and tests
 # make docs           the documentation as a site, in build/docs
 # make bench          speed and memory of what users wait for
+# make attack         kills, signals, damaged and malicious files, changed recipes; SECONDS=600 SEED=20061
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
 # make fixtures       the runs in tests/fixtures, stored anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
@@ -17,6 +18,8 @@ PYTHON ?= python3
 RECIPE ?= recipes/briaire-2006.toml
 BUILD ?= build
 SET ?=
+SECONDS ?= 600
+SEED ?= 20061
 BIN := .venv/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 RIGTOOL := $(BIN)/rigtool
 INSTALLED := .venv/installed
@@ -26,7 +29,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: real-data tables corrected over-time thesis test docs fixtures bench coverage release-check clean help
+.PHONY: real-data tables corrected over-time thesis test docs fixtures bench coverage attack release-check clean help
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -156,6 +159,9 @@ test: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist worksteal
+
+attack: $(INSTALLED)
+	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)
 
 docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs

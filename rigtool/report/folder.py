@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from rigtool.errors import UsageError
@@ -20,11 +21,16 @@ def terminal_text(report: Report) -> str:
     return "\n".join(terminal_table(table) for table in report.force_tables)
 
 
-def require_free(output: str | os.PathLike[str], *, overwrite: bool) -> Path:
+def require_free(
+    output: str | os.PathLike[str],
+    *,
+    overwrite: bool,
+    inputs: Iterable[str | os.PathLike[str]] = (),
+) -> Path:
     """Return the folder to write as an absolute path.
 
-    Raises `UsageError` where it cannot be written, exists without `overwrite`, or holds something
-    that no report wrote.
+    Raises `UsageError` where it cannot be written, exists without `overwrite`, holds one of the
+    `inputs`, or something that no report wrote.
     """
     target = Path(output).absolute()
     if not target.parent.is_dir():
@@ -37,6 +43,9 @@ def require_free(output: str | os.PathLike[str], *, overwrite: bool) -> Path:
         raise UsageError(f"{output}: is no folder: give the report a name of its own")
     if not overwrite:
         raise UsageError(f"{output}: exists already: give another name, or --overwrite")
+    for name in inputs:
+        if Path(os.path.realpath(name)).is_relative_to(os.path.realpath(target)):
+            raise UsageError(f"{output}: holds {name}, an input of this report: give another name")
     foreign = sorted(entry.name for entry in target.iterdir() if entry.name not in ENTRIES)
     if foreign:
         raise UsageError(

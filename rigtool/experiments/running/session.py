@@ -6,6 +6,7 @@ A source is a recipe (measure on its rig, then analyse) or run files (analyse th
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -25,6 +26,7 @@ from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import Rig, open_rig
 from rigtool.rigs.operator import Operator
 from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
+from rigtool.runfile.outputs import require_output
 
 IMPORTED = "import"
 """Command of the runs that hold measurements of other rigs."""
@@ -77,6 +79,12 @@ def _measure(
         raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
     if options.spy is not None and not on_line:
         raise UsageError(f"--spy {options.spy}: this recipe's rig is virtual, there is no line")
+    if options.spy is not None:
+        read: list[str | Path] = [source, *(run.path for run in inputs.values())]
+        if require_output(options.spy, overwrite=options.overwrite, inputs=read) == Path(
+            os.path.realpath(output)
+        ):
+            raise UsageError(f"--spy {options.spy}: is the output of this run: give another name")
     seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
     constant = _assumed_torque_constant(recipe, inputs)
     if options.dry_run:

@@ -1,8 +1,9 @@
 """A rig whose loop is closed in a drive, and whose set points the host sends one by one.
 
 The host's loop has the period `rig.sample_time`; a thread of its own owns the line while a motion
-runs, so that writing files does not disturb it. A late tick is made up for, and each sample carries
-the time at which it was taken; the run's record of the line states how even these times are.
+runs, so that writing files does not disturb it. A late tick is made up for; where the loop falls too
+far behind, ticks are skipped and counted. Each sample carries the time at which it was taken; the
+run's record of the line states how even these times are.
 
 A drive whose set point of position stands still between two messages answers each with a step of
 current. Such a drive follows speeds, which the host corrects by the error of position; where it
@@ -73,7 +74,7 @@ class HostedRig(SerialRig):
         self._driver = driver
         self._drive: Drive | None = None
         self._configured = False
-        self._ticks = self._late = 0
+        self._ticks = self._late = self._skipped = 0
         self._between = Between()
         self._longest_gap = self._driven = 0.0
 
@@ -163,6 +164,7 @@ class HostedRig(SerialRig):
             "samples": self._ticks,
             "rate_hz": round(rate, 3),
             "late_samples": self._late,
+            "skipped_samples": self._skipped,
             "longest_gap_s": round(self._longest_gap, 6),
             "steps_in_position": self.steps_in_position,
             "between_set_points": list(self._between.found()),
@@ -186,6 +188,7 @@ class HostedRig(SerialRig):
         finally:
             self._ticks += loop.ticks
             self._late += loop.late
+            self._skipped += loop.skipped
             self._longest_gap = max(self._longest_gap, loop.longest_gap)
             self._driven += loop.elapsed
 
@@ -210,14 +213,13 @@ class _Loop:
         self._rig, self._task = rig, task
         self._drive, self._line = rig.drive, rig.line
         self._recipe = rig._recipe
-        self._open_loop = isinstance(task.motion, OpenLoop)
-        counts = self._recipe.rig.encoder_counts
-        self._watch = safety.Watch(rig._limits, counts, closed=not self._open_loop)
-        self._clock = Clock(rig.line, self._recipe.rig.sample_time, rig._settings.watchdog)
+runs, so that writing files does not disturb it. A late tick is made up for; where the loop falls too
+far behind, ticks are skipped and counted. Each sample carries the time at which it was taken; the
+run's record of the line states how even these times are.
         self._rows: list[tuple[float, ...]] = []
         self._gain = min(rig._settings.position_gain, CORRECTED / self._recipe.rig.sample_time)
         self._start = self._origin = 0.0
-        self.ticks = self.late = 0
+        self.ticks = self.late = self.skipped = 0
         self.longest_gap = self.elapsed = 0.0
 
     def run(self, put: Callable[[Block], None], stop: threading.Event) -> None:
@@ -244,11 +246,15 @@ class _Loop:
         block = max(1, round(BLOCK_TIME / dt / task.record_every)) * task.record_every
         self._start = start = self._line.now()
         probe: Sample | None = None
-        for tick in range(round(motion.duration / dt)):
+        tick, last_tick = 0, round(motion.duration / dt) - 1
+        while tick <= last_tick:
             if stop.is_set():
                 self._drive.halt()
                 return
-            now, lateness = self._clock.wait(start, tick)
+            now, lateness, skipped = self._clock.wait(start, tick)
+            skipped = min(skipped, last_tick - tick)  # the last set point is always sent
+            self.skipped += skipped
+            tick += skipped
             setpoint, parts = self._setpoint(now - start, last)
             sample = self._drive.step(setpoint)
             self._clock.exchanged(now)
@@ -263,6 +269,7 @@ class _Loop:
                 return
             if not self._open_loop:
                 probe = self._probe(tick)
+            tick += 1
 
     def _probe(self, tick: int) -> Sample | None:
         """Read between two set points, now and then, where there is time."""
