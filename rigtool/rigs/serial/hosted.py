@@ -1,9 +1,9 @@
 """A rig whose loop is closed in a drive, and whose set points the host sends one by one.
 
 The host's loop has the period `rig.sample_time`; a thread of its own owns the line while a motion
-runs, so that writing files does not disturb it. A late tick is made up for; where the loop falls too
-far behind, ticks are skipped and counted. Each sample carries the time at which it was taken; the
-run's record of the line states how even these times are.
+runs, so that writing files does not disturb it. A late tick is made up for; where the loop falls
+too far behind, ticks are skipped and counted. Each sample carries the time at which it was taken;
+the run's record of the line states how even these times are.
 
 A drive whose set point of position stands still between two messages answers each with a step of
 current. Such a drive follows speeds, which the host corrects by the error of position; where it
@@ -213,9 +213,15 @@ class _Loop:
         self._rig, self._task = rig, task
         self._drive, self._line = rig.drive, rig.line
         self._recipe = rig._recipe
-runs, so that writing files does not disturb it. A late tick is made up for; where the loop falls too
-far behind, ticks are skipped and counted. Each sample carries the time at which it was taken; the
-run's record of the line states how even these times are.
+        self._open_loop = isinstance(task.motion, OpenLoop)
+        counts = self._recipe.rig.encoder_counts
+        self._watch = safety.Watch(rig._limits, counts, closed=not self._open_loop)
+        self._clock = Clock(
+            rig.line,
+            self._recipe.rig.sample_time,
+            rig._settings.watchdog,
+            skips=task.feedforward.signal is None,
+        )
         self._rows: list[tuple[float, ...]] = []
         self._gain = min(rig._settings.position_gain, CORRECTED / self._recipe.rig.sample_time)
         self._start = self._origin = 0.0
