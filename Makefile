@@ -4,6 +4,7 @@
 # make thesis   every figure and table of the thesis beside the virtual rig: docs/reproduction.md
 # make real-data DATA=folder of mis-tool  a real instrument: torque from current against a sensor
 # make test     style, types and tests
+# make test-lowest  tests with the lowest versions of pyproject.toml, in an environment of its own
 # make attack   kills, signals, damaged and malicious files, mutated recipes; SECONDS=600 SEED=20061
 # make docs     the documentation as a site, in build/docs
 # make coverage whether stated intervals hold, on virtual rigs drawn anew
@@ -16,6 +17,7 @@ SET ?=
 SECONDS ?= 600
 SEED ?= 20061
 BIN := .venv/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+LOWEST := .venv-lowest/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 RIGTOOL := $(BIN)/rigtool
 INSTALLED := .venv/installed
 MEASURE = --overwrite $(foreach value,$(SET),--set $(value))
@@ -24,7 +26,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: real-data tables corrected over-time thesis test docs fixtures bench coverage attack clean
+.PHONY: real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage attack clean
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -154,6 +156,12 @@ test: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist worksteal
+
+test-lowest:
+	$(PYTHON) -m venv .venv-lowest
+	$(PYTHON) tests/lowest.py > .venv-lowest/lowest.txt
+	$(LOWEST)/python -m pip install --quiet --constraint .venv-lowest/lowest.txt --editable '.[test]'
+	$(LOWEST)/pytest -n 2 --dist worksteal -W default -m "not real_time"
 
 attack: $(INSTALLED)
 	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)
