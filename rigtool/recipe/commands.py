@@ -23,7 +23,7 @@ class CalibrateKt(Section):
         (20, 25, 30, 35, 40, 45, 50), min_length=2, description="of the motor, degC"
     )
     rotor_positions: int = Field(
-        8, ge=1, description="equally spaced angles of the arm, shifted with each temperature"
+        8, ge=1, description="angles of the arm around the turn, others at each temperature"
     )
     current_max: float = Field(4.0, gt=0, description="top of the staircase, A")
     steps: int = Field(16, ge=3, description="from zero to the top")

@@ -60,7 +60,7 @@ class Clock:
         return now, lateness - skipped * self._period, skipped
 
     def exchanged(self, begun: float) -> None:
-        """Note that what the drive was asked at a time is answered."""
+        """Note that the drive has answered the question of this time."""
         self._asked, self._free = begun, self._line.now()
         self._busy += self._free - begun
 
