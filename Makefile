@@ -4,9 +4,10 @@
 # make thesis         every figure and table of the thesis beside the virtual rig: docs/reproduction.md
 # make real-data      a real instrument: torque from current against a sensor; DATA=folder of mis-tool
 # make test           style, types and tests
+# make test-lowest    the tests with the lowest versions of pyproject.toml
+# make attack         kills, signals, damaged files, changed recipes; SECONDS=600 SEED=20061
 # make docs           the documentation as a site, in build/docs
 # make bench          speed and memory of what users wait for
-# make attack         kills, signals, damaged and malicious files, changed recipes; SECONDS=600 SEED=20061
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
 # make fixtures       the runs in tests/fixtures, stored anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
@@ -21,6 +22,7 @@ SET ?=
 SECONDS ?= 600
 SEED ?= 20061
 BIN := .venv/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+LOWEST := .venv-lowest/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 RIGTOOL := $(BIN)/rigtool
 INSTALLED := .venv/installed
 MEASURE = --overwrite $(foreach value,$(SET),--set $(value))
@@ -29,7 +31,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: real-data tables corrected over-time thesis test docs fixtures bench coverage attack release-check clean help
+.PHONY: real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage attack release-check clean help
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -159,6 +161,12 @@ test: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist worksteal
+
+test-lowest:
+	$(PYTHON) -m venv .venv-lowest
+	$(PYTHON) tests/lowest.py > .venv-lowest/lowest.txt
+	$(LOWEST)/python -m pip install --quiet --constraint .venv-lowest/lowest.txt --editable '.[test]'
+	$(LOWEST)/pytest -n 2 --dist worksteal -W default -m "not real_time"
 
 attack: $(INSTALLED)
 	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)

@@ -27,10 +27,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_over_time.motion_states import State, States
+from rigtool.numerics.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -152,7 +152,7 @@ def contacts(test: Trial, limits: Array) -> list[Contact]:
     return [Contact(*row) for row in rows]
 
 
-@njit(cache=True)
+@compiled
 def _contacts(
     torque: Array,
     jump: Array,

@@ -10,31 +10,39 @@ FORGIVEN = 0.25
 loop goes on for ever where a fifth of its ticks are skipped, and ends where it is much more."""
 
 
-class Clock:
-    """Waits for ticks of a `period`, late by `patience` at most; both in s.
+BEHIND = 0.8
+"""Part of the patience by which a loop is late when it skips ticks."""
 
-    A tick that comes late is made up for. With `skips`, a loop that is late by half its patience
-    goes on at the tick that is due; a motion whose signal has a sample for each tick cannot.
+LIMIT = 2.0
+"""Multiple of the patience: skipped ticks that add up to more, and are not made up for, are too
+many."""
+
+
+class Clock:
+    """Waits for ticks of a `period` while nobody is silent for longer than `patience`; both in s.
+
+    A tick that comes late is made up for. With `skips`, a loop that falls behind goes on at the
+    tick that is due; a motion whose signal has a sample for each tick cannot.
     """
 
     def __init__(self, line: Line, period: float, patience: float, *, skips: bool) -> None:
         self._line, self._period, self._patience = line, period, patience
         self._skips, self._owed = skips, 0.0
-        self._free = self._busy = 0.0
+        self._free = self._busy = self._asked = 0.0
         self._asleep = self._exchanging = 0.0
         self._retries = line.counts.retries
 
     def wait(self, start: float, tick: int) -> tuple[float, float, int]:
         """Wait for a tick counted from `start`; return the time, how late it is, s, and `skipped`.
 
-        Raises `HardwareError` where that is longer than the drive would wait, or where skipped
-        ticks add up to that and are not made up for.
+        Raises `HardwareError` where the drive was asked nothing for longer than it would wait, or
+        where too many ticks are skipped.
         """
         moment = start + tick * self._period
         self._line.sleep_until(moment)
         now = self._line.now()
         lateness = now - moment
-        behind = self._skips and lateness > max(self._period, self._patience / 2)
+        behind = self._skips and lateness > max(self._period, BEHIND * self._patience)
         skipped = int(lateness / self._period) if behind else 0
         in_time = lateness <= self._period
         less = FORGIVEN * self._period if in_time else 0.0
@@ -46,13 +54,14 @@ class Clock:
             self._exchanging += max(0.0, self._busy - self._period)
             self._asleep += now - max(moment, self._free)
         self._busy = 0.0
-        if (late := max(lateness, self._owed)) > self._patience:
-            raise HardwareError(self._problem(late, tick))
+        silent = now - max(start, self._asked) if self._skips else lateness
+        if silent > self._patience or self._owed > LIMIT * self._patience:
+            raise HardwareError(self._problem(max(lateness, self._owed), tick))
         return now, lateness - skipped * self._period, skipped
 
     def exchanged(self, begun: float) -> None:
         """Note that the drive has answered the question of this time."""
-        self._free = self._line.now()
+        self._asked, self._free = begun, self._line.now()
         self._busy += self._free - begun
 
     def _problem(self, lateness: float, tick: int) -> str:

@@ -182,16 +182,15 @@ def test_a_loop_that_is_late_says_that_the_line_is_slow(world):
 
 
 def test_a_busy_computer_skips_set_points_and_the_motion_ends_in_time(world):
-    """Stalls are more in all than the watchdog's time, and the line leaves no time to make up."""
-    world.stalls = {0.5 + n: 0.1 for n in range(6)}
-    _, rig = emulated(world, "toy", 0.004, delay=1.8e-3)
+    world.stalls = {0.5 + n: 0.22 for n in range(6)}
+    _, rig = emulated(world, "toy", 0.004)
     with rig:
         got = perform(rig, Task(SpeedProfile((0.0, 1.0, 6.0, 7.0), (0.0, 1.0, 1.0, 0.0))))
         facts = json.loads(rig.report())
-    assert 30 < facts["skipped_samples"] < 6 * 26
+    assert 6 * 53 <= facts["skipped_samples"] <= 6 * 56
     assert len(got["time"]) + facts["skipped_samples"] == 1750
     assert got["time"][-1] - got["time"][0] == pytest.approx(7.0, abs=0.02)
-    assert facts["longest_gap_s"] == pytest.approx(0.1, abs=0.02)
+    assert facts["longest_gap_s"] == pytest.approx(0.22, abs=0.02)
     wanted = np.interp(got["time"] - got["time"][0], [0, 1, 6, 7], [0, 0.5, 5.5, 6.0])
     assert np.abs(got["position_setpoint"] - got["position_setpoint"][0] - wanted).max() < 0.2
 
