@@ -240,14 +240,14 @@ class TargetEmulator(Emulator):
     def _arm(self, payload: bytes) -> bytes:
         every, stop_angle, mask, streams = link.ARM.unpack(payload)
         if every == 0 or mask & ~link.mask_of(self._channels) or not mask & 1:
-            raise _Refused("ARM asks for what is not recorded, or every 0th sample")
+            raise _Refused("ARM asks for unknown channels, or every 0th sample")
         missing = [
             slot.name
             for slot in (Slot.RIG, Slot.LIMITS, Slot.CONTROLLER, Slot.MOTION)
             if slot not in self._objects
         ]
         if missing:
-            raise _Refused(f"ARM before {', '.join(missing)} went up")
+            raise _Refused(f"ARM before {', '.join(missing)} were uploaded")
         self._task = task = self._make_task(every, link.stop_angle(stop_angle))
         self._limits, _ = link.unpack_limits(self._objects[Slot.LIMITS])
         if task.motion.duration > self._limits.duration:
@@ -345,7 +345,7 @@ class TargetEmulator(Emulator):
 
     def _require_within(self, position: float) -> None:
         if Slot.LIMITS not in self._objects:
-            raise _Refused("slot LIMITS has to go up first")
+            raise _Refused("upload slot LIMITS first")
         limits, _ = link.unpack_limits(self._objects[Slot.LIMITS])
         low, high = limits.position
         if not low <= position <= high:
@@ -380,7 +380,7 @@ class TargetEmulator(Emulator):
 
     def _rig(self) -> VirtualRig:
         if self.rig is None:
-            raise _Refused("slot RIG has to go up first")
+            raise _Refused("upload slot RIG first")
         return self.rig
 
     # -- running
