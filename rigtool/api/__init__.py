@@ -101,20 +101,24 @@ def ilc_learn(
     kt: File | Run | None = None,
     friction: File | Run | None = None,
     plant: File | Run | None = None,
+    prior: File | Run | None = None,
     implementation: str | None = None,
     **options: Unpack[Options],
 ) -> Outcome:
     """Learn the disturbance that repeats with position and speed [7.2.4].
 
     `implementation` is the way to learn by the thesis's letter; without it, the recipe's. "D" on
-    imported runs of known loads needs no recipe.
+    imported runs of known loads needs no recipe; two loads are enough with a `prior` of another
+    mounting. Raises `UsageError` for a `prior` of other runs.
     """
     from rigtool.experiments.imported_load.procedure import PROCEDURE as BY_LOAD
     from rigtool.experiments.learning.procedure import PROCEDURE, asked
 
     inputs = {"kt": kt, "friction": friction, "plant": plant}
     if implementation == "D" and not any(map(_has_recipe, sources)):
-        return _call(BY_LOAD, sources, inputs, **options)
+        return _call(BY_LOAD, sources, {**inputs, "prior": prior}, **options)
+    if prior is not None:
+        raise UsageError("prior: is for imported runs with implementation D")
     given = CommonOptions(overrides=tuple(options.get("settings", ())))
     options["settings"] = asked(given, implementation, validate=False).overrides
     return _call(PROCEDURE, sources, inputs, **options)

@@ -19,6 +19,7 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -177,9 +178,14 @@ def require_unlimited(largest_current: float, recipe: Recipe, remedy: str) -> No
 
 def smallest_gain(recipe: Recipe) -> float:
     """Return the smallest gain of the recipe's controller below its crossover, N m/rad."""
+    return _smallest_gain(recipe.rig.controller.crossover_hz, **recipe.rig.loop_design)
+
+
+@lru_cache(maxsize=8)
+def _smallest_gain(highest_hz: float, **design: float) -> float:
+    """Return the smallest gain of a controller; each recording of a run asks for the same one."""
     from scipy.signal import sosfreqz
 
-    rig, crossover = recipe.rig, recipe.rig.controller.crossover_hz
-    sections = controller_sections(**rig.loop_design)
-    frequency = np.geomspace(min(LOWEST_HZ, crossover), crossover, 100)
-    return float(np.abs(sosfreqz(sections, frequency, fs=1 / rig.sample_time)[1]).min())
+    sections = controller_sections(**design)
+    frequency = np.geomspace(min(LOWEST_HZ, highest_hz), highest_hz, 100)
+    return float(np.abs(sosfreqz(sections, frequency, fs=1 / design["sample_time"])[1]).min())

@@ -106,12 +106,12 @@ def _furthest(kt: Run, recordings: Sequence[Recording]) -> tuple[float, float]:
         for recording in recordings
         if recording.has("temperature") and recording.size
         for end in (
-            recording.read("temperature", 0, ENDS),
-            recording.read("temperature", max(0, recording.size - ENDS), None),
+            recording.read_stored("temperature", 0, ENDS),
+            recording.read_stored("temperature", max(0, recording.size - ENDS)),
         )
     ]
-    degc = np.concatenate([*ends, np.empty(0)])
-    degc = degc[np.isfinite(degc)]
+    degc = np.concatenate([*ends, np.empty(0)], dtype=np.float64)
+    degc = degc[np.isfinite(degc)]  # NaN where no thermometer is there
     if not degc.size or not all(name in kt.results for name in names):
         return math.nan, 0.0
     constant, slope = (kt.result(name).value for name in names)

@@ -203,10 +203,13 @@ class Watch:
     **Position, temperature.** Each sample. NaN is a missing sample and is left out; positions that
     are missing for longer than `BLIND` trip as well. A jump of position, where the encoder wraps
     around or loses counts, appears as speed or as a position.
+
+    **Following.** Where the loop is `closed`, the distance of position and set point, each sample:
+    a shaft that is blocked, a set point that the drive clamps, a loop that does not hold.
     """
 
-    def __init__(self, limits: Limits, encoder_counts: int) -> None:
-        self._limits = limits
+    def __init__(self, limits: Limits, encoder_counts: int, *, closed: bool = False) -> None:
+        self._limits, self._closed = limits, closed
         self._count = 2 * math.pi / encoder_counts
         self._positions = _Tail(float(SPEED_WINDOWS[-1]))
         self._currents = _Tail(WINDOW)
@@ -227,7 +230,11 @@ class Watch:
                 if not limits.position[0] <= value <= limits.position[1]:
                     nearest = limits.position[0 if value < limits.position[0] else 1]
                     return _beyond("position", float(value), nearest, "rad")
-            found = self._blind(time, position) or self._fast(time, position)
+            found = (
+                self._blind(time, position)
+                or self._fast(time, position)
+                or self._off(block, position)
+            )
             if found:
                 return found
         current = block.get("current")
@@ -266,6 +273,21 @@ class Watch:
         if fastest > JUMP * self._limits.speed:
             found += ". Such a speed may also be a jump of the position: check the encoder"
         return found
+
+    def _off(self, block: Block, position: Array) -> str | None:
+        """Judge how far the shaft is off its set point."""
+        setpoint = block.get("position_setpoint")
+        if not self._closed or setpoint is None or not _any(off := np.abs(position - setpoint)):
+            return None
+        worst = int(np.nanargmax(off))
+        if off[worst] <= self._limits.following_error:
+            return None
+        return (
+            f"the shaft is at {position[worst]:.4g} rad and its set point at {setpoint[worst]:.4g} "
+            f"rad, further apart than serial.limits.following_error = "
+            f"{self._limits.following_error:.4g} rad: the motor was stopped and switched off; see "
+            "whether the shaft is blocked, whether the drive clamps its set point, or tune its loop"
+        )
 
     def _strong(self, time: Array, current: Array) -> str | None:
         """Check the mean of the current's magnitude."""
