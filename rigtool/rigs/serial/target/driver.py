@@ -25,7 +25,7 @@ from rigtool.rigs.serial.line import Line, RequestRefused
 from rigtool.rigs.serial.rig import SerialRig, in_thread
 from rigtool.rigs.serial.safety import Watch, slow_move
 from rigtool.rigs.serial.target import link, protocol
-from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, State, Status
+from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, Status, TargetState
 from rigtool.rigs.serial.target.log import Log
 from rigtool.rigs.serial.target.protocol import TargetProtocol
 
@@ -243,7 +243,7 @@ class TargetRig(SerialRig):
         watch = Watch(self._limits, self._recipe.rig.encoder_counts)
         while True:
             status = self._status()
-            if status.state is not State.RUNNING:
+            if status.state is not TargetState.RUNNING:
                 return status
             self._watch_over(status, watch, until)
             self.line.pause(min(POLL, self._settings.watchdog / 4))
@@ -266,7 +266,7 @@ class TargetRig(SerialRig):
             raise HardwareError(problem)
 
     def _require_done(self, status: Status) -> None:
-        if status.state is not State.DONE:
+        if status.state is not TargetState.DONE:
             why = status.text or f"it is {status.state.name} before the end of the motion"
             raise HardwareError(f"{self.line.port}: the target stopped: {why}")
 
@@ -278,7 +278,7 @@ class TargetRig(SerialRig):
         line = self.line
         until, asked = line.now() + patience, -math.inf
         status: Status | None = None
-        while not stop.is_set() and (status is None or status.state is State.RUNNING):
+        while not stop.is_set() and (status is None or status.state is TargetState.RUNNING):
             self._protocol.listen(POLL)
             for first, data in self._arrived:
                 log.take(first, data)
@@ -288,7 +288,7 @@ class TargetRig(SerialRig):
             if line.now() - asked > min(0.1, self._settings.watchdog / 4):
                 status = self._status()
                 asked = line.now()
-                if status.state is State.RUNNING:
+                if status.state is TargetState.RUNNING:
                     self._watch_over(status, watch, until)
         self._protocol.timeout, self._protocol.streaming = protocol.TIMEOUT, False
         if status is None or stop.is_set():
