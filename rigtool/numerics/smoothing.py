@@ -44,7 +44,7 @@ COUNT_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
-class Smoother:
+class KernelSmoother:
     """A Gaussian kernel for signals that are sampled each `step` s.
 
     `width` is its standard deviation in s. A smoothed signal keeps one of `every` samples, and none

@@ -75,14 +75,14 @@ def write_new(
 
 
 @dataclass(frozen=True)
-class Frame:
+class ExportedPart:
     """Columns with their units ("" for text, and for columns with a column of units)."""
 
     units: dict[str, str]
     blocks: Iterator[pd.DataFrame]
 
 
-def choose(run: Run, part: str | None) -> Frame:
+def choose(run: Run, part: str | None) -> ExportedPart:
     """Return a part of a run by its name: `results`, `recordings/NAME`, `tables/NAME`, or NAME.
 
     Raises `UsageError` where the choice is open.
@@ -100,10 +100,12 @@ def choose(run: Run, part: str | None) -> Frame:
         raise UsageError(f"{run.path}: {what}: choose by --part from {', '.join(parts) or 'none'}")
     chosen = parts[found[0]]
     if isinstance(chosen, Recording):
-        return Frame(dict(chosen.units), _recording(chosen))
+        return ExportedPart(dict(chosen.units), _recording(chosen))
     if isinstance(chosen, Table):
-        return Frame({n: c.unit for n, c in chosen.columns.items()}, iter([chosen.to_pandas()]))
-    return Frame(dict.fromkeys(RESULT_COLUMNS, ""), iter([_results(chosen)]))
+        return ExportedPart(
+            {n: c.unit for n, c in chosen.columns.items()}, iter([chosen.to_pandas()])
+        )
+    return ExportedPart(dict.fromkeys(RESULT_COLUMNS, ""), iter([_results(chosen)]))
 
 
 def _recording(recording: Recording) -> Iterator[pd.DataFrame]:
@@ -120,7 +122,7 @@ def _results(results: Mapping[str, Quantity]) -> pd.DataFrame:
     return frame.astype({"u": "f8", "dof": "f8"})
 
 
-def write_csv(frame: Frame, path: Path) -> None:
+def write_csv(frame: ExportedPart, path: Path) -> None:
     """Write comma-separated text with a head `name [unit]`."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         head = [f"{name} [{unit}]" if unit else name for name, unit in frame.units.items()]
@@ -131,7 +133,7 @@ def write_csv(frame: Frame, path: Path) -> None:
             block.to_csv(stream, header=False, index=False, lineterminator="\n")
 
 
-def write_parquet(frame: Frame, path: Path) -> None:
+def write_parquet(frame: ExportedPart, path: Path) -> None:
     """Write Apache Parquet, a row group a block.
 
     Units are metadata `units` of each field, and where pandas looks: `DataFrame.attrs["units"]`.

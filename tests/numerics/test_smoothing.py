@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.smoothing import (
-    Smoother,
+    KernelSmoother,
     noise_of_derivatives,
     position_noise,
     resample,
@@ -20,7 +20,7 @@ STEP = 1e-3
 @pytest.mark.parametrize(("derivative", "tolerance"), [(0, 1e-7), (1, 1e-5), (2, 1e-4)])
 def test_scipy_smooths_the_same(derivative, tolerance):
     values = np.cumsum(np.random.default_rng(0).normal(size=3000))
-    smoother = Smoother(STEP, 20 * STEP)
+    smoother = KernelSmoother(STEP, 20 * STEP)
     places = smoother.places(len(values))
     expected = (
         gaussian_filter1d(values, 20, order=derivative, truncate=8)[places] / STEP**derivative
@@ -35,7 +35,7 @@ def test_derivatives_of_a_sine_have_the_response_that_is_stated(frequency, width
     """exp(-(2 pi f s)^2 / 2), without delay and without a trace of what is constant."""
     time = np.arange(0, 2, STEP)
     omega = 2 * np.pi * frequency
-    smoother = Smoother(STEP, width)
+    smoother = KernelSmoother(STEP, width)
     at = time[smoother.places(len(time))]
     gain = np.exp(-((omega * width) ** 2) / 2)
     values = level + np.sin(omega * time)
@@ -49,14 +49,14 @@ def test_derivatives_of_a_sine_have_the_response_that_is_stated(frequency, width
 
 
 def test_the_cutoff_is_at_3_db():
-    smoother = Smoother(STEP, 0.01)
+    smoother = KernelSmoother(STEP, 0.01)
     gain = np.exp(-((2 * np.pi * smoother.cutoff * smoother.width) ** 2) / 2)
     assert gain == pytest.approx(np.sqrt(0.5), rel=1e-12)
 
 
 def test_noise_of_derivatives_is_what_white_noise_leaves():
     noise = np.random.default_rng(1).normal(0, 1e-4, 400_000)
-    smoother = Smoother(STEP, 15e-3)
+    smoother = KernelSmoother(STEP, 15e-3)
     for derivative, expected in zip((1, 2), noise_of_derivatives(1e-8 * STEP, 15e-3), strict=True):
         assert np.std(smoother(noise, derivative)) == pytest.approx(expected, rel=0.03)
 

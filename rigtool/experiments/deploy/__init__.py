@@ -1,1 +1,1 @@
-"""A learned table on its way into a drive: made coarse, stored."""
+"""Learned tables for drives and firmware: rounded, stored, exported."""

@@ -159,7 +159,7 @@ def _head(learned: LearnedTable, name: str, lost: str) -> list[str]:
         "",
         *learned.rule(),
         f"{name}_{learned.quantity}(position, speed) does so; {name}_covers(position, speed) says",
-        "where it is valid. Positions are floats: give them within a few turns of zero.",
+        "where it is valid. Positions are floats: keep them within a few turns of zero.",
         *learned.friction_lines(),
         f"Lost: {lost}.",
     ]

@@ -1,4 +1,4 @@
-"""A map of the turn as Fourier coefficients: as many orders as the data carry.
+"""A map of the turn as Fourier coefficients: the orders that exceed the noise.
 
     map(angle) = sum over orders n of amplitude_n cos(n angle + phase_n)
 
@@ -48,8 +48,8 @@ class FourierSeries:
 def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
     """Return the orders of a map above the noise, up to order `band`, the highest that passed Q.
 
-    Without `band` it is the highest that the map's positions carry. Raises `InsufficientDataError`
-    where there is none.
+    Without `band` it is the highest that the map's positions resolve. Raises
+    `InsufficientDataError` where there is none.
     """
     count = turn.values.size
     carried = (count - 1) // 2

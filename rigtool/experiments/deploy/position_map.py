@@ -1,6 +1,6 @@
 """A learned table at one speed, around the turn, as drives store it.
 
-A drive looks its cogging table up by position alone. The mean of a table over both directions,
+A drive reads its cogging table by position alone. The mean of a table over both directions,
 
     map(position) = (torque(position, +speed) + torque(position, -speed))/2 - mean,
 

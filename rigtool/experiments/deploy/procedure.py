@@ -53,12 +53,12 @@ def deploy(
     dry_run: bool,
     operator: Operator,
 ) -> Deployed:
-    """Store the table of a run in the drive of a recipe; with `dry_run` only look.
+    """Store the table of a run in the drive of a recipe; with `dry_run` change nothing.
 
     Raises `UsageError` for a table that no drive can hold or that is not this rig's,
     `InsufficientDataError` for one that made the motor run worse when it was tried,
-    `HardwareError` for a drive that keeps no table, or where storing fails: then the table that
-    was there is back.
+    `HardwareError` for a drive that keeps no table, or where storing fails: then the old table
+    is restored.
     """
     make_table_store, usual_baud_rate = _store_of(recipe)
     assert recipe.serial is not None
@@ -120,7 +120,7 @@ def _store_of(recipe: Recipe) -> tuple[Callable[[Line, Recipe], TableStore], int
 def _map(
     tables: Run, recipe: Recipe, speed: float | None, kt: Run | None
 ) -> tuple[PositionMap, list[str]]:
-    """Return the map that the drive is to add, in A, and remarks."""
+    """Return the map for the drive, in A, and remarks."""
     assert recipe.serial is not None
     learned = learned_table_from(tables)
     for run in (tables, kt):
@@ -134,7 +134,7 @@ def _map(
     if peak > limit:
         raise UsageError(
             f"{tables.path}: takes up to {peak:.4g} A, beyond serial.limits.current = "
-            f"{limit:g} A: a table of cogging is far smaller; look at how it was learned"
+            f"{limit:g} A: a table of cogging is far smaller; check how it was learned"
         )
     remarks = []
     if turn.mean:
@@ -147,7 +147,7 @@ def _map(
 def _ripple_remark(tables: Run, speed: float) -> str:
     """State the ripple with and without the table while learning, at the speed next to this one.
 
-    Raises `InsufficientDataError` where it left no less than there was.
+    Raises `InsufficientDataError` where it reduced nothing.
     """
     if WAVEFORMS not in tables.tables:
         return "the table was not tried while it was learned: its effect on ripple is not known"
@@ -199,7 +199,7 @@ def _origin_remarks(tables: Run, recipe: Recipe) -> list[str]:
 
 
 def _require_same_drive(tables: Run, identity: str) -> None:
-    """Refuse a table of another specimen; its encoder sits elsewhere on the shaft."""
+    """Refuse a table of another specimen; its encoder has another angle on the shaft."""
     there = _serial_number(str(_line_facts(tables).get("identity", "")))
     here = _serial_number(identity)
     if there and here and there != here:
@@ -221,13 +221,12 @@ def _plan(turn: PositionMap, sampled: Sampled, zero: EncoderZero, before: DriveT
     ways = "both directions" if turn.both_directions else "one direction"
     change = int(np.count_nonzero(before.codes != stored.codes))
     was = f"scale {before.scale:.4g} A" if before.scale else "off"
-    direction = "as" if zero.sign > 0 else "against"
+    direction = "with" if zero.sign > 0 else "against"
     return [
         f"map of the turn at {turn.speed:.4g} rad/s, mean of {ways}: up to {peak:.4g} A, standard "
         f"uncertainty {u:.2g} A (rms over the turn)",
         f"position 0 is at {math.degrees(zero.offset):.3f} deg (u {math.degrees(zero.u):.1g} deg) "
-        f"of the encoder that the drive looks its table up by, which counts {direction} the "
-        "position does",
+        f"of the encoder by which the drive reads its table, which counts {direction} the position",
         f"{stored.codes.size} codes, scale {stored.scale:.6g} A; lost "
         + sampled.loss.text("A", "rounding"),
         f"the table that is there is {was}; {change} codes change",

@@ -19,7 +19,7 @@ from rigtool.experiments.deploy.position_map import TURN, PositionMap
 from rigtool.numerics.arrays import Array
 
 FINE = 2**16
-"""Positions of the turn at which the loss is looked for."""
+"""Positions of the turn at which the loss is computed."""
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ def export_table(
     """Write a learned table; return remarks: the loss by rounding, and omitted parts.
 
     `speed`, rad/s, and `kt`, current to torque, are for the formats that need them. Raises
-    `UsageError` where they are missing or of no use.
+    `UsageError` where they are missing or do not apply.
     """
     learned = learned_table_from(run)
     remarks: list[str] = []
@@ -93,7 +93,7 @@ def export_table(
 def in_unit(turn: PositionMap, learned: LearnedTable, wanted: str, kt: Run | None) -> PositionMap:
     """Return the map in the unit that the drive takes: moteus A, ODrive N m.
 
-    Raises `UsageError` where the calibration for that is missing, or of no use.
+    Raises `UsageError` where the calibration for that is missing, or does not apply.
     """
     needed = {"moteus": "A", "odrive": "N m"}.get(wanted, learned.unit)
     if needed == learned.unit:

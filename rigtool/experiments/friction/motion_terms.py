@@ -20,7 +20,7 @@ from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.smoothing import (
     CUTOFF,
-    Smoother,
+    KernelSmoother,
     noise_of_derivatives,
     position_noise,
     resample,
@@ -119,17 +119,17 @@ def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> Sm
     )
 
 
-def _smoother(position: Array, step: float, density: float) -> Smoother:
+def _smoother(position: Array, step: float, density: float) -> KernelSmoother:
     """Return the narrowest kernel that keeps noise out of the acceleration and passes the motion.
 
     Not narrower than the motion needs: the rest of the band is other dynamics. Where no kernel
     keeps the noise out, the one that passes the least part of it.
     """
     widest = max(len(position) * step * WIDEST, NARROWEST * step)
-    best, least = Smoother(step, NARROWEST * step), math.inf
+    best, least = KernelSmoother(step, NARROWEST * step), math.inf
     width = best.width
     while width <= widest:
-        smoother = Smoother(step, width)
+        smoother = KernelSmoother(step, width)
         acceleration = smoother(position, 2)
         power = max(float(np.mean(acceleration**2)), 1e-300)
         share = noise_of_derivatives(density, width)[1] ** 2 / power
@@ -139,7 +139,7 @@ def _smoother(position: Array, step: float, density: float) -> Smoother:
             break
         width *= GROWTH
     frequency = _highest_frequency(best(position, 1), best.every * step)
-    return Smoother(step, max(best.width, min(CUTOFF / (HARMONICS * frequency), widest)))
+    return KernelSmoother(step, max(best.width, min(CUTOFF / (HARMONICS * frequency), widest)))
 
 
 def _highest_frequency(signal: Array, spacing: float) -> float:

@@ -65,7 +65,7 @@ class Drive(Protocol):
         """Identify the device and return it in a line: kind, firmware, serial number.
 
         Nothing moves and nothing changes. Raises `HardwareError` where something else answers, or
-        a drive reports an error that its owner has to look at.
+        a drive reports an error that its owner must examine.
         """
         ...
 
@@ -84,11 +84,11 @@ class Drive(Protocol):
         ...
 
     def enable(self, mode: Mode) -> None:
-        """Close the power stage in this mode, at rest where the shaft is."""
+        """Switch the power stage on in this mode, at rest at the shaft's position."""
         ...
 
     def step(self, setpoint: SetPoint) -> Sample:
-        """Send a set point, feed the watchdog, and measure: once each period of the loop."""
+        """Send a set point, reset the watchdog, and measure: once each period of the loop."""
         ...
 
     def read(self) -> Sample:

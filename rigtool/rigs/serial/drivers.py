@@ -3,7 +3,7 @@
     [project.entry-points."rigtool.drivers"]
     acme = "rigtool_acme.driver:DRIVER"
 
-A driver is imported when a recipe names it, or when `rigtool devices` asks who is there.
+A driver is imported when a recipe names it, or when `rigtool devices` probes the ports.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ MODULES = {
     "maxon": "rigtool.rigs.serial.maxon.driver",
 }
 """Modules of rigtool's own drivers, each with its `DRIVER`, in the order in which `rigtool devices`
-asks: those that ask in lines of text first, because others leave half a line in their buffers; the
-slowest last."""
+asks: those that ask in lines of text first, because others leave an incomplete line in the buffers
+of these; the slowest last."""
 
 PLUGINS = "rigtool.drivers"
 """Group of the entry points with which other packages add drivers: each a `Driver`."""

@@ -35,7 +35,7 @@ from rigtool.rigs.serial.rig import SerialRig, in_thread
 from rigtool.rigs.serial.ticks import Clock
 
 BLOCK_TIME = 0.25
-"""Length of a block of signals, about, s."""
+"""Approximate length of a block of signals, s."""
 
 RATE_READINGS = 40
 """Readings at standstill from which the rate of a line is found."""
@@ -107,13 +107,13 @@ class HostedRig(SerialRig):
         return identity
 
     def _require_rate(self) -> None:
-        """Refuse a loop that the line cannot keep up with."""
+        """Refuse a period that is too short for the line."""
         usual = usual_time(self.drive.read, self.line, RATE_READINGS)
         wanted, needed = self._recipe.rig.sample_time, usual
         why = "a reading"
         if self.steps_in_position:
             needed = (1 + ROOM) * usual
-            why = "two readings and a half, to see what its steps of position do to current,"
+            why = "two readings and a half, to see the effect of its steps of position on current,"
         if needed > wanted:
             longer = _rounded_up(LONGER * needed)
             raise RecipeError(
@@ -135,7 +135,7 @@ class HostedRig(SerialRig):
     def _last_resort(self) -> str:
         if self._drive is None or self._drive.abilities.watchdog:
             return super()._last_resort()
-        return "It has no watchdog and may go on: switch its supply off"
+        return "It has no watchdog and may continue: switch its supply off"
 
     def _position(self) -> float:
         return self.drive.read().position
@@ -194,7 +194,7 @@ class HostedRig(SerialRig):
 
     @property
     def mode(self) -> Mode:
-        """How motions are followed: by speed with the host's correction, unless it moves along."""
+        """How motions are followed: by corrected speeds, unless the drive moves along."""
         able = self.drive.abilities
         if "velocity" in able.modes and not able.moves_along:
             return "velocity"
@@ -323,8 +323,8 @@ class _Loop:
         rate = float(speed[0])
         if self._rig.mode == "velocity":
             limit = self._rig._limits.speed
-            # Where the shaft should have been when it was measured last: a sample that is older
-            # than the set point would look like a distance that grows with speed and delay.
+            # The set point at the time of the last sample: a sample that is older
+            # than the set point would show a distance that grows with speed and delay.
             rate += self._gain * (float(self._motion_at(last.time)[0][0]) - last.position)
             rate = min(max(rate, -limit), limit)
         sent = SetPoint(float(position[0]), rate, model + table + signal)

@@ -49,7 +49,7 @@ def _asked_by_default() -> list[str]:
 def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iterator[Device]:
     """Probe these ports, or all of this computer, for the devices of these drivers.
 
-    Probing only asks: nothing moves and nothing is changed. Instruments that take each character
+    Probing only reads: nothing moves and nothing is changed. Instruments that take each character
     for a command are probed only where they are named, and alone.
     """
     described = dict(list_ports())

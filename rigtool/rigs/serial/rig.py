@@ -34,7 +34,7 @@ COMING_BACK = 10.0
 
 
 class SerialRig(Rig, ABC):
-    """A rig behind a `Line`, as a context manager: on any exit it is stopped, off and restored.
+    """A rig behind a `Line`; a context manager: any exit stops, switches off and restores it.
 
     Subclasses fill in `_connect`, `_execute`, `_halt`, `_restore`, `_position` and `_reason`.
     """
@@ -87,7 +87,7 @@ class SerialRig(Rig, ABC):
 
     @abstractmethod
     def _restore(self) -> None:
-        """Bring back changed settings."""
+        """Restore changed settings."""
 
     @abstractmethod
     def _position(self) -> float:
@@ -102,7 +102,7 @@ class SerialRig(Rig, ABC):
         return f"Its watchdog stops it after {self._settings.watchdog:g} s of silence"
 
     def _set_load(self, load: Load) -> None:
-        """Apply a load: the operator does, unless the rig can."""
+        """Apply a load, by the operator unless the rig can."""
         self._ask_for_load(load)
 
     @property
@@ -147,7 +147,7 @@ class SerialRig(Rig, ABC):
             if self._line is not None:
                 self._line.close()
         if problems and self._line is not None and self._line.replays and error is not None:
-            return  # a record has no drive that could be left running
+            return  # a record has no drive that might still run
         if problems:
             text = (
                 f"{'; '.join(problems)}. {self._last_resort()}: see that it stands still before "
@@ -162,7 +162,7 @@ class SerialRig(Rig, ABC):
     def lacks(self, need: str) -> str | None:
         """Return why a need or channel is not offered; None where it is."""
         if need == "observe":
-            return "rigtool has to move the motor of a rig on a line itself"
+            return "on a rig on a line only rigtool itself may move the motor"
         if need == "force" and isinstance(self._gauges.get(need), OperatorGauge):
             return (
                 "an operator reads once a motion, and the force changes with every step of "
@@ -176,14 +176,14 @@ class SerialRig(Rig, ABC):
         reason = self._reason(need)
         if reason is not None and need in ("load", "clamp", "soak", "power_cycle"):
             if not self._settings.operator:
-                return f"{reason}, and serial.operator is false: nobody is there to {NEEDS[need]}"
+                return f"{reason}, and serial.operator is false: nobody can {NEEDS[need]}"
             return f"{reason}, and {NOBODY}" if alone else None
         return reason
 
     def use_only(self, channels: Collection[str]) -> None:
-        """Leave the instruments alone that fill none of these channels; called before `with`.
+        """Do not use instruments that fill none of these channels; called before `with`.
 
-        A thermometer is read in any case: the limit of temperature is watched by it.
+        A thermometer is used in any case: the limit of temperature depends on it.
         """
         self._unused = [name for name in self._gauges if name not in {*channels, "temperature"}]
         for name in self._unused:
@@ -193,7 +193,7 @@ class SerialRig(Rig, ABC):
         """Show the plan and ask the operator for consent."""
         notes = [
             *(f"{name} is read: {gauge.name}" for name, gauge in self._gauges.items()),
-            *(f"serial.{name} is left alone: nothing of it is recorded" for name in self._unused),
+            *(f"serial.{name} is not used: its channel is not recorded" for name in self._unused),
             *self.notes,
         ]
         if self.lacks("temperature"):
@@ -337,7 +337,7 @@ class SerialRig(Rig, ABC):
 
     def _ask_for_load(self, load: Load) -> None:
         before, self._load = self._load, load
-        # The operator knows of an arm that was just clamped.
+        # An arm that was just clamped needs no request.
         if load in (before, replace(before, clamped=True)):
             return
         self._halt()
@@ -347,7 +347,7 @@ class SerialRig(Rig, ABC):
 def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) -> Iterator[Block]:
     """Yield the blocks that `work(put, stop)` puts, from a thread of its own.
 
-    So nothing that is done with a block disturbs the line. `work` returns soon once `stop` is set:
+    The use of a block thus never disturbs the line. `work` returns soon once `stop` is set:
     that happens where the caller gives up. Its errors are raised here, after its last block.
     """
     blocks: queue.Queue[Block | BaseException | None] = queue.Queue()
@@ -384,7 +384,7 @@ def describe_load(load: Load, attachment: str) -> str:
     if load.radial_force:
         parts.append(f"pull the shaft sideways with {load.radial_force:g} N")
     if not parts:
-        parts.append("take all loads off")
+        parts.append("remove all loads")
     where = "clamped on" if load.clamped else "away from"
     parts.append(f"see that the arm is {where} the force gauge")
     text = ", ".join(parts)

@@ -32,7 +32,7 @@ BLIND = 0.5
 """Longest time for which a position may be missing, s: the motor moves unobserved meanwhile."""
 
 JUMP = 5.0
-"""Multiple of the limit of speed beyond which the encoder is doubted as well as the motor."""
+"""Multiple of the limit of speed beyond which the encoder may be at fault as well."""
 
 
 ROUNDING = 1e-6
@@ -113,7 +113,7 @@ class _Path:
         self._last = np.empty((4, 0))
 
     def follow(self, time: Array, position: Array, speed: Array, acceleration: Array) -> None:
-        """Raise `RecipeError` where the position goes further than speed and acceleration say."""
+        """Raise `RecipeError` where the position goes further than speed and acceleration allow."""
         signals = np.concatenate([self._last, [time, position, speed, acceleration]], axis=1)
         self._last = signals[:, -1:]
         moved = np.abs(np.diff(signals[1]))
@@ -145,7 +145,7 @@ def feedforward_torque(
 
 
 def check_duration(task: Task, limits: Limits) -> None:
-    """Raise `RecipeError` for a motion that lasts too long: evaluating it would, too."""
+    """Raise `RecipeError` for a motion that lasts too long: its evaluation would as well."""
     if task.motion.duration > limits.duration:
         raise RecipeError(
             f"{type(task.motion).__name__} would last {task.motion.duration:.4g} s, beyond "
@@ -176,8 +176,8 @@ def check(found: Extremes, limits: Limits, what: str = "this motion") -> None:
             )
     if beyond:
         raise RecipeError(
-            f"{what} would exceed the limits of the rig: {'; '.join(beyond)}: ask less of the "
-            "rig in the recipe, or raise the limit if it withstands that"
+            f"{what} would exceed the limits of the rig: {'; '.join(beyond)}: ask for less in the "
+            "recipe, or raise the limit if the rig withstands that"
         )
 
 
@@ -241,7 +241,7 @@ class Watch:
         return None if current is None else self._strong(time, current)
 
     def _blind(self, time: Array, position: Array) -> str | None:
-        """Judge how long samples have come whose position is missing."""
+        """Check for how long positions are missing."""
         begin = time[0] if math.isnan(self._seen) else self._seen
         known = np.isfinite(position)
         seen = np.maximum.accumulate(np.where(known, time, begin))
@@ -250,12 +250,12 @@ class Watch:
         if longest <= BLIND:
             return None
         return (
-            f"the position was missing for {longest:.3g} s, so nobody watched where the motor "
-            f"went: it was stopped and switched off; see to its encoder, or to the line"
+            f"the position was missing for {longest:.3g} s, and the motor moved unobserved: it was "
+            "stopped and switched off; check its encoder, or the line"
         )
 
     def _fast(self, time: Array, position: Array) -> str | None:
-        """Judge speed, over each of the windows."""
+        """Check speed, over each of the windows."""
         new, time, position = self._positions.follow(time, position)
         first = np.searchsorted(time, time[new:, None] - SPEED_WINDOWS, side="right") - 1
         row, window = np.nonzero(first >= 1)
@@ -271,7 +271,7 @@ class Watch:
             return None
         found = _beyond("speed", fastest, self._limits.speed, "rad/s")
         if fastest > JUMP * self._limits.speed:
-            found += ". So fast a position may also have jumped: see to the encoder"
+            found += ". Such a speed may also be a jump of the position: check the encoder"
         return found
 
     def _off(self, block: Block, position: Array) -> str | None:
@@ -290,7 +290,7 @@ class Watch:
         )
 
     def _strong(self, time: Array, current: Array) -> str | None:
-        """Judge the mean of the current's magnitude."""
+        """Check the mean of the current's magnitude."""
         new, time, current = self._currents.follow(time, current)
         before = np.searchsorted(time, time[new:] - WINDOW, side="right") - 1
         row = np.flatnonzero(before >= 0)

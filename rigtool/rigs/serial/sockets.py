@@ -1,6 +1,6 @@
 """A TCP connection with the methods of a serial port that a `Line` uses.
 
-pyserial's own `socket://` reads byte by byte and lets small writes wait for each other.
+pyserial's own `socket://` reads byte by byte and delays small writes.
 """
 
 from __future__ import annotations

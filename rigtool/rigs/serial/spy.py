@@ -1,4 +1,4 @@
-r"""The bytes on a rig's lines with time stamps, and such a file as the other end of the lines.
+r"""The bytes on a rig's lines with time stamps, and the replay of such a file as the devices.
 
 A spy file is text, a line an event, `seconds kind bytes`: `>` to the device, `<` from it, bytes
 that are not printable as `\xNN`; `-` where the host waited and nothing came; `!` where the line was
@@ -36,11 +36,11 @@ class Event(NamedTuple):
 
 
 class RecordEnd(HardwareError):
-    """The host goes on where the record ends."""
+    """The host continues where the record ends."""
 
 
 class Spy:
-    """Writes a spy file. Every event reaches the file at once: a killed program leaves it whole.
+    """Writes a spy file. Every event reaches the file at once, so that a kill loses none.
 
     Several lines write into it, each from a thread of its own. Raises `HardwareError` where it
     cannot be written.
@@ -151,7 +151,7 @@ class Replay:
             self._raise_if_lost()
             if not self._events:
                 raise RecordEnd(
-                    f"{self.path}: the record ends here, the host goes on with {data[:40]!r}"
+                    f"{self.path}: the record ends here, the host continues with {data[:40]!r}"
                 )
             event = self._events[0]
             said = bytes(self._said[: len(event.data)])

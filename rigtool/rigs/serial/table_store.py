@@ -19,7 +19,7 @@ class DriveTable:
 
 @dataclass(frozen=True)
 class EncoderZero:
-    """Angle by which a drive looks its table up: sign*position + offset, rad, offset with its u."""
+    """Angle by which a drive reads its table: sign*position + offset, rad, offset with its u."""
 
     sign: int
     offset: float
@@ -42,7 +42,7 @@ class TableStore(Protocol):
         ...
 
     def zero(self) -> EncoderZero:
-        """Measure how the table's angle belongs to the position, at standstill."""
+        """Measure the relation between the table's angle and the position, at standstill."""
         ...
 
     def read(self) -> DriveTable:

@@ -220,7 +220,7 @@ def test_operator_is_asked_for_what_the_rig_cannot_do():
         rig.soak(35.0)
     assert asked[0] == "Move now? [y/N]"
     assert asked[1].startswith("Load the shaft with 14 mN m (weight on a cord)")
-    assert asked[2].startswith("Take all loads off")
+    assert asked[2].startswith("Remove all loads")
     assert asked[3].startswith("Bring the motor to 35 degC")
 
 
@@ -234,7 +234,7 @@ def test_what_somebody_has_to_do_is_refused_at_the_start_where_nobody_is():
             for need in ("load", "clamp", "soak", "power_cycle", "temperature"):
                 assert rig.lacks(need) is None
         with toy_rig(server.port, "serial.operator=false", operator=somebody) as rig:
-            assert "serial.operator is false: nobody is there to hang a load" in rig.lacks("load")
+            assert "serial.operator is false: nobody can hang a load" in rig.lacks("load")
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ class EmulatedMotor:
         *,
         moving: bool = False,
     ) -> None:
-        """Turn until now under a set point: `mode` position, velocity, current, or None for off.
+        """Advance to now under a set point: `mode` position, velocity, current, or None for off.
 
         In position and velocity mode `current` [A] is added to the demand of the loops. `moving`:
         the set point has moved to `position` at `speed`, instead of being there all the time.

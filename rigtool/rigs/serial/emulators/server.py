@@ -30,7 +30,7 @@ PATIENCE = 1.0
 
 
 class Emulator:
-    """A device: bytes in, bytes out. Subclass it and fill in `receive`, perhaps the others.
+    """A device: bytes in, bytes out. Subclasses implement `receive` and, if needed, the others.
 
     All methods are called from the server's thread. Bytes arrive in pieces of any size: keep what
     is no whole request yet.
@@ -46,7 +46,7 @@ class Emulator:
     def idle(self) -> bytes:
         """Return bytes sent without a request; called every `TICK` s at least.
 
-        Here watchdogs run out and motors turn.
+        Watchdogs expire and motors turn here.
         """
         return b""
 
@@ -132,7 +132,7 @@ class Server:
         elif now - self._taken > PATIENCE:
             self._waiting.clear()
 
-    # -- how bytes get there
+    # -- transport
 
     def _open(self) -> None:
         raise NotImplementedError

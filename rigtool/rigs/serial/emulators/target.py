@@ -17,7 +17,7 @@ from rigtool.rigs.serial.emulators.target_log import TargetLog
 from rigtool.rigs.serial.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.safety import Watch
 from rigtool.rigs.serial.target import link
-from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, State
+from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, TargetState
 from rigtool.rigs.virtual import VirtualRig
 
 NAME = "rigtool target emulator"
@@ -78,7 +78,7 @@ class TargetEmulator(Emulator):
         self._objects: dict[Slot, bytes] = {}
         self._growing: dict[Slot, bytearray] = {}
         self.rig: VirtualRig | None = None
-        self.state, self.text = State.OFF, ""
+        self.state, self.text = TargetState.OFF, ""
         self._fed = time.monotonic()
         self._watchdog = 0.0
         self._signals: Iterator[Block] = iter(())
@@ -99,17 +99,17 @@ class TargetEmulator(Emulator):
 
     def idle(self) -> bytes:
         """Simulate a piece further; stop where the host is silent."""
-        if self.state in (State.RUNNING, State.DONE) and self._watchdog > 0:
+        if self.state in (TargetState.RUNNING, TargetState.DONE) and self._watchdog > 0:
             silence = time.monotonic() - self._fed
-            if silence > self._watchdog and self.state is State.DONE:
-                self._end(State.OFF)
+            if silence > self._watchdog and self.state is TargetState.DONE:
+                self._end(TargetState.OFF)
             elif silence > self._watchdog:
-                self._end(State.TRIPPED, f"the host was silent for {silence:.2f} s: watchdog")
+                self._end(TargetState.TRIPPED, f"the host was silent for {silence:.2f} s: watchdog")
         # All samples are sent before the state says that the motion is over.
-        if self.state is State.RUNNING and not self._log.behind(self._visible):
+        if self.state is TargetState.RUNNING and not self._log.behind(self._visible):
             self._proceed()
-        out = b"" if self.state is State.ARMED else self._log.frames(self._visible)
-        self.busy = self.state is State.RUNNING and not self._paced
+        out = b"" if self.state is TargetState.ARMED else self._log.frames(self._visible)
+        self.busy = self.state is TargetState.RUNNING and not self._paced
         return out
 
     # -- requests
@@ -240,14 +240,14 @@ class TargetEmulator(Emulator):
     def _arm(self, payload: bytes) -> bytes:
         every, stop_angle, mask, streams = link.ARM.unpack(payload)
         if every == 0 or mask & ~link.mask_of(self._channels) or not mask & 1:
-            raise _Refused("ARM asks for what is not recorded, or every 0th sample")
+            raise _Refused("ARM asks for unknown channels, or every 0th sample")
         missing = [
             slot.name
             for slot in (Slot.RIG, Slot.LIMITS, Slot.CONTROLLER, Slot.MOTION)
             if slot not in self._objects
         ]
         if missing:
-            raise _Refused(f"ARM before {', '.join(missing)} went up")
+            raise _Refused(f"ARM before {', '.join(missing)} were uploaded")
         self._task = task = self._make_task(every, link.stop_angle(stop_angle))
         self._limits, _ = link.unpack_limits(self._objects[Slot.LIMITS])
         if task.motion.duration > self._limits.duration:
@@ -268,7 +268,7 @@ class TargetEmulator(Emulator):
             )
         self._period = dt * every
         self._log = log
-        self.state, self.text = State.ARMED, ""
+        self.state, self.text = TargetState.ARMED, ""
         return link.ARMED.pack(samples, log.sample.itemsize)
 
     def _make_task(self, every: int, stop_angle: float | None) -> Task:
@@ -292,12 +292,12 @@ class TargetEmulator(Emulator):
         return Task(motion, added, load, every, stop_angle, touched)
 
     def _start(self, payload: bytes) -> bytes:
-        if self.state is not State.ARMED:
+        if self.state is not TargetState.ARMED:
             raise _Refused("START without ARM")
         self._watch = Watch(self._limits, self._recipe.rig.encoder_counts)
         self._signals = self._rig().perform(self._task)
         self._started = time.monotonic()
-        self.state = State.RUNNING
+        self.state = TargetState.RUNNING
         self._proceed()  # the approach and the first samples, so that STATUS knows the position
         return b""
 
@@ -308,7 +308,7 @@ class TargetEmulator(Emulator):
 
     def _measured(self) -> tuple[float, float, float, float]:
         """Return time, position, current and temperature: of now, or of the last visible sample."""
-        if self._block is None or self.state is not State.RUNNING:
+        if self._block is None or self.state is not TargetState.RUNNING:
             if self.rig is None:
                 return self._clock, math.nan, math.nan, math.nan
             return self._clock, self.rig.position, self._current, self.rig.temperature
@@ -337,33 +337,33 @@ class TargetEmulator(Emulator):
         return self._log.read(first, count)
 
     def _stop(self, payload: bytes) -> bytes:
-        if self.state is State.RUNNING:
-            self._end(State.TRIPPED, "stopped by the host")
-        elif self.state is not State.TRIPPED:
-            self.state = State.OFF
+        if self.state is TargetState.RUNNING:
+            self._end(TargetState.TRIPPED, "stopped by the host")
+        elif self.state is not TargetState.TRIPPED:
+            self.state = TargetState.OFF
         return b""
 
     def _require_within(self, position: float) -> None:
         if Slot.LIMITS not in self._objects:
-            raise _Refused("slot LIMITS has to go up first")
+            raise _Refused("upload slot LIMITS first")
         limits, _ = link.unpack_limits(self._objects[Slot.LIMITS])
         low, high = limits.position
         if not low <= position <= high:
             raise _Refused(f"position {position:g} rad is beyond {low:g} to {high:g} rad")
 
     def _move_by(self, payload: bytes) -> bytes:
-        if self.state is State.RUNNING:
+        if self.state is TargetState.RUNNING:
             raise _Refused("MOVE while a motion runs")
         self._rig()
         (angle,) = link.read_floats(payload).tolist()
         self._require_within(self._rig().position + angle)
         self._move = angle
         self._log = TargetLog()
-        self.state, self.text = State.RUNNING, ""
+        self.state, self.text = TargetState.RUNNING, ""
         return b""
 
     def _bench(self, payload: bytes, what: str) -> bytes:
-        if self.state is State.RUNNING:
+        if self.state is TargetState.RUNNING:
             raise _Refused(f"{what} while a motion runs")
         (value,) = link.read_floats(payload).tolist()
         getattr(self._rig(), what)(value)
@@ -380,7 +380,7 @@ class TargetEmulator(Emulator):
 
     def _rig(self) -> VirtualRig:
         if self.rig is None:
-            raise _Refused("slot RIG has to go up first")
+            raise _Refused("upload slot RIG first")
         return self.rig
 
     # -- running
@@ -389,7 +389,7 @@ class TargetEmulator(Emulator):
     def _visible(self) -> int:
         """Samples recorded so far: all that were simulated, or those whose time has come."""
         done = self._log.recorded
-        if self._paced and self.state is State.RUNNING:
+        if self._paced and self.state is TargetState.RUNNING:
             done = min(done, int((time.monotonic() - self._started) / self._period))
         return done
 
@@ -398,20 +398,20 @@ class TargetEmulator(Emulator):
         try:
             self._advance()
         except MISTAKES as error:
-            self._end(State.TRIPPED, str(error))
+            self._end(TargetState.TRIPPED, str(error))
 
     def _advance(self) -> None:
         if self._move is not None:
             angle, self._move = self._move, None
             self._rig().move_by(angle)
-            self._end(State.DONE)
+            self._end(TargetState.DONE)
             return
         simulated = self._log.recorded
         if self._paced and (time.monotonic() - self._started) / self._period < simulated:
             return
         block = next(self._signals, None)
         if block is None:
-            self._end(State.DONE)
+            self._end(TargetState.DONE)
             return
         self._log.add(block)
         if len(block["time"]):
@@ -419,9 +419,9 @@ class TargetEmulator(Emulator):
             self._clock = float(block["time"][-1])
             self._current = float(block["current"][-1])
         if problem := self._watch.problem(block):
-            self._end(State.TRIPPED, problem)
+            self._end(TargetState.TRIPPED, problem)
 
-    def _end(self, state: State, text: str = "") -> None:
+    def _end(self, state: TargetState, text: str = "") -> None:
         self._signals = iter(())
         self._move = self._block = None
         self.state, self.text = state, text

@@ -12,7 +12,7 @@ STREAMED = 64
 """Samples in a streamed frame at most: a small target has memory for so many."""
 
 AT_ONCE = 4
-"""Frames at most that are streamed before the line is looked at again: answers come between."""
+"""Largest number of frames streamed before the line is read again: answers come between."""
 
 
 class TargetLog:
@@ -29,7 +29,7 @@ class TargetLog:
 
     @property
     def recorded(self) -> int:
-        """Samples so far, those forgotten included."""
+        """Samples so far, discarded ones included."""
         return self.first + len(self._data) // max(1, self.sample.itemsize)
 
     def behind(self, visible: int) -> bool:
@@ -44,7 +44,7 @@ class TargetLog:
         self._data += rows.tobytes()
 
     def read(self, first: int, count: int) -> bytes:
-        """Return samples that are there."""
+        """Return stored samples."""
         begin = (first - self.first) * self.sample.itemsize
         return bytes(self._data[begin : begin + count * self.sample.itemsize])
 

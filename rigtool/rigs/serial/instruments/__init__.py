@@ -26,11 +26,11 @@ class Gauge(Protocol):
     """An instrument that fills one channel; a context manager: open from `with` to its end."""
 
     def __enter__(self) -> Self:
-        """Connect and begin to read. Raises `HardwareError` where nothing sensible answers."""
+        """Connect and begin to read. Raises `HardwareError` without a valid answer."""
         return self
 
     def __exit__(self, *details: object) -> None:
-        """Let go of the line."""
+        """Release the line."""
         return None
 
     @property
@@ -64,7 +64,7 @@ class OperatorGauge(Gauge):
 
     @property
     def name(self) -> str:
-        """How the operator reads it."""
+        """The instrument, for reports."""
         return "by the operator, once a recording"
 
     def begin(self, moment: float) -> None:

@@ -1,4 +1,4 @@
-"""An instrument on a line of its own, read all the time in a thread of its own."""
+"""An instrument on a line of its own, read continuously in a thread of its own."""
 
 from __future__ import annotations
 
@@ -80,9 +80,9 @@ class LineGauge:
         self._values: list[float] = []
         self._flagged: list[str] = []
         self._heard = -math.inf  # as late as the thread knows of, s
-        self._error, self._lost = "", math.inf  # why and when reading ended before its time
+        self._error, self._lost = "", math.inf  # why and when reading ended early
         self._finished = False
-        self._judged = -math.inf  # readings until then were looked at as spikes, s
+        self._judged = -math.inf  # readings until then were checked for spikes, s
         self._reason = ""
         self._flags: dict[str, int] = {}
         self._identity = ""
@@ -140,7 +140,7 @@ class LineGauge:
 
     @property
     def name(self) -> str:
-        """Return who answered, and the port."""
+        """Return the instrument's identity and port."""
         return f"{self._identity} on {self._settings.port}"
 
     @property
@@ -198,9 +198,9 @@ class LineGauge:
         return self._settings.scale * found + self._settings.offset
 
     def _wait_for(self, known: Callable[[], bool], moment: float) -> None:
-        """Wait until something is known, or no longer than until a moment of the line's clock."""
+        """Wait until a reading comes, at most until a moment of the line's clock."""
         assert self._line is not None
-        if self._line.replays:  # the clock is the record's, and comes to an end by itself
+        if self._line.replays:  # the clock of a record ends by itself
             self._arrived.wait_for(lambda: known() or self._finished)
         else:
             left = moment - (time.monotonic() - self._line.opened)
@@ -295,8 +295,8 @@ class LineGauge:
 def latest(times: Array, values: Array, moments: Array, near: float) -> Array:
     """Return at moments (n,) the last value of readings (m,) until then; times in s.
 
-    NaN where it is older than `near`, or NaN itself. A line between readings would let the end of a
-    step know of the next one; this is only late, which the time of settling takes care of.
+    NaN where it is older than `near`, or NaN itself. Interpolation would let the end of a
+    step contain the next one; this value is only late, which the settling time covers.
     """
     found = np.full(len(moments), np.nan)
     last = np.searchsorted(times, moments, side="right") - 1
@@ -307,7 +307,7 @@ def latest(times: Array, values: Array, moments: Array, near: float) -> Array:
 
 
 def spikes(values: Array, resolution: float = 0.0, finest: float = 0.0) -> Mask:
-    """Return (n,) which readings lie alone, far beyond both neighbours: a damaged digit.
+    """Return (n,) which single readings are far beyond both neighbours: a damaged digit.
 
     Far is `SPIKE` times the usual difference of neighbours, at least the `resolution`; where they
     hardly ever change it is `SPIKE` times the `finest` step that they can show. A step is no spike,

@@ -33,10 +33,10 @@ _REPLY = re.compile(r"([+-]?\d+\.?\d*) ?([A-Za-z]*)", re.ASCII)
 
 
 def parse(line: bytes, channel: str, form: Form) -> Reading:
-    """Return the reading in a line; raises `DamagedReply`, or `HardwareError` for one of no use."""
+    """Return the reading in a line; raises `DamagedReply`, or `HardwareError` for a refusal."""
     text = as_text(line)
     if text == UNKNOWN:
-        raise DamagedReply("the gauge does not know the question: it came to it damaged")
+        raise DamagedReply("the gauge does not know the question, which was damaged")
     if text in ERRORS:
         raise HardwareError(f"the gauge refuses: {text} ({ERRORS[text]})")
     if flag := flag_of(text):
@@ -62,7 +62,7 @@ class Mark10(Polled):
     def connect(self) -> str:
         """Return the kind of gauge; raises `HardwareError` where there is none or it has no unit.
 
-        Series 4 knows no `?C`: it is asked `?`, and must not be in a peak mode.
+        Series 4 does not know `?C`: `?` is sent instead, and it must not be in a peak mode.
         """
         knows = any(self.ask(self._request, as_text) != UNKNOWN for _ in range(2))
         if not knows:

@@ -1,7 +1,7 @@
 """Mecmesin force gauges AFG and CFG+: `?` asks for the reading, `U` for the unit, `M` for the mode.
 
 An AFG that knows no `U` is set to N (`b`). The sign of a push is not documented: readings keep the
-sign that the gauge sends. Source: manual of the CFG+; the form of its readings is not in there.
+sign that the gauge sends. Source: manual of the CFG+; which lacks the form of its readings.
 """
 
 from __future__ import annotations

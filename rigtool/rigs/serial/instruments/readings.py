@@ -85,7 +85,7 @@ _WORDS = {
 class Reading:
     """A value in the unit of the channel; `flag` names its fault.
 
-    Only an unstable reading has a value all the same.
+    Among flagged readings only an unstable one has a value.
     """
 
     value: float
@@ -112,7 +112,7 @@ class Reader(Protocol):
         ...
 
     def connect(self) -> str:
-        """Return the identity in a line. Raises `HardwareError` where it is set up wrongly."""
+        """Return the identity in a line. Raises `HardwareError` for wrong settings."""
         ...
 
     def read(self) -> Reading:

@@ -1,8 +1,8 @@
 """Requests to a moteus drive over an fdcanusb, or over its own UART, which speaks the same.
 
 The protocol has no sequence numbers. But a drive answers to the 7-bit source address of a request:
-it counts up here, so an answer to an older question is known. A UART checks lines by CRC-8 once it
-was sent one; an fdcanusb knows no checksum, there USB protects the bytes.
+it counts up here, which identifies late answers. A UART checks lines by CRC-8 once it was sent one;
+an fdcanusb has no checksum: USB protects the bytes.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Link:
     # -- frames
 
     def find_seal(self, question: bytes) -> None:
-        """Find out whether the other end takes checksums, and use them then."""
+        """Find out whether the device accepts checksums, and use them if so."""
         self.sealed = True
         for _ in range(3):
             self.line.write(self._request(question, reply=True)[0])
@@ -151,7 +151,7 @@ class Link:
         self._talk(text, lambda answer: answer == "OK")
 
     def flush(self) -> None:
-        """Drop text that the drive still has; raises `HardwareError` where it does not end."""
+        """Drop text that the drive still sends; raises `HardwareError` where it does not end."""
         for _ in range(100):
             if not self._exchange(frames.ask_text(), frames.text_from_drive):
                 return

@@ -59,7 +59,7 @@ class MoteusTable:
         return identity
 
     def zero(self) -> EncoderZero:
-        """Measure how the encoder that the table goes by belongs to the position.
+        """Measure the relation between the table's encoder and the position.
 
         Raises `HardwareError` for a direction other than 1 or -1.
         """
@@ -133,4 +133,4 @@ class MoteusTable:
                 f"the old table could not be restored: {failure}. Set {SCALE} to 0 "
                 "(moteus_tool, tview) before the drive is used"
             )
-        return "the table that was there is back"
+        return "the old table is restored"

@@ -55,7 +55,7 @@ POLLS = 20
 POLL = 0.005
 
 CORRECTED = 0.3
-"""Part of an error of position that is taken back in a period at most."""
+"""Part of an error of position that is corrected in a period at most."""
 
 TEMPERATURE_EVERY = 50
 """Samples for which one reading of the thermistor holds."""
@@ -174,7 +174,7 @@ class ODrive:
         if self._thermistor is not None:
             prefix = f"{self._thermistor}.config.temp_limit"
             if settings.lower(f"{prefix}_upper", limits.temperature_degc):
-                # where the drive begins to take current back
+                # where the drive begins to reduce current
                 settings.lower(f"{prefix}_lower", limits.temperature_degc - 5.0)
         return ["has no limit of position"]
 
@@ -212,13 +212,13 @@ class ODrive:
         )
 
     def _start_watchdog(self) -> None:
-        """Turn it on; that it ran out before is cleared."""
+        """Switch the watchdog on; clear its earlier fault."""
         clear = ["sc"] if any(self._errors().values()) else []
         yes = as_said(self._protocol.get(self._name(WATCHDOG)), 1)
         self._protocol.put(self._name(WATCHDOG), yes, commands=[*clear, f"u {self._axis}"])
 
     def halt(self) -> None:
-        """Make it idle; then turn the watchdog off and leave no set point behind.
+        """Make the axis idle; then switch the watchdog off and reset all set points.
 
         Raises `HardwareError` where it does not become idle.
         """
@@ -234,7 +234,7 @@ class ODrive:
         self._rest(None)
 
     def _rest(self, position: float | None) -> None:
-        """Set all inputs to standing still, here."""
+        """Set all inputs to standstill at this position."""
         for name in ("input_vel", "input_torque"):
             self._protocol.put(self._name(f"controller.{name}"), "0")
         if position is not None:
@@ -292,7 +292,7 @@ class ODrive:
             return CONTROL_MODES["velocity"], setpoint.speed / TURN, f"{torque:.7f}"
         if setpoint.speed == 0.0:
             return CONTROL_MODES["position"], setpoint.position / TURN, f"0 {torque:.7f}"
-        # Where the shaft should have been when it was measured last: the motion went on since.
+        # The set point at the time of the last sample: the motion went on since.
         wanted = setpoint.position - setpoint.speed * (self._line.now() - self._last.time)
         speed = setpoint.speed + self._gain * (wanted - self._last.position)
         return CONTROL_MODES["velocity"], speed / TURN, f"{torque:.7f}"

@@ -7,7 +7,7 @@ from rigtool.rigs.serial.odrive.text import OdriveProtocol, agrees, number
 
 
 class Settings:
-    """Properties below `prefix` that are not as their owner left them.
+    """Properties below `prefix` that differ from their owner's settings.
 
     A value is written only where it differs, since the drive reports no more than 9 characters of
     the original one. The original values are restored, also after a reset of the drive.
@@ -23,7 +23,7 @@ class Settings:
         self._ours.clear()
 
     def remember(self, name: str) -> str:
-        """Return a value, which may change from now on and comes back in the end."""
+        """Return a value, which may change from now on and is restored at the end."""
         now = self._protocol.get(self._prefix + name)
         self._before.setdefault(name, now)
         return now
@@ -46,7 +46,7 @@ class Settings:
             self._put(name, as_said(now, value))
 
     def require(self) -> None:
-        """Raise `HardwareError` where something is no longer as it was set."""
+        """Raise `HardwareError` where a value has changed since it was set."""
         for name, text in self._ours.items():
             now = self._protocol.get(self._prefix + name)
             if not agrees(now, number(text)):

@@ -257,7 +257,7 @@ class OdriveProtocol:
                 where = "; a board with one axis has node 0" if "axis1." in asked else ""
                 raise kind(f"the ODrive refuses {asked!r}, or a command with it: {text}{where}")
         if rest or len(lines) > len(questions):
-            raise DamagedReply("more came than was asked for")
+            raise DamagedReply("more replies came than questions were sent")
         for question, text in zip(questions, texts, strict=True):
             _require_form(question, text)
         return texts

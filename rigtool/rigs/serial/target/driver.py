@@ -25,7 +25,7 @@ from rigtool.rigs.serial.line import Line, RequestRefused
 from rigtool.rigs.serial.rig import SerialRig, in_thread
 from rigtool.rigs.serial.safety import Watch, slow_move
 from rigtool.rigs.serial.target import link, protocol
-from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, State, Status
+from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, Status, TargetState
 from rigtool.rigs.serial.target.log import Log
 from rigtool.rigs.serial.target.protocol import TargetProtocol
 
@@ -38,7 +38,7 @@ POLL = 0.02
 """Time between two requests for the state while a motion runs, s."""
 
 UPLOADS = 3
-"""Attempts to transfer something longer than a frame with the right CRC-32."""
+"""Attempts to transfer an object longer than a frame with the right CRC-32."""
 
 PATIENCE = 60.0
 """Time that a motion may take beyond its duration, for the approach, s."""
@@ -118,7 +118,7 @@ class TargetRig(SerialRig):
         if hello.version != link.VERSION:
             raise HardwareError(
                 f"{self.line.port}: the target speaks version {hello.version} of the link, this "
-                f"rigtool version {link.VERSION}: bring both to the same"
+                f"rigtool version {link.VERSION}: update the older one"
             )
         for what, own, theirs in (
             ("sample_time", rig.sample_time, hello.sample_time),
@@ -222,7 +222,7 @@ class TargetRig(SerialRig):
         log = Log(link.sample_type(mask), period, self if keeps else None)
         self._logs.append(log)
         self._arrived.clear()
-        # A request that goes astray has to be repeated before the watchdog bites.
+        # A lost request must be repeated before the watchdog expires.
         self._protocol.timeout = min(protocol.TIMEOUT, self._settings.watchdog / 3)
         self._protocol.streaming = streams
         self._call(FrameKind.START)
@@ -243,7 +243,7 @@ class TargetRig(SerialRig):
         watch = Watch(self._limits, self._recipe.rig.encoder_counts)
         while True:
             status = self._status()
-            if status.state is not State.RUNNING:
+            if status.state is not TargetState.RUNNING:
                 return status
             self._watch_over(status, watch, until)
             self.line.pause(min(POLL, self._settings.watchdog / 4))
@@ -266,8 +266,8 @@ class TargetRig(SerialRig):
             raise HardwareError(problem)
 
     def _require_done(self, status: Status) -> None:
-        if status.state is not State.DONE:
-            why = status.text or f"it is {status.state.name} without having run to the end"
+        if status.state is not TargetState.DONE:
+            why = status.text or f"it is {status.state.name} before the end of the motion"
             raise HardwareError(f"{self.line.port}: the target stopped: {why}")
 
     def _follow(
@@ -278,7 +278,7 @@ class TargetRig(SerialRig):
         line = self.line
         until, asked = line.now() + patience, -math.inf
         status: Status | None = None
-        while not stop.is_set() and (status is None or status.state is State.RUNNING):
+        while not stop.is_set() and (status is None or status.state is TargetState.RUNNING):
             self._protocol.listen(POLL)
             for first, data in self._arrived:
                 log.take(first, data)
@@ -288,7 +288,7 @@ class TargetRig(SerialRig):
             if line.now() - asked > min(0.1, self._settings.watchdog / 4):
                 status = self._status()
                 asked = line.now()
-                if status.state is State.RUNNING:
+                if status.state is TargetState.RUNNING:
                     self._watch_over(status, watch, until)
         self._protocol.timeout, self._protocol.streaming = protocol.TIMEOUT, False
         if status is None or stop.is_set():
@@ -335,7 +335,7 @@ class TargetRig(SerialRig):
         self._up[slot] = data
 
     def read_log(self, first: int, count: int, size: int) -> bytes:
-        """Return samples of `size` bytes from the target's log, as they are there by CRC-32.
+        """Return samples of `size` bytes from the target's log, verified by CRC-32.
 
         Raises `HardwareError` where they do not come whole.
         """

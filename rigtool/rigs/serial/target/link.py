@@ -70,7 +70,7 @@ class Slot(enum.IntEnum):
     LOAD = 8
 
 
-class State(enum.IntEnum):
+class TargetState(enum.IntEnum):
     """States of a target."""
 
     OFF = 0
@@ -154,7 +154,7 @@ class Status:
     """State of a target; `samples` recorded since START, `time` of the bench clock, s."""
 
     boot: int
-    state: State
+    state: TargetState
     samples: int
     time: float
     position: float
@@ -174,7 +174,7 @@ class Status:
         """Read the payload of the reply to STATUS."""
         boot, state, samples, time, position, current, temperature = _unpack(cls._LAYOUT, payload)
         text = payload[cls._LAYOUT.size :].decode("utf-8", "replace")
-        return cls(boot, State(state), samples, time, position, current, temperature, text)
+        return cls(boot, TargetState(state), samples, time, position, current, temperature, text)
 
 
 BEGIN = struct.Struct("<BI")

@@ -177,7 +177,7 @@ def test_force_with_loads_that_the_operator_hangs_on(device, tmp_path, monkeypat
             MEASURE_FORCE, server.port, more, output, monkeypatch, ask, inputs, say=said.append
         )
     assert f"temperature is read: sends numbers on {beside.port}" in said[0]
-    assert "serial.force is left alone: nothing of it is recorded" in said[0]
+    assert "serial.force is not used: its channel is not recorded" in said[0]
     loads = found.tables["loads"].columns
     assert asked[0].startswith("Hang 2.5 N (254.9 g) on the cord on the pulley, see that")
     assert loads["mean_torque"].values[1] == pytest.approx(2.5 * RADIUS, rel=0.025)

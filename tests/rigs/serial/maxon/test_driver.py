@@ -270,7 +270,9 @@ def test_a_drive_left_alone_goes_on_within_its_limits_until_told(device):
         rig.line.close()
         with pytest.raises(HardwareError):
             list(running)
-        with pytest.raises(HardwareError, match="It has no watchdog and may go on: switch its su"):
+        with pytest.raises(
+            HardwareError, match="It has no watchdog and may continue: switch its su"
+        ):
             rig.__exit__(None, None, None)
         time.sleep(0.2)
         assert device.mode == "velocity"  # that is what the page for the bench warns of

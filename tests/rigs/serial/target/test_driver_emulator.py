@@ -13,7 +13,7 @@ from rigtool.rigs.motion import Move, Triangle
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.target import link
-from rigtool.rigs.serial.target.link import FrameKind, Refusal, Slot, State
+from rigtool.rigs.serial.target.link import FrameKind, Refusal, Slot, TargetState
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver import virtual
 
@@ -60,7 +60,7 @@ class Host:
 
     def run(self):
         self.ask(FrameKind.START)
-        while self.status().state is State.RUNNING:
+        while self.status().state is TargetState.RUNNING:
             self.device.idle()
 
     def status(self):
@@ -83,7 +83,7 @@ def test_a_session(host):
     assert (samples, size) == (800, 8 * 3 + 4 * 2)
     host.run()
     status = host.status()
-    assert (status.state, status.samples) == (State.DONE, 800)
+    assert (status.state, status.samples) == (TargetState.DONE, 800)
     data = host.ask(FrameKind.READ, link.READ.pack(790, 10))[4:]
     rows = np.frombuffer(data, link.sample_type(0b11111))
     assert rows["position_setpoint"][-1] == pytest.approx(0.5, abs=1e-3)
@@ -146,7 +146,7 @@ def test_hello_in_the_middle_stops_and_forgets(host):
     host.device.idle()
     boot = link.Hello.unpack(host.ask(FrameKind.HELLO, b"\1")).boot
     status = host.status()
-    assert (status.state, status.samples, status.boot) == (State.OFF, 0, boot)
+    assert (status.state, status.samples, status.boot) == (TargetState.OFF, 0, boot)
     host.device.reset()
     assert link.Hello.unpack(host.ask(FrameKind.HELLO, b"\1")).boot != boot
 
