@@ -19,6 +19,7 @@ from rigtool.recipe.commands import (
     IdentifyPlant,
     IlcLearn,
     MeasureForce,
+    Requirements,
     Stribeck,
     Suspension,
 )
@@ -54,6 +55,7 @@ class Recipe(Section):
     suspension: Suspension = Suspension()
     ilc_learn: IlcLearn = IlcLearn()
     measure_force: MeasureForce = MeasureForce()
+    requirements: Requirements = Requirements()
 
     @model_validator(mode="after")
     def _has_its_source(self) -> Recipe:
@@ -74,6 +76,14 @@ class Recipe(Section):
                     f"tenth of the loop's rate, {highest:g} Hz: lower it"
                 )
         return self
+
+    @property
+    def highest_current(self) -> float:
+        """The lowest of the limits of current, A: of the amplifier, and of a rig on a line."""
+        limits = [self.rig.current_limit]
+        if self.rig.source == "serial" and self.serial is not None:
+            limits.append(self.serial.limits.current)
+        return min(limits)
 
     def resolved(self) -> str:
         """Return the recipe with all defaults filled in, as canonical JSON."""
@@ -231,7 +241,7 @@ def _describe_mistakes(
             message = "is missing; add it"
         elif not path:  # tables contradict each other: the mistake concerns the whole recipe
             dotted = kind
-        else:
+        elif not isinstance(item["input"], dict):
             message = f"{message}, got {item['input']!r}"
         where = f"{name}, --set" if ".".join(path) in set_keys else _where(name, path, lines)
         mistakes.append(f"{where}: {dotted}: {message}")

@@ -210,10 +210,11 @@ class _Loop:
         self._rig, self._task = rig, task
         self._drive, self._line = rig.drive, rig.line
         self._recipe = rig._recipe
-        self._watch = safety.Watch(rig._limits, self._recipe.rig.encoder_counts)
+        self._open_loop = isinstance(task.motion, OpenLoop)
+        counts = self._recipe.rig.encoder_counts
+        self._watch = safety.Watch(rig._limits, counts, closed=not self._open_loop)
         self._clock = Clock(rig.line, self._recipe.rig.sample_time, rig._settings.watchdog)
         self._rows: list[tuple[float, ...]] = []
-        self._open_loop = isinstance(task.motion, OpenLoop)
         self._gain = min(rig._settings.position_gain, CORRECTED / self._recipe.rig.sample_time)
         self._start = self._origin = 0.0
         self.ticks = self.late = 0
@@ -331,10 +332,11 @@ class _Loop:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
         encoder = sample.position * counts
         model, table, signal = parts
+        wanted = self._wanted(sample)
         self._rows.append(
             (
                 sample.time,
-                self._wanted(sample),
+                wanted,
                 encoder,
                 sample.current_setpoint,
                 sample.current,
@@ -352,6 +354,7 @@ class _Loop:
             {
                 "time": np.array([sample.time]),
                 "encoder": np.array([encoder]),
+                "position_setpoint": np.array([wanted]),
                 "current": np.array([sample.current]),
                 "temperature": np.array([sample.temperature]),
             }

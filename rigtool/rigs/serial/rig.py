@@ -21,7 +21,7 @@ from rigtool.interrupts import held
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
-from rigtool.rigs.motion import Observe
+from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
@@ -249,7 +249,8 @@ class SerialRig(Rig, ABC):
         yield from self._perform(task)
 
     def _perform(self, task: Task) -> Iterator[Block]:
-        watch = safety.Watch(self._limits, self._recipe.rig.encoder_counts)
+        closed = not isinstance(task.motion, OpenLoop)
+        watch = safety.Watch(self._limits, self._recipe.rig.encoder_counts, closed=closed)
         self._running = blocks = self._execute(task)
         complete = False
         try:

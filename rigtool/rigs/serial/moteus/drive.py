@@ -57,6 +57,9 @@ ASSUMED_CONSTANT = 0.1
 LARGEST_BOUND = 32768.0
 """Revolutions beyond which the firmware takes no bound of position."""
 
+ROUNDED = 1e-6
+"""Turns that a bound may differ by its text of six decimals."""
+
 STARTING = 2.0
 """Longest time in which a drive has to be ready after it is switched on, s."""
 
@@ -74,7 +77,7 @@ FAULTS = {
     36: "motor not calibrated: run moteus_tool --calibrate",
     37: "PWM cycle overrun",
     38: "over temperature",
-    39: "outside servopos.position_min and position_max",
+    39: "switched on outside servopos.position_min and position_max",
     40: "under voltage",
     41: "settings were changed while it ran",
     42: "no valid commutation encoder",
@@ -210,15 +213,30 @@ class Moteus:
         return gaps
 
     def _set_bounds(self, limits: Limits) -> list[str]:
-        gaps = []
+        """Set the bounds of position; raise `HardwareError` where the drive has narrower ones.
+
+        The drive clamps set points at its bounds, so that a motion would end there without a fault.
+        """
+        gaps, narrow, bounds = [], [], {}
         names = ("servopos.position_min", "servopos.position_max")
         for name, angle, inner in zip(names, limits.position, (max, min), strict=True):
             bound = angle / TURN * self.motor.ratio
+            before = float(self._remember(name))
+            if not math.isnan(before) and abs(inner(bound, before) - bound) > ROUNDED:
+                angle_before = before / self.motor.ratio * TURN
+                narrow.append(f"{name} is {before:g} turns, {angle_before:.4g} rad")
             if abs(bound) > LARGEST_BOUND:
                 gaps.append(f"takes no bound of position as far as {angle:g} rad")
-                continue
-            before = float(self._remember(name))
-            self._change(name, f"{bound if math.isnan(before) else inner(bound, before):.9g}")
+            else:
+                bounds[name] = bound
+        if narrow:
+            raise HardwareError(
+                f"{' and '.join(narrow)}: the drive clamps set points there, within serial.limits."
+                f"position = [{limits.position[0]:g}, {limits.position[1]:g}] rad: narrow the "
+                "limits of the recipe, or widen the drive's (conf set ... nan, conf write)"
+            )
+        for name, bound in bounds.items():
+            self._change(name, f"{bound:.9g}")
         return gaps
 
     def _lower(self, name: str, limit: float) -> None:

@@ -290,7 +290,12 @@ class MoteusEmulator(Emulator):
 
     def _target(self, now: float) -> tuple[float, float]:
         speed = self.command[0x21]
-        return self.command[0x20] + speed * (now - self.since), speed
+        target = self.command[0x20] + speed * (now - self.since)
+        # beyond its bounds the firmware clamps the set point, and stays in position mode
+        for name, inner in (("servopos.position_min", max), ("servopos.position_max", min)):
+            if not math.isnan(bound := self.config[name]) and inner(target, bound) != target:
+                target, speed = bound, 0.0
+        return target, speed
 
     def _torque_constant(self) -> float:
         return self.motor.torque_constant / self.config["motor_position.rotor_to_output_ratio"]
