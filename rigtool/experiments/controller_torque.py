@@ -1,16 +1,16 @@
-"""The torque of the controller: the set point of current, less what is fed forward [7.2.4.2, 8.1].
+"""The torque of the controller: set point of current less feed-forward and table [7.2.4.2, 8.1].
 
     controller torque = k (set point - feed-forward - table)
 
 k is the torque per ampere (`torque_per_ampere`), the others are currents: the set point of the
-amplifier, the feed-forward of inertia and friction, and what was learned, from a table by position
+amplifier, the feed-forward of inertia and friction, and the learned one, from a table by position
 or as a signal by time.
 
 A recording counts only where the loop was healthy: not saturated, the rotor held. A controller
 answers a distance of rotor and set point with a torque: below its crossover with no less than its
-smallest gain times the distance. A fast motion of a heavy load needs a large torque, so a large
-distance is as it should be then: all angles are read from the encoder. A distance without that
-torque is a fault: of the encoder, of the set point or of what [rig.controller] states.
+smallest gain times the distance. A fast motion of a heavy load needs a large torque and thus a
+large distance, which is no fault: all angles are read from the encoder. A distance without that
+torque is a fault: of the encoder, of the set point or of [rig.controller].
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Recording
 
 TABLE, SIGNAL = "table_current", "signal_current"
-"""Channels of what was learned: by position, by time."""
+"""Channels of learned torque: by position, by time."""
 
 CHANNELS = (
     "time",
@@ -40,7 +40,7 @@ CHANNELS = (
     "position_setpoint",
     "encoder",
 )
-"""What is recorded of the position loop while the table is by position."""
+"""Channels of the position loop with a table by position."""
 
 AT_THE_LIMIT = 0.999
 """Part of the rig's limit of current from which a set point is at it."""
@@ -74,7 +74,7 @@ class LoopSignals:
 def controller_torque(recording: Recording, torque_constant: float) -> Array:
     """Return the controller's torque over a recording (n,), N m; `torque_constant` in N m/A.
 
-    What the recording does not hold was not fed forward.
+    Channels that the recording lacks were not fed forward.
     """
     current = recording.read("current_setpoint")
     for name in ("feedforward_current", TABLE, SIGNAL):

@@ -77,14 +77,14 @@ class KnownLoads(LimitedAngle):
 
     @classmethod
     def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
-        """List what implementation C records, the known loads at each speed, the exploration."""
+        """List the recordings of implementation C, the known loads by speed, the exploration."""
         return (*super().recordings(recipe), *_loaded(recipe), _explored())
 
     def require(self, recipe: Recipe, friction: Run | None) -> None:
         """Raise `RecipeError` without the instrument."""
         if recipe.rig.attachment != "instrument":
             raise RecipeError(
-                "implementation D learns what an instrument does to a load; rig.attachment is "
+                "implementation D learns the effects of an instrument on a load; rig.attachment is "
                 f"{recipe.rig.attachment}: attach the instrument, or learn with implementation C"
             )
 
@@ -111,7 +111,7 @@ class KnownLoads(LimitedAngle):
     def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
         """Learn the table from its moves, and the disturbance from the known loads.
 
-        Raises `InsufficientDataError` where the loads do not carry it.
+        Raises `InsufficientDataError` where the loads do not determine it.
         """
         table = super().analyse(runs, recipe, **inputs)
         run = runs[0]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 
-from rigtool.rigs.serial.emulators.motor import Motor
+from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.moteus import frames
 
@@ -65,7 +65,7 @@ class MoteusEmulator(Emulator):
     ) -> None:
         self.node, self.uart = node, uart
         self.encoder, self.sign, self.home = encoder, sign, home
-        self.motor = Motor()
+        self.motor = EmulatedMotor()
         self.temperature = 25.0
         self.log: list[str] = []
         self.loses_writes = False
