@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_over_time.records import ROWS_HZ, Record
+from rigtool.numerics.steady_mean import MIN_READINGS, steady_us
 
 Array = NDArray[np.float64]
 
@@ -117,3 +118,25 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
             )
         )
     return found
+
+
+def kept_by_mean(records: Sequence[Record], angle_ratio: float) -> float:
+    """Return the variance that strokes' deviations leave to a mean, over that of independent ones.
+
+    Strokes pay back what their predecessors deviate; how much of it, their sine along each
+    direction of all repeated motions shows (`numerics.steady_mean`). 1 where nothing repeats.
+    """
+    series = []
+    for record in records:
+        if record.cycles < MIN_READINGS:
+            continue
+        speed, sine = record.rows(record.speed), np.sin(record.rows(record.angle) / angle_ratio)
+        for sign in (1.0, -1.0):
+            rows = record.used & (speed * sign > 0)
+            if rows.sum() >= SHORTEST:
+                series.append(record.torques[:, rows] @ sine[rows] / np.sum(sine[rows] ** 2))
+    shares = [
+        u**2 * len(own) / own.var(ddof=1)
+        for own, (u, _) in zip(series, steady_us(series), strict=True)
+    ]
+    return min(1.0, float(np.median(shares))) if shares else 1.0

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import constants
 
 from rigtool.experiments.controller_torque import CHANNELS as LOOP_CHANNELS
 from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
-from rigtool.experiments.force_over_time.deviations import deviations
+from rigtool.experiments.force_over_time.deviations import deviations, kept_by_mean
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.learning import Sliding, learn_sliding
 from rigtool.experiments.force_over_time.model import Known
@@ -81,7 +81,9 @@ def learn_force(
         offset.value if offset is not None else 0.0,
     )
     deviating = deviations(records, known.angle_ratio, known.torque_factor)
-    sliding = learn_sliding(records, known, own.count, deviating)
+    kept = math.sqrt(kept_by_mean(records, known.angle_ratio))
+    of_means = replace(deviating, stroke=kept * deviating.stroke, load=kept * deviating.load)
+    sliding = learn_sliding(records, known, own.count, of_means)
     shown = Exploration(signals.encoder, signals.total, interval, own.torque_constant, own.count)
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
     rested = learn_rest(sliding.learned, shown, uncertainty, STEP_TIME)

@@ -17,11 +17,12 @@ SPAN = 2.6
 STEP = 2e-3
 
 
-def strokes(moment, speed, cycles=6, deviation=0.0, noise=(0.0, 0.1), seed=1):
+def strokes(moment, speed, cycles=6, deviation=0.0, noise=(0.0, 0.1), seed=1, payback=0.0):
     """Return strokes under a load's moment, N m, at a motor speed, rad/s, laid over each other.
 
     `deviation` N m is that of each stroke's friction at sine and cosine of the angle, `noise` N m
-    and s that of a first-order process.
+    and s that of a first-order process. The next stroke of the same direction takes `payback` of
+    a deviation back.
     """
     stroke = SPAN / speed
     time = np.arange(0, 2 * stroke * (cycles + 1.6), STEP)
@@ -38,7 +39,8 @@ def strokes(moment, speed, cycles=6, deviation=0.0, noise=(0.0, 0.1), seed=1):
     friction = way * (COULOMB + LOAD_FRICTION / FACTOR * (np.hypot(carried, ONSET) - ONSET))
     rng = np.random.default_rng(seed)
     number = np.floor(phase).astype(int)
-    drawn = deviation * rng.standard_normal((2, number.max() + 1))[:, number]
+    fresh = rng.standard_normal((2, number.max() + 3))
+    drawn = deviation * (fresh[:, 2:] - payback * fresh[:, :-2])[:, number]
     friction += way * (drawn[0] * np.sin(output) + drawn[1] * np.cos(output))
     size, memory = noise
     kept = math.exp(-STEP / memory)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_over_time.deviations import Deviations, deviations
+from rigtool.experiments.force_over_time.deviations import Deviations, deviations, kept_by_mean
 from rigtool.experiments.force_over_time.learning import NAMES, learn_sliding
 from rigtool.experiments.force_over_time.model import Kind, Known
 from tests.experiments.force_over_time import known_plant as plant
@@ -83,6 +83,16 @@ def test_what_friction_deviates_is_measured():
     assert found.noise == pytest.approx(0.1e-3, rel=0.3)
     assert 0.05 < found.noise_time < 0.45
     assert 50e-3 / plant.FACTOR * found.load < found.stroke / 2  # nothing grew with the load
+
+
+@pytest.mark.parametrize(("payback", "low", "high"), [(0.0, 0.8, 1.0), (0.9, 0.01, 0.04)])
+def test_what_strokes_pay_back_hardly_moves_their_mean(payback, low, high):
+    """By its weights, a mean of 30 keeps 1.2 or 0.013 of the variance of independent ones."""
+    records = [
+        strokes(0.0, 1.0, cycles=30, deviation=0.4e-3, payback=payback, seed=seed)
+        for seed in range(4)
+    ]
+    assert low <= kept_by_mean(records, plant.RATIO) <= high
 
 
 def test_without_cycles_nothing_is_claimed_to_be_measured():
