@@ -1,6 +1,6 @@
-"""The commands as functions, for notebooks and scripts: `import rigtool` offers what is here.
+"""The commands as functions, for notebooks and scripts: `import rigtool` offers them.
 
-Sources are what a command takes, a recipe (.toml) or run files (.h5), or open runs, or arrays:
+Sources are those of the command, a recipe (.toml) or run files (.h5), or open runs, or arrays:
 `{"staircase": signals}`, a recording's name with a DataFrame or mapping of its signals (n,), in the
 units of run files, with the recipe of their rig. Inputs such as `kt` are run files or open runs.
 Each function returns the `Outcome` of its command, and raises the `RigtoolError` that the command
@@ -49,7 +49,7 @@ __all__ = [
 
 
 class Options(TypedDict, total=False):
-    """What each function takes beside its sources and inputs.
+    """Arguments of each function beside its sources and inputs.
 
     `recipe` is that of arrays: a file, or `run.recipe`. `settings` are the `key=value` texts of
     `--set`. `output` is the run file to write; without it the outcome is returned only, which is
@@ -148,7 +148,7 @@ def _call(
     seed: int | None = None,
     yes: bool = False,
 ) -> Outcome:
-    """Do what the command of a procedure does, and return what it found."""
+    """Run the command of a procedure, and return its outcome."""
     options = CommonOptions(overwrite=overwrite, seed=seed, overrides=tuple(settings), yes=yes)
     arrays = [source for source in sources if isinstance(source, Mapping)]
     paths = [_path(source) for source in sources if not isinstance(source, Mapping)]

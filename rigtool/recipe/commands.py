@@ -23,7 +23,7 @@ class CalibrateKt(Section):
         (20, 25, 30, 35, 40, 45, 50), min_length=2, description="of the motor, degC"
     )
     rotor_positions: int = Field(
-        8, ge=1, description="equally spaced angles of the arm, shifted with each temperature"
+        8, ge=1, description="angles of the arm around the turn, others at each temperature"
     )
     current_max: float = Field(4.0, gt=0, description="top of the staircase, A")
     steps: int = Field(16, ge=3, description="from zero to the top")
@@ -241,6 +241,17 @@ class MeasureForce(Section):
     record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
     motion: ForceMotion = ForceMotion()
 
+    @model_validator(mode="after")
+    def _reads_within_the_stroke(self) -> MeasureForce:
+        require_straight_part("turn_angle", self.turn_angle, self.angle)
+        low, high = self.turn_angle, self.angle - self.turn_angle
+        if not low <= self.measure_angle <= high:
+            raise ValueError(
+                f"measure_angle {self.measure_angle:g} deg is not between {low:g} and {high:g} "
+                "deg, where a stroke has a constant speed: choose an angle there, in degrees"
+            )
+        return self
+
 
 class Suspension(Section):
     """Known forces pull at the motor, a micrometer reads how far its leaf springs give [App. E]."""
@@ -250,4 +261,21 @@ class Suspension(Section):
     )
     speeds_rev_per_s: tuple[Positive, ...] = Field(
         (0.2, 5), min_length=1, description="at which torques of the pulleys are stated, rev/s"
+    )
+
+
+class Requirements(Section):
+    """What the measurements have to reach; a report states for each whether the runs show it."""
+
+    force_error: float | None = Field(
+        None, gt=0, le=1, description="largest relative error of a known load"
+    )
+    force_resolution: float | None = Field(
+        None, gt=0, description="smallest force that one reading distinguishes from none, N"
+    )
+    force_bandwidth_hz: float | None = Field(
+        None, gt=0, description="low-pass of the force at least, Hz"
+    )
+    residual_torque: float | None = Field(
+        None, gt=0, description="remaining disturbance with the learned table, rms, N m"
     )

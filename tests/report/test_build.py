@@ -4,7 +4,7 @@ import pytest
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.report.build import build_report
-from rigtool.report.formats import csv_text
+from rigtool.report.formats import csv_table
 from rigtool.report.tables import force_table, results_table
 from rigtool.runfile import RunWriter
 
@@ -67,7 +67,7 @@ def test_a_corrected_run_shows_table_8_three_times(make, open_all, no_figures):
     assert cells(tables[1], "mean_torque")[-1] == "–"
     assert cells(tables[2], "mean_torque")[-1] == "55.00(10)"
     assert "whole strokes" in tables[1].note
-    assert "nan" not in csv_text(three).lower()
+    assert "nan" not in csv_table(three).lower()
 
 
 def test_results_stand_beside_published_ones_with_their_section(make, open_all):
@@ -78,7 +78,7 @@ def test_results_stand_beside_published_ones_with_their_section(make, open_all):
     assert cells(table, "published") == ["45.8", "-0.116", "–"]
     assert cells(table, "section") == ["7.1.1", "7.1.1", "–"]
     assert cells(table, "reason") == ["", "", "taken as given"]
-    assert "torque_constant,0.0458,2e-05,N m/A,0.0458,7.1.1," in csv_text(table)
+    assert "torque_constant,0.0458,2e-05,N m/A,0.0458,7.1.1," in csv_table(table)
 
 
 def test_a_run_without_loads_has_no_force_table(make, open_all):
@@ -100,7 +100,7 @@ def test_the_order_of_the_files_does_not_matter(make, open_all, no_figures):
 
 def test_every_figure_of_the_thesis_is_there(make, open_all):
     report = build_report(open_all(*map(make, COMMANDS)))
-    numbers = [20, *range(22, 29), 30, 32, 34, 35, 39, 40, 41, 50, 56, *range(58, 64), 76]
+    numbers = [20, *range(22, 29), 30, 32, 34, 35, 39, 40, 41, 50, 56, *range(58, 64), 76, 100]
     assert [picture.number for picture in report.pictures] == numbers
     for picture in report.pictures:
         assert picture.png.startswith(b"\x89PNG")
@@ -145,7 +145,7 @@ def test_warnings_about_runs_that_do_not_belong_together(make, open_all, no_figu
     force = make("measure-force", inputs=(kt,), notes=("something to know",))
     report = build_report(open_all(kt, force))
     assert report.warnings == ()
-    assert report.remarks == ("measure-force: something to know",)
+    assert report.remarks == (("measure-force", ("something to know",)),)
     report = build_report(open_all(other, force))
     assert "These runs come from 2 rigs: another-rig, briaire-2006." in report.warnings
     assert any("is not the one shown here (other)" in warning for warning in report.warnings)

@@ -254,6 +254,7 @@ def _reading(item: Measured) -> Reading:
         deviation=kept(estimate.u),
         causal=np.empty(0),
         causal_deviation=np.empty(0),
+        causal_states=np.empty(0, dtype=estimate.states.dtype),
         states=estimate.states[rows],
         reference=None if signals.reference is None else signals.reference[rows],
         limited=0,

@@ -6,6 +6,8 @@ The filter reads the recordings that its model was learned from, where what acts
 
 The factor of a state is the 95 % quantile of |error| / deviation over that of a normal
 distribution, 1 at least. Loads are those of the slowest strokes: their inertia does not count.
+
+Thresholds for contacts come from the strokes without load among these, and from the exploration.
 """
 
 from __future__ import annotations
@@ -15,8 +17,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rigtool.experiments.force.procedure_reading import read_recording
+from rigtool.experiments.force.contacts import thresholds, trial
+from rigtool.experiments.force.procedure_reading import (
+    instrument_for,
+    read_recording,
+    unbroken_blocks,
+)
 from rigtool.experiments.force.results_over_time import COVERAGE_FACTOR, Reading, Scales
+from rigtool.experiments.force.sensor import Sensed, Sensor
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.motion_states import Reach, State, States
 from rigtool.numerics.arrays import Array
@@ -40,16 +48,14 @@ def scales_of(tables: Run, recipe: Recipe, kt: Run, model: ForceModel, reach: Re
     found: dict[str, list[tuple[Array, States]]] = {"smoothed": [], "causal": []}
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     for recording in _informative(tables):
-        reading = read_recording(recording, recipe, kt, model, reach, LENGTH)
-        if reading is None:
-            continue
-        rows = reading.low_passed(bandwidth)
-        truth = _known(recording, rows, recipe, model)
-        for name, torque, deviation in (
-            ("smoothed", rows.torque, rows.deviation),
-            ("causal", rows.causal, rows.causal_deviation),
-        ):
-            found[name].append((np.abs(torque - truth) / deviation, rows.states))
+        for part in read_recording(recording, recipe, kt, model, reach, LENGTH).parts:
+            rows = part.low_passed(bandwidth)
+            truth = _known(recording, rows, recipe, model)
+            for name, torque, deviation, states in (
+                ("smoothed", rows.torque, rows.deviation, rows.states),
+                ("causal", rows.causal, rows.causal_deviation, rows.causal_states),
+            ):
+                found[name].append((np.abs(torque - truth) / deviation, states))
     return Scales(*(_factors(found[name]) for name in ("smoothed", "causal")))
 
 
@@ -62,6 +68,33 @@ def _informative(tables: Run) -> Iterator[Recording]:
         slow = [r for r in loads if r.condition("speed") == slowest]
         slow.sort(key=lambda r: r.condition("force"))
         yield from (slow[0], slow[len(slow) // 2], slow[-1])
+
+
+def limits_of(tables: Run, recipe: Recipe, kt: Run, model: ForceModel, reach: Reach) -> Array:
+    """Return thresholds for contacts, see `contacts.thresholds`."""
+    tested = []
+    for recording in _unloaded(tables):
+        instrument = instrument_for(recording, recipe, kt, model, reach)
+        sensor = Sensor(instrument, contacts=True)
+        found: list[Sensed] = []
+        for block, begins in unbroken_blocks(recording, instrument, None):
+            if begins and found:
+                break  # whatever follows the first gap has to settle again
+            found.append(sensor.add(block[1:]))
+        torque, deviation = np.hstack([one.untouched for one in found if one.untouched is not None])
+        states = np.concatenate([one.states for one in found])
+        tested.append(trial(torque, deviation, states, instrument.grid.step_time))
+    return thresholds(tested)
+
+
+def _unloaded(tables: Run) -> Iterator[Recording]:
+    """Yield the exploration, and the slowest strokes without load."""
+    yield from (r for r in tables.recordings_named(EXPLORED) if r.size)
+    loads = [r for r in tables.recordings_named(KNOWN) if r.size]
+    slowest = min((r.condition("speed") for r in loads), default=0.0)
+    for recording in loads:
+        if recording.condition("speed") == slowest and recording.condition("force") == 0:
+            yield recording
 
 
 def _known(recording: Recording, rows: Reading, recipe: Recipe, model: ForceModel) -> Array:
