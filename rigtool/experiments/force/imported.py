@@ -32,11 +32,15 @@ from rigtool.experiments.imported_load.imported_accuracy import (
 )
 from rigtool.experiments.imported_load.loop import DOUBTED, REFUSED
 from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
+from rigtool.experiments.imported_load.region import reached
 from rigtool.experiments.imported_load.stored import RANDOM, WIDE_MODEL, load_model_from
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
+
+MOST_BEYOND = 0.25
+"""Part of the way beyond the learned stroke, from which on positions are those of another zero."""
 
 LEFT_OUT, RANDOM_HALF = 0, 1
 """How the samples that are judged were kept from learning: other runs, or random halves."""
@@ -61,6 +65,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     model, unit = load_model_from(tables)
     _require_learned_here(runs, tables)
     measured = _measured(runs, recordings, model, kt, unit)
+    _require_stroke(measured, model, tables)
     notes = [*_require_inside(measured, model), *_also_learned(runs, tables)]
     measured, remarks = _of_this_mounting(measured, model, tables)
     notes += remarks
@@ -97,6 +102,20 @@ def _measured(
             )
         measured.append(Measured(signals, model.estimate(signals.effort, signals.path)))
     return measured
+
+
+def _require_stroke(measured: Sequence[Measured], model: LoadModel, tables: Run) -> None:
+    """Raise `InsufficientDataError` where much of the way is beyond the stroke that was learned."""
+    paths = [item.signals.path for item in measured]
+    place = np.concatenate([model.place(path)[path.regular] for path in paths])
+    beyond = float(np.mean(~reached(place)))
+    if beyond > MOST_BEYOND:
+        low, high = model.scales.low, model.scales.high
+        raise InsufficientDataError(
+            f"{beyond:.0%} of the way is beyond the stroke that {tables.path} was learned on, "
+            f"{low:.4g} to {high:.4g} rad of the motor: the encoder was zeroed elsewhere, or the "
+            "tables are of another instrument or mounting; learn tables from runs of this one"
+        )
 
 
 def _of_this_mounting(

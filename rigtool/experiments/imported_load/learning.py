@@ -52,6 +52,9 @@ APART = 0.02
 APART_SPEED = 0.1
 """Part of the highest speed by which speeds differ, at least."""
 
+ALIKE = 1.96 / 1.44
+"""Of factors on u: an interval narrower by this holds 85 instead of 95 %, normal distribution."""
+
 SEED = 1
 """Of the random half; the result hardly depends on it."""
 
@@ -104,10 +107,11 @@ class LoadFriction:
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A model, how well it held at levels left out and at a random half of the rows, and friction
-    that grows with load."""
+    """A model from recordings at so many `paces`, how well it held at levels left out and at a
+    random half of the rows, and friction that grows with load."""
 
     model: LoadModel
+    paces: int
     validation: Validation
     random: Validation
     friction: LoadFriction
@@ -158,7 +162,7 @@ def learn_load_model(
     resolved = moving.both([item.resolved for item in held])
     measured = np.where(resolved, moving.torque + error, np.nan)
     spacing = spacing_of(moving.torque, levels)
-    margins = _margins(sides) * spacing
+    margins = _margins(sides, direction) * spacing
     model = LoadModel(
         scales=scales,
         bandwidth_hz=paths[0].bandwidth_hz,
@@ -174,7 +178,8 @@ def learn_load_model(
     )
     each = [moving.both(pair) for pair in zip(*(item.slopes for item in held), strict=False)]
     friction = _friction(moving, slope, each, direction)
-    return Learned(model, moving.validation(held), moving.random_half(rows, model), friction)
+    half, paces = moving.random_half(rows, model), int(moving.pace.max()) + 1
+    return Learned(model, paces, moving.validation(held), half, friction)
 
 
 def _scales_as(prior: LoadModel, scales: Scales) -> Scales:
@@ -188,17 +193,20 @@ def _scales_as(prior: LoadModel, scales: Scales) -> Scales:
     return replace(prior.scales, low=scales.low, high=scales.high)
 
 
-def _margins(sides: Sequence[Side]) -> Array:
+def _margins(sides: Sequence[Side], direction: int) -> Array:
     """Return how far beyond the levels the torque is given, (2, 2), in spacings, see `region`.
 
-    Where the last level asks for no wider interval than the others, which have neighbours on both
-    sides, the model holds a whole spacing beyond what it was learned from.
+    Where the last level, left out, asks for an interval like those of the others, the model holds a
+    whole spacing beyond what it was learned from. Not above the heaviest load while it drives the
+    motor: friction takes more and more of it, and the effort hardly depends on the load any more.
     """
     margins = np.full((2, 2), NARROW)
-    for row, side in zip(margins, sides, strict=True):
+    for row, sign, side in zip(margins, SIGNS, sides, strict=True):
+        heaviest = 0 if abs(side.levels[0]) > abs(side.levels[-1]) else -1
         for end in (0, -1):
             others = np.delete(side.factors, end)
-            if others.size > 1 and side.factors[end] <= others.max():
+            driving = sign != direction and end == heaviest
+            if others.size > 1 and not driving and side.factors[end] <= ALIKE * others.max():
                 row[end] = MARGIN
     return margins
 
@@ -274,11 +282,9 @@ class _Moving:
             )
         recording = np.unique(self.recording[mask], return_inverse=True)[1]
         folds = [level if levels > 2 else recording % FOLDS]
-        if self.pace.max() > 0:
+        if self.pace.max() > 1:  # speeds beyond the others are outside: those at the ends stay
             pace = self.pace[mask]
-            # Speeds beyond the others are outside: where there are three, ends are not left out.
-            ends = (pace == 0) | (pace == self.pace.max())
-            folds.append(np.where(ends & (self.pace.max() > 1), -1, pace))
+            folds.append(np.where((pace == 0) | (pace == self.pace.max()), -1, pace))
         names = groups_for(self.names, levels) if prior is None else prior.groups
         ends_of = dict(zip(self.names, np.cumsum([size_of(n) for n in self.names]), strict=True))
         columns = np.concatenate([np.arange(ends_of[n] - size_of(n), ends_of[n]) for n in names])

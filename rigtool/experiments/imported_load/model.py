@@ -187,7 +187,8 @@ class LoadModel:
         low, high = np.take_along_axis(edges, order, axis=0)
         low = np.where(low < high, low, np.nan)  # else both are beyond one end of the range
         wider = np.take_along_axis(half, order, axis=0)
-        return low - wider[0], high + wider[1]
+        lowest, highest = self.torque_range
+        return np.maximum(low - wider[0], lowest), np.minimum(high + wider[1], highest)
 
 
 @dataclass(frozen=True, eq=False)

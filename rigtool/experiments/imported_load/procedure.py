@@ -82,7 +82,7 @@ def analyse_imported(
     learned = _learn(signals, levels, turn, _prior(prior, MODEL, unit, bandwidth_hz))
     tables = tables_of(learned.model, unit)
     random = [(bandwidth_hz, _random_half(signals, learned))]
-    if carries(recordings_, WIDE):
+    if carries(recordings_, WIDE) and (prior is None or WIDE_MODEL in prior.tables):
         wide = [
             read_signals(run, recording, kt, WIDE)
             for run, recording in zip(runs, recordings_, strict=True)
@@ -160,7 +160,7 @@ def _results(learned: Learned, levels: Sequence[int]) -> dict[str, Quantity]:
 def _notes(learned: Learned, levels: Sequence[int]) -> list[str]:
     model = learned.model
     scales = model.scales
-    return [
+    notes = [
         f"learned from {len(levels)} runs at {len(set(levels))} load levels, up to "
         f"{scales.torque * 1e3:.4g} mN m, position {scales.low:.4g} to {scales.high:.4g} rad",
         "u is widened by the errors at levels and speeds that were left out, most by "
@@ -169,6 +169,12 @@ def _notes(learned: Learned, levels: Sequence[int]) -> list[str]:
         f"below {scales.standstill:.3g} rad/s friction is undetermined: no value there, only a "
         "dead band",
     ]
+    if learned.paces == 2:
+        notes.append(
+            "recorded at two speeds: none can be left out, so u does not state what errors are "
+            "between them; record at three speeds or more"
+        )
+    return notes
 
 
 def _friction_table(learned: Learned) -> Table:

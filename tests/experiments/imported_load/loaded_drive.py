@@ -12,10 +12,13 @@ PER_TORQUE = 1.5
 """A/(N m), without friction."""
 
 
-def record(load, frequency, *, seed=0, seconds=12.0, drift=0.0, noise=0.002, amplitude=20.0):
+def record(
+    load, frequency, *, seed=0, seconds=12.0, drift=0.0, noise=0.002, amplitude=20.0, zero=0.0
+):
     """Return time, position, effort and torque of one recording; the load resists rising.
 
-    `drift` is friction that this recording has more than others, A.
+    `drift` is friction that this recording has more than others, A; `zero` rad is where the encoder
+    was zeroed.
     """
     random = np.random.default_rng(seed)
     time = np.arange(round(seconds * RATE)) / RATE
@@ -28,7 +31,7 @@ def record(load, frequency, *, seed=0, seconds=12.0, drift=0.0, noise=0.002, amp
     ripple = 0.01 * np.sin(position / 5)
     effort = -PER_TORQUE * torque * (1 + MU * way) + friction + ripple
     effort += random.normal(0, noise, len(time))
-    return time, position, effort, torque
+    return time, position - zero, effort, torque
 
 
 def observe(load, frequency, level, **more):

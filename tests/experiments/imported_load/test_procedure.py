@@ -184,10 +184,18 @@ def test_tables_of_another_rig_are_refused(learned, tmp_path):
     assert "another drive" in found.stderr
 
 
-def test_tables_of_another_mounting_are_refused(learned, tmp_path):
-    runs = instrument(tmp_path, (0.03, 0.05), drift=0.03)  # of the same name, with more friction
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        ({"drift": 0.03}, "strokes to and fro disagree"),  # A of friction
+        ({"zero": 15.0}, "beyond the stroke"),  # rad
+    ],
+)
+def test_tables_of_another_mounting_are_refused(learned, tmp_path, other, message):
+    runs = instrument(tmp_path, (0.03, 0.05), **other)  # of a rig of the same name
     found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5")
     assert found.exit_code == 4
+    assert message in found.stderr
     assert "another instrument or mounting" in found.stderr
     assert not (tmp_path / "f.h5").exists()
 
