@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from rigtool.experiments.outcome import Outcome
 from rigtool.recipe import Recipe
-from rigtool.rigs import CHANNELS, Rig, Task
+from rigtool.rigs import CHANNELS, Block, Rig, Task
 from rigtool.runfile import Channel, RecordingSpec, RunWriter
 
 
@@ -24,6 +24,9 @@ class Procedure:
     whose stored runs it analyses. `analyse_imported(runs, **inputs)` takes runs of other rigs;
     `imported_settings` maps the keys of `--set` that it takes to its argument names.
 
+    `follow(recipe, **inputs)` returns what turns blocks of signals, as they come, into the values
+    that are shown instead of them: arrays by name, `time` among them.
+
     `rig_needs(recipe)` names what a rig has to offer for motions that depend on what is measured
     first, see `dry_run`.
     """
@@ -37,6 +40,7 @@ class Procedure:
     accepts: tuple[str, ...] = ()
     analyse_imported: Callable[..., Outcome] | None = None
     imported_settings: Mapping[str, str] = field(default_factory=dict)
+    follow: Callable[..., Callable[[Block], Block]] | None = None
     rig_needs: Callable[[Recipe], tuple[str, ...]] = lambda recipe: ()
 
 
