@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import click
 
 from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
@@ -34,6 +36,17 @@ from rigtool.experiments.running.options import CommonOptions
     metavar="SECONDS",
     help="The same while another controller, or a hand, moves the rig: sends nothing that moves.",
 )
+@click.option(
+    "--stream",
+    is_flag=True,
+    help="Write the force as it comes to stdout, a line of JSON each millisecond.",
+)
+@click.option(
+    "--every",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="With --stream or --live, of each N estimates one.  [default: 1]",
+)
 @common_options
 def command(
     sources: tuple[str, ...],
@@ -43,6 +56,8 @@ def command(
     correction: str | None,
     record: float | None,
     observe: float | None,
+    stream: bool,
+    every: int | None,
     options: CommonOptions,
 ) -> None:
     """Measure known loads, or an unknown force over time, from current.
@@ -55,14 +70,25 @@ def command(
 
     --record and --observe read an unknown force over time, with its interval of 95 %, in any
     motion; a stored run without known loads is read so, too. Needs tables of implementation D.
+    --live and --live-window draw it as it comes; --stream writes it for another program.
 
     Imported runs need tables of implementation D from runs of the same rig; the reference_torque of
     a sensor, where recorded, is compared with the result.
     """
     from rigtool.experiments.force.procedure import PROCEDURE
-    from rigtool.experiments.force.procedure_over_time import over_time
+    from rigtool.experiments.force.procedure_live import over_time_live
 
     procedure, seconds = PROCEDURE, record if observe is None else observe
+    if seconds is None and (stream or every is not None):
+        raise click.UsageError(
+            "--stream and --every go with --record or --observe: add one of them"
+        )
+    if every is not None and not stream and options.live is None:
+        raise click.UsageError(f"--every {every} thins what --stream and --live show: add one")
+    if stream and options.json:
+        raise click.UsageError(
+            "--stream has stdout for itself: leave --json out, and read the results from the run"
+        )
     if seconds is not None:
         if record is not None and observe is not None:
             raise click.UsageError("--record moves the rig, --observe does not: give one of them")
@@ -76,7 +102,8 @@ def command(
                 "--record and --observe measure on the rig of a recipe; a stored run is read as it "
                 "is: leave them out"
             )
-        procedure = over_time(seconds, observed=observe is not None)
+        procedure = over_time_live(seconds, observed=observe is not None, every=every or 1)
+        options = replace(options, stream=stream)
     if correction is not None:
         options = options.with_override(f"measure_force.correction={correction}")
     run_and_print(procedure, sources, output, options, kt=kt, tables=tables)

@@ -22,10 +22,13 @@ if TYPE_CHECKING:
 
 
 def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) -> None:
-    """Print the results of a command on stdout, its notes and `output` on stderr."""
+    """Print the results of a command on stdout, its notes and `output` on stderr.
+
+    Where stdout was a stream of values, all goes to stderr.
+    """
     if options.dry_run:
         for note in outcome.notes:
-            click.echo(terminal(note))
+            click.echo(terminal(note), err=options.stream)
         return
     if options.json:
         with open_run(output) as run:
@@ -35,7 +38,7 @@ def print_outcome(outcome: Outcome, output: str | Path, options: CommonOptions) 
     if options.quiet:
         return
     for line in result_lines(outcome.results):
-        click.echo(terminal(line))
+        click.echo(terminal(line), err=options.stream)
     for note in outcome.notes:
         click.echo(terminal(f"Note: {note}"), err=True)
     click.echo(terminal(f"Written: {output}"), err=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from rigtool.experiments.outcome import Outcome
 from rigtool.recipe import Recipe
-from rigtool.rigs import CHANNELS, Rig, Task
+from rigtool.rigs import CHANNELS, Block, Rig, Task
 from rigtool.runfile import Channel, RecordingSpec, RunWriter
 
 
@@ -23,6 +23,9 @@ class Procedure:
     motor and amplifier are characterised on their own [7.1, 7.2]. `accepts` names other commands
     whose stored runs it analyses. `analyse_imported(runs, **inputs)` takes runs of other rigs;
     `imported_settings` maps the keys of `--set` that it takes to its argument names.
+
+    `follow(recipe, **inputs)` returns what turns blocks of signals, as they come, into the values
+    that are shown instead of them: arrays by name, `time` among them.
 
     `rig_needs(recipe)` names the abilities for motions that depend on results measured
     first, see `dry_run`.
@@ -40,6 +43,7 @@ class Procedure:
     accepts: tuple[str, ...] = ()
     analyse_imported: Callable[..., Outcome] | None = None
     imported_settings: Mapping[str, str] = field(default_factory=dict)
+    follow: Callable[..., Callable[[Block], Block]] | None = None
     rig_needs: Callable[[Recipe], tuple[str, ...]] = lambda recipe: ()
     analysis_settings: tuple[str, ...] = ()
 

@@ -129,6 +129,9 @@ class Rig(Protocol):
     watcher: Callable[[Block], None] | None = None
     """Receives the status during a motion, where signals come later; it must not block."""
 
+    streams: bool = False
+    """Whether that is every sample, as it comes, with all channels."""
+
     def __enter__(self) -> Self:
         """Connect; nothing moves."""
         return self

@@ -19,6 +19,12 @@ from tests.experiments.virtual_runs import RECIPE, write_kt
         (["--record", "5", "--set", "measure_force.motion.kind=path"], 3, "time_s and angle_deg"),
         (["--record", "5", "--set", "measure_force.motion.kind=walk"], 3, "strokes"),
         (["--record", "5"], 3, "was written by calibrate-kt"),
+        (["--record", "5", "--stream"], 3, "was written by calibrate-kt"),
+        (["--stream"], 2, "go with --record or --observe"),
+        (["--every", "3"], 2, "go with --record or --observe"),
+        (["--record", "5", "--every", "3"], 2, "--stream and --live show"),
+        (["--record", "5", "--stream", "--every", "0"], 2, "x>=1"),
+        (["--record", "5", "--stream", "--json"], 2, "stdout for itself"),
     ],
 )
 def test_bad_input_ends_with_a_message_and_without_a_file(tmp_path, capsys, options, code, message):

@@ -33,6 +33,7 @@ from rigtool.experiments.force_over_time.motion_states import State, States
 from rigtool.numerics.compiled import compiled
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
 
 WINDOW = 0.06
 """Time of a jump, s: a hand's or a tool's touch rises within it."""
@@ -71,9 +72,9 @@ class Trial:
     """Values of both tests at m steps, `jump` N m and `level`, both with their sign, and the
     `torque` N m; the motion, -1 where none is tested; (m,) each. `step_time` in s."""
 
-    torque: Array
-    jump: Array
-    level: Array
+    torque: Single
+    jump: Single
+    level: Single
     motion: NDArray[np.int32]
     step_time: float
 
@@ -92,22 +93,23 @@ def trial(torque: Array, deviation: Array, states: States, step_time: float) -> 
     from scipy.signal import lfilter
 
     kept = math.exp(-step_time / LAG)
-    smooth: Array = np.asarray(lfilter([1 - kept], [1, -kept], torque), dtype=np.float64)
+    smooth: Single = np.asarray(lfilter([1 - kept], [1, -kept], torque), dtype=np.float32)
     window = round(WINDOW / step_time)
-    jump = np.zeros(len(smooth))
+    jump: Single = np.zeros(len(smooth), dtype=np.float32)
     jump[window:] = smooth[window:] - smooth[: len(smooth) - window]
     motion = np.full(len(smooth), Motion.STEADY, dtype=np.int32)
     motion[_lately(states == State.REVERSED, round(AFTER / step_time))] = Motion.REVERSED
     motion[states == State.STILL] = Motion.STILL
     motion[_lately(states == State.OUTSIDE, window)] = -1
     motion[: round(SETTLING / step_time)] = -1
-    return Trial(smooth, jump, smooth / deviation, motion, step_time)
+    level: Single = smooth / deviation.astype(np.float32)
+    return Trial(smooth, jump, level, motion, step_time)
 
 
 def _lately(there: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
     """Return where something was there within the last steps, (m,)."""
-    number = np.arange(len(there))
-    last = np.maximum.accumulate(np.where(there, number, -steps - 1))
+    number = np.arange(len(there), dtype=np.int32)
+    last = np.maximum.accumulate(np.where(there, number, np.int32(-steps - 1)))
     found: NDArray[np.bool_] = number - last <= steps
     return found
 
@@ -127,12 +129,12 @@ def thresholds(untouched: Sequence[Trial], rate: float = FALSE_ALARMS) -> Array:
     return found
 
 
-def _highest(test: Trial, values: Array, motion: Motion, memory: float) -> Array:
+def _highest(test: Trial, values: Single, motion: Motion, memory: float) -> Array:
     """Return the highest absolute value in each block of `memory` s that has this motion."""
     size = round(memory / test.step_time)
     count = len(values) // size
     own = np.where(test.motion == motion, np.abs(values), -1.0)[: count * size]
-    highest: Array = own.reshape(count, size).max(axis=1)
+    highest: Array = own.reshape(count, size).max(axis=1).astype(np.float64)
     return highest[highest >= 0]
 
 
@@ -154,9 +156,9 @@ def contacts(test: Trial, limits: Array) -> list[Contact]:
 
 @compiled
 def _contacts(
-    torque: Array,
-    jump: Array,
-    level: Array,
+    torque: Single,
+    jump: Single,
+    level: Single,
     motion: NDArray[np.int32],
     limits: Array,
     longest: int,

@@ -21,6 +21,7 @@ from rigtool.experiments.force.procedure_reading import (
     read_recording,
 )
 from rigtool.experiments.force.results_over_time import force_outcome
+from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.motion_states import Reach
 from rigtool.experiments.force_over_time.stored import model_from
 from rigtool.experiments.learning.stored_table import feedforward_from, require_rig
@@ -73,14 +74,12 @@ def _measure(
     seconds: float,
     observed: bool,
 ) -> None:
-    require_calibration(kt, recipe)
-    require_rig(tables, recipe)
-    model_from(tables, recipe)
+    _, reach = model_and_reach(tables, kt, recipe)
     (spec,) = _recordings(recipe, seconds=seconds, observed=observed)
     task = Task(Observe(seconds), record_every=spec.record_every, touched=True)
     if not observed:
         start, motion = moved(recipe, seconds)
-        require_learned(start, motion, reach_of(tables, kt, recipe), rig.position)
+        require_learned(start, motion, reach, rig.position)
         if start is not None and motion.start is None:
             rig.move_by(start - rig.position)
         feedforward = feedforward_from(tables, recipe.rig.nominal_inertia)
@@ -106,10 +105,7 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
             f"{run.path}: has no recording with the channels {', '.join(NEEDED)}: record one with "
             "--record or --observe"
         )
-    require_calibration(kt, recipe)
-    require_rig(tables, recipe)
-    model = model_from(tables, recipe)
-    reach = reach_of(tables, kt, recipe)
+    model, reach = model_and_reach(tables, kt, recipe)
     known = tables, recipe, kt, model, reach
     limits = limits_of(*known)
     read = [read_recording(r, *known[1:], limits=limits) for r in recorded if r.size]
@@ -118,6 +114,14 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
             f"{run.path}: no recording has {SHORTEST:g} s without a gap: record for longer"
         )
     return force_outcome(read, recipe, reach, scales_of(*known), limits)
+
+
+def model_and_reach(tables: Run, kt: Run, recipe: Recipe) -> tuple[ForceModel, Reach]:
+    """Return the model in these tables, and how far it was learned; checks that all belongs
+    together."""
+    require_calibration(kt, recipe)
+    require_rig(tables, recipe)
+    return model_from(tables, recipe), reach_of(tables, kt, recipe)
 
 
 def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:

@@ -158,7 +158,7 @@ class _Stretch:
         for name, values in zip(names, found, strict=False):
             self._found[name].append(values)
         if sensed.untouched is not None:
-            self._untouched.append(sensed.untouched)
+            self._untouched.append(sensed.untouched.astype(np.float32))
         before = self._waiting
         self._waiting = sensed.moments if before is None else before.joined(before, sensed.moments)
         self._smooth(*self._smoother.add(estimate))

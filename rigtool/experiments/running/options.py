@@ -13,7 +13,8 @@ class CommonOptions:
     With `progress`, progress bars are drawn (stderr is a terminal and --quiet was not given).
     `overrides` are the `key=value` texts of `--set`. `dry_run` lists the motions and moves
     nothing; `yes` lets a rig on a serial line move without asking; `spy` is a file for every byte
-    on that line; `live` is where signals are drawn as they arrive, None for nowhere.
+    on that line; `live` is where signals are drawn as they arrive, None for nowhere. With `stream`
+    values go to stdout as lines of JSON meanwhile, and nothing else does.
     """
 
     json: bool = False
@@ -26,6 +27,7 @@ class CommonOptions:
     yes: bool = False
     spy: str | None = None
     live: Literal["terminal", "window"] | None = None
+    stream: bool = False
 
     def with_override(self, override: str) -> CommonOptions:
         """Return the options with one more `key=value`, which overrules those given so far."""

@@ -9,21 +9,22 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rigtool.errors import RunFileError, UsageError
+from rigtool.errors import RecipeError, RunFileError, UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.dry_run import dry_run, rehearse, require_offered
+from rigtool.experiments.running.lines import open_lines
 from rigtool.experiments.running.options import CommonOptions
-from rigtool.experiments.running.terminal import Feed, open_live
+from rigtool.experiments.running.terminal import open_live
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.recipe import Recipe, load_recipe, override_recipe
-from rigtool.rigs import Rig, open_rig
+from rigtool.rigs import Block, Rig, open_rig
 from rigtool.rigs.operator import Operator
 from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
 from rigtool.runfile.outputs import require_output
@@ -33,7 +34,8 @@ IMPORTED = "import"
 
 
 STATUS_ONLY = "status while it moves, not recorded"
-"""Name in drawings of the status that a rig reports before the signals of a motion come."""
+AS_IT_COMES = "as it comes"
+"""Names in drawings of what a rig reports before the signals of a motion are complete."""
 
 
 def run_command(
@@ -108,11 +110,11 @@ def _measure(
         overwrite=options.overwrite,
         sources=[source, *([options.spy] if options.spy is not None else [])],
     )
-    live = nullcontext() if options.live is None else open_live(options.live)
-    with live as feed, writer, _progress(options, plan, writer):
-        writer.live = feed
-        if feed is not None:
-            rig.watcher = partial(feed.show, STATUS_ONLY)
+    follow = _follower(procedure, options, recipe, rig, inputs)
+    with _shown(options, follow, rig) as show, writer, _progress(options, plan, writer):
+        writer.show = None if rig.streams else show
+        if show is not None and (rig.streams or follow is None):
+            rig.watcher = partial(show, AS_IT_COMES if rig.streams else STATUS_ONLY)
         with rig:
             if rig.physical:
                 _permit(rig, procedure, recipe, constant, inputs)
@@ -124,6 +126,55 @@ def _measure(
         outcome = procedure.analyse([run], recipe, **inputs)
         writer.finish(outcome.results, outcome.tables, outcome.notes)
     return outcome
+
+
+def _follower(
+    procedure: Procedure,
+    options: CommonOptions,
+    recipe: Recipe,
+    rig: Rig,
+    inputs: Mapping[str, Run],
+) -> Callable[[Block], Block] | None:
+    """Return what turns signals into the values that are shown; None where signals are.
+
+    Raises `RecipeError` where a stream is asked for and this rig or recipe cannot have one.
+    """
+    if procedure.follow is None or (options.live is None and not options.stream):
+        return None
+    comes = not rig.physical or rig.streams
+    if options.stream and not comes:
+        raise RecipeError(
+            "--stream needs samples while the rig moves, and its drive hands them out later: use a "
+            'target with serial.log = "stream"'
+        )
+    if not comes:
+        return None
+    try:
+        return procedure.follow(recipe, **inputs)
+    except RecipeError:
+        if options.stream:
+            raise
+        return None  # signals are drawn as those of other commands
+
+
+@contextmanager
+def _shown(
+    options: CommonOptions, follow: Callable[[Block], Block] | None, rig: Rig
+) -> Iterator[Callable[[str, Block], None] | None]:
+    """Return what shows a block of a recording, None where nothing is shown."""
+    with ExitStack() as stack:
+        shows: list[Callable[[str, Block], None]] = []
+        if options.live is not None:
+            shows.append(stack.enter_context(open_live(options.live)).show)
+        if options.stream:
+            shows.append(stack.enter_context(open_lines(waits=not rig.physical)).show)
+
+        def show(recording: str, block: Block) -> None:
+            values = block if follow is None else follow(block)
+            for one in shows:
+                one(recording, values)
+
+        yield show if shows else None
 
 
 def _in_seconds(plan: Sequence[RecordingSpec], sample_time: float) -> tuple[RecordingSpec, ...]:
@@ -280,9 +331,9 @@ def _assumed_torque_constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float
 
 
 class _WatchedWriter(RunWriter):
-    """A writer that shows each block to a live drawing and a progress bar."""
+    """A writer that shows each block to whoever looks on, and to a progress bar."""
 
-    live: Feed | None = None
+    show: Callable[[str, Block], None] | None = None
     _bar: Any = None
 
     def watch(self, bar: Any, order: Mapping[str, int]) -> None:
@@ -292,8 +343,8 @@ class _WatchedWriter(RunWriter):
     def append(self, recording: str, block: Mapping[str, Any]) -> None:
         """Append as the writer does, then move the bar."""
         super().append(recording, block)
-        if self.live is not None:
-            self.live.show(recording, block)
+        if self.show is not None:
+            self.show(recording, dict(block))
         if self._bar is not None:
             self._bar.label = recording
             self._bar.update(max(0, self._order[recording] - self._bar.pos))

@@ -53,6 +53,11 @@ OPENING = 60.0
 
 READY = "ready"
 
+UNITS = {name: unit for name, (unit, _, _) in CHANNELS.items()} | dict.fromkeys(
+    ("torque", "u", "low", "high"), "N m"
+)
+"""Of what is drawn."""
+
 
 class View(Protocol):
     """A drawing of the signals."""
@@ -200,7 +205,7 @@ class Live:
         self._blocks.clear()
         lines = [f"{self._recording}  {moment:.1f} s"]
         for name, values in self._history.items():
-            unit = CHANNELS[name][0] if name in CHANNELS else ""
+            unit = UNITS.get(name, "")
             lines.append(
                 f"  {name:<20}{values[-1]:>12.5g} {unit:<6}{sparkline(values, self._bars)}"
             )

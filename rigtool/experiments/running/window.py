@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from rigtool.experiments.running.terminal import READY
+from rigtool.experiments.running.terminal import READY, UNITS
 from rigtool.numerics.arrays import Array
-from rigtool.rigs import CHANNELS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +40,9 @@ GAP = 0.5
 
 WAITING = 256
 """Blocks that wait to be drawn at most."""
+
+WITH = {"low": "torque", "high": "torque"}
+"""What is drawn into the plot of another one: its band."""
 
 NICENESS = 10
 """The rig comes first."""
@@ -81,21 +83,27 @@ class Panel:
             line.set_data(
                 *thinned(np.insert(time, breaks, np.nan), np.insert(values, breaks, np.nan))
             )
-            axes.set_title(f"{values[-1]:.5g}", loc="right", fontsize="medium", weight="bold")
+            if name not in WITH:
+                axes.set_title(f"{values[-1]:.5g}", loc="right", fontsize="medium", weight="bold")
             axes.relim()
             axes.autoscale_view(scalex=False)
             axes.set_xlim(time[0], max(time[-1], time[0] + SPAN))
 
     def _set_up(self, names: list[str]) -> None:
         self._figure.clear()
-        plots = self._figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        alone = [name for name in names if name not in WITH]
+        plots = self._figure.subplots(len(alone), 1, sharex=True, squeeze=False)[:, 0]
         self._lines = {}
-        for axes, name in zip(plots, names, strict=True):
-            unit = CHANNELS[name][0] if name in CHANNELS else ""
+        for axes, name in zip(plots, alone, strict=True):
+            unit = UNITS.get(name, "")
             axes.set_title(f"{name.replace('_', ' ')} [{unit}]", loc="left", fontsize="medium")
             axes.ticklabel_format(useOffset=False)
             axes.grid(visible=True, alpha=0.4)
             (line,) = axes.plot([], [], linewidth=0.9)
+            self._lines[name] = (axes, line)
+        for name in WITH.keys() & set(names):
+            axes, _ = self._lines[WITH[name]]
+            (line,) = axes.plot([], [], linewidth=0.6, linestyle="--", color="0.5")
             self._lines[name] = (axes, line)
         plots[-1].set_xlabel("time [s]")
         # Measured: computing the layout again each time takes as long as the drawing.

@@ -1,16 +1,19 @@
 """Force over time on the virtual rig: learned, moved, observed, and read from stored runs."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from rigtool.errors import RecipeError, RunFileError, UsageError
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
+from rigtool.experiments.force.procedure_live import LiveForce
 from rigtool.experiments.force.procedure_over_time import over_time
 from rigtool.experiments.force_over_time.motion_states import State
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
-from rigtool.runfile import open_run
+from rigtool.recipe import load_recipe
+from rigtool.runfile import RecordingSpec, RunWriter, open_run
 from tests.experiments.virtual_runs import RECIPE, run
 
 KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
@@ -139,3 +142,113 @@ def test_a_hold_stands_still_and_says_so(rig):
     states = found.tables["force"]["state"]
     assert (states == State.STILL).mean() > 0.9
     assert not math.isnan(found.results["mean_torque"].value)
+
+
+# -- as it comes
+
+
+def signals_of(path):
+    with open_run(path) as stored:
+        recording = next(iter(stored.recordings.values()))
+        return {name: recording.read_stored(name) for name in recording.units}
+
+
+@pytest.fixture
+def live(rig):
+    """Return what makes rows of every fifth estimate, as the table has them."""
+    recipe, _ = load_recipe(RECIPE)
+    with open_run(KT) as kt, open_run(rig.tables) as tables:
+        yield lambda every=5: LiveForce(recipe, kt=kt, tables=tables, every=every)
+
+
+def rows_of(follow, signals, edges):
+    blocks = [
+        follow({name: values[first:last] for name, values in signals.items()})
+        for first, last in pairwise([0, *edges, len(signals["time"])])
+    ]
+    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+
+
+@pytest.mark.parametrize("edges", [[], [1, 2, 9, 4000, 4001, 30000], list(range(97, 60000, 97))])
+def test_rows_as_they_come_are_those_of_the_stored_run(rig, strokes, live, edges):
+    found = rows_of(live(), signals_of(rig.folder / "strokes.h5"), edges)
+    table = strokes.tables["force"]
+    for name, column in (
+        ("time", "time"),
+        ("torque", "causal_torque"),
+        ("u", "causal_u"),
+        ("state", "causal_state"),
+    ):
+        size = len(found[name])  # the last 8 ms may wait for more
+        assert 0 <= len(table[column]) - size <= 2
+        np.testing.assert_array_equal(found[name], table[column][:size])
+    np.testing.assert_allclose(found["high"] - found["low"], 3.92 * found["u"], rtol=1e-9)
+
+
+def broken(rig, tmp_path):
+    """Store the strokes without samples 20000 to 24000, and with NaN from 44000 to 44400."""
+    with open_run(rig.folder / "strokes.h5") as stored:
+        recording = next(iter(stored.recordings.values()))
+        spec = RecordingSpec("strokes_000", recording.channels, {})
+        signals = signals_of(rig.folder / "strokes.h5")
+        signals["current_setpoint"] = signals["current_setpoint"].copy()
+        signals["current_setpoint"][44000:44400] = np.nan
+        signals = {n: np.concatenate([v[:20000], v[24000:]]) for n, v in signals.items()}
+        path = tmp_path / "broken.h5"
+        with RunWriter(
+            path,
+            command="measure-force",
+            recipe=stored.recipe,
+            recipe_text=None,
+            recordings=[spec],
+        ) as writer:
+            writer.append("strokes_000", signals)
+            writer.finish({}, {})
+    return path, signals
+
+
+def test_gaps_and_samples_without_value_begin_anew(rig, live, tmp_path):
+    path, signals = broken(rig, tmp_path)
+    found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
+    table, rate = found.tables["force"], 8000
+    time = table["time"] - signals["time"][0]
+    lost = ((time > 20000 / rate) & (time < 24000 / rate)) | (
+        (time > 44000 / rate) & (time < 44400 / rate)
+    )
+    assert not lost.any()
+    assert found.results["valid_share"].value == pytest.approx(
+        1 - 4400 / (signals["time"][-1] - signals["time"][0]) / rate, abs=2e-3
+    )
+    assert any("2 times samples are missing or NaN: 0.55 s" in note for note in found.notes)
+    rows = rows_of(live(), signals, range(1000, len(signals["time"]), 1000))
+    size = len(rows["time"])
+    assert 0 <= len(table["time"]) - size <= 2
+    np.testing.assert_array_equal(rows["torque"], table["causal_torque"][:size])
+    np.testing.assert_array_equal(rows["time"], table["time"][:size])
+
+
+def test_contacts_are_listed_with_their_times(strokes):
+    events = strokes.tables["events"]
+    first = strokes.tables["force"]["time"][0]
+    begins = events["start"] - first
+    for at in (2.0, 5.0):
+        near = np.flatnonzero(np.abs(begins - at) < 0.15)
+        assert len(near) == 1
+        (event,) = near
+        assert at < events["found"][event] - first < at + 0.1
+        assert abs(events["mean"][event] - MOMENT) < 0.1 * MOMENT
+        assert events["end"][event] - events["start"][event] == pytest.approx(1.45, abs=0.1)
+    assert strokes.results["contacts"].value == len(begins)
+
+
+@pytest.mark.parametrize(
+    "change", ["measure_force.motion.record_every=2", "rig.sample_time=0.0005"]
+)
+def test_samples_that_are_too_coarse_give_no_force_as_it_comes(rig, change):
+    recipe, _ = load_recipe(RECIPE, [change])
+    with (
+        open_run(KT) as kt,
+        open_run(rig.tables) as tables,
+        pytest.raises(RecipeError, match="4000 Hz at least"),
+    ):
+        LiveForce(recipe, kt=kt, tables=tables)

@@ -73,6 +73,7 @@ class TargetRig(SerialRig):
         self, recipe: Recipe, torque_constant: float, use: str, operator: Operator
     ) -> None:
         super().__init__(recipe, torque_constant, use, operator)
+        self.streams = self._settings.log == "stream"
         self._in_session = False
         self._up: dict[Slot, bytes] = {}  # objects in the target
         self._arrived: list[tuple[int, bytes]] = []  # streamed, and not yet in a log
@@ -211,7 +212,7 @@ class TargetRig(SerialRig):
         self._put(Slot.FEEDFORWARD, link.pack_feedforward(added))
         self._put(Slot.TABLE, link.pack_table(added.table))
         self._put(Slot.SIGNAL, signal)
-        streams = self._settings.log == "stream"
+        streams = self.streams
         if streams and Ability.STREAM not in self._hello.abilities:
             raise RecipeError('the target cannot stream: set serial.log = "memory"')
         mask = self._hello.channels & link.recorded_under(task.load)
@@ -283,6 +284,7 @@ class TargetRig(SerialRig):
             for first, data in self._arrived:
                 log.take(first, data)
             self._arrived.clear()
+            self._show(log)
             for block in log.complete():
                 put(block)
             if line.now() - asked > min(0.1, self._settings.watchdog / 4):
@@ -295,9 +297,15 @@ class TargetRig(SerialRig):
             return
         for first, data in self._arrived:
             log.take(first, data)
+        self._show(log)
         for block in log.rest(status.samples):
             put(block)
         self._require_done(status)
+
+    def _show(self, log: Log) -> None:
+        """Hand on what has come, before it is compared with the target's log."""
+        if self.watcher is not None and len((block := log.fresh())["time"]):
+            self.watcher(block)
 
     # -- on the line
 

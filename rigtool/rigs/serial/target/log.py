@@ -42,6 +42,7 @@ class Log:
         self._first = 0  # of the segment in hand
         self._data = bytearray()
         self._time = 0.0
+        self._seen, self._seen_time = 0, 0.0  # samples that `fresh` gave
         self.missing = self.read_again = self.damaged = 0
 
     def fetch(self, count: int) -> Iterator[Block]:
@@ -61,6 +62,15 @@ class Log:
         """Yield the segments that are complete."""
         while len(self._data) >= self._segment * self._sample.itemsize:
             yield self._next(self._segment)
+
+    def fresh(self) -> Block:
+        """Return the samples that came since the last call, as they came."""
+        size = self._sample.itemsize
+        data = bytes(self._data[(self._seen - self._first) * size :])
+        time, self._time, self._seen = self._time, self._seen_time, self._here
+        block = self._block(data)
+        self._time, self._seen_time = time, self._time
+        return block
 
     def rest(self, count: int) -> Iterator[Block]:
         """Yield the rest when a motion of `count` samples is over."""

@@ -111,6 +111,26 @@ def test_times_of_the_target_are_told_in_the_hosts():
     assert moments[-1] < end + 0.3
 
 
+def test_streamed_samples_are_handed_on_at_once_and_recorded_as_they_were():
+    late, seen = [], []
+
+    def watch(block):
+        moments = rig.line.opened + rig._host_time(block["time"])
+        late.append(time.monotonic() - moments.min())
+        seen.append(block)
+
+    with (
+        serve(TargetEmulator(virtual(), paced=True)) as server,
+        target_rig(server.port, "serial.log=stream", "rig.attachment=pulley") as rig,
+    ):
+        assert rig.streams
+        rig.watcher = watch
+        got = blocks_of(rig, Task(SpeedProfile((0.0, 0.5, 2.0), (0.0, 3.0, 3.0))))
+    assert max(late) < 20e-3  # of emulated time, at 8 kHz
+    for name, values in got.items():
+        np.testing.assert_array_equal(np.concatenate([block[name] for block in seen]), values)
+
+
 def test_8_khz_stream_without_loss_and_few_questions_beside_it():
     """How much of a processor it takes is measured by `make bench`."""
     with (
