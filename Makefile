@@ -1,5 +1,6 @@
 # make tables   the whole chain on the virtual rig: Tables 8 and 9 beside the published ones
 # make corrected  known loads learned, Table 8 three times: published, without and with correction
+# make over-time  a force that nothing knows of, in strokes, free motion and against tissue, as figures
 # make thesis   every figure and table of the thesis beside the virtual rig: docs/reproduction.md
 # make real-data DATA=folder of mis-tool  a real instrument: torque from current against a sensor
 # make test     style, types and tests
@@ -20,7 +21,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: real-data tables corrected thesis test docs fixtures bench coverage clean
+.PHONY: real-data tables corrected over-time thesis test docs fixtures bench coverage clean
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -74,6 +75,31 @@ $(BUILD)/corrected/index.html: $(addprefix $(BUILD)/,kt.h5 tables-loads.h5 force
 
 $(BUILD)/report/index.html: $(RUNS)
 	$(RIGTOOL) report $(RUNS) -o $(BUILD)/report --overwrite -q
+
+# Contacts of the virtual rig, unknown to the program; the recorded reference_torque judges.
+OVER_TIME := $(BUILD)/over-time
+PULSES = 'virtual.contact=[{kind="pulse",rate_per_min=20,duration=[0.3,2.0],force=[0.1,2.5]}]'
+TISSUE = 'virtual.contact=[{kind="tissue",at=[0],angle_deg=100,stiffness=0.03,damping=1e-3}]'
+OVER_TIME_RUNS := $(addprefix $(OVER_TIME)/,strokes.h5 free-motion.h5 tissue.h5)
+MEASURE_OVER_TIME = $(RIGTOOL) measure-force $(RECIPE) --kt $(BUILD)/kt.h5 \
+	--tables $(BUILD)/tables-loads.h5 -o $@ $(MEASURE)
+
+over-time: $(OVER_TIME)/report/index.html
+
+$(OVER_TIME): | $(BUILD)
+	mkdir -p $@
+
+$(OVER_TIME)/strokes.h5: $(BUILD)/tables-loads.h5 | $(OVER_TIME)
+	$(MEASURE_OVER_TIME) --record 20 --set $(PULSES)
+
+$(OVER_TIME)/free-motion.h5: $(BUILD)/tables-loads.h5 | $(OVER_TIME)
+	$(MEASURE_OVER_TIME) --observe 20 --set $(PULSES)
+
+$(OVER_TIME)/tissue.h5: $(BUILD)/tables-loads.h5 | $(OVER_TIME)
+	$(MEASURE_OVER_TIME) --record 20 --set $(TISSUE)
+
+$(OVER_TIME)/report/index.html: $(OVER_TIME_RUNS)
+	$(RIGTOOL) report $^ -o $(OVER_TIME)/report --overwrite -q
 
 THESIS := $(BUILD)/thesis
 THESIS_RUNS := $(RUNS) $(addprefix $(THESIS)/,plant.h5 a.h5 b.h5 suspension.h5 idm640.h5)

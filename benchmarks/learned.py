@@ -28,6 +28,7 @@ from oracle import (
     Key,
     Recorded,
     Score,
+    both_forms,
     lowpassed,
     motion_states,
     plant_of,
@@ -37,7 +38,7 @@ from oracle import (
     sum_of,
 )
 
-from rigtool.experiments.force_over_time.estimate import Filter, Signals, smoothed
+from rigtool.experiments.force_over_time.estimate import Signals
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.stored import model_from
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
@@ -97,20 +98,12 @@ def learned_scores(
     )
     signals = Signals(torque, viscous, low, width)
     plant, uncertainty = model.plant(dt), model.uncertainty
-    causal = Filter(plant, uncertainty, STEP).add(signals)
-    estimates = {
-        "causal": (causal.torque, causal.deviation),
-        "smoothed": smoothed(plant, uncertainty, STEP, signals),
-    }
     states, found, rate = motion_states(recorded), {}, 1 / (STEP * dt)
-    for form, (estimate, deviation) in estimates.items():
-        for band in BANDS:
-            truth, read = (
-                lowpassed(values, band, rate, form == "smoothed")
-                for values in (recorded.truth, estimate)
-            )
+    for band in BANDS:
+        for form, (estimate, deviation) in both_forms(plant, uncertainty, signals, band).items():
+            truth = lowpassed(recorded.truth, band, rate, form == "smoothed")
             for state, chosen in states.items():
-                error = np.abs(read - truth)[chosen]
+                error = np.abs(estimate - truth)[chosen]
                 found[motion, form, band, state] = score(error, deviation[chosen])
     return found
 

@@ -242,14 +242,24 @@ def _drive_torque(asked: Array, ripples: Array, dt: float, drive: Array, thermal
     return torque
 
 
-def estimates(recorded: Recorded) -> dict[str, tuple[Array, Array]]:
-    """Return torque and its standard deviation, (m,) N m each, causal and smoothed."""
+def estimates(recorded: Recorded, band_hz: float) -> dict[str, tuple[Array, Array]]:
+    """Return torque behind a low-pass and its standard deviation, (m,) N m each, causal and
+    smoothed."""
     plant, uncertainty = plant_of(recorded.recipe), uncertainty_of(recorded.recipe)
     signals = signals_of(recorded)
-    causal = Filter(plant, uncertainty, STEP).add(signals)
+    return both_forms(plant, uncertainty, signals, band_hz)
+
+
+def both_forms(
+    plant: Plant, uncertainty: Uncertainty, signals: Signals, band_hz: float
+) -> dict[str, tuple[Array, Array]]:
+    """Return torque behind a low-pass and its standard deviation by causal and smoothed filter."""
+    causal = Filter(plant, uncertainty, STEP, band_hz).add(signals)
+    torque, deviation = smoothed(plant, uncertainty, STEP, band_hz, signals)
+    rate = 1 / (STEP * plant.sample_time)
     return {
-        "causal": (causal.torque, causal.deviation),
-        "smoothed": smoothed(plant, uncertainty, STEP, signals),
+        "causal": (causal.passed, causal.deviation),
+        "smoothed": (lowpassed(torque, band_hz, rate, True), deviation),
     }
 
 
@@ -332,11 +342,10 @@ def scores(recorded: Recorded, motion: str) -> Iterator[tuple[Key, Score]]:
     """Compare the oracle with what truly acted."""
     rate = 1 / (STEP * recorded.recipe.rig.sample_time)
     states = motion_states(recorded)
-    for form, (torque, deviation) in estimates(recorded).items():
-        for band in BANDS:
-            zero_phase = form == "smoothed"
-            truth = lowpassed(recorded.truth, band, rate, zero_phase)
-            error = np.abs(lowpassed(torque, band, rate, zero_phase) - truth)
+    for band in BANDS:
+        for form, (torque, deviation) in estimates(recorded, band).items():
+            truth = lowpassed(recorded.truth, band, rate, form == "smoothed")
+            error = np.abs(torque - truth)
             for state, chosen in states.items():
                 yield (motion, form, band, state), score(error[chosen], deviation[chosen])
 

@@ -65,12 +65,15 @@ def command(
 
 
 def _document(report: Report) -> dict[str, Any]:
+    required = report.requirements
     return {
+        "title": report.title,
+        "requirements": None if required is None else _table(required),
         "tables": {table.name: _table(table) for table in report.force_tables},
         "results": {table.name: _table(table) for table in report.results},
         "figures": [picture.name for picture in report.pictures],
         "warnings": list(report.warnings),
-        "remarks": list(report.remarks),
+        "remarks": {label: list(notes) for label, notes in report.remarks},
     }
 
 

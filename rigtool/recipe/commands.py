@@ -251,3 +251,20 @@ class Suspension(Section):
     speeds_rev_per_s: tuple[Positive, ...] = Field(
         (0.2, 5), min_length=1, description="at which torques of the pulleys are stated, rev/s"
     )
+
+
+class Requirements(Section):
+    """What the measurements have to reach; a report states for each whether the runs show it."""
+
+    force_error: float | None = Field(
+        None, gt=0, le=1, description="largest relative error of a known load"
+    )
+    force_resolution: float | None = Field(
+        None, gt=0, description="smallest force that one reading distinguishes from none, N"
+    )
+    force_bandwidth_hz: float | None = Field(
+        None, gt=0, description="low-pass of the force at least, Hz"
+    )
+    residual_torque: float | None = Field(
+        None, gt=0, description="remaining disturbance with the learned table, rms, N m"
+    )

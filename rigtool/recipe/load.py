@@ -19,6 +19,7 @@ from rigtool.recipe.commands import (
     IdentifyPlant,
     IlcLearn,
     MeasureForce,
+    Requirements,
     Stribeck,
     Suspension,
 )
@@ -54,6 +55,7 @@ class Recipe(Section):
     suspension: Suspension = Suspension()
     ilc_learn: IlcLearn = IlcLearn()
     measure_force: MeasureForce = MeasureForce()
+    requirements: Requirements = Requirements()
 
     @model_validator(mode="after")
     def _has_its_source(self) -> Recipe:

@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING
 
 from rigtool.errors import UsageError
 from rigtool.report.figures import Picture, draw_figures
+from rigtool.report.figures.plots import HEADLINE
 from rigtool.report.formats import ReportTable
+from rigtool.report.published import is_of_thesis
+from rigtool.report.requirements import requirements_table
 from rigtool.report.tables import attachment_of, force_tables, results_table
 from rigtool.runfile.provenance import file_sha256
 
@@ -28,6 +31,18 @@ COMMAND_ORDER = (
     "measure-force",
 )
 """Commands in the order in which a report shows their runs."""
+
+SUBJECTS = {
+    "calibrate-kt": "torque constant",
+    "stribeck": "friction",
+    "fft-ripple": "torque ripple",
+    "identify-plant": "plant",
+    "ilc-learn": "learned disturbance",
+    "ilc-check": "check of a learned table",
+    "suspension": "suspension",
+    "import": "imported recordings",
+}
+"""What the runs of each command are about."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +67,32 @@ class Origin:
 class Report:
     """The contents of a report, made before anything is written.
 
-    `warnings` concern runs that do not belong together; `remarks` are the notes of the runs.
-    `force_tables` are Tables 8 and 9, `results` all results of each run beside published values.
+    `requirements` are those of the recipes, with verdicts; `warnings` concern runs that do not
+    belong together; `remarks` are the notes of each run, by its label. `force_tables` are Tables 8
+    and 9, `results` all results of each run; `compared` where published values stand beside.
     """
 
+    title: str
+    rigs: tuple[str, ...]
+    dates: tuple[str, ...]
+    compared: bool
+    requirements: ReportTable | None
     warnings: tuple[str, ...]
-    remarks: tuple[str, ...]
+    remarks: tuple[tuple[str, tuple[str, ...]], ...]
     force_tables: tuple[ReportTable, ...]
     results: tuple[ReportTable, ...]
     pictures: tuple[Picture, ...]
     origins: tuple[Origin, ...]
+
+    @property
+    def headline(self) -> tuple[Picture, ...]:
+        """Figures that open the report."""
+        return tuple(picture for picture in self.pictures if picture.number == HEADLINE)
+
+    @property
+    def figures(self) -> tuple[Picture, ...]:
+        """All other figures."""
+        return tuple(picture for picture in self.pictures if picture.number != HEADLINE)
 
 
 def build_report(runs: Sequence[Run]) -> Report:
@@ -72,14 +103,33 @@ def build_report(runs: Sequence[Run]) -> Report:
     labelled = _labels(runs)
     tables = [table for label, run in labelled for table in force_tables(run, label)]
     pictures = [picture for label, run in labelled for picture in draw_figures(run, label)]
+    origins = tuple(_origin(label, run) for label, run in labelled)
+    rigs = tuple(sorted({origin.rig for origin in origins if origin.rig}))
     return Report(
+        title=_title([run.command for _, run in labelled], rigs),
+        rigs=rigs,
+        dates=tuple(sorted({origin.date[:10] for origin in origins})),
+        compared=any(is_of_thesis(run.rig) for _, run in labelled),
+        requirements=requirements_table(labelled),
         warnings=tuple(_warnings(labelled)),
-        remarks=tuple(f"{label}: {note}" for label, run in labelled for note in run.notes),
+        remarks=tuple((label, run.notes) for label, run in labelled if run.notes),
         force_tables=tuple(sorted(tables, key=lambda table: table.title)),
         results=tuple(results_table(run, label) for label, run in labelled if run.results),
         pictures=tuple(sorted(pictures, key=lambda picture: picture.number)),
-        origins=tuple(_origin(label, run) for label, run in labelled),
+        origins=origins,
     )
+
+
+def _title(commands: Sequence[str], rigs: Sequence[str]) -> str:
+    """Return what the runs are about: force from motor current, or what was measured for it."""
+    if "measure-force" in commands:
+        subject = "Force from motor current"
+    else:
+        named = dict.fromkeys(SUBJECTS.get(command, command) for command in commands)
+        *first, last = named or ["nothing"]
+        subject = f"{', '.join(first)} and {last}" if first else last
+        subject = subject[0].upper() + subject[1:]
+    return f"{subject}: {', '.join(rigs)}" if rigs else subject
 
 
 def _labels(runs: Sequence[Run]) -> list[tuple[str, Run]]:
@@ -122,7 +172,8 @@ def _warnings(labelled: Sequence[tuple[str, Run]]) -> list[str]:
     for label, run in labelled:
         for used in run.provenance["inputs"]:
             there = shown.get(used["command"], {})
-            if there and used["content_sha256"] not in there.values():
+            analysed_again = used["command"] == run.command
+            if there and not analysed_again and used["content_sha256"] not in there.values():
                 found.append(
                     f"{label}: was made with {used['command']} run {used['content_sha256'][:12]}, "
                     f"which is not the one shown here ({', '.join(there)})."

@@ -66,7 +66,8 @@ def write_report(
 def _contents(report: Report, pdf: bool) -> dict[str, bytes]:
     """Return every file of the report by its path within the folder."""
     texts = {"index.html": render_page(report), "tables.txt": terminal_text(report)}
-    for table in (*report.force_tables, *report.results):
+    required = () if report.requirements is None else (report.requirements,)
+    for table in (*required, *report.force_tables, *report.results):
         texts[f"tables/{table.name}.md"] = markdown(table)
         texts[f"tables/{table.name}.csv"] = csv_text(table)
         texts[f"tables/{table.name}.tex"] = latex(table)

@@ -40,6 +40,11 @@ class PublishedValue:
     section: str
 
 
+def is_of_thesis(rig: str | None) -> bool:
+    """Return whether a rig is the thesis's, by its name: only then its numbers stand beside."""
+    return bool(rig == _published()["rig"])
+
+
 @cache
 def published_table(attachment: str) -> PublishedTable:
     """Return Table 8 for the attachment "instrument", Table 9 for "pulley"."""

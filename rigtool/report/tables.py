@@ -1,7 +1,8 @@
-"""Tables 8 and 9, and all results of a run, beside the values of the thesis."""
+"""Tables 8 and 9, and all results of a run; for the thesis's rig beside the published values."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rigtool.quantity import Quantity, display_unit, format_number, format_quantity
@@ -15,7 +16,7 @@ from rigtool.report.formats import (
     records,
 )
 from rigtool.report.instrument_tables import instrument_tables
-from rigtool.report.published import published_table, published_value
+from rigtool.report.published import is_of_thesis, published_table, published_value
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
@@ -47,12 +48,28 @@ def force_tables(run: Run, label: str) -> list[ReportTable]:
     if "loads" not in run.tables:
         return instrument_tables(run, label)
     if UNCORRECTED not in run.tables:
-        return [force_table(run, label)]
-    return [
-        three_times(run, label),
-        force_table(run, f"{label}, none", UNCORRECTED),
-        force_table(run, f"{label}, {correction_of(run)}"),
-    ]
+        found = [force_table(run, label)]
+    else:
+        found = [
+            three_times(run, label),
+            force_table(run, f"{label}, none", UNCORRECTED),
+            force_table(run, f"{label}, {correction_of(run)}"),
+        ]
+    return found if is_of_thesis(run.rig) else [_as_own(table) for table in found]
+
+
+def _as_own(table: ReportTable) -> ReportTable:
+    """Return a table of another rig than the thesis's: without published columns and numbers."""
+    own = [n for n, column in enumerate(table.columns) if "published" not in column.key]
+    _, _, name = table.name.split("-", 2)
+    return replace(
+        table,
+        name=f"loads-{name}",
+        title=f"Measured against applied torque ({name})",
+        columns=tuple(table.columns[n] for n in own),
+        rows=tuple(tuple(row[n] for n in own) for row in table.rows),
+        note=table.note.replace("; the thesis is silent", ""),
+    )
 
 
 def force_table(run: Run, label: str, table: str = "loads") -> ReportTable:
@@ -126,9 +143,10 @@ def three_times(run: Run, label: str) -> ReportTable:
 def results_table(run: Run, label: str) -> ReportTable:
     """Return all results of a run, with uncertainty, beside the published values."""
     attachment = attachment_of(run)
+    compared = is_of_thesis(run.rig)
     rows = []
     for name, quantity in run.results.items():
-        published = published_value(run.command, name, attachment)
+        published = published_value(run.command, name, attachment) if compared else None
         rows.append(
             (
                 Cell(name, name),
@@ -147,7 +165,13 @@ def results_table(run: Run, label: str) -> ReportTable:
         ReportColumn("section", "Section", numeric=False),
         ReportColumn("reason", "No uncertainty because", numeric=False, wraps=True),
     )
-    return ReportTable(f"results-{label}", f"Results of {run.command} ({label})", columns, (*rows,))
+    kept = [n for n, c in enumerate(columns) if compared or c.key not in ("published", "section")]
+    return ReportTable(
+        f"results-{label}",
+        f"Results of {run.command} ({label})",
+        tuple(columns[n] for n in kept),
+        tuple(tuple(row[n] for n in kept) for row in rows),
+    )
 
 
 def attachment_of(run: Run) -> str | None:

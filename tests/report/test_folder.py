@@ -68,7 +68,7 @@ def test_a_failure_leaves_the_old_folder_and_nothing_else(report, tmp_path, monk
     out = tmp_path / "out"
     write_report(report, out, overwrite=False)
     before = {name: (out / name).read_bytes() for name in tree(out)}
-    full = replace(report, remarks=("changed",))
+    full = replace(report, remarks=(("changed", ("a note",)),))
 
     def refuse(*args: object) -> None:
         raise OSError(28, "the disk is full")

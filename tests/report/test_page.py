@@ -39,15 +39,20 @@ def test_page_is_well_formed_and_self_contained(make, open_all):
     checker = Checker()
     checker.feed(page)
     assert checker.open == []
-    assert len(checker.references) == len(report.pictures)
-    assert all(reference.startswith("data:image/svg+xml,") for reference in checker.references)
+    inside = [reference for reference in checker.references if reference.startswith("#")]
+    drawn = [reference for reference in checker.references if not reference.startswith("#")]
+    assert len(drawn) == len(report.pictures)
+    assert all(reference.startswith("data:image/svg+xml,") for reference in drawn)
+    assert {f'id="{reference[1:]}"' in page for reference in inside} == {True}
     assert "url(" not in re.sub(r'src="[^"]*"', "", page)
     text = "".join(checker.text)
     assert "<b>5 & 6</b>" in text  # a note is text, whatever it looks like
     for run, origin in zip(sorted(runs, key=lambda r: r.command), report.origins, strict=True):
         assert run.content_sha256 in text
         assert origin.file_sha256 in text
-    assert text.index("Remarks") < text.index("Table 8") < text.index("Fig. 58")
+    places = ["Requirements of the recipe", "Table 8", "Fig. 58", "Results of", "<b>5 & 6</b>"]
+    assert places == sorted(places, key=text.index)
+    assert "Force from motor current: briaire-2006" in text
 
 
 def test_the_same_runs_give_the_same_bytes(make, open_all):

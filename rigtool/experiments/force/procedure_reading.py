@@ -63,14 +63,15 @@ def read_recording(
     limited = np.abs(current) >= AT_THE_LIMIT * rig.current_limit
     good = np.ones(len(time), dtype=np.bool_)
     step_time = grid.step_samples * grid.sample_time
-    plant, uncertainty = model.plant(grid.sample_time), model.uncertainty
+    bandwidth = recipe.measure_force.motion.bandwidth_hz
+    filtered = model.plant(grid.sample_time), model.uncertainty, grid.step_samples, bandwidth
     parts = []
     for stretch in unbroken(time, good, interval):
         if (stretch.stop - stretch.start) * interval < SHORTEST:
             continue
         signals = grid.signals(encoder[stretch], current[stretch], count, model.drive, constant)
-        causal = Filter(plant, uncertainty, grid.step_samples).add(signals)
-        torque, deviation = smoothed(plant, uncertainty, grid.step_samples, signals)
+        causal = Filter(*filtered).add(signals)
+        torque, deviation = smoothed(*filtered, signals)
         low = signals.low[grid.step_samples :: grid.step_samples][: len(torque)]
         states = moving_states(
             low, causal.states[:, SPEED], causal.states[:, HOUSING], torque, count, step_time
@@ -89,7 +90,7 @@ def read_recording(
                 began + step_time * (1 + np.arange(len(torque))),
                 torque,
                 deviation,
-                causal.torque,
+                causal.passed,
                 causal.deviation,
                 states,
                 None if reference is None else grid.at_steps(reference[stretch]),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_over_time.accuracy import (
+from rigtool.experiments.force.accuracy import (
     BANDS,
     JUDGED,
     Accuracy,
@@ -33,9 +33,9 @@ COVERAGE_FACTOR = 1.96
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Torque on the output at each step of a recording (m,), N m: smoothed, and causal, with their
-    standard deviations; `reference` N m where it was recorded. `limited` counts the samples whose
-    current was at its limit."""
+    """Torque on the output at each step of a recording (m,), N m: smoothed, and causal behind the
+    low-pass; deviations are those behind the low-pass. `reference` N m where it was recorded.
+    `limited` counts the samples whose current was at its limit."""
 
     name: str
     step_time: float
@@ -65,7 +65,7 @@ class Reading:
         return replace(first, **together, limited=sum(part.limited for part in parts))
 
     def low_passed(self, cutoff_hz: float) -> Reading:
-        """Return the rows of the table: low-passed at a cut-off, Hz, the causal torque causally."""
+        """Return the rows of the table, low-passed at a cut-off, Hz, as the causal torque is."""
         from scipy.signal import butter, sosfilt
 
         rate = 1 / self.step_time
@@ -73,7 +73,7 @@ class Reading:
         every = max(1, int(rate / (ROWS * cutoff_hz)))
         kept = {
             name: getattr(self, name)[::every]
-            for name in ("time", "states", "deviation", "causal_deviation")
+            for name in ("time", "states", "deviation", "causal", "causal_deviation")
         }
         if self.reference is not None:
             kept["reference"] = lowpass(rate, self.reference, cutoff_hz)[::every]
@@ -82,7 +82,6 @@ class Reading:
             self,
             step_time=self.step_time * every,
             torque=lowpass(rate, self.torque, cutoff_hz)[::every],
-            causal=sosfilt(sections, self.causal)[::every],
             **kept,
         )
 
@@ -113,9 +112,8 @@ def force_outcome(
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     rows = [scales.applied(reading.low_passed(bandwidth)) for reading in readings]
     whole = Reading.joined([replace(r, reference=None, causal_reference=None) for r in rows])
-    number = np.repeat(np.arange(len(rows)), [len(row.time) for row in rows])
     known = whole.states != State.OUTSIDE
-    results, tables = _results(whole, known), {"force": _table(whole, known, number, recipe)}
+    results, tables = _results(whole, known), {"force": _table(rows, whole, known, recipe)}
     judged = [row for row in rows if row.reference is not None]
     if judged:
         found, table = _judged(Reading.joined(judged), reach)
@@ -140,11 +138,12 @@ def _share(values: NDArray[np.bool_]) -> Quantity:
 
 
 def _table(
-    whole: Reading, known: NDArray[np.bool_], number: NDArray[np.intp], recipe: Recipe
+    rows: Sequence[Reading], whole: Reading, known: NDArray[np.bool_], recipe: Recipe
 ) -> Table:
     def valid(values: Array) -> Array:
         return np.where(known, values, np.nan)
 
+    number = np.repeat(np.arange(len(rows)), [len(row.time) for row in rows])
     half = COVERAGE_FACTOR * whole.deviation
     states = ", ".join(f"{state.value} {name}" for state, name in NAMES.items())
     columns = {
@@ -160,12 +159,21 @@ def _table(
         "causal_torque": Column(valid(whole.causal), "N m", "from samples up to its time only"),
         "causal_u": Column(valid(whole.causal_deviation), "N m", "its standard uncertainty"),
     }
+    if any(row.reference is not None for row in rows):
+        columns["reference"] = Column(_references(rows), "N m", "torque that acted, low-passed")
     return Table(
         ("row",),
         columns,
         "torque",
         "torque on the output over time, positive where it resists positive motion, low-passed at "
         f"{recipe.measure_force.motion.bandwidth_hz:g} Hz",
+    )
+
+
+def _references(rows: Sequence[Reading]) -> Array:
+    """Return what acted in all recordings (m,), N m; NaN in those without a reference."""
+    return np.concatenate(
+        [np.full(len(row.time), np.nan) if row.reference is None else row.reference for row in rows]
     )
 
 

@@ -25,8 +25,8 @@ def known_angles(encoder: Array) -> tuple[Array, Array]:
     number = np.arange(len(encoder))
     before = np.concatenate([encoder[:1], encoder[:-1]])
     after = np.concatenate([encoder[1:], encoder[-1:]])
-    rising = (before <= low) & (after >= high) & (part > 0)
-    falling = (before >= high) & (after <= low) & (part > 0)
+    rising = (before <= low) & (after > low) & (part > 0)
+    falling = (before > low) & (after <= low) & (part > 0)
     # Neighbours further off than the edge's two counts: the rotor passes several in a sample
     single = (np.abs(before - encoder) <= 1) & (np.abs(after - encoder) <= 1)
     edge = (rising | falling) & single

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_over_time import kalman, smoother
+from rigtool.experiments.force_over_time import kalman, passed, smoother
 from rigtool.experiments.force_over_time.kalman import Uncertainty
 from rigtool.experiments.force_over_time.plant import STATES, TORQUE, Plant, as_record
 
@@ -40,10 +40,11 @@ class Signals:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate after each of m steps: all states (m, 12), and the torque's deviation (m,) N m."""
+    """Estimate after each of m steps: all states (m, 12); the torque behind the low-pass, and its
+    deviation, (m, 2) N m."""
 
     states: Array
-    deviation: Array
+    outputs: Array
 
     @property
     def torque(self) -> Array:
@@ -51,12 +52,28 @@ class Estimate:
         torque: Array = self.states[:, TORQUE]
         return torque
 
+    @property
+    def passed(self) -> Array:
+        """Torque on the output behind the low-pass, (m,) N m."""
+        return self.outputs[:, 0]
+
+    @property
+    def deviation(self) -> Array:
+        """Its standard deviation, (m,) N m."""
+        return self.outputs[:, 1]
+
 
 class Filter:
-    """The causal estimate; samples are added as they come, in blocks of any length."""
+    """The causal estimate; samples are added as they come, in blocks of any length.
 
-    def __init__(self, plant: Plant, uncertainty: Uncertainty, step_samples: int) -> None:
+    Torque behind the low-pass and its deviation are for a `bandwidth_hz` Hz.
+    """
+
+    def __init__(
+        self, plant: Plant, uncertainty: Uncertainty, step_samples: int, bandwidth_hz: float
+    ) -> None:
         self._plant, self._uncertainty, self._size = plant, uncertainty, step_samples
+        self._low_pass = passed.section(bandwidth_hz, step_samples * plant.sample_time)
         self._waiting: Signals | None = None
         self._state: NDArray[np.void] | None = None
 
@@ -70,21 +87,30 @@ class Filter:
         count = max(0, (signals.low.size - 1) // self._size)
         self._waiting = _part(signals, count * self._size, None)
         if self._state is None:
-            return Estimate(np.empty((0, STATES)), np.empty(0))
-        return _steps(self._state, self._plant, self._uncertainty, self._size, signals, None)
+            return Estimate(np.empty((0, STATES)), np.empty((0, 2)))
+        models = self._plant, self._uncertainty, self._size, self._low_pass
+        return _steps(self._state, *models, signals, None)
 
 
 def smoothed(
-    plant: Plant, uncertainty: Uncertainty, step_samples: int, signals: Signals
+    plant: Plant,
+    uncertainty: Uncertainty,
+    step_samples: int,
+    bandwidth_hz: float,
+    signals: Signals,
 ) -> tuple[Array, Array]:
-    """Return torque and its deviation after each step, (m,) N m each, from the whole recording.
+    """Return torque after each step, and the deviation that a low-pass without phase shift leaves
+    of it, (m,) N m each, from the whole recording.
+
+    The deviation is that of the causal low-pass of the same bandwidth, by its delay later.
 
     Raises `ValueError` for less than a step of samples.
     """
     count = (signals.low.size - 1) // step_samples
     if count < 1:
         raise ValueError(f"{signals.low.size} samples are less than a step of {step_samples}")
-    models = plant, uncertainty, step_samples
+    step_time = step_samples * plant.sample_time
+    models = plant, uncertainty, step_samples, passed.section(bandwidth_hz, step_time)
     pieces = []
     state = kalman.begin(plant, uncertainty, float(signals.low[0]), signals.width)
     for first in range(0, count, SEGMENT):
@@ -94,13 +120,14 @@ def smoothed(
         _steps(state, *models, piece, None)
     torque, deviation = np.empty(count), np.empty(count)
     adjoint, information = np.zeros(STATES), np.zeros((STATES, STATES))
-    kept = math.exp(-step_samples * plant.sample_time / uncertainty.friction_noise_time)
+    kept = math.exp(-step_time / uncertainty.friction_noise_time)
     for span, piece, before in reversed(pieces):
         kept_steps = smoother.room(span.stop - span.start)
         found = _steps(before, *models, piece, kept_steps)
         torque[span], deviation[span] = found.torque, found.deviation
         smoother.backwards(adjoint, information, kept, kept_steps, torque[span], deviation[span])
-    return torque, deviation
+    late = min(round(passed.delay(bandwidth_hz) / step_time), count - 1)
+    return torque, np.append(deviation[late:], np.full(late, deviation[-1]))
 
 
 def _steps(
@@ -108,12 +135,13 @@ def _steps(
     plant: Plant,
     uncertainty: Uncertainty,
     size: int,
+    low_pass: Array,
     signals: Signals,
     kept: tuple[Array, ...] | None,
 ) -> Estimate:
     """Run all whole steps of these samples; changes the filter's state."""
     count = max(0, (signals.low.size - 1) // size)
-    found = Estimate(np.empty((count, STATES)), np.empty(count))
+    found = Estimate(np.empty((count, STATES)), np.empty((count, 2)))
     kalman.run(
         state,
         as_record(plant),
@@ -123,8 +151,9 @@ def _steps(
         signals.viscous[: count * size].reshape(count, size),
         np.ascontiguousarray(signals.low[size : count * size + 1 : size]),
         signals.width,
+        low_pass,
         found.states,
-        found.deviation,
+        found.outputs,
         kept,
     )
     return found

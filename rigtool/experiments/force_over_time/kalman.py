@@ -24,6 +24,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_over_time import passed
 from rigtool.experiments.force_over_time.interval import truncated
 from rigtool.experiments.force_over_time.plant import (
     ANGLE,
@@ -66,6 +67,7 @@ STATE = np.dtype(
         ("step_left", "f8"),
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
+        *passed.FIELDS,
     ]
 )
 
@@ -131,6 +133,7 @@ def _predict(
     friction_map: Array,
     torque: Array,
     viscous: Array,
+    low_pass: Array,
     rows: Array,
     work: Array,
 ) -> bool:
@@ -145,6 +148,7 @@ def _predict(
     for k in range(len(torque)):
         advance(x, p, friction_map, torque[k], viscous[k], rows, spread, outer)
     kept = math.exp(-span / u.friction_noise_time)
+    passed.predict(s, low_pass, rows, kept, NOISE)
     x[NOISE] *= kept
     # work = Phi P, then P = work Phi'; the last rows of Phi are diagonal
     for i in range(MOVING_STATES):
@@ -190,6 +194,7 @@ def _predict(
             x[i] = 0.0
             for j in range(STATES):
                 covariance[i, j] = covariance[j, i] = 0.0
+            s.shared_covariance[i] = 0.0
             covariance[i, i] = deviation * deviation
         return True
     return False
@@ -208,6 +213,7 @@ def _update(
     for i in range(STATES):
         gain[i] = covariance[i, ANGLE] / variance
     weight = 1.0 - left
+    passed.update(s, gain, mean * deviation, variance * weight, variance)
     for i in range(STATES):
         x[i] += gain[i] * mean * deviation
         for j in range(i + 1):
@@ -234,28 +240,32 @@ def run(
     viscous: Array,
     low: Array,
     width: float,
+    low_pass: Array,
     means: Array,
-    deviations: Array,
+    outputs: Array,
     steps: tuple[Array, ...] | None,
 ) -> None:
     """Filter m steps; `torque`, `viscous` (m, samples a step), `low` (m,) of the angle after each.
 
-    `means` (m, 12) and `deviations` (m,) of the torque receive the estimate after each step;
-    `steps`, where it is not None, what `smoother.room` makes room for.
+    `means` (m, 12) receive the states after each step, `outputs` (m, 2) the torque behind
+    `low_pass` (3, 3) and its deviation; `steps`, where it is not None, what `smoother.room` makes
+    room for.
     """
     s, p, u = state[0], plant[0], uncertainty[0]
     rows, work = np.empty((STATES, STATES)), np.empty((MOVING_STATES, STATES))
-    column = np.empty(STATES)
+    column, row = np.empty(STATES), np.empty(STATES)
     span = torque.shape[1] * p.sample_time
     for k in range(torque.shape[0]):
-        began = _predict(s, p, u, friction_map, torque[k], viscous[k], rows, work)
+        began = _predict(s, p, u, friction_map, torque[k], viscous[k], low_pass, rows, work)
         moved, informed, before = _update(s, u, low[k], width, span, column)
         means[k] = s.mean
-        deviations[k] = math.sqrt(s.covariance[TORQUE, TORQUE])
+        mean, spread = passed.output(s, low_pass, row)
+        outputs[k, 0], outputs[k, 1] = mean, math.sqrt(max(spread, 0.0))
         if steps is not None:
-            derivative, fresh, correction, weight, variance, gain, torque_row = steps
+            derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
             derivative[k] = rows[:MOVING_STATES]
             fresh[k] = began
             correction[k], weight[k], variance[k] = moved, informed, before
             gain[k] = column
             torque_row[k] = s.covariance[TORQUE]
+            passed_row[k] = row

@@ -160,8 +160,8 @@ class RestProblem:
         if not plant_is_sound(plant):
             return np.full(self.errors(self.start).size, np.inf)
         signals = self._signals_of.under(model)
-        torque = Filter(plant, self.uncertainty, self.step_samples).add(signals).torque
-        found: Array = sosfilt(self._sections, torque)[self._first :: self._apart]
+        passed = Filter(plant, self.uncertainty, self.step_samples, BANDWIDTH_HZ).add(signals)
+        found: Array = sosfilt(self._sections, passed.torque)[self._first :: self._apart]
         return found
 
     def tried(self, friction: float) -> Iterator[Array]:

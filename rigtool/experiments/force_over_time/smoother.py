@@ -34,10 +34,11 @@ def room(count: int) -> tuple[Array, ...]:
 
     Derivative of the moving states (count, 7, 12), where a stroke began (count,), correction s d /
     s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update, (count,) each, its gain
-    (count, 12), and the torque's row of the covariance (count, 12).
+    (count, 12), and the covariance of the torque, and of the torque behind the low-pass, with the
+    states (count, 12).
     """
     numbers = [np.empty(count) for _ in range(4)]
-    rows = [np.empty((count, STATES)) for _ in range(2)]
+    rows = [np.empty((count, STATES)) for _ in range(3)]
     return (np.empty((count, MOVING_STATES, STATES)), *numbers, *rows)
 
 
@@ -99,19 +100,20 @@ def backwards(
     torque: Array,
     deviation: Array,
 ) -> None:
-    """Smooth m steps; `torque` and `deviation` (m,) hold the filter's and receive the smoothed.
+    """Smooth m steps; `torque` (m,) and `deviation` (m,) of the torque behind the low-pass hold the
+    filter's and receive the smoothed.
 
     `adjoint` (12,) and `information` (12, 12) are those after the last step, zero at the end of a
     recording, and are changed into those before the first. `kept` is what a step leaves of
     friction noise.
     """
-    derivative, fresh, correction, weight, variance, gain, torque_row = steps
+    derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
     work = np.empty((STATES, STATES))
     for k in range(len(torque) - 1, -1, -1):
-        row = torque_row[k]
+        row = passed_row[k]
         shift = reduction = 0.0
         for i in range(STATES):
-            shift += row[i] * adjoint[i]
+            shift += torque_row[k, i] * adjoint[i]
             inner = 0.0
             for j in range(STATES):
                 inner += information[i, j] * row[j]

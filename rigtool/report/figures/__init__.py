@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING
 
 from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLOTS
     force,
+    headline,
     instrument,
     learning,
     motor,
+    over_time,
     plant,
     ripple,
     style,
     suspension,
     sweep,
 )
-from rigtool.report.figures.plots import FIRST_OWN_NUMBER, PLOTS
+from rigtool.report.figures.plots import HEADLINE, PLOTS
+from rigtool.report.published import is_of_thesis
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Picture:
-    """One figure as bytes; `name` is the stem of its files, `number` that of the thesis."""
+    """One figure as bytes; `name` is the stem of its files, `number` that of `PLOTS`."""
 
     name: str
     number: int
@@ -40,6 +43,6 @@ def draw_figures(run: Run, label: str) -> Iterator[Picture]:
         if plot.fits(run):
             with style.styled():
                 svg, png = style.render(plot.draw(run))
-            figure = f"Fig. {number}. " if number < FIRST_OWN_NUMBER else ""
+            figure = f"Fig. {number}. " if number < HEADLINE and is_of_thesis(run.rig) else ""
             title = f"{figure}{plot.title} ({label})"
             yield Picture(f"figure-{number}-{label}", number, title, svg, png)

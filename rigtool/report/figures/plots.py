@@ -13,8 +13,10 @@ if TYPE_CHECKING:
 
 Function = Callable[..., "Figure"]
 
-FIRST_OWN_NUMBER = 101
-"""Number of the first figure that is not in the thesis."""
+HEADLINE = 100
+"""Number of the figure that opens a report; those of the thesis are below it."""
+
+FIRST_OWN_NUMBER = HEADLINE + 1
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt, sosfiltfilt
 
 from rigtool.experiments.force_over_time import estimate
 from rigtool.experiments.force_over_time.estimate import Filter, Signals, smoothed
@@ -24,6 +25,8 @@ from tests.experiments.force_over_time.plants import PLANT, UNCERTAINTY
 
 WIDTH = 2 * np.pi / 4000
 STEP = 8
+BAND = 10.0
+SECTIONS = butter(2, BAND, fs=1 / (STEP * PLANT.sample_time), output="sos")
 
 
 def simulated(seconds, seed=1):
@@ -56,8 +59,8 @@ def recording():
 
 def test_blocks_of_any_length_give_the_same(recording):
     signals, _, _ = recording
-    whole = Filter(PLANT, UNCERTAINTY, STEP).add(signals)
-    parts, by_blocks = Filter(PLANT, UNCERTAINTY, STEP), []
+    whole = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
+    parts, by_blocks = Filter(PLANT, UNCERTAINTY, STEP, BAND), []
     edges = [0, 1, 5, 8, 9, 1000, 1003, 40000, len(signals.low)]
     for first, last in itertools.pairwise(edges):
         span = slice(first, last)
@@ -72,14 +75,19 @@ def test_blocks_of_any_length_give_the_same(recording):
 
 def test_torque_is_found_and_its_uncertainty_holds(recording):
     signals, truth, _ = recording
-    causal = Filter(PLANT, UNCERTAINTY, STEP).add(signals)
-    later = smoothed(PLANT, UNCERTAINTY, STEP, signals)
+    causal = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
+    later = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     used = slice(1000, -1000)  # after the start, whose history is unknown
-    for torque, deviation, limit in ((causal.torque, causal.deviation, 2.5e-3), (*later, 1.2e-3)):
-        error = (torque - truth)[used]
+    behind = {
+        "causal": (causal.passed, sosfilt(SECTIONS, truth), causal.deviation),
+        "smoothed": (sosfiltfilt(SECTIONS, later[0]), sosfiltfilt(SECTIONS, truth), later[1]),
+    }
+    for name, (torque, acting, deviation) in behind.items():
+        error = (torque - acting)[used]
         # of 30 mN m that come and go; friction is 14 mN m at the output
-        assert np.sqrt(np.mean(error**2)) < limit
-        assert np.mean(np.abs(error) < 1.96 * deviation[used]) > 0.9
+        assert np.sqrt(np.mean(error**2)) < 1.2e-3, name
+        assert np.mean(np.abs(error) < 1.96 * deviation[used]) > 0.9, name
+        assert np.sqrt(np.mean(deviation[used] ** 2)) < 2.0e-3, name
     bristles = causal.states[:, [BRISTLE, HOUSING, TIP]]
     assert np.abs(bristles).max() <= 1.0
     angle = causal.states[used, ANGLE]
@@ -89,14 +97,14 @@ def test_torque_is_found_and_its_uncertainty_holds(recording):
 
 def test_smoothing_is_better_and_does_not_depend_on_its_segments(recording, monkeypatch):
     signals, truth, _ = recording
-    torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, signals)
-    causal = Filter(PLANT, UNCERTAINTY, STEP).add(signals)
+    torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    causal = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
     used = slice(1000, -1000)  # where something came before, and something later
     later, at_once = ((found - truth)[used] for found in (torque, causal.torque))
     assert np.mean(later**2) < 0.4 * np.mean(at_once**2)
     assert np.mean(deviation) < np.mean(causal.deviation)
     monkeypatch.setattr(estimate, "SEGMENT", 777)
-    again, same = smoothed(PLANT, UNCERTAINTY, STEP, signals)
+    again, same = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     np.testing.assert_allclose(again, torque, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(same, deviation, rtol=1e-9)
 
@@ -105,7 +113,7 @@ def test_without_motion_the_friction_of_an_unknown_history_stays_in_the_uncertai
     count = 8001
     low = np.zeros(count)
     still = Signals(np.full(count, 5e-3), np.full(count, 5e-5), low, WIDTH)
-    found = Filter(PLANT, UNCERTAINTY, STEP).add(still)
+    found = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(still)
     # friction of bearings and housing may be anywhere between plus and minus 12 mN m at the motor
     assert found.deviation[-1] > 4e-3
     assert abs(found.torque[-1]) < 20e-3
@@ -115,6 +123,6 @@ def test_without_motion_the_friction_of_an_unknown_history_stays_in_the_uncertai
 
 def test_less_than_a_step_gives_nothing():
     few = Signals(np.zeros(STEP), np.zeros(STEP), np.zeros(STEP), WIDTH)
-    assert len(Filter(PLANT, UNCERTAINTY, STEP).add(few).torque) == 0
+    assert len(Filter(PLANT, UNCERTAINTY, STEP, BAND).add(few).torque) == 0
     with pytest.raises(ValueError, match="8 samples are less than a step of 8"):
-        smoothed(PLANT, UNCERTAINTY, STEP, few)
+        smoothed(PLANT, UNCERTAINTY, STEP, BAND, few)

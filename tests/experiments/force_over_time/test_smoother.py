@@ -37,7 +37,7 @@ def test_smoothed_torque_is_the_conditional_mean():
     # forwards, keeping what the smoother needs
     mean, covariance = np.zeros(STATES), start.copy()
     steps = room(count)
-    derivative, fresh, correction, weight, variance, gain, torque_row = steps
+    derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
     torque, deviation = np.empty(count), np.empty(count)
     for k, (phi, noise) in enumerate(transitions):
         mean, covariance = phi @ mean, phi @ covariance @ phi.T + noise
@@ -50,7 +50,7 @@ def test_smoothed_torque_is_the_conditional_mean():
         gain[k] = column
         mean = mean + column * (1 - left) * residual
         covariance = covariance - np.outer(column, column) * s2 * (1 - left)
-        torque_row[k] = covariance[TORQUE]
+        torque_row[k] = passed_row[k] = covariance[TORQUE]
         torque[k], deviation[k] = mean[TORQUE], np.sqrt(covariance[TORQUE, TORQUE])
     adjoint, information = np.zeros(STATES), np.zeros((STATES, STATES))
     half = count // 2  # in two pieces, as a long recording is

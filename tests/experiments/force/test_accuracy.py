@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rigtool.experiments.force_over_time.accuracy import (
+from rigtool.experiments.force.accuracy import (
     BANDS,
     JUDGED,
     accuracy,
