@@ -9,7 +9,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "rigtool"
-author = "the rigtool authors"
+author = "rigtool developers"
 version = release = version_of("rigtool")
 extensions = ["myst_parser", "generated", "mathml"]
 exclude_patterns = ["_ext"]

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from rigtool.errors import RigtoolError
-from rigtool.escapes import terminal
+from rigtool.errors import RigtoolError, UsageError
+from rigtool.escapes import is_text, terminal
 from rigtool.interrupts import Terminated, handled
 
 if TYPE_CHECKING:
@@ -123,6 +123,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     arguments = list(sys.argv[1:] if argv is None else argv)
     _keep_memory_of_blocks()
     try:
+        _require_text(arguments)
         with handled():
             code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False)
     except BaseException as error:
@@ -130,6 +131,13 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
             traceback.print_exc()
         sys.exit(_report(error))
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _require_text(arguments: Sequence[str]) -> None:
+    """Raise `UsageError` for a name that is not UTF-8: no run file could state its origin."""
+    for argument in arguments:
+        if not is_text(argument):
+            raise UsageError(f"{argument}: is not UTF-8: give the file another name")
 
 
 def _keep_memory_of_blocks() -> None:

@@ -41,6 +41,9 @@ CHANNELS = (
 )
 """What is recorded of the position loop while the table is by position."""
 
+AT_THE_LIMIT = 0.999
+"""Part of the rig's limit of current from which a set point is at it."""
+
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
 steps and the delay of the current leave this much at any load."""
@@ -150,12 +153,7 @@ def require_tracking(
     part of it, A, and `distance` the largest one of rotor and set point, rad. `remedy` is what to
     do where the loop saturates.
     """
-    limit = recipe.rig.current_limit
-    if largest_current >= 0.999 * limit:
-        raise InsufficientDataError(
-            f"the current set point reaches the limit of {limit} A, so the controller saturates "
-            f"and the current no longer shows the torque: {remedy}"
-        )
+    require_unlimited(largest_current, recipe, remedy)
     allowed = UNEXPLAINED_DISTANCE + (
         recipe.rig.torque_constant * largest_controller / smallest_gain(recipe)
     )
@@ -164,6 +162,16 @@ def require_tracking(
             f"the rotor is up to {distance:.3g} rad off its set point, more than the "
             f"{allowed:.3g} rad that the controller's torque explains, so the loop does not hold "
             "it: check the encoder and [rig.controller]"
+        )
+
+
+def require_unlimited(largest_current: float, recipe: Recipe, remedy: str) -> None:
+    """Raise `InsufficientDataError` where a current set point, A, is at the limit of the rig."""
+    limit = recipe.rig.current_limit
+    if largest_current >= AT_THE_LIMIT * limit:
+        raise InsufficientDataError(
+            f"the current set point reaches the limit of {limit} A, so the controller saturates "
+            f"and the current no longer shows the torque: {remedy}"
         )
 
 

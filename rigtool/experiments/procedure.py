@@ -26,6 +26,9 @@ class Procedure:
 
     `rig_needs(recipe)` names what a rig has to offer for motions that depend on what is measured
     first, see `dry_run`.
+
+    `analysis_settings` are the keys of the recipe that decide how stored signals are read, and
+    nothing that moved: a stored run may be analysed with other values of these only.
     """
 
     command: str
@@ -38,6 +41,7 @@ class Procedure:
     analyse_imported: Callable[..., Outcome] | None = None
     imported_settings: Mapping[str, str] = field(default_factory=dict)
     rig_needs: Callable[[Recipe], tuple[str, ...]] = lambda recipe: ()
+    analysis_settings: tuple[str, ...] = ()
 
 
 def channels(*names: str) -> tuple[Channel, ...]:

@@ -77,6 +77,14 @@ class Recipe(Section):
                 )
         return self
 
+    @property
+    def highest_current(self) -> float:
+        """The lowest of the limits of current, A: of the amplifier, and of a rig on a line."""
+        limits = [self.rig.current_limit]
+        if self.rig.source == "serial" and self.serial is not None:
+            limits.append(self.serial.limits.current)
+        return min(limits)
+
     def resolved(self) -> str:
         """Return the recipe with all defaults filled in, as canonical JSON."""
         return json.dumps(self.model_dump(mode="json"), sort_keys=True)
@@ -233,7 +241,7 @@ def _describe_mistakes(
             message = "is missing; add it"
         elif not path:  # tables contradict each other: the mistake concerns the whole recipe
             dotted = kind
-        else:
+        elif not isinstance(item["input"], dict):
             message = f"{message}, got {item['input']!r}"
         where = f"{name}, --set" if ".".join(path) in set_keys else _where(name, path, lines)
         mistakes.append(f"{where}: {dotted}: {message}")

@@ -108,7 +108,7 @@ class Triangle:
         late = within - stroke / 2
         straight = stroke / 2 - turn
         travelled = v * late
-        speed = np.full(len(time), v)
+        speed = np.full(len(time), float(v))
         acceleration = np.zeros(len(time))
         turning = np.flatnonzero(np.abs(late) > straight)
         end = np.sign(late[turning])

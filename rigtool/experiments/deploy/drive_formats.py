@@ -62,10 +62,7 @@ def odrive(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[
 
 def fourier(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[str, str]:
     """Return the orders above the noise as text, and what they leave out."""
-    band = None
-    if learned.band_hz is not None:
-        band = int(learned.band_hz * 2 * math.pi / abs(turn.speed))
-    series = fourier_series(turn, band)
+    series = fourier_series(turn, learned.band_order(turn.speed))
     unit = learned.unit
     text = series.lost.text(
         unit,

@@ -108,7 +108,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
         return analyse_over_time(runs, recipe, kt=kt, tables=tables)
     _require_inputs(recipe, kt, tables)
     require_slow_strokes(recipe, strokes(recipe, 1))
-    per_ampere = torque_per_ampere(kt)
+    per_ampere = torque_per_ampere(kt, recorded)
     constant = _constant_at_one_angle(per_ampere, kt)
     if recorded[0].condition("force") != 0:
         raise RunFileError(
@@ -135,7 +135,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
             *_input_notes(kt, tables),
             *remarks,
             *outcome.notes,
-            mean_constant_note(per_ampere),
+            mean_constant_note(kt, recorded),
             *failed,
             *more.notes,
         ),
@@ -252,4 +252,11 @@ PROCEDURE = Procedure(
     needed=("kt",),
     accepts=("ilc-learn", "identify-plant", "stribeck", "fft-ripple"),
     analyse_imported=analyse_imported,
+    analysis_settings=(
+        "measure_force.measure_angle",
+        "measure_force.lowpass_hz",
+        "measure_force.correction",
+        "measure_force.zero",
+        "measure_force.motion.bandwidth_hz",
+    ),
 )

@@ -9,8 +9,8 @@ import numpy as np
 
 from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
-from rigtool.experiments.friction.results import DIRECTIONS, NOT_SEPARATED, Findings
-from rigtool.experiments.friction.stribeck_fit import separate_offset
+from rigtool.experiments.friction.results import NOT_SEPARATED, Findings
+from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, separate_offset
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from rigtool.experiments.friction.breakaway import Breakaway, Ramp
 from rigtool.experiments.friction.holds import Holds
-from rigtool.experiments.friction.stribeck_fit import DirectionFit, Offset
+from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, DirectionFit, Offset
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Run, Table
+from rigtool.runfile import Column, Recording, Run, Table
 
 Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""
@@ -27,8 +28,6 @@ RAMP_POINTS = 2000
 
 TANH_DONE = 3.0
 """Speed above which the compensation's tanh(v / (1 rad/s)) is within 0.5 % of 1, rad/s."""
-
-DIRECTIONS = {1: "positive", -1: "negative"}
 
 NOT_SEPARATED = (
     "the data do not separate a constant torque from friction that differs between directions: "
@@ -45,9 +44,9 @@ class Scale:
     relative_u: float
 
     @classmethod
-    def of(cls, kt: Run) -> Scale:
-        """Take the mean torque constant of a calibration [7.1.1]."""
-        mean = torque_per_ampere(kt)
+    def of(cls, kt: Run, recordings: Sequence[Recording]) -> Scale:
+        """Take the mean torque constant of a calibration [7.1.1], for recordings to be read."""
+        mean = torque_per_ampere(kt, recordings)
         return cls(mean.value, (mean.u or 0.0) / mean.value)
 
     def quantity(self, estimate: Uncertain, unit: str, dof: float | None) -> Quantity:

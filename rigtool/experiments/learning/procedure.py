@@ -44,7 +44,7 @@ def asked(options: CommonOptions, name: str | None, *, validate: bool) -> Common
     if name is not None:
         options = options.with_override(f"ilc_learn.implementation={name}")
         if name in IMPLEMENTATIONS and IMPLEMENTATIONS[name].BARE_MOTOR:
-            options = options.with_override("rig.attachment=pulley")
+            options = replace(options, overrides=("rig.attachment=pulley", *options.overrides))
     return options.with_override("ilc_learn.validation=true") if validate else options
 
 
@@ -105,4 +105,11 @@ PROCEDURE = Procedure(
     needed=("kt",),
     analyse_imported=analyse_imported,
     rig_needs=rig_needs,
+    analysis_settings=(
+        "ilc_learn.robustness_hz",
+        "ilc_learn.robustness_order",
+        "ilc_learn.learning_factor",
+        "ilc_learn.learning_filter",
+        "ilc_learn.cancel_radius",
+    ),
 )

@@ -15,10 +15,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy import constants
 
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.compiled import compiled
 
 CONTACT_ANGLE = 0.01
 """Angle over which a friction contact turns round, rad: small against a stroke."""
@@ -80,7 +80,7 @@ def contact(speed: Array, period: float) -> Array:
     return direction
 
 
-@njit(cache=True)
+@compiled
 def _swing(
     angle: Array,
     interval: float,
@@ -113,7 +113,7 @@ def _swing(
             a += dt * speed
 
 
-@njit(cache=True)
+@compiled
 def _contact(way: Array, direction: Array) -> None:
     z = 0.0
     for _ in range(2):

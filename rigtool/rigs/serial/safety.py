@@ -72,13 +72,16 @@ class Extremes:
 
 
 def extremes(task: Task, origin: float, sample_time: float, torque_constant: float) -> Extremes:
-    """Evaluate a task at every sample of the loop; `origin` [rad] is where the shaft is."""
+    """Evaluate a task at every sample of the loop; `origin` [rad] is where the shaft is.
+
+    Raises `RecipeError` for a set point of position that jumps.
+    """
     motion = task.motion
     if isinstance(motion, Observe):  # where somebody else moves it is not known
         return Extremes(motion.duration, (math.nan, math.nan), 0.0, 0.0, 0.0, math.nan)
     total = max(1, round(motion.duration / sample_time))
     low, high, top_speed, top_acceleration, top_current = math.inf, -math.inf, 0.0, 0.0, 0.0
-    end = origin
+    end, path = origin, _Path(type(motion).__name__, sample_time)
     for first in range(0, total, BLOCK):
         steps = np.arange(first, min(first + BLOCK, total))
         time = (steps.astype(np.float64) + 0.5) * sample_time
@@ -87,6 +90,7 @@ def extremes(task: Task, origin: float, sample_time: float, torque_constant: flo
             continue
         position, speed, acceleration = motion.setpoint(time)
         position = position + (origin if motion.start is None else motion.start)
+        path.follow(time, position, speed, acceleration)
         current = (
             feedforward_torque(task.feedforward, position, speed, acceleration, steps)
             / torque_constant
@@ -99,6 +103,29 @@ def extremes(task: Task, origin: float, sample_time: float, torque_constant: flo
     if isinstance(motion, OpenLoop):
         low = high = math.nan
     return Extremes(motion.duration, (low, high), top_speed, top_acceleration, top_current, end)
+
+
+class _Path:
+    """Set points of a motion, block by block: positions follow from speeds."""
+
+    def __init__(self, name: str, sample_time: float) -> None:
+        self._name, self._dt = name, sample_time
+        self._last = np.empty((4, 0))
+
+    def follow(self, time: Array, position: Array, speed: Array, acceleration: Array) -> None:
+        """Raise `RecipeError` where the position goes further than speed and acceleration say."""
+        signals = np.concatenate([self._last, [time, position, speed, acceleration]], axis=1)
+        self._last = signals[:, -1:]
+        moved = np.abs(np.diff(signals[1]))
+        fastest, hardest = (np.maximum(np.abs(s[1:]), np.abs(s[:-1])) for s in signals[2:])
+        allowed = 2 * (fastest + hardest * self._dt) * self._dt + ROUNDING
+        if (jumps := np.flatnonzero(moved > allowed)).size:
+            at = jumps[0]
+            raise RecipeError(
+                f"the set point of {self._name} jumps by {moved[at]:.3g} rad at "
+                f"{signals[0, at + 1]:.4g} s, where its speed is {fastest[at]:.3g} rad/s: change "
+                "the angles or times of this motion in the recipe"
+            )
 
 
 def feedforward_torque(

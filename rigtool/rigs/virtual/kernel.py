@@ -24,10 +24,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.compiled import compiled
 
 Record = Any  # the one element of a STATE or PARAMETERS array, with its fields as attributes
 
@@ -137,13 +137,13 @@ BEGIN, END, TISSUE_ANGLE, TISSUE_STIFFNESS, TISSUE_DAMPING = range(5)
 ENCODER, CURRENT_SETPOINT, CURRENT, ARM_TORQUE, TEMPERATURE = range(5)
 
 
-@njit(cache=True)
+@compiled
 def _bristle(z: float, speed: float, dt: float, presliding_angle: float) -> float:
     """Deflection of a bristle one step later, implicit in z."""
     return (z + speed * dt / presliding_angle) / (1.0 + abs(speed) * dt / presliding_angle)
 
 
-@njit(cache=True)
+@compiled
 def _stroke(s: Record, p: Record, normals: Array, drawn: int) -> None:
     """Draw the friction of a new stroke; part of the last one's deviation is returned."""
     row = 1 if s.direction > 0 else 0
@@ -161,7 +161,7 @@ def _stroke(s: Record, p: Record, normals: Array, drawn: int) -> None:
             s.stroke_load = p.load_stroke_noise * deviation
 
 
-@njit(cache=True)
+@compiled
 def _tick(s: Record, p: Record, square_current: float, normals: Array, tick: int) -> None:
     """Advance what is slow by TICK samples: heat, friction noise and drift."""
     dt = p.dt * TICK
@@ -174,7 +174,7 @@ def _tick(s: Record, p: Record, square_current: float, normals: Array, tick: int
     s.drift = p.drift_decay * s.drift + p.drift_gain * normals[tick, 1]
 
 
-@njit(cache=True)
+@compiled
 def _touched(
     p: Record,
     touch: Array,
@@ -215,7 +215,7 @@ def _touched(
     return after, outside
 
 
-@njit(cache=True)
+@compiled
 def run(
     parameters: NDArray[np.void],
     state: NDArray[np.void],

@@ -20,6 +20,7 @@ from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, Observe
 from rigtool.rigs.virtual import contacts, hand, kernel
 from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
+from rigtool.rigs.virtual.stability import require_stable
 
 BLOCK = 16384
 """Samples simulated at a time, about: what fits a processor's cache."""
@@ -41,7 +42,8 @@ class VirtualRig(Rig):
     """A motor with encoder, amplifier and instrument that exist only as equations.
 
     `torque_constant` is what the controller assumes, N m/A. `stream` names the use (a command), so
-    that each has its own noise from the same seed. Raises `RecipeError` without [virtual].
+    that each has its own noise from the same seed. Raises `RecipeError` without [virtual], or where
+    its values cannot be simulated.
     """
 
     def __init__(self, recipe: Recipe, torque_constant: float, stream: str) -> None:
@@ -67,6 +69,8 @@ class VirtualRig(Rig):
         self._state["direction"] = 1.0
         ambient = self._virtual.thermal.ambient_degc
         self._state["winding_degc"] = self._state["housing_degc"] = ambient
+        for load in (Load(), Load(clamped=True)):
+            require_stable(self._parameters(load)[0])
 
     @property
     def position(self) -> float:
@@ -218,6 +222,12 @@ class VirtualRig(Rig):
                 float(time[0]),
                 reference,
             )
+            moving = [self._state[0][name] for name in ("angle", "grasper_angle", "winding_degc")]
+            if not np.isfinite(moving).all():
+                raise RecipeError(
+                    "the equations of [virtual] left all bounds while they were simulated: its "
+                    "values are beyond any rig; compare them with recipes/briaire-2006.toml"
+                )
             if closed_loop:
                 self._setpoint = float(signals["position_setpoint"][-1])
             recorded = self._recorded(signals, out, done, every, task.load, rng)

@@ -26,6 +26,7 @@ from rigtool.runfile.importers.raw import (
     require_size,
     unpacked_limit,
 )
+from rigtool.runfile.storage import open_file
 
 _NAMELESS = ""
 """Name of the array in a .npy file."""
@@ -157,7 +158,7 @@ def _load_hdf5(path: Path) -> dict[str, Any]:
             if not node.is_virtual and node.dtype.kind in "iufb":
                 found[name.replace("/", ".")] = node[()]
 
-    with h5py.File(path, "r", locking="best-effort") as file:
+    with open_file(path, "r") as file:
         file.visititems(take)
     return found
 

@@ -25,8 +25,10 @@ def hexadecimal(pattern):
 
 
 def test_vectors_of_the_document():
-    assert encode(Frame(link.Kind.HELLO, 1, b"\1")) == hexadecimal(r"on the line `([^`]+)`")
-    assert cobs_encode(hexadecimal(r"Of `([^`]+)` it makes")) == hexadecimal(r"it makes `([^`]+)`")
+    assert encode(Frame(link.Kind.HELLO, 1, b"\1")) == hexadecimal(r"the line carries `([^`]+)`")
+    assert cobs_encode(hexadecimal(r"`([^`]+)` is encoded as")) == hexadecimal(
+        r"is encoded as `([^`]+)`"
+    )
     assert binascii.crc_hqx(b"123456789", 0) == 0x31C3
 
 

@@ -31,6 +31,7 @@ from rigtool.experiments.learning.implementations.skeleton import TaughtTable
 from rigtool.experiments.learning.procedure_design import FilterDesign
 from rigtool.experiments.learning.rows import Amplitudes, Row
 from rigtool.experiments.learning.speed_tuning import Tuning, tune, written_out
+from rigtool.experiments.learning.stored_table import LEARNING_CUTOFF
 from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -98,12 +99,12 @@ class OneSpeed(BareMotor[TaughtMap]):
         """Find amplitude and phase at the other speeds, within the band of the map."""
         counts, learning, learned = self.recipe.rig.encoder_counts, self.learning, taught.row
         turned = self.turned(others)
-        fastest = max(abs(item.speed) for item in turned)
         rows = []
         for item in turned:
-            # The same orders at each speed: Q moves with the speed of turning, as far as it may.
+            # The same orders at each speed: Q moves with the speed of turning, to the bandwidth of
+            # the loop at the fastest one (`narrowed`).
             cutoff = learning.cutoff_hz * max(1.0, abs(item.speed / learned.speed))
-            wide = replace(learning, cutoff_hz=min(cutoff, learning.cutoff_hz * fastest))
+            wide = replace(learning, cutoff_hz=cutoff)
             rows.append(learned_by(_ripple(item), wide, counts, first=True))
         tuning = tune(learned, rows)
         table, u = written_out(turn_angles(counts), learned, tuning)
@@ -138,7 +139,7 @@ class OneSpeed(BareMotor[TaughtMap]):
         why = "follows from the loop's model and the recipe's speeds"
         return {
             "loop_bandwidth": Quantity(bandwidth(self.filters.learning), "Hz", reason=why),
-            "learning_cutoff": Quantity(self.learning.cutoff_hz, "Hz", reason=why),
+            LEARNING_CUTOFF: Quantity(self.learning.cutoff_hz, "Hz", reason=why),
         }
 
     def learned_tables(self, taught: TaughtMap) -> dict[str, Table]:
