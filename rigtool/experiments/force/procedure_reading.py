@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from rigtool.experiments.force.power_up import PowerUp
 from rigtool.experiments.force.results_over_time import Reading
 from rigtool.experiments.force_over_time.estimate import Filter, smoothed
 from rigtool.experiments.force_over_time.force_model import ForceModel
@@ -73,6 +74,10 @@ def read_recording(
         causal = Filter(*filtered).add(signals)
         torque, deviation = smoothed(*filtered, signals)
         low = signals.low[grid.step_samples :: grid.step_samples][: len(torque)]
+        power_up = PowerUp(model, step_time, bandwidth)
+        ripple, variance = power_up.add(low + count / 2, causal.states)
+        later, later_variance = power_up.whole(low + count / 2, torque)
+        torque = torque - later
         states = moving_states(
             low, causal.states[:, SPEED], causal.states[:, HOUSING], torque, count, step_time
         )
@@ -89,9 +94,9 @@ def read_recording(
                 step_time,
                 began + step_time * (1 + np.arange(len(torque))),
                 torque,
-                deviation,
-                causal.passed,
-                causal.deviation,
+                np.sqrt(deviation**2 + later_variance),
+                causal.passed - ripple,
+                np.sqrt(causal.deviation**2 + variance),
                 states,
                 None if reference is None else grid.at_steps(reference[stretch]),
                 int(limited[stretch].sum()),

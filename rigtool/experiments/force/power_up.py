@@ -4,8 +4,8 @@ Of a torque M on the output the filter finds, at the torque factor n,
 
     M^ = M + n sum of beta_j lag(w_j) + e,    w_j cosine and sine of orders of the rotor's angle
 
-with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is the one
-that was learned, beta = 0, or another: c + beta then has the learned amplitudes A, but other phases,
+with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is that of
+the learning, beta = 0, or another: c + beta then has the learned amplitudes A with other phases,
 
     beta ~ N(-c, A^2 / 2).
 
@@ -18,15 +18,16 @@ Tracking and Navigation, 2001, section 11.6.2, static multiple models).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_over_time import passed
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.model import RIPPLE_ORDERS, Kind
-from rigtool.experiments.force_over_time.plant import Record
+from rigtool.experiments.force_over_time.motion_states import SLIDING
+from rigtool.experiments.force_over_time.plant import HOUSING, SPEED, TORQUE, Record
+from rigtool.numerics.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -60,66 +61,66 @@ STATE = np.dtype(
         ("plain", "f8"),
         ("plain_variance", "f8"),
         ("other", "f8"),
+        ("passed", "f8", (passed.ORDER,)),
     ]
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Ripple:
-    """What this power-up's ripple adds to the torque after each step, and its variance, (m,)."""
-
-    torque: Array
-    variance: Array
-
-
 class PowerUp:
-    """Follows the ripple of a recording without a gap; steps are added as they come."""
+    """Follows the ripple of a recording without a gap; steps are added as they come.
 
-    def __init__(self, model: ForceModel, step_time: float) -> None:
+    Both methods return what ripple adds to the torque on the output after each of m steps, and its
+    variance, N m and N2 m2.
+    """
+
+    def __init__(self, model: ForceModel, step_time: float, bandwidth_hz: float) -> None:
         own, gain = _learned(model)  # ripple that grows with the current is in the variance alone
         amplitude = np.repeat(np.hypot(own[::2], own[1::2]), 2)
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
-        size *= model.plant(step_time).torque_factor
+        factor = model.plant(step_time).torque_factor
         steps = max(1, round(ROW_TIME / step_time))
-        parameters = np.zeros(1, dtype=PARAMETERS)
-        parameters["lag"] = 1 - math.exp(-step_time / model.learned.shape.ripple_time)
-        parameters["factor"] = model.plant(step_time).torque_factor
-        parameters["steps"], parameters["time"] = steps, steps * step_time
-        parameters["size"] = size
-        parameters["gain"] = gain
-        self._parameters = parameters
+        lag = 1 - math.exp(-step_time / model.learned.shape.ripple_time)
+        self._parameters = np.array(
+            [(lag, factor, gain, steps, steps * step_time, factor * size)], dtype=PARAMETERS
+        )
         self._state = np.zeros(1, dtype=STATE)
         self._state["mean"][0, :-1] = -own
-        variances = np.append(amplitude**2 / 2, (CONTACT * size) ** 2)
+        variances = np.append(amplitude**2 / 2, (CONTACT * factor * size) ** 2)
         self._state["covariance"][0] = np.diag(variances)
         self._state["plain_variance"] = variances[-1]
+        self._low_pass = passed.section(bandwidth_hz, step_time)
 
     @property
     def probability(self) -> float:
-        """That the power-up is another than the learned one."""
+        """That the power-up is another than that of the learning."""
         other: float = self._state["other"][0]
         return 1 / (1 + math.exp(-other))
 
-    def add(self, angle: Array, torque: Array, sliding: NDArray[np.bool_]) -> Ripple:
-        """Return the ripple after each of m steps, from these and those before.
+    def add(self, angle: Array, states: Array) -> tuple[Array, Array]:
+        """Return them from these steps and those before, torque behind the low-pass (m,).
 
-        `angle` rad of the rotor, `torque` N m on the output that the causal filter finds, and where
-        the rotor slides, (m,) each.
+        `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter.
         """
-        return self._followed(self._state, angle, torque, sliding)
+        way = np.sign(states[:, SPEED])
+        sliding = states[:, HOUSING] * way >= SLIDING
+        return self._followed(self._state, angle, states[:, TORQUE], sliding)
 
-    def whole(self, angle: Array, torque: Array) -> Ripple:
-        """Return the ripple after the same steps, from all that were added."""
+    def whole(self, angle: Array, torque: Array) -> tuple[Array, Array]:
+        """Return them from all that was added, at its steps again: (m,) not low-passed.
+
+        `angle` (m,) rad as before, `torque` (m,) N m from the whole recording.
+        """
         again = self._state.copy()
         again["waves"] = 0.0
         return self._followed(again, angle, torque, np.zeros(0, np.bool_))
 
     def _followed(
         self, state: NDArray[np.void], angle: Array, torque: Array, sliding: NDArray[np.bool_]
-    ) -> Ripple:
+    ) -> tuple[Array, Array]:
         found = np.empty((len(angle), 2))
-        _follow(state, self._parameters, angle, torque, sliding, found)
-        return Ripple(found[:, 0], found[:, 1])
+        torque = np.ascontiguousarray(torque)
+        _follow(state, self._parameters, self._low_pass, angle, torque, sliding, found)
+        return found[:, 0], found[:, 1]
 
 
 def _learned(model: ForceModel) -> tuple[Array, float]:
@@ -135,17 +136,20 @@ def _learned(model: ForceModel) -> tuple[Array, float]:
     return own, math.sqrt(gain)
 
 
-@njit(cache=True)
+@compiled
 def _follow(
     state: NDArray[np.void],
     parameters: NDArray[np.void],
+    low_pass: Array,
     angle: Array,
     torque: Array,
     sliding: NDArray[np.bool_],
     found: Array,
 ) -> None:
-    """Advance by m steps; `found` (m, 2) receives ripple and variance. Learns where `sliding` is
-    given."""
+    """Advance by m steps; `found` (m, 2) receives ripple and variance.
+
+    Where `sliding` is given, it learns, and ripple passes the low-pass.
+    """
     s, p = state[0], parameters[0]
     for k in range(angle.shape[0]):
         for j in range(WAVES):
@@ -165,11 +169,18 @@ def _follow(
             mean += p.factor * s.waves[i] * s.mean[i]
             for j in range(WAVES):
                 variance += p.factor**2 * s.waves[i] * s.waves[j] * s.covariance[i, j]
-        found[k, 0] = weight * mean
         found[k, 1] = weight * variance + weight * (1.0 - weight) * mean * mean
+        found[k, 0] = weight * mean
+        if sliding.shape[0]:
+            first, second = s.passed
+            found[k, 0] = low_pass[2, 0] * first + low_pass[2, 1] * second
+            found[k, 0] += low_pass[2, 2] * weight * mean
+            for i in range(2):
+                s.passed[i] = low_pass[i, 0] * first + low_pass[i, 1] * second
+                s.passed[i] += low_pass[i, 2] * weight * mean
 
 
-@njit(cache=True)
+@compiled
 def _read(s: Record, p: Record) -> None:
     """Take in a row, and begin the next one."""
     walk = (WALK * p.size) ** 2 * p.time
