@@ -12,7 +12,6 @@ from dataclasses import replace
 from functools import partial
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.force.procedure_calibration import scales_of
 from rigtool.experiments.force.procedure_motion import moved, require_learned
 from rigtool.experiments.force.procedure_reading import (
     NEEDED,
@@ -20,7 +19,7 @@ from rigtool.experiments.force.procedure_reading import (
     SHORTEST,
     read_recording,
 )
-from rigtool.experiments.force.results_over_time import force_outcome
+from rigtool.experiments.force.results_over_time import Scales, force_outcome
 from rigtool.experiments.force_over_time.motion_states import Reach
 from rigtool.experiments.force_over_time.stored import model_from
 from rigtool.experiments.learning.stored_table import feedforward_from, require_rig
@@ -116,7 +115,7 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
         raise InsufficientDataError(
             f"{run.path}: no recording has {SHORTEST:g} s without a gap: record for longer"
         )
-    return force_outcome(readings, recipe, reach, scales_of(tables, recipe, kt, model, reach))
+    return force_outcome(readings, recipe, reach, Scales(*model.scales))
 
 
 def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:

@@ -46,16 +46,13 @@ def read_recording(
     kt: Run,
     model: ForceModel,
     reach: Reach,
-    seconds: float = math.inf,
 ) -> Reading | None:
-    """Return the torque over a recording, its first `seconds` s; None where no stretch of it is
-    long enough."""
+    """Return the torque over a recording; None where no stretch of it is long enough."""
     if recording.size < 2:
         return None
     interval = require_rising(recording.read("time", 0, RATE_SAMPLES))
-    stop = None if math.isinf(seconds) else round(seconds / interval)
-    time, encoder, current, temperature = (recording.read(name, 0, stop) for name in NEEDED)
-    reference = recording.read(REFERENCE, 0, stop) if recording.has(REFERENCE) else None
+    time, encoder, current, temperature = (recording.read(name) for name in NEEDED)
+    reference = recording.read(REFERENCE) if recording.has(REFERENCE) else None
     require_rising(time)
     rig = recipe.rig
     grid = Grid.of(interval)

@@ -47,8 +47,8 @@ from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Ta
 LOADED = "known"
 """First part of the names of recordings of known loads."""
 
-EXPLORED = "explore"
-"""First part of the name of the recording that explores."""
+EXPLORED, CHECKED = "explore", "check"
+"""First part of the name of the recording that explores, and of those that check the model."""
 
 
 def _loaded(recipe: Recipe) -> list[RecordingSpec]:
@@ -69,8 +69,15 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
     ]
 
 
-def _explored() -> RecordingSpec:
-    return RecordingSpec(f"{EXPLORED}_000", channels(*CHANNELS), {"force": (0.0, "N")})
+def _explored(recipe: Recipe) -> list[RecordingSpec]:
+    """List the exploration, and the same with other free motion under three loads."""
+    loads = sorted(recipe.ilc_learn.loads.forces)
+    names = [f"{EXPLORED}_000", *(f"{CHECKED}_{number:03d}" for number in range(3))]
+    forces = (0.0, 0.0, loads[len(loads) // 2], loads[-1])
+    return [
+        RecordingSpec(name, channels(*CHANNELS), {"force": (force, "N")})
+        for name, force in zip(names, forces, strict=True)
+    ]
 
 
 class KnownLoads(LimitedAngle):
@@ -79,7 +86,7 @@ class KnownLoads(LimitedAngle):
     @classmethod
     def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
         """List what implementation C records, the known loads at each speed, the exploration."""
-        return (*super().recordings(recipe), *_loaded(recipe), _explored())
+        return (*super().recordings(recipe), *_loaded(recipe), *_explored(recipe))
 
     def require(self, recipe: Recipe, friction: Run | None) -> None:
         """Raise `RecipeError` without the instrument."""
@@ -106,7 +113,9 @@ class KnownLoads(LimitedAngle):
             load = Load(force=spec.conditions["force"][0])
             task = Task(motion, plain, load, record_every=spec.record_every)
             record(rig, task, recorder, spec.name)
-        record(rig, Task(exploring(recipe), plain), recorder, _explored().name)
+        for number, spec in enumerate(_explored(recipe)):
+            load = Load(force=spec.conditions["force"][0])
+            record(rig, Task(exploring(recipe, number), plain, load), recorder, spec.name)
 
     @classmethod
     def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
@@ -133,7 +142,8 @@ def _learn_force(run: Run, recipe: Recipe, kt: Run, tendon: Tendon) -> Outcome:
         return Outcome({}, {}, (note,))
     moves = [r for kind in ("learn", "low") for r in run.recordings_named(f"{kind}_")]
     strokes = run.recordings_named(f"{LOADED}_")
-    model = learn_force(strokes, moves, explored[0], recipe, kt, tendon)
+    checks = run.recordings_named(f"{CHECKED}_")
+    model = learn_force(strokes, moves, explored[0], checks, recipe, kt, tendon)
     return Outcome(stored.model_results(model), stored.model_tables(model))
 
 
