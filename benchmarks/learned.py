@@ -44,8 +44,9 @@ from rigtool.experiments.force.accuracy import JUDGED
 from rigtool.experiments.force.power_up import PowerUp
 from rigtool.experiments.force_over_time.estimate import Filter, Signals, smoothed
 from rigtool.experiments.force_over_time.force_model import ForceModel
-from rigtool.experiments.force_over_time.motion_states import NAMES, moving_states
+from rigtool.experiments.force_over_time.motion_states import NAMES, Judge, Moments
 from rigtool.experiments.force_over_time.plant import HOUSING, SPEED
+from rigtool.experiments.force_over_time.procedure_learning import ANYWHERE
 from rigtool.experiments.force_over_time.stored import model_from
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.running.options import CommonOptions
@@ -140,12 +141,12 @@ def read(
     filtered = model.plant(dt), model.uncertainty, STEP, band
     causal = Filter(*filtered).add(signals)
     torque, deviation = smoothed(*filtered, signals)
-    low = signals.low[STEP::STEP][: len(torque)]
     power_up = PowerUp(model, step_time, band)
-    ripple, variance = power_up.add(low + signals.width / 2, causal.states)
-    later, later_variance = power_up.whole(low + signals.width / 2, torque)
-    moving = causal.states[:, SPEED], causal.states[:, HOUSING]
-    states = moving_states(low, *moving, torque, signals.width, step_time)
+    ripple, variance = power_up.add(causal.low + signals.width / 2, causal.states)
+    later, later_variance = power_up.whole(causal.low + signals.width / 2, torque)
+    moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
+    judge = Judge(ANYWHERE, signals.width, step_time)
+    states = judge.states(Moments(causal.low, *moving, torque, zeros, zeros))
     u = np.sqrt(deviation**2 + later_variance) * model.scales[0][states]
     causal_u = np.sqrt(causal.deviation**2 + variance) * model.scales[1][states]
     return {

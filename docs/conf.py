@@ -18,6 +18,8 @@ source_suffix = {".md": "markdown"}
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 
+smartquotes = False  # two hyphens begin an option
+
 html_theme = "furo"
 html_title = f"rigtool {version}"
 html_math_renderer = "mathml"

@@ -82,6 +82,19 @@ class LazyGroup(click.Group):
 
         return load(added[cmd_name], click.Command)
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command among the arguments; a misspelt one gets a suggestion."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            import difflib  # only here: the time of `rigtool --help` counts
+
+            close = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
+            hint = f" Did you mean {close[0]!r}?" if close else ""
+            raise click.UsageError(f"{error.message}{hint}", ctx) from None
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands into the help."""
         from rigtool.plugins import summary
@@ -114,7 +127,7 @@ def rigtool() -> None:
     stdout, everything else to stderr.
 
     Exit codes: 0 done; 1 failed while running; 2 usage; 3 bad recipe or run file; 4 the data do
-    not carry the result; 5 hardware.
+    not support the result; 5 hardware.
     """
 
 

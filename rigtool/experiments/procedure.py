@@ -1,4 +1,4 @@
-"""A measuring command as a value: what it records, how it moves the rig, how it analyses a run."""
+"""A measuring command as a value: its recordings, the motions of the rig, the analysis of a run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rigtool.runfile import Channel, RecordingSpec, RunWriter
 class Procedure:
     """Everything that `session.run_command` has to know of a command; inputs are open runs.
 
-    `recordings(recipe)` lists what will be recorded; `measure(rig, recipe, recorder, **inputs)`
+    `recordings(recipe)` lists the recordings; `measure(rig, recipe, recorder, **inputs)`
     performs the tasks and records them; `analyse(runs, recipe, **inputs)` computes results from
     stored signals only. `needed` names the inputs that only imported runs can do without.
 
@@ -24,7 +24,7 @@ class Procedure:
     whose stored runs it analyses. `analyse_imported(runs, **inputs)` takes runs of other rigs;
     `imported_settings` maps the keys of `--set` that it takes to its argument names.
 
-    `rig_needs(recipe)` names what a rig has to offer for motions that depend on what is measured
+    `rig_needs(recipe)` names the abilities for motions that depend on results measured
     first, see `dry_run`.
 
     `analysis_settings` are the keys of the recipe that decide how stored signals are read, and

@@ -8,7 +8,7 @@ The thesis takes one constant, the mean over 20 to 35 degC, for all that it meas
 `torque_per_ampere`, of every command but those below. Its standard uncertainty includes the change
 of k over that range, since the motor may have any temperature within it: a rectangular distribution
 (GUM 4.3.7). Where recordings show a temperature at which k is further from the mean, the
-distribution reaches to there, and a note states it. What `ilc-learn` stores is fed forward as
+distribution reaches to there, and a note states it. A table of `ilc-learn` is fed forward as
 current by the same constant, so that the constant cancels: uncertainties of learned tables are
 those of their scatter.
 
@@ -106,12 +106,12 @@ def _furthest(kt: Run, recordings: Sequence[Recording]) -> tuple[float, float]:
         for recording in recordings
         if recording.has("temperature") and recording.size
         for end in (
-            recording.read("temperature", 0, ENDS),
-            recording.read("temperature", max(0, recording.size - ENDS), None),
+            recording.read_stored("temperature", 0, ENDS),
+            recording.read_stored("temperature", max(0, recording.size - ENDS)),
         )
     ]
-    degc = np.concatenate([*ends, np.empty(0)])
-    degc = degc[np.isfinite(degc)]
+    degc = np.concatenate([*ends, np.empty(0)], dtype=np.float64)
+    degc = degc[np.isfinite(degc)]  # NaN where no thermometer is there
     if not degc.size or not all(name in kt.results for name in names):
         return math.nan, 0.0
     constant, slope = (kt.result(name).value for name in names)
@@ -122,7 +122,7 @@ def _furthest(kt: Run, recordings: Sequence[Recording]) -> tuple[float, float]:
 
 
 def mean_constant_note(kt: Run, recordings: Sequence[Recording] = ()) -> str:
-    """State by which constant torques were computed, and what its uncertainty includes."""
+    """State the constant behind the torques, and the parts of its uncertainty."""
     constant = torque_per_ampere(kt, recordings)
     degc, away = _furthest(kt, recordings)
     if abs(away) > _known_error(kt):

@@ -76,17 +76,21 @@ class Recording:
         return values
 
     def blocks(
-        self, *channels: str, start: int = 0, stop: int | None = None
+        self, *channels: str, start: int = 0, stop: int | None = None, finite: bool = True
     ) -> Iterator[tuple[Array, ...]]:
         """Read samples start..stop of several channels together, `BLOCK` samples at a time.
 
-        Memory does not grow with the recording; raises as `read` does.
+        Memory does not grow with the recording; raises as `read` does, NaN and infinity are given
+        where `finite` is false.
         """
         stop = self.size if stop is None else min(stop, self.size)
         # Blocks end where chunks do: none is decompressed twice.
         edges = [start, *range(start - start % BLOCK + BLOCK, stop, BLOCK), stop]
 
         def read(begin: int, end: int) -> tuple[Array, ...]:
+            if not finite:
+                stored = (self.read_stored(channel, begin, end) for channel in channels)
+                return tuple(values.astype(np.float64, copy=False) for values in stored)
             return tuple(self.read(channel, begin, end) for channel in channels)
 
         if len(edges) == 2:  # no thread for what is short

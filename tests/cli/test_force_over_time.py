@@ -18,7 +18,7 @@ from tests.experiments.virtual_runs import RECIPE, write_kt
         (["--observe", "x"], 2, "not a valid float"),
         (["--record", "5", "--set", "measure_force.motion.kind=path"], 3, "time_s and angle_deg"),
         (["--record", "5", "--set", "measure_force.motion.kind=walk"], 3, "strokes"),
-        (["--record", "5"], 3, "is a run of calibrate-kt"),
+        (["--record", "5"], 3, "was written by calibrate-kt"),
     ],
 )
 def test_bad_input_ends_with_a_message_and_without_a_file(tmp_path, capsys, options, code, message):

@@ -68,7 +68,9 @@ def test_a_motor_outside_the_range_of_the_mean_is_in_u_and_in_a_note(tmp_path, d
         tmp_path / "run.h5", command="stribeck", recipe=None, recipe_text=None, recordings=[spec]
     ) as writer:
         # at the end only: the motor warmed up
-        writer.append("holds", {"time": time, "temperature": np.linspace(27.5, degc, 5000)})
+        warm = np.linspace(27.5, degc, 5000)
+        warm[:10] = np.nan  # as before the first reading of a thermometer
+        writer.append("holds", {"time": time, "temperature": warm})
         writer.finish({}, {})
     with open_run(tmp_path / "run.h5") as run, calibration(tmp_path / "kt.h5", **results) as kt:
         recorded = [run.recording("holds")]

@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import partial
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.force.procedure_calibration import limits_of
 from rigtool.experiments.force.procedure_motion import moved, require_learned
 from rigtool.experiments.force.procedure_reading import (
     NEEDED,
@@ -109,13 +110,14 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
     require_rig(tables, recipe)
     model = model_from(tables, recipe)
     reach = reach_of(tables, kt, recipe)
-    read = [read_recording(r, recipe, kt, model, reach) for r in recorded if r.size]
-    readings = [reading for reading in read if reading is not None]
-    if not readings:
+    known = tables, recipe, kt, model, reach
+    limits = limits_of(*known)
+    read = [read_recording(r, *known[1:], limits=limits) for r in recorded if r.size]
+    if not any(r.parts for r in read):
         raise InsufficientDataError(
             f"{run.path}: no recording has {SHORTEST:g} s without a gap: record for longer"
         )
-    return force_outcome(readings, recipe, reach, Scales(*model.scales))
+    return force_outcome(read, recipe, reach, Scales(*model.scales), limits)
 
 
 def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:

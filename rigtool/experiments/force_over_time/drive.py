@@ -45,9 +45,18 @@ class Drive:
     offset: float
 
     def torque(
-        self, angle: Array, current: Array, torque_constant: float, sample_time: float
+        self,
+        angle: Array,
+        current: Array,
+        torque_constant: Array | float,
+        sample_time: float,
+        ripple: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Return torque N m and drag N m s/rad (n,) at angles rad under currents A."""
+        """Return torque N m and drag N m s/rad (n,) at angles rad under currents A.
+
+        `ripple` (1,) N m is what the lagging ripple was before, 0 where it is not given, and is
+        changed into what it is afterwards.
+        """
         torque, viscous = np.empty(angle.size), np.empty(angle.size)
         _drive(
             angle,
@@ -55,6 +64,7 @@ class Drive:
             current,
             self.rotor_map,
             1.0 - math.exp(-sample_time / self.ripple_time),
+            np.zeros(1) if ripple is None else ripple,
             torque,
             viscous,
         )
@@ -78,12 +88,13 @@ def _drive(
     current: Array,
     rotor_map: Array,
     step: float,
+    lagging: Array,
     torque: Array,
     viscous: Array,
 ) -> None:
     size = rotor_map.shape[0] - 1
     scale = size / (2.0 * math.pi)
-    ripple = 0.0
+    ripple = lagging[0]
     here = np.empty(5)
     for k in range(angle.size):
         place = angle[k] * scale
@@ -96,6 +107,7 @@ def _drive(
         ripple += step * (raw - ripple)
         torque[k] = plain[k] - here[0] - ripple
         viscous[k] = here[4]
+    lagging[0] = ripple
 
 
 def drive_of(model: Learned) -> Drive:

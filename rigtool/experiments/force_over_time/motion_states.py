@@ -10,7 +10,7 @@ With rotor speed w, deflection h of the long bristle (`plant`) and torque M on t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 
 import numpy as np
@@ -21,6 +21,9 @@ States = NDArray[np.int32]
 
 STILL_TIME = 0.1
 """Within this time, s, a rotor that stands still passes one edge of the encoder at most."""
+
+LIMIT_TIME = 0.1
+"""About a current at its limit, s: the torque has no value."""
 
 SPEED_TIME = 0.05
 """That a speed is the mean over, s, where it is compared with what was learned."""
@@ -82,32 +85,81 @@ class Reach:
         return found
 
 
-def moving_states(
-    low: Array, speed: Array, housing: Array, torque: Array, count: float, step_time: float
-) -> States:
-    """Return the state at each of m steps.
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """What states follow from, at each of m steps.
 
-    `low` rad is the lower edge of the angle's count and `count` rad its width, `speed` rad/s and
-    the deflection of the long bristle `housing` are the filter's, `torque` N m is that on the
-    output, positive where it resists positive motion. All (m,).
+    `low` rad is the lower edge of the angle's count, `speed` rad/s and the deflection of the long
+    bristle `housing` are the filter's, `torque` N m is that on the output, positive where it
+    resists positive motion, `limited` where the current is at its limit. All (m,).
     """
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-    width = 2 * max(1, round(STILL_TIME / step_time / 2)) + 1
-    way = maximum_filter1d(low, width) - minimum_filter1d(low, width)
-    direction = np.sign(speed)
-    found = np.where(torque * direction >= 0, State.AGAINST, State.WITH)
-    found[housing * direction < SLIDING] = State.REVERSED
-    found[way < 1.5 * count] = State.STILL
-    states: States = found.astype(np.int32)
-    return states
+    low: Array
+    speed: Array
+    housing: Array
+    torque: Array
+    temperature_degc: Array
+    limited: Array
+
+    def part(self, first: int, last: int | None = None) -> Moments:
+        """Return these from step `first` up to `last`."""
+        return Moments(*(getattr(self, field.name)[first:last] for field in fields(self)))
+
+    @classmethod
+    def joined(cls, *parts: Moments) -> Moments:
+        """Return the parts one behind the other."""
+        return cls(
+            *(np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(cls))
+        )
 
 
-def mean_speed(low: Array, step_time: float) -> Array:
-    """Return the mean speed about each step (m,), rad/s, from angles rad."""
-    half = max(1, round(SPEED_TIME / step_time / 2))
-    size = len(low)
-    after = np.minimum(np.arange(size) + half, size - 1)
-    before = np.maximum(np.arange(size) - half, 0)
-    speed: Array = (low[after] - low[before]) / (np.maximum(after - before, 1) * step_time)
-    return speed
+@dataclass(frozen=True)
+class Judge:
+    """Gives states; `count` rad is the encoder's, `step_time` s that of a step.
+
+    What needs a span of time looks at both sides of a step, or, where it is `causal`, back.
+    """
+
+    reach: Reach
+    count: float
+    step_time: float
+    causal: bool = False
+
+    @property
+    def span(self) -> int:
+        """Steps on either side that a state may depend on."""
+        return 2 * max(1, round(max(STILL_TIME, LIMIT_TIME) / self.step_time))
+
+    def states(self, moments: Moments) -> States:
+        """Return the state at each step, (m,)."""
+        low = moments.low
+        way = self._highest(low, STILL_TIME) + self._highest(-low, STILL_TIME)
+        direction = np.sign(moments.speed)
+        found = np.where(moments.torque * direction >= 0, State.AGAINST, State.WITH)
+        found[moments.housing * direction < SLIDING] = State.REVERSED
+        found[way < 1.5 * self.count] = State.STILL
+        outside = self.reach.left_by(
+            low, self._mean_speed(low), moments.torque, moments.temperature_degc
+        )
+        near = self._highest(moments.limited, LIMIT_TIME * (1 if self.causal else 2)) > 0
+        found[outside | near] = State.OUTSIDE
+        states: States = found.astype(np.int32)
+        return states
+
+    def _highest(self, values: Array, span: float) -> Array:
+        """Return the highest value within a span of time, s, about each step or up to it."""
+        from scipy.ndimage import maximum_filter1d
+
+        half = max(1, round(span / self.step_time / 2))
+        origin = half if self.causal else 0
+        found: Array = maximum_filter1d(values, 2 * half + 1, mode="nearest", origin=origin)
+        return found
+
+    def _mean_speed(self, low: Array) -> Array:
+        """Return the mean speed about each step, or up to it, (m,), rad/s."""
+        half = max(1, round(SPEED_TIME / self.step_time / 2))
+        size = len(low)
+        after = np.minimum(np.arange(size) + (0 if self.causal else half), size - 1)
+        before = np.maximum(np.arange(size) - half * (2 if self.causal else 1), 0)
+        speed: Array = (low[after] - low[before]) / (np.maximum(after - before, 1) * self.step_time)
+        return speed

@@ -4,32 +4,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
-from rigtool.errors import InsufficientDataError
+from rigtool.experiments.controller_torque import CHANNELS as LOOP_CHANNELS
+from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
 from rigtool.experiments.force_over_time.deviations import deviations
 from rigtool.experiments.force_over_time.estimate import Filter, smoothed
 from rigtool.experiments.force_over_time.force_model import ForceModel
-from rigtool.experiments.force_over_time.learning import learn_sliding
+from rigtool.experiments.force_over_time.learning import Sliding, learn_sliding
 from rigtool.experiments.force_over_time.model import Known
 from rigtool.experiments.force_over_time.model import State as Swing
-from rigtool.experiments.force_over_time.motion_states import State, States, moving_states
+from rigtool.experiments.force_over_time.motion_states import Judge, Moments, Reach, State, States
 from rigtool.experiments.force_over_time.plant import HOUSING, SPEED
 from rigtool.experiments.force_over_time.procedure_exploration import exploration
 from rigtool.experiments.force_over_time.records import Condition, Record, repeated, single
 from rigtool.experiments.force_over_time.rest import SETTLING, Exploration, learn_rest
-from rigtool.experiments.force_over_time.steps import Grid
-from rigtool.experiments.load_disturbance.tendon import Tendon
+from rigtool.experiments.force_over_time.steps import Grid, Sampler
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Recording, Run
 
 Array = NDArray[np.float64]
+
+CHANNELS = (*LOOP_CHANNELS, "temperature")
+"""What is recorded of a hanging load."""
 
 FREE_TIME = 14.0
 """Of the exploration's free motion, s."""
@@ -49,6 +52,8 @@ FEWEST = 100
 APART = 20e-3
 """From one compared step to the next, s."""
 
+ANYWHERE = Reach((-math.inf, math.inf), math.inf, math.inf, (-math.inf, math.inf))
+
 
 def exploring(recipe: Recipe, number: int = 0) -> SpeedProfile:
     """Return the motion that shows rest and reversals, from the lower end on.
@@ -62,6 +67,16 @@ def exploring(recipe: Recipe, number: int = 0) -> SpeedProfile:
     return exploration(0.0, high, count, fastest, FREE_TIME, number)
 
 
+@dataclass(frozen=True)
+class LearnedForce:
+    """The `model` of motor and instrument, and what `sliding` alone shows, from the strokes under
+    known loads `strokes` by the names of their recordings."""
+
+    model: ForceModel
+    sliding: Sliding
+    strokes: dict[str, Record]
+
+
 def learn_force(
     strokes: Sequence[Recording],
     moves: Sequence[Recording],
@@ -69,22 +84,20 @@ def learn_force(
     checks: Sequence[Recording],
     recipe: Recipe,
     kt: Run,
-    tendon: Tendon,
-) -> ForceModel:
+) -> LearnedForce:
     """Learn from strokes under known loads, moves without one, and the exploration.
 
     `checks` are motions under known loads that nothing is fitted to: they show what u is.
-    `tendon` is the one that differences between loads show, where the search begins.
     Raises `InsufficientDataError` where they do not carry it.
     """
     rig = recipe.rig
     warm = float(np.mean([np.mean(recording.read("temperature")) for recording in strokes]))
-    records = [
-        *(_record(r, recipe, kt, float(np.mean(r.read("temperature")))) for r in strokes),
-        *(_record(r, recipe, kt, warm) for r in moves),
-    ]
+    loaded = {r.name: stroke_record(r, recipe, kt, r.condition("force")) for r in strokes}
+    records = [*loaded.values(), *(_repeated(r, recipe, kt, warm, 0.0) for r in moves)]
     own = _condition(recipe, kt, float(np.mean(explored.read("temperature"))), 0.0)
-    records.append(_single(explored, own))
+    signals = _signals(explored, recipe)
+    interval = _interval(signals)
+    records.append(single(signals.encoder, signals.total, signals.setpoint, interval, own))
     offset = kt.results.get("amplifier_offset")
     known = Known(
         rig.angle_ratio,
@@ -93,20 +106,14 @@ def learn_force(
         offset.value if offset is not None else 0.0,
     )
     deviating = deviations(records, known.angle_ratio, known.torque_factor)
-    learned = learn_sliding(records, known, own.count, deviating, tendon)
-    sliding = ForceModel(learned, deviating)
-    shown = Exploration(
-        explored.read("encoder"),
-        explored.read("current_setpoint"),
-        _interval(explored),
-        own.torque_constant,
-        own.count,
-    )
-    whole = ForceModel(
-        learn_rest(sliding.learned, shown, sliding.uncertainty, STEP_TIME), deviating
-    )
-    parts = [_errors(recording, recipe, kt, whole) for recording in checks]
-    return replace(whole, scales=scales(parts)) if parts else whole
+    sliding = learn_sliding(records, known, own.count, deviating)
+    shown = Exploration(signals.encoder, signals.total, interval, own.torque_constant, own.count)
+    uncertainty = ForceModel(sliding.learned, deviating).uncertainty
+    rested = learn_rest(sliding.learned, shown, uncertainty, STEP_TIME)
+    model = ForceModel(rested, deviating)
+    if checks:
+        model = replace(model, scales=scales([_errors(r, recipe, kt, model) for r in checks]))
+    return LearnedForce(model, sliding, loaded)
 
 
 def _errors(
@@ -118,32 +125,30 @@ def _errors(
     """
     from scipy.signal import butter, sosfilt, sosfiltfilt
 
-    force, degc = recording.condition("force"), float(np.mean(recording.read("temperature")))
-    under, interval = _condition(recipe, kt, degc, force), _interval(recording)
-    grid, bandwidth = Grid.of(interval), recipe.measure_force.motion.bandwidth_hz
-    encoder, current = recording.read("encoder"), recording.read("current_setpoint")
-    signals = grid.signals(encoder, current, under.count, model.drive, under.torque_constant)
+    degc, force = recording.read("temperature"), recording.condition("force")
+    own, under = _signals(recording, recipe), _condition(recipe, kt, float(np.mean(degc)), force)
+    grid, bandwidth = Grid.of(_interval(own)), recipe.measure_force.motion.bandwidth_hz
+    known = np.array([own.encoder, own.total, np.full(len(degc), under.torque_constant)])
+    signals, _ = Sampler(grid, under.count, model.drive).add(known, last=True)
     filtered = model.plant(grid.sample_time), model.uncertainty, grid.step_samples, bandwidth
     causal = Filter(*filtered).add(signals)
     torque, deviation = smoothed(*filtered, signals)
-    step_time = grid.step_samples * grid.sample_time
-    low = signals.low[grid.step_samples :: grid.step_samples][: len(torque)]
-    moving = causal.states[:, SPEED], causal.states[:, HOUSING]
-    states = moving_states(low, *moving, torque, under.count, step_time)
-    record = _single(recording, under)
+    moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
+    judge = Judge(ANYWHERE, under.count, grid.step_time)
+    states = judge.states(Moments(causal.low, *moving, torque, zeros, zeros))
+    record = single(own.encoder, own.total, own.setpoint, _interval(own), under)
     output = Swing.of(model.learned.shape, model.learned.known, record).output
+    speed = np.gradient(output, record.interval)
     acting = under.moment * np.sin(output)
-    acting += under.load_inertia * np.gradient(
-        np.gradient(output, record.interval), record.interval
-    )
-    time = (1 + np.arange(len(torque))) * step_time
+    acting += under.load_inertia * np.gradient(speed, record.interval)
+    time = (1 + np.arange(len(torque))) * grid.step_time
     truth = np.interp(time, (0.5 + np.arange(len(acting))) * record.interval, acting)
-    sections = butter(2, bandwidth, fs=1 / step_time, output="sos")
+    sections = butter(2, bandwidth, fs=1 / grid.step_time, output="sos")
     later = sosfiltfilt(sections, torque - truth) / deviation
     at_once = (causal.passed - sosfilt(sections, truth)) / causal.deviation
-    settled = slice(round(SETTLING / step_time), -round(SETTLING / step_time))
-    every = max(1, round(APART / step_time))
-    return np.stack([later, at_once])[:, settled][:, ::every], states[settled][::every]
+    margin, every = round(SETTLING / grid.step_time), max(1, round(APART / grid.step_time))
+    chosen = slice(margin, -margin, every)
+    return np.stack([later, at_once])[:, chosen], states[chosen]
 
 
 def scales(parts: Sequence[tuple[Array, States]]) -> Array:
@@ -164,28 +169,28 @@ def scales(parts: Sequence[tuple[Array, States]]) -> Array:
     return factors
 
 
-def _single(recording: Recording, under: Condition) -> Record:
-    return single(
-        recording.read("encoder"),
-        recording.read("current_setpoint"),
-        recording.read("position_setpoint"),
-        _interval(recording),
-        under,
-    )
+def stroke_record(recording: Recording, recipe: Recipe, kt: Run, force: float = 0.0) -> Record:
+    """Lay the strokes of a recording over each other, under the load of a known force, N.
+
+    The torque constant is that at the motor's temperature in this recording. Raises
+    `InsufficientDataError` for less than a cycle, and where the loop saturates or is not held.
+    """
+    temperature = float(np.mean(recording.read("temperature")))
+    return _repeated(recording, recipe, kt, temperature, force)
 
 
-def _record(recording: Recording, recipe: Recipe, kt: Run, temperature: float) -> Record:
-    force = recording.condition("force") if "force" in recording.conditions else 0.0
-    try:
-        return repeated(
-            recording.read("encoder"),
-            recording.read("current_setpoint"),
-            recording.read("position_setpoint"),
-            _interval(recording),
-            _condition(recipe, kt, temperature, force),
-        )
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"recording {recording.name}: {error}") from None
+def _repeated(
+    recording: Recording, recipe: Recipe, kt: Run, temperature: float, force: float
+) -> Record:
+    under = _condition(recipe, kt, temperature, force)
+    signals = _signals(recording, recipe)
+    with naming(recording):
+        return repeated(signals.encoder, signals.total, signals.setpoint, _interval(signals), under)
+
+
+def _signals(recording: Recording, recipe: Recipe) -> LoopSignals:
+    with naming(recording):
+        return loop_signals(recording, recipe)
 
 
 def _condition(recipe: Recipe, kt: Run, temperature: float, force: float) -> Condition:
@@ -198,6 +203,6 @@ def _condition(recipe: Recipe, kt: Run, temperature: float, force: float) -> Con
     )
 
 
-def _interval(recording: Recording) -> float:
-    time = recording.read("time")
+def _interval(signals: LoopSignals) -> float:
+    time = signals.time
     return float((time[-1] - time[0]) / (len(time) - 1))

@@ -27,6 +27,9 @@ SAMPLE_TIME = 0.25e-3
 STEP_TIME = 1e-3
 """From one angle that the filter takes in to the next, s."""
 
+CONTEXT = 4096
+"""Recorded samples on either side from which angles between counts are interpolated."""
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -39,6 +42,11 @@ class Grid:
     divided: int
     sample_time: float
     step_samples: int
+
+    @property
+    def step_time(self) -> float:
+        """Time of a step, s."""
+        return self.step_samples * self.sample_time
 
     @classmethod
     def of(cls, interval: float) -> Grid:
@@ -69,24 +77,57 @@ class Grid:
         counts[slow[sample]] = encoder[sample][slow[sample]]
         return counts
 
-    def signals(
-        self, encoder: Array, current: Array, count: float, drive: Drive, torque_constant: float
-    ) -> Signals:
-        """Return what the filter takes of samples (n,) in counts and A.
 
-        `count` rad is that of the encoder, `torque_constant` in N m/A.
+class Sampler:
+    """Recorded samples as those of the filter, block by block; what is left of a block waits.
+
+    `count` rad is that of the encoder, `context` the recorded samples on either side that angles
+    between counts may come from: 0 where each sample is a count of its own, and nothing waits.
+    """
+
+    def __init__(self, grid: Grid, count: float, drive: Drive, context: int = CONTEXT) -> None:
+        self._grid, self._count, self._drive = grid, count, drive
+        self._context = context - context % grid.averaged
+        self._ripple = np.zeros(1)
+        self._held: Array | None = None
+        self._before = 0  # of the held ones: context alone
+
+    def add(self, samples: Array, *, last: bool = False) -> tuple[Signals, Array]:
+        """Return what the filter takes of samples (c, n), and the others at its samples (c - 3, k).
+
+        The first three rows are the encoder in counts, the current in A, and the torque constant
+        in N m/A. After the `last` ones nothing waits but less than an average.
         """
-        low = self.counts(encoder) * count
-        torque, viscous = drive.torque(
-            low + count / 2, self.means(current), torque_constant, self.sample_time
+        grid, before = self._grid, self._before
+        held = samples if self._held is None else np.hstack([self._held, samples])
+        size = held.shape[1] - (0 if last else self._context) - before
+        end = before + max(0, size // grid.averaged * grid.averaged)
+        ends = [edge // grid.averaged * grid.divided for edge in (before, end)]
+        low = grid.counts(held[0])[slice(*ends)] * self._count
+        current, constant, *others = (grid.means(row[before:end]) for row in held[1:])
+        torque, viscous = self._drive.torque(
+            low + self._count / 2, current, constant, grid.sample_time, self._ripple
         )
-        return Signals(torque, viscous, low, count)
+        self._before = min(self._context, end)
+        self._held = held[:, end - self._before :].copy()
+        signals = Signals(torque, viscous, low, self._count)
+        return signals, np.array(others).reshape(len(others), len(low))
 
-    def at_steps(self, signal: Array) -> Array:
-        """Return a recorded signal (n,) at the end of each step (m,): the mean of both sides."""
-        means = self.means(signal)
-        ends = np.arange(self.step_samples, len(means), self.step_samples)
-        found: Array = (means[ends - 1] + means[ends]) / 2
+
+class Stepper:
+    """Samples of the filter at the ends of its steps: the mean of both sides."""
+
+    def __init__(self, step_samples: int) -> None:
+        self._size = step_samples
+        self._held: Array | None = None
+
+    def add(self, samples: Array) -> Array:
+        """Return signals (c, k) at the end of every step that these samples complete, (c, m)."""
+        held = samples if self._held is None else np.hstack([self._held, samples])
+        count = max(0, (held.shape[1] - 1) // self._size)
+        self._held = held[:, count * self._size :].copy()
+        ends = np.arange(1, count + 1) * self._size
+        found: Array = (held[:, ends - 1] + held[:, ends]) / 2
         return found
 
 

@@ -55,7 +55,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     """Return friction from holds, one or more a run, or from runs of any motion.
 
     Raises `UsageError` for runs of both kinds or of several rigs, `InsufficientDataError` where
-    they do not carry the result.
+    they do not support the result.
     """
     recordings = signals_of(runs)
     require_one_rig(recordings, runs)

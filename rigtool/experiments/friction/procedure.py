@@ -42,7 +42,7 @@ APPROACH_ANGLE = 0.2
 
 
 def rig_needs(recipe: Recipe) -> tuple[str, ...]:
-    """Return what compensation and breakaway need of a rig, once friction is known."""
+    """Return the abilities that compensation and breakaway need, once friction is known."""
     loaded = recipe.stribeck.radial_force > 0
     return ("feedforward", "open_loop", *(("load",) if loaded else ()))
 

@@ -20,7 +20,7 @@ from rigtool.experiments.controller_torque import (
     naming,
     require_unlimited,
 )
-from rigtool.experiments.friction.breakaway import Breakaway, Ramp, around_turn, find_ramps
+from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp, around_turn, find_ramps
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import require_linear_at_low_current
 from rigtool.experiments.friction.results import (
@@ -52,7 +52,7 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run, Table
 
 NOTED_SHARE = 0.1
-"""Part of its limit above which unsampled torque is worth a note."""
+"""Part of its limit above which unsampled torque gets a note."""
 
 SATURATED = "lower stribeck.speed_max, or the load on the shaft"
 
@@ -274,7 +274,7 @@ def _breakaway(
 
     Positions are those of `pair`, where another series is given to compare with.
     """
-    ramps: list[Ramp] = []
+    ramps: list[TorqueRamp] = []
     highest: Table | None = None
     for recording in recordings:
         time, angle = recording.read("time"), _angle(recording, recipe)

@@ -16,7 +16,7 @@ COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
 
 @dataclass(frozen=True, eq=False)
 class LearnedTable:
-    """A learned table and what its user has to know.
+    """A learned table with the facts that its user needs.
 
     `u` has the shape of its torque. `quantity` and `unit` are those of its values; `friction` was
     fed forward while it was learned and is not part of it; `band_hz` is the cut-off of Q, None
@@ -53,7 +53,7 @@ class LearnedTable:
         ]
 
     def friction_lines(self) -> list[str]:
-        """Return what has to be fed forward beside the table, in lines; none where nothing is."""
+        """Return the models to feed forward beside the table, in lines; none without any."""
         if not self.friction:
             return []
         coulomb, viscous = (self.friction[name].value for name in (COULOMB, VISCOUS))

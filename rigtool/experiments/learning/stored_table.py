@@ -66,7 +66,7 @@ def period_results(table: LookupTable) -> dict[str, Quantity]:
 def friction_results(friction: Run | None) -> dict[str, Quantity]:
     """Return Coulomb and viscous friction of a run of `stribeck` under the names of this module.
 
-    Empty without a run. They are stored beside a table, which holds only what they left over.
+    Empty without a run. They are stored beside a table, which holds only their remainder.
     """
     if friction is None:
         return {}
@@ -93,7 +93,7 @@ def lookup_table_from(run: Run) -> LookupTable:
 
 
 def stored_table_from(run: Run) -> LookupTable:
-    """Return the learned table of a run of `ilc-learn`, in whatever unit it holds.
+    """Return the learned table of a run of `ilc-learn`, in its stored unit.
 
     Raises `RunFileError` where the run is of another command or its table is broken.
     """
@@ -172,7 +172,7 @@ def feedforward(
 
 
 def feedforward_from(run: Run, inertia: float) -> Feedforward:
-    """Return the feed-forward of a run of `ilc-learn`: its table and what it was learned with.
+    """Return the feed-forward of a run of `ilc-learn`: its table and the models beside it.
 
     `inertia` is the nominal one on the motor shaft, kg m2.
     """

@@ -37,9 +37,9 @@ class _NeedsData(Exception):
 
 @dataclass
 class MotionPlan:
-    """Motions in order, with the extremes of each; what they need of the rig, by name.
+    """Motions in order, with the extremes of each; needed abilities of the rig, by name.
 
-    `complete` is false where further motions depend on what these measure.
+    `complete` is false where further motions depend on the results of these.
     """
 
     duration: float = 0.0
@@ -68,7 +68,7 @@ class MotionPlan:
         if self.bench_work:
             parts.append(f"At the bench: {'; '.join(dict.fromkeys(self.bench_work))}")
         if not self.complete:
-            parts.append("Further motions depend on what these measure; limits hold for all")
+            parts.append("Further motions depend on the results of these; limits hold for all")
         return "\n".join(parts)
 
     def check(self, limits: Any) -> None:

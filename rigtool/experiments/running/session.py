@@ -31,7 +31,7 @@ IMPORTED = "import"
 
 
 STATUS_ONLY = "status while it moves, not recorded"
-"""Name in drawings of what a rig reports before the signals of a motion come."""
+"""Name in drawings of the status that a rig reports before the signals of a motion come."""
 
 
 def run_command(
@@ -42,7 +42,7 @@ def run_command(
     options: CommonOptions,
     inputs: Mapping[str, Run],
 ) -> Outcome:
-    """Measure or re-analyse, write the output and return what it holds.
+    """Measure or re-analyse, write the output and return its outcome.
 
     `inputs` are open runs by the name of their option. Raises `UsageError` for sources that do not
     go together.
@@ -135,7 +135,7 @@ def _permit(
     torque_constant: float,
     inputs: Mapping[str, Run],
 ) -> None:
-    """Refuse what this rig cannot do or must not do, show the motions, and ask for consent."""
+    """Refuse motions beyond the rig's abilities or limits, show the plan, and ask for consent."""
     assert recipe.serial is not None
     plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
     require_offered(rig, plan, procedure.command)
@@ -203,7 +203,7 @@ def _as_recorded(procedure: Procedure, recipe: Recipe, overrides: Sequence[str])
         known = ", ".join(procedure.analysis_settings)
         raise UsageError(
             f"--set {override}: a stored run stays as it was recorded: leave this out, or measure "
-            f"anew from the recipe; settings of the analysis by {procedure.command}: "
+            f"again from the recipe; settings of the analysis by {procedure.command}: "
             f"{known or 'none'}"
         )
     return override_recipe(recipe, overrides)

@@ -1,12 +1,12 @@
 """A rig whose loop is closed in a drive, and whose set points the host sends one by one.
 
 The host's loop has the period `rig.sample_time`; a thread of its own owns the line while a motion
-runs, so that writing files does not disturb it. A tick that comes late is made up for, and each
-sample carries the time at which it was taken; how evenly is in the run's record of the line.
+runs, so that writing files does not disturb it. A late tick is made up for, and each sample carries
+the time at which it was taken; the run's record of the line states how even these times are.
 
-A drive whose set point of position stands still between two of them answers each with a step of
-current. It is made to follow speeds, which the host corrects by the error of position; where
-it takes positions only, `between` measures how that biases the samples.
+A drive whose set point of position stands still between two messages answers each with a step of
+current. Such a drive follows speeds, which the host corrects by the error of position; where it
+takes positions only, `between` measures the bias of the samples.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class HostedRig(SerialRig):
         )
 
     def _connect(self) -> str:
-        if self._drive is None:  # after a power cycle it still knows what to restore
+        if self._drive is None:  # after a power cycle it still knows the values to restore
             assert self._driver.make_drive is not None, "a driver makes a drive or a rig"
             self._drive = self._driver.make_drive(self.line, self._recipe)
         identity = self._drive.connect()
@@ -179,7 +179,7 @@ class HostedRig(SerialRig):
         self.drive.halt()
 
     def _run(self, task: Task) -> Iterator[Block]:
-        """Drive a task in a thread of its own, and hand on what it measures."""
+        """Drive a task in a thread of its own, and hand on its samples."""
         loop = _Loop(self, task)
         try:
             yield from in_thread(loop.run)
@@ -199,7 +199,7 @@ class HostedRig(SerialRig):
 
     @property
     def steps_in_position(self) -> bool:
-        """Whether the drive is sent positions between which it stands still."""
+        """Whether the drive gets positions between which it stands still."""
         return self.mode == "position" and not self.drive.abilities.moves_along
 
 
@@ -210,17 +210,18 @@ class _Loop:
         self._rig, self._task = rig, task
         self._drive, self._line = rig.drive, rig.line
         self._recipe = rig._recipe
-        self._watch = safety.Watch(rig._limits, self._recipe.rig.encoder_counts)
+        self._open_loop = isinstance(task.motion, OpenLoop)
+        counts = self._recipe.rig.encoder_counts
+        self._watch = safety.Watch(rig._limits, counts, closed=not self._open_loop)
         self._clock = Clock(rig.line, self._recipe.rig.sample_time, rig._settings.watchdog)
         self._rows: list[tuple[float, ...]] = []
-        self._open_loop = isinstance(task.motion, OpenLoop)
         self._gain = min(rig._settings.position_gain, CORRECTED / self._recipe.rig.sample_time)
         self._start = self._origin = 0.0
         self.ticks = self.late = 0
         self.longest_gap = self.elapsed = 0.0
 
     def run(self, put: Callable[[Block], None], stop: threading.Event) -> None:
-        """Run to the end, or until stopped; whatever is wrong, the drive is halted first."""
+        """Run to the end, or until stopped; on any error the drive is halted first."""
         self._put = put
         try:
             self._ticking(stop)
@@ -292,7 +293,7 @@ class _Loop:
     def _setpoint(
         self, elapsed: float, last: Sample
     ) -> tuple[SetPoint, tuple[float, float, float]]:
-        """Return what to send, and (feed-forward, table, signal current) to record."""
+        """Return the set point to send, and (feed-forward, table, signal current) to record."""
         motion, feedforward = self._task.motion, self._task.feedforward
         if isinstance(motion, OpenLoop):
             time = np.array([min(elapsed, motion.duration)])
@@ -319,7 +320,7 @@ class _Loop:
     def _wanted(self, sample: Sample) -> float:
         """Return the set point of position at the time of a sample, rad.
 
-        What was sent is a little older than the sample.
+        The set point is a little older than the sample.
         """
         if self._open_loop:
             return sample.position
@@ -331,10 +332,11 @@ class _Loop:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
         encoder = sample.position * counts
         model, table, signal = parts
+        wanted = self._wanted(sample)
         self._rows.append(
             (
                 sample.time,
-                self._wanted(sample),
+                wanted,
                 encoder,
                 sample.current_setpoint,
                 sample.current,
@@ -352,6 +354,7 @@ class _Loop:
             {
                 "time": np.array([sample.time]),
                 "encoder": np.array([encoder]),
+                "position_setpoint": np.array([wanted]),
                 "current": np.array([sample.current]),
                 "temperature": np.array([sample.temperature]),
             }
@@ -360,7 +363,7 @@ class _Loop:
             raise HardwareError(problem)
 
     def _hand_on(self) -> None:
-        """Put what was measured, averaged over `record_every`, as a block."""
+        """Put the samples, averaged over `record_every`, as a block."""
         every = self._task.record_every
         rows = len(self._rows) // every
         if rows:

@@ -36,7 +36,7 @@ class Clock:
         return now, lateness
 
     def exchanged(self, begun: float) -> None:
-        """Note that what the drive was asked at a time is answered."""
+        """Note that the drive has answered the question of this time."""
         self._free = self._line.now()
         self._busy += self._free - begun
 

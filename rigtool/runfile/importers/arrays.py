@@ -189,7 +189,7 @@ def _matrix(path: Path, arrays: dict[str, Any], variable: str | None) -> Array:
         matrix = matrix[:, None]
     if matrix.ndim != 2:
         raise RunFileError(
-            f"{path}: {name or 'its array'} has {matrix.ndim} dimensions, needed are 2"
+            f"{path}: {name or 'its array'} has {matrix.ndim} dimensions, but must have 2"
         )
     return matrix.T if matrix.shape[0] < matrix.shape[1] else matrix
 
@@ -211,7 +211,7 @@ def _vector(path: Path, name: str, value: Any) -> Array:
     vector = np.squeeze(_numbers(path, name, value))
     if vector.ndim > 1:
         raise RunFileError(
-            f"{path}: {name!r} has shape {vector.shape}, needed is one column: name it as "
+            f"{path}: {name!r} has shape {vector.shape}, but must be one column: name it as "
             "`variable` and give columns by number"
         )
     return np.atleast_1d(vector)

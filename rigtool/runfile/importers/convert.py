@@ -46,7 +46,7 @@ def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[
         raw = raw.without({int(raw.line[index]): "out of the order of time" for index in off})
         time = _time(raw, mapping)
     if len(time) < 2:
-        raise RunFileError(f"{path}: {len(time)} sample, needed are 2 or more: record for longer")
+        raise RunFileError(f"{path}: {len(time)} sample, at least 2 are needed: record for longer")
     signals = {TIME: time}
     for name in mapping.signals:
         if name != TIME:

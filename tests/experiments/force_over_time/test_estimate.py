@@ -95,7 +95,7 @@ def test_torque_is_found_and_its_uncertainty_holds(recording):
     assert np.mean((angle > inside - 0.2 * WIDTH) & (angle < inside + 1.2 * WIDTH)) > 0.999
 
 
-def test_smoothing_is_better_and_does_not_depend_on_its_segments(recording, monkeypatch):
+def test_smoothing_is_better_and_does_not_depend_on_its_pieces(recording, monkeypatch):
     signals, truth, _ = recording
     torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     causal = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
@@ -103,10 +103,21 @@ def test_smoothing_is_better_and_does_not_depend_on_its_segments(recording, monk
     later, at_once = ((found - truth)[used] for found in (torque, causal.torque))
     assert np.mean(later**2) < 0.4 * np.mean(at_once**2)
     assert np.mean(deviation) < np.mean(causal.deviation)
-    monkeypatch.setattr(estimate, "SEGMENT", 777)
+    monkeypatch.setattr(estimate, "PIECE", 777)
     again, same = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     np.testing.assert_allclose(again, torque, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(same, deviation, rtol=1e-9)
+
+
+def test_what_comes_long_afterwards_does_not_matter(recording, monkeypatch):
+    signals, _, _ = recording
+    torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    monkeypatch.setattr(estimate, "PIECE", 500)
+    monkeypatch.setattr(estimate, "BLOCK", 2.0)
+    monkeypatch.setattr(estimate, "AHEAD", 7.0)  # more than a cycle of this motion
+    again, same = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    assert np.abs((again - torque) / deviation).max() < 1e-2
+    np.testing.assert_allclose(same, deviation, rtol=1e-3)
 
 
 def test_without_motion_the_friction_of_an_unknown_history_stays_in_the_uncertainty():

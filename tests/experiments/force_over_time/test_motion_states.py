@@ -1,34 +1,58 @@
 """States of a motion, and the edges of what was learned."""
 
 import numpy as np
+import pytest
 
-from rigtool.experiments.force_over_time.motion_states import (
-    Reach,
-    State,
-    mean_speed,
-    moving_states,
-)
+from rigtool.experiments.force_over_time.motion_states import Judge, Moments, Reach, State
 
 COUNT, STEP = 1.6e-3, 1e-3
+REACH = Reach((-1.0, 2.0), 10.0, 50e-3, (20.0, 50.0))
 
 
-def test_states_of_a_motion_that_turns_and_stops():
+def moments(torque=0.01, scale=1.0):
+    """Move at 1 rad/s for 1 s, back, and rest."""
     time = np.arange(3000) * STEP
-    angle = np.where(time < 1, time, np.maximum(2 - time, 0.0))  # 1 rad/s, back, and rest
+    angle = np.where(time < 1, time, np.maximum(2 - time, 0.0)) * scale
     low = np.floor(angle / COUNT) * COUNT
-    speed = np.where(time < 1, 1.0, np.where(time < 2, -1.0, 0.0))
+    speed = np.where(time < 1, 1.0, np.where(time < 2, -1.0, 0.0)) * scale
     path = np.where(time < 1, time, time - 1)
     housing = np.where(time < 1, 1.0, 2 * np.exp(-path / 0.01) - 1)
     housing[time >= 1] = np.maximum(housing, -1)[time >= 1]
-    found = moving_states(low, speed, housing, np.full(3000, 0.01), COUNT, STEP)
+    same = np.ones(3000)
+    return Moments(low, speed, housing, torque * same, 30.0 * same, 0.0 * same)
+
+
+@pytest.mark.parametrize(("causal", "late"), [(False, 0), (True, 50)])
+def test_states_of_a_motion_that_turns_and_stops(causal, late):
+    found = Judge(REACH, COUNT, STEP, causal).states(moments())
     assert set(found[100:900]) == {State.AGAINST}
     assert set(found[1000:1015]) == {State.REVERSED}
     assert set(found[1100:1900]) == {State.WITH}
-    assert set(found[2100:]) == {State.STILL}
+    assert set(found[2050 + late :]) == {State.STILL}
 
 
-def test_the_mean_speed_of_a_ramp_is_its_slope():
-    np.testing.assert_allclose(mean_speed(np.arange(1000) * 2e-3, STEP), 2.0, rtol=1e-9)
+def test_causal_states_do_not_know_what_comes():
+    whole, judge = moments(), Judge(REACH, COUNT, STEP, causal=True)
+    np.testing.assert_array_equal(judge.states(whole.part(0, 1500)), judge.states(whole)[:1500])
+
+
+@pytest.mark.parametrize(("causal", "first"), [(False, 900), (True, 1000)])
+def test_there_is_no_value_about_a_current_at_its_limit(causal, first):
+    whole = moments()
+    whole.limited[1000:1010] = 1.0
+    outside = Judge(REACH, COUNT, STEP, causal).states(whole) == State.OUTSIDE
+    assert np.flatnonzero(outside)[[0, -1]].tolist() == [first, 1109]
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_the_speed_that_leaves_what_was_learned_is_a_mean(causal):
+    for scale, beyond in ((10.5, False), (11.5, True)):
+        whole = moments(scale=scale)
+        found = Judge(Reach((-99.0, 99.0), *REACH_BUT_ANGLE), COUNT, STEP, causal).states(whole)
+        assert bool(found[500] == State.OUTSIDE) == beyond
+
+
+REACH_BUT_ANGLE = (10.0, 50e-3, (20.0, 50.0))
 
 
 def test_each_edge_of_what_was_learned_is_one():

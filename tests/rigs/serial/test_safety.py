@@ -168,6 +168,26 @@ def test_watch_sees_what_is_beyond_and_only_that(pieces):
     assert "position reached -1.2" in watched(signals(encoder=np.full(400, -1.2 * count)), pieces)
 
 
+@pytest.mark.parametrize("closed", [True, False])
+def test_watch_sees_a_shaft_that_does_not_follow(closed):
+    time = np.arange(400) * 1e-3
+    count = 4000 / (2 * math.pi)
+    block = signals(encoder=np.floor(3 * time * count)) | {"position_setpoint": 3 * time}
+    stuck = signals() | {"position_setpoint": 3 * time}
+    limits = LIMITS.model_copy(update={"following_error": 0.5})
+
+    def found(what):
+        return safety.Watch(limits, 4000, closed=closed).problem(what)
+
+    assert found(block) is None
+    if closed:
+        assert "following_error = 0.5 rad" in found(stuck)
+        assert "set point at" in found(stuck)
+    else:  # an open loop has no set point of position
+        assert found(stuck) is None
+    assert found({name: values[:160] for name, values in stuck.items()}) is None
+
+
 def test_watch_forgives_a_single_noisy_sample_and_missing_ones():
     current = np.zeros(400)
     current[200] = 15.0
