@@ -29,7 +29,7 @@ def limits_of(tables: Run, recipe: Recipe, kt: Run, model: ForceModel, reach: Re
         instrument = instrument_for(recording, recipe, kt, model, reach)
         sensor = Sensor(instrument, contacts=True)
         found: list[Sensed] = []
-        for block, begins in unbroken_blocks(recording, instrument, None):
+        for block, begins in unbroken_blocks(recording, instrument):
             if begins and found:
                 break  # whatever follows the first gap has to settle again
             found.append(sensor.add(block[1:]))
