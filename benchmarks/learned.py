@@ -6,7 +6,8 @@ Each rig is calibrated and learned (`calibrate-kt`, `ilc-learn --implementation 
 would, then it moves while contacts touch it; the same recordings are read by the oracle of
 `oracle.py`. Printed are learned parameters over true ones, then errors of both in mN m, and their
 ratio, by motion, form, bandwidth and state; `cover` is the share of errors within 1.96 standard
-deviations. The warm rig was learned at room temperature.
+deviations, for what was learned within 1.96 u. With `--power-cycle 1` the rig moves with
+other ripple of the amplifier than was learned. The warm rig was learned at room temperature.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from oracle import (
     BANDS,
+    CONTACTS,
     MOTIONS,
     RECIPE,
     RIGS,
@@ -28,7 +31,6 @@ from oracle import (
     Key,
     Recorded,
     Score,
-    both_forms,
     lowpassed,
     motion_states,
     plant_of,
@@ -38,8 +40,13 @@ from oracle import (
     sum_of,
 )
 
-from rigtool.experiments.force_over_time.estimate import Signals
+from rigtool.experiments.force.accuracy import JUDGED
+from rigtool.experiments.force.power_up import PowerUp
+from rigtool.experiments.force_over_time.estimate import Filter, Signals, smoothed
 from rigtool.experiments.force_over_time.force_model import ForceModel
+from rigtool.experiments.force_over_time.motion_states import NAMES, Judge, Moments
+from rigtool.experiments.force_over_time.plant import HOUSING, SPEED
+from rigtool.experiments.force_over_time.procedure_learning import ANYWHERE
 from rigtool.experiments.force_over_time.stored import model_from
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.running.options import CommonOptions
@@ -47,9 +54,20 @@ from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import load_recipe
+from rigtool.recipe.virtual import Sine
 from rigtool.runfile import open_run
 
+Array = NDArray[np.float64]
+
 WARM = "15 K warmer"
+SINE_HZ, SINE_TIME = 10.0, 30.0
+CONTACTS["sine"] = (
+    Sine(
+        kind="sine", rate_per_min=15, duration=(2.0, 3.0), force=(0.25, 1.5), frequency_hz=SINE_HZ
+    ),
+)
+LARGEST, LOADS = 60e-3, (0.0, 0.01, 0.05, 0.2, 1.0)
+"""Largest torque that is learned, N m, and edges of bands of it."""
 COMPARED = (
     "presliding_angle",
     "housing_presliding_angle",
@@ -86,25 +104,82 @@ def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, float]:
         return model, torque_per_ampere_at(calibration, degc).value
 
 
+def signals_with(model: ForceModel, recorded: Recorded, torque_constant: float) -> Signals:
+    """Return the filter's input where a model holds."""
+    rig = recorded.recipe.rig
+    width = 2 * math.pi / rig.encoder_counts
+    low = recorded.channels["encoder"] * width
+    torque, viscous = model.drive.torque(
+        low + width / 2, recorded.channels["current_setpoint"], torque_constant, rig.sample_time
+    )
+    return Signals(torque, viscous, low, width)
+
+
 def learned_scores(
     recorded: Recorded, motion: str, model: ForceModel, torque_constant: float
 ) -> dict[Key, Score]:
     """Compare the estimate of a learned model with what truly acted."""
-    rig = recorded.recipe.rig
-    width, dt = 2 * math.pi / rig.encoder_counts, rig.sample_time
-    low = recorded.channels["encoder"] * width
-    torque, viscous = model.drive.torque(
-        low + width / 2, recorded.channels["current_setpoint"], torque_constant, dt
-    )
-    signals = Signals(torque, viscous, low, width)
-    plant, uncertainty = model.plant(dt), model.uncertainty
+    signals, dt = signals_with(model, recorded, torque_constant), recorded.recipe.rig.sample_time
     states, found, rate = motion_states(recorded), {}, 1 / (STEP * dt)
     for band in BANDS:
-        for form, (estimate, deviation) in both_forms(plant, uncertainty, signals, band).items():
+        for form, (estimate, u, own) in read(model, signals, band, dt).items():
             truth = lowpassed(recorded.truth, band, rate, form == "smoothed")
             for state, chosen in states.items():
                 error = np.abs(estimate - truth)[chosen]
-                found[motion, form, band, state] = score(error, deviation[chosen])
+                found[motion, form, band, state] = score(error, u[chosen])
+            for cell, chosen in _cells(recorded.truth, own).items():
+                error = np.abs(estimate - truth)[chosen & states["all"]]
+                found[motion, form, band, cell] = score(error, u[chosen & states["all"]])
+    return found
+
+
+def read(
+    model: ForceModel, signals: Signals, band: float, dt: float
+) -> dict[str, tuple[Array, Array, Array]]:
+    """Return torque behind a low-pass, its u and its states, of both forms, as `measure-force`."""
+    step_time = STEP * dt
+    filtered = model.plant(dt), model.uncertainty, STEP, band
+    causal = Filter(*filtered).add(signals)
+    torque, deviation = smoothed(*filtered, signals)
+    power_up = PowerUp(model, step_time, band)
+    ripple, variance = power_up.add(causal.low + signals.width / 2, causal.states)
+    later, later_variance = power_up.whole(causal.low + signals.width / 2, torque)
+    moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
+    judge = Judge(ANYWHERE, signals.width, step_time)
+    states = judge.states(Moments(causal.low, *moving, torque, zeros, zeros))
+    u = np.sqrt(deviation**2 + later_variance) * model.scales[0][states]
+    causal_u = np.sqrt(causal.deviation**2 + variance) * model.scales[1][states]
+    return {
+        "smoothed": (lowpassed(torque - later, band, 1 / step_time, True), u, states),
+        "causal": (causal.passed - ripple, causal_u, states),
+    }
+
+
+def _cells(truth: Array, states: Array) -> dict[str, Array]:
+    """Return which steps are in each band of load, of 60 mN m, and state of the reading."""
+    band = np.searchsorted(np.array(LOADS) * LARGEST, np.abs(truth), side="right") - 1
+    return {
+        f"from {1e3 * LARGEST * low:g} mN m, {NAMES[state]}": (band == number) & (states == state)
+        for number, low in enumerate(LOADS[:-1])
+        for state in JUDGED
+    }
+
+
+def amplitude(recorded: Recorded, model: ForceModel, torque_constant: float) -> dict[str, float]:
+    """Return the amplitude that is read of a sine of `SINE_HZ`, over the true one."""
+    signals, dt = signals_with(model, recorded, torque_constant), recorded.recipe.rig.sample_time
+    rate, span = 1 / (STEP * dt), round(1 / (STEP * dt))
+    wave = np.exp(-2j * np.pi * SINE_HZ * np.arange(recorded.truth.size) / rate)
+    found = {}
+    for form, (estimate, _, _) in read(model, signals, SINE_HZ, dt).items():
+        truth = lowpassed(recorded.truth, SINE_HZ, rate, form == "smoothed")
+        count = truth.size // span
+        own, true = (
+            (values * wave)[: count * span].reshape(count, span).mean(axis=1)
+            for values in (estimate, truth)
+        )
+        acts = np.abs(true) > 0.5 * np.abs(true).max()
+        found[form] = float(np.abs(own[acts]).sum() / np.abs(true[acts]).sum())
     return found
 
 
@@ -112,17 +187,23 @@ Found = tuple[str, dict[str, float], dict[Key, Score], dict[Key, Score]]
 """Rig, learned parameters over true ones, scores of what was learned and of the oracle."""
 
 
-def measured(rig: str, seed: int, duration: float) -> Found:
+def measured(rig: str, seed: int, duration: float, power_cycle: int) -> Found:
     """Learn one rig, move it, and score both estimators."""
     with tempfile.TemporaryDirectory() as folder:
         model, torque_constant = learned(rig, seed, Path(folder))
     own: dict[Key, Score] = {}
     oracle: dict[Key, Score] = {}
     for motion in MOTIONS:
-        recorded = record(rig, seed, motion, duration)
+        recorded = record(rig, seed, motion, duration, power_cycle=power_cycle)
         own.update(learned_scores(recorded, motion, model, torque_constant))
         oracle.update(scores(recorded, motion))
-    return rig, _over_truth(model, recorded), own, oracle
+    over = _over_truth(model, recorded)
+    swung = record(rig, seed, "strokes", SINE_TIME, "sine")
+    for form, value in amplitude(swung, model, torque_constant).items():
+        over[f"sine of {SINE_HZ:g} Hz, {form}"] = value
+    for state in JUDGED:
+        over[f"u over deviation, {NAMES[state]}"] = float(model.scales[0][state])
+    return rig, over, own, oracle
 
 
 def _over_truth(model: ForceModel, recorded: Recorded) -> dict[str, float]:
@@ -144,15 +225,18 @@ def print_table(found: list[Found]) -> None:
         mine = [one for one in found if one[0] == rig]
         print(f"\n{rig}: learned over true, by seed")
         for name in mine[0][1]:
-            print(f"  {name:28}" + "".join(f"{one[1][name]:8.3f}" for one in mine))
-        print(f"  {'rmse, mN m (cover, %)':46}{'learned':>14}{'oracle':>14}{'ratio':>7}")
+            print(f"  {name:56}" + "".join(f"{one[1][name]:8.3f}" for one in mine))
+        print(f"  {'rmse, mN m (cover, %)':68}{'learned':>14}{'oracle':>14}{'ratio':>7}")
         for key in sorted(mine[0][2]):
-            own, oracle = (sum_of([one[which][key] for one in mine]) for which in (2, 3))
-            if own.count:
-                motion, form, band, state = key
-                ratio = math.sqrt(own.squares / oracle.squares)
-                label = f"{motion:8} {form:9}{band:3.0f} Hz  {state}"
-                print(f"  {label:46}{_cell(own):>14}{_cell(oracle):>14}{ratio:7.2f}", flush=True)
+            own = sum_of([one[2][key] for one in mine])
+            if not own.count:
+                continue
+            motion, form, band, state = key
+            line = f"  {motion:8} {form:9}{band:3.0f} Hz  {state:45}{_cell(own):>14}"
+            if key in mine[0][3]:
+                oracle = sum_of([one[3][key] for one in mine])
+                line += f"{_cell(oracle):>14}{math.sqrt(own.squares / oracle.squares):7.2f}"
+            print(line, flush=True)
 
 
 def _cell(one: Score) -> str:
@@ -168,9 +252,11 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--rig", choices=RIGS, action="append")
     parser.add_argument("--duration", type=float, default=60.0)
+    parser.add_argument("--power-cycle", type=int, default=0, help="of the amplifier; learned at 0")
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    work = [(rig, seed, arguments.duration) for rig in arguments.rig or RIGS for seed in seeds]
+    how = arguments.duration, arguments.power_cycle
+    work = [(rig, seed, *how) for rig in arguments.rig or RIGS for seed in seeds]
     with ProcessPoolExecutor(arguments.jobs) as pool:
         print_table(list(pool.map(measured, *zip(*work, strict=True))))
 

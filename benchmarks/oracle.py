@@ -98,10 +98,16 @@ class Recorded:
 
 
 def record(
-    rig: str, seed: int, motion: str, duration: float = 120.0, contacts: str = "pulses"
+    rig: str,
+    seed: int,
+    motion: str,
+    duration: float = 120.0,
+    contacts: str = "pulses",
+    power_cycle: int = 0,
 ) -> Recorded:
     """Move a virtual rig for about `duration` s while contacts touch it."""
-    recipe, _ = load_recipe(RECIPE, [*RIGS[rig], f"virtual.seed={seed}"])
+    drawn = (f"virtual.seed={seed}", f"virtual.power_cycle={power_cycle}")
+    recipe, _ = load_recipe(RECIPE, [*RIGS[rig], *drawn])
     assert recipe.virtual is not None
     virtual = recipe.virtual.model_copy(update={"contact": CONTACTS[contacts]})
     recipe = recipe.model_copy(update={"virtual": virtual})
@@ -282,6 +288,7 @@ def motion_states(recorded: Recorded) -> dict[str, NDArray[np.bool_]]:
     margin = round(MARGIN / (STEP * recipe.rig.sample_time))
     used[margin : count - margin] = True
     return {
+        "all": used,
         "moving": used & moving,
         "moving, unloaded": used & moving & ~loaded,
         "moving, loaded": used & moving & loaded,

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from rigtool.errors import RecipeError
-from rigtool.experiments.force.procedure_calibration import scales_of
 from rigtool.experiments.force.procedure_over_time import model_and_reach, over_time
 from rigtool.experiments.force.procedure_reading import NEEDED, instrument_of
 from rigtool.experiments.force.results_over_time import COVERAGE_FACTOR
@@ -53,7 +52,7 @@ class LiveForce:
             )
         model, reach = model_and_reach(tables, kt, recipe)
         self._instrument = instrument_of(recipe, kt, model, reach, interval)
-        self._factors = scales_of(tables, recipe, kt, model, reach).causal
+        self._factors = model.scales[1]  # of the causal torque
         self._every = every
         self._last = np.zeros(0)
         self._waiting = np.empty((len(NEEDED), 0))

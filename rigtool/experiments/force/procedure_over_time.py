@@ -12,7 +12,7 @@ from dataclasses import replace
 from functools import partial
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.force.procedure_calibration import limits_of, scales_of
+from rigtool.experiments.force.procedure_calibration import limits_of
 from rigtool.experiments.force.procedure_motion import moved, require_learned
 from rigtool.experiments.force.procedure_reading import (
     NEEDED,
@@ -20,7 +20,7 @@ from rigtool.experiments.force.procedure_reading import (
     SHORTEST,
     read_recording,
 )
-from rigtool.experiments.force.results_over_time import force_outcome
+from rigtool.experiments.force.results_over_time import Scales, force_outcome
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.motion_states import Reach
 from rigtool.experiments.force_over_time.stored import model_from
@@ -113,7 +113,7 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
         raise InsufficientDataError(
             f"{run.path}: no recording has {SHORTEST:g} s without a gap: record for longer"
         )
-    return force_outcome(read, recipe, reach, scales_of(*known), limits)
+    return force_outcome(read, recipe, reach, Scales(*model.scales), limits)
 
 
 def model_and_reach(tables: Run, kt: Run, recipe: Recipe) -> tuple[ForceModel, Reach]:

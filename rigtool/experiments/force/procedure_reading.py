@@ -65,10 +65,9 @@ def read_recording(
     kt: Run,
     model: ForceModel,
     reach: Reach,
-    seconds: float = math.inf,
     limits: Array | None = None,
 ) -> Recorded:
-    """Return the torque over a recording, its first `seconds` s, by stretches without gaps.
+    """Return the torque over a recording, by stretches without gaps.
 
     With `limits`, thresholds as `contacts.thresholds` gives them, contacts are looked for.
     """
@@ -76,10 +75,9 @@ def read_recording(
         return Recorded(recording.name, (), 0, 0.0)
     instrument = instrument_for(recording, recipe, kt, model, reach)
     interval = instrument.interval
-    stop = None if math.isinf(seconds) else round(seconds / interval)
     parts: list[Reading] = []
     stretch, breaks, first, last = None, -1, math.nan, math.nan
-    for block, begins in unbroken_blocks(recording, instrument, stop):
+    for block, begins in unbroken_blocks(recording, instrument):
         if begins:
             breaks += 1
             parts += [] if stretch is None else stretch.reading()
@@ -88,8 +86,7 @@ def read_recording(
         stretch.add(block[1:])
     parts += [] if stretch is None else stretch.reading()
     (first,) = recording.read("time", 0, 1)
-    end = recording.size if stop is None else min(stop, recording.size)
-    (last,) = recording.read("time", end - 1, end)
+    (last,) = recording.read("time", recording.size - 1)
     read = sum(len(part.torque) * part.step_time for part in parts)
     lost = last + interval - first - read if breaks or not parts else 0.0
     return Recorded(recording.name, tuple(parts), breaks, lost)
@@ -103,9 +100,7 @@ def _interval(recording: Recording, recipe: Recipe) -> float:
     return asked if math.isclose(asked, measured, rel_tol=AS_ASKED) else measured
 
 
-def unbroken_blocks(
-    recording: Recording, instrument: Instrument, stop: int | None
-) -> Iterator[tuple[Array, bool]]:
+def unbroken_blocks(recording: Recording, instrument: Instrument) -> Iterator[tuple[Array, bool]]:
     """Yield the channels (c, n), time first, and whether a sample is missing before them.
 
     Samples with NaN are left out.
@@ -114,7 +109,7 @@ def unbroken_blocks(
     grid, interval = instrument.grid, instrument.interval
     piece = max(1, round(PIECE * grid.step_time / interval))
     before, number = np.zeros(0), 0
-    for block in recording.blocks(*names, stop=stop, finite=False):
+    for block in recording.blocks(*names, finite=False):
         samples = np.array(block)
         time = np.concatenate([before, samples[0]])
         rising_steps(time, number - before.size)
@@ -153,8 +148,9 @@ class _Stretch:
         sensed = self._sensor.add(samples, last=last)
         self._limited += int(self._instrument.limited(samples[1]).sum())
         estimate = sensed.estimate
-        found = [estimate.passed, estimate.deviation, sensed.states, *sensed.others]
-        names = ("causal", "causal_deviation", "causal_states", "reference")
+        angle = estimate.low + self._instrument.count / 2
+        found = [angle, sensed.torque, sensed.deviation, sensed.states, *sensed.others]
+        names = ("angle", "causal", "causal_deviation", "causal_states", "reference")
         for name, values in zip(names, found, strict=False):
             self._found[name].append(values)
         if sensed.untouched is not None:
@@ -193,7 +189,10 @@ class _Stretch:
             return []
         reference = whole.pop("reference", None)
         bandwidth = self._instrument.bandwidth_hz
-        whole["deviation"] = without_delay(whole["deviation"], bandwidth, step_time)
+        deviation = without_delay(whole["deviation"], bandwidth, step_time)
+        ripple, variance = self._sensor.power_up.whole(whole.pop("angle"), whole["torque"])
+        whole["torque"] = whole["torque"] - ripple
+        whole["deviation"] = np.sqrt(deviation**2 + variance)
         found: list[Contact] = []
         if self._limits is not None:
             torque, deviation = np.hstack(self._untouched)
@@ -213,4 +212,5 @@ FOUND = (
     "causal_deviation",
     "causal_states",
     "reference",
+    "angle",
 )

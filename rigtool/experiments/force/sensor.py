@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.force.power_up import PowerUp
 from rigtool.experiments.force_over_time.estimate import Estimate, Filter
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.motion_states import Judge, Moments, Reach, States
@@ -61,11 +62,16 @@ class Instrument:
 class Sensed:
     """The causal estimate after each of m steps; `others` (c, m) are channels that ride along.
 
+    `torque` and `deviation` (m,) N m are those behind the low-pass, less the ripple that this
+    power-up of the amplifier adds.
+
     `untouched` (2, m) N m are torque and deviation of a filter that expects no contact, for
     `contacts`; None where they were not asked for.
     """
 
     estimate: Estimate
+    torque: Array
+    deviation: Array
     moments: Moments
     states: States
     others: Array
@@ -98,6 +104,7 @@ class Sensor:
         quiet = replace(u, slow_torque_rate=rate, step_torque_rate=rate)
         other = Filter(plant, quiet, grid.step_samples, instrument.bandwidth_hz)
         self._untouched = other if contacts else None
+        self.power_up = PowerUp(model, grid.step_time, instrument.bandwidth_hz)
         self._judge = instrument.judge(causal=True)
         self._before: Moments | None = None
 
@@ -115,11 +122,14 @@ class Sensor:
         )
         estimate = self._filter.add(signals, keep=self._keep)
         found = self._stepper.add(riding)
+        angle = estimate.low + self._instrument.count / 2
+        ripple, variance = self.power_up.add(angle, estimate.states)
+        torque, deviation = estimate.passed - ripple, np.sqrt(estimate.deviation**2 + variance)
         moments = Moments(
             estimate.low,
             estimate.states[:, SPEED],
             estimate.states[:, HOUSING],
-            estimate.passed,
+            torque,
             found[0],
             found[1],
         )
@@ -127,7 +137,8 @@ class Sensor:
         if self._untouched is not None:
             other = self._untouched.add(signals)
             quiet = np.array([other.torque, other.deviation])
-        return Sensed(estimate, moments, self._states(moments), found[2:], quiet)
+        states = self._states(moments)
+        return Sensed(estimate, torque, deviation, moments, states, found[2:], quiet)
 
     def _states(self, moments: Moments) -> States:
         """Return the states of these steps, that follow from the steps before them, too."""

@@ -25,22 +25,24 @@ def known_angles(encoder: Array) -> tuple[Array, Array]:
     number = np.arange(len(encoder))
     before = np.concatenate([encoder[:1], encoder[:-1]])
     after = np.concatenate([encoder[1:], encoder[-1:]])
-    rising = (before <= low) & (after >= high) & (part > 0)
-    falling = (before >= high) & (after <= low) & (part > 0)
+    rising = (before <= low) & (after > low) & (part > 0)
+    falling = (before > low) & (after <= low) & (part > 0)
     # Neighbours further off than the edge's two counts: the rotor passes several in a sample
     single = (np.abs(before - encoder) <= 1) & (np.abs(after - encoder) <= 1)
-    edge = (rising | falling) & single
+    touched = (part > 0) & single & ~rising & ~falling  # crossed to and fro within the sample
     between = (part == 0) & (np.abs(after - encoder) == 1)  # an edge just between two samples
     fast = ~single
     places = [
-        number[rising & edge] + 1 - part[rising & edge],
-        number[falling & edge] + part[falling & edge],
+        number[rising & single] + 1 - part[rising & single],
+        number[falling & single] + part[falling & single],
+        number[touched] + 0.5,
         number[between] + 1.0,
         number[fast] + 0.5,
     ]
     angles = [
-        high[rising & edge],
-        high[falling & edge],
+        high[rising & single],
+        high[falling & single],
+        high[touched],
         np.maximum(encoder, after)[between],
         encoder[fast] + 0.5,
     ]

@@ -5,22 +5,30 @@ Equations: `model`, those of the filter `plant`; load_stroke = L / load friction
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.experiments.force_over_time.deviations import Deviations
 from rigtool.experiments.force_over_time.drive import Drive, drive_of, plant_of
 from rigtool.experiments.force_over_time.kalman import Uncertainty
 from rigtool.experiments.force_over_time.learning import Learned
 from rigtool.experiments.force_over_time.model import Kind
+from rigtool.experiments.force_over_time.motion_states import State
 from rigtool.experiments.force_over_time.plant import Plant
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class ForceModel:
-    """See the module."""
+    """See the module; `scales` (2, states) are factors from the filter's deviation to the standard
+    uncertainty, of the smoothed and of the causal torque."""
 
     learned: Learned
     deviations: Deviations
+    scales: Array = field(default_factory=lambda: np.ones((2, len(State))))
 
     @property
     def drive(self) -> Drive:

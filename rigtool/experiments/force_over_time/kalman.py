@@ -93,7 +93,7 @@ class Uncertainty:
     step_torque_rate: float = 250e-3
     busy_time: float = 0.06
     angle_rate: float = 1e-4
-    speed_rate: float = 0.3
+    speed_rate: float = 1.0
     bristle_rate: float = 0.2
     slip_rate: float = 0.1
     grasper_rate: float = 1e-3

@@ -42,10 +42,13 @@ SHORTEST = 1e-6
 SEED = 20060607
 
 
-def exploration(low: float, high: float, count: float, fastest: float, time: float) -> SpeedProfile:
+def exploration(
+    low: float, high: float, count: float, fastest: float, time: float, number: int = 0
+) -> SpeedProfile:
     """Return the motion from `low`, within `low`..`high` rad, at most `fastest` rad/s.
 
-    `count` rad is that of the encoder; `time` s is what free motion lasts, about.
+    `count` rad is that of the encoder; `time` s is what free motion lasts, about. Each `number` has
+    a free motion of its own.
     """
     path = _Path(low)
     path.go((low + high) / 2, fastest / 4)
@@ -54,7 +57,7 @@ def exploration(low: float, high: float, count: float, fastest: float, time: flo
             length = counts * count * (0.5 if leg in (0, LEGS - 1) else 1.0)
             path.go(path.angle + (-1) ** leg * length, counts * count / LEG_TIME)
     path.hold(HOLD_TIME)
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng([SEED, number])
     begun = path.times[-1]
     while path.times[-1] < begun + time:
         speed = math.exp(rng.uniform(math.log(SLOWEST), math.log(fastest)))

@@ -7,21 +7,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import constants
 
 from rigtool.experiments.controller_torque import CHANNELS as LOOP_CHANNELS
 from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
 from rigtool.experiments.force_over_time.deviations import deviations, kept_by_mean
+from rigtool.experiments.force_over_time.estimate import Filter, smoothed
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.learning import Sliding, learn_sliding
 from rigtool.experiments.force_over_time.model import Known
+from rigtool.experiments.force_over_time.model import State as Swing
+from rigtool.experiments.force_over_time.motion_states import Judge, Moments, Reach, State, States
+from rigtool.experiments.force_over_time.plant import HOUSING, SPEED
 from rigtool.experiments.force_over_time.procedure_exploration import exploration
 from rigtool.experiments.force_over_time.records import Condition, Record, repeated, single
-from rigtool.experiments.force_over_time.rest import Exploration, learn_rest
+from rigtool.experiments.force_over_time.rest import SETTLING, Exploration, learn_rest
+from rigtool.experiments.force_over_time.steps import Grid, Sampler
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Recording, Run
+
+Array = NDArray[np.float64]
 
 CHANNELS = (*LOOP_CHANNELS, "temperature")
 """What is recorded of a hanging load."""
@@ -35,13 +43,28 @@ FREE_SPEED = 2.0
 STEP_TIME = 1e-3
 """Of the filter, s."""
 
+COVERAGE_FACTOR = 1.96
+"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
 
-def exploring(recipe: Recipe) -> SpeedProfile:
-    """Return the motion without load that shows rest and reversals, from the lower end on."""
+FEWEST = 100
+"""Steps of a state without which its factor is that of all states."""
+
+APART = 20e-3
+"""From one compared step to the next, s."""
+
+ANYWHERE = Reach((-math.inf, math.inf), math.inf, math.inf, (-math.inf, math.inf))
+
+
+def exploring(recipe: Recipe, number: int = 0) -> SpeedProfile:
+    """Return the motion that shows rest and reversals, from the lower end on.
+
+    The model is learned from number 0, without load, and checked with the others.
+    """
     rig, settings = recipe.rig, recipe.ilc_learn
     high = math.radians(recipe.measure_force.angle) * rig.angle_ratio
     fastest = 2 * math.pi * rig.angle_ratio * min(FREE_SPEED, max(settings.speeds_rev_per_s))
-    return exploration(0.0, high, 2 * math.pi / rig.encoder_counts, fastest, FREE_TIME)
+    count = 2 * math.pi / rig.encoder_counts
+    return exploration(0.0, high, count, fastest, FREE_TIME, number)
 
 
 @dataclass(frozen=True)
@@ -58,11 +81,13 @@ def learn_force(
     strokes: Sequence[Recording],
     moves: Sequence[Recording],
     explored: Recording,
+    checks: Sequence[Recording],
     recipe: Recipe,
     kt: Run,
 ) -> LearnedForce:
     """Learn from strokes under known loads, moves without one, and the exploration.
 
+    `checks` are motions under known loads that nothing is fitted to: they show what u is.
     Raises `InsufficientDataError` where they do not carry it.
     """
     rig = recipe.rig
@@ -87,7 +112,63 @@ def learn_force(
     shown = Exploration(signals.encoder, signals.total, interval, own.torque_constant, own.count)
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
     rested = learn_rest(sliding.learned, shown, uncertainty, STEP_TIME)
-    return LearnedForce(ForceModel(rested, deviating), sliding, loaded)
+    model = ForceModel(rested, deviating)
+    if checks:
+        model = replace(model, scales=scales([_errors(r, recipe, kt, model) for r in checks]))
+    return LearnedForce(model, sliding, loaded)
+
+
+def _errors(
+    recording: Recording, recipe: Recipe, kt: Run, model: ForceModel
+) -> tuple[Array, States]:
+    """Return errors of smoothed and causal torque over their deviations (2, m), and states (m,).
+
+    What acts is a hanging load that swings on its tendon: F r sin a + J a''.
+    """
+    from scipy.signal import butter, sosfilt, sosfiltfilt
+
+    degc, force = recording.read("temperature"), recording.condition("force")
+    own, under = _signals(recording, recipe), _condition(recipe, kt, float(np.mean(degc)), force)
+    grid, bandwidth = Grid.of(_interval(own)), recipe.measure_force.motion.bandwidth_hz
+    known = np.array([own.encoder, own.total, np.full(len(degc), under.torque_constant)])
+    signals, _ = Sampler(grid, under.count, model.drive).add(known, last=True)
+    filtered = model.plant(grid.sample_time), model.uncertainty, grid.step_samples, bandwidth
+    causal = Filter(*filtered).add(signals)
+    torque, deviation = smoothed(*filtered, signals)
+    moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
+    judge = Judge(ANYWHERE, under.count, grid.step_time)
+    states = judge.states(Moments(causal.low, *moving, torque, zeros, zeros))
+    record = single(own.encoder, own.total, own.setpoint, _interval(own), under)
+    output = Swing.of(model.learned.shape, model.learned.known, record).output
+    speed = np.gradient(output, record.interval)
+    acting = under.moment * np.sin(output)
+    acting += under.load_inertia * np.gradient(speed, record.interval)
+    time = (1 + np.arange(len(torque))) * grid.step_time
+    truth = np.interp(time, (0.5 + np.arange(len(acting))) * record.interval, acting)
+    sections = butter(2, bandwidth, fs=1 / grid.step_time, output="sos")
+    later = sosfiltfilt(sections, torque - truth) / deviation
+    at_once = (causal.passed - sosfilt(sections, truth)) / causal.deviation
+    margin, every = round(SETTLING / grid.step_time), max(1, round(APART / grid.step_time))
+    chosen = slice(margin, -margin, every)
+    return np.stack([later, at_once])[:, chosen], states[chosen]
+
+
+def scales(parts: Sequence[tuple[Array, States]]) -> Array:
+    """Return the factor of each state (2, states), see `ForceModel`.
+
+    The 95 % quantile of |error| / deviation over that of a normal distribution; 1 at least, as
+    hanging loads change less than others. `parts` are errors over deviations (2, m) and states.
+    """
+    ratio = np.abs(np.hstack([errors for errors, _ in parts]))
+    states = np.concatenate([own for _, own in parts])
+    factors = np.ones((2, len(State)))
+    for state in State:
+        chosen = states == state
+        if chosen.sum() < FEWEST:
+            chosen[:] = True
+        quantile = np.quantile(ratio[:, chosen], 0.95, axis=1)
+        factors[:, state] = np.maximum(quantile / COVERAGE_FACTOR, 1.0)
+    return factors
 
 
 def stroke_record(recording: Recording, recipe: Recipe, kt: Run, force: float = 0.0) -> Record:

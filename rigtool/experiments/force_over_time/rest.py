@@ -70,6 +70,11 @@ HELD = 1e-3
 """Random walk of the torque here, N m per square root of a second: nothing acts, and what a filter
 that expects contacts would take for one is an error of the model."""
 
+SPEED_RATE = 2.0
+"""Random walk of the speeds here, rad/s per square root of a second. A filter that is surer of its
+speed can lose a count and not find back: errors then leap where a parameter hardly changes, and the
+search stops at the next leap."""
+
 THINNED = 2
 """Samples of the loop that are one of the filter's here: half the time."""
 
@@ -111,7 +116,11 @@ class RestProblem:
 
         self.learned = learned
         self.uncertainty = replace(
-            uncertainty, torque_rate=HELD, slow_torque_rate=HELD, step_torque_rate=HELD
+            uncertainty,
+            torque_rate=HELD,
+            slow_torque_rate=HELD,
+            step_torque_rate=HELD,
+            speed_rate=SPEED_RATE,
         )
         self._signals_of = _Inputs(exploration)
         self.step_samples = max(1, round(step_time / self._signals_of.sample_time))

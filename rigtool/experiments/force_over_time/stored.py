@@ -11,11 +11,12 @@ from rigtool.experiments.force_over_time.deviations import Deviations
 from rigtool.experiments.force_over_time.force_model import ForceModel
 from rigtool.experiments.force_over_time.learning import NAMES, Learned
 from rigtool.experiments.force_over_time.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_over_time.motion_states import State
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
 
-TERMS, COVARIANCE = "force_terms", "force_covariance"
+TERMS, COVARIANCE, SCALES = "force_terms", "force_covariance", "force_scales"
 
 PREFIX = "model_"
 """Of results that belong to the model."""
@@ -103,6 +104,16 @@ def model_tables(model: ForceModel) -> dict[str, Table]:
             "covariance",
             "covariance of the model's shape and of the terms' coefficients",
         ),
+        SCALES: Table(
+            ("state",),
+            {
+                "state": Column(np.arange(len(model.scales[0])), "1", "as in table force"),
+                "smoothed": Column(model.scales[0], "1", "of torque from the whole recording"),
+                "causal": Column(model.scales[1], "1", "of torque from samples up to its time"),
+            },
+            "smoothed",
+            "standard uncertainty over the filter's deviation, from loads that no fit saw",
+        ),
     }
 
 
@@ -111,10 +122,10 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
 
     Raises `RunFileError` where the run holds none, or a broken one.
     """
-    if TERMS not in run.tables:
+    if missing := [name for name in (TERMS, COVARIANCE, SCALES) if name not in run.tables]:
         raise RunFileError(
-            f"{run.path}: holds no model of motor and instrument: learn again with "
-            "ilc-learn --implementation D"
+            f"{run.path}: holds no model of motor and instrument (table {missing[0]}): learn again "
+            "with ilc-learn --implementation D"
         )
     table, rig = run.table(TERMS), recipe.rig
 
@@ -140,8 +151,11 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
             np.array([(length.u or 0.0) / length.value for length in lengths]),
         )
         deviations = Deviations(**{field.name: value(field.name) for field in fields(Deviations)})
+        scales = run.table(SCALES)
+        factors = np.array([scales["smoothed"], scales["causal"]], dtype=np.float64)
+        factors = factors.reshape(2, len(State))
     except (KeyError, TypeError, ValueError) as error:
         raise RunFileError(
             f"{run.path}: its model of motor and instrument cannot be used: {error}; learn it again"
         ) from None
-    return ForceModel(learned, deviations)
+    return ForceModel(learned, deviations, factors)

@@ -91,14 +91,14 @@ def learned():
 
 def test_rest_and_reversals_are_predicted_as_by_the_truth(learned):
     truth, wrong, found, motion = learned
-    assert error(wrong, motion) > 1.25 * error(truth, motion)
-    assert error(found, motion) < 1.15 * error(truth, motion)
+    assert error(wrong, motion) > 5 * error(truth, motion)
+    assert error(found, motion) < error(truth, motion)  # which is not fitted to its noise
 
 
 def test_they_are_predicted_in_another_motion_too(learned):
     truth, wrong, found, _ = learned
     other = explored(truth, seed=9, period=0.7)
-    assert error(found, other) < 1.3 * error(truth, other) < error(wrong, other)
+    assert error(found, other) < 1.1 * error(truth, other) < error(wrong, other) / 5
 
 
 def test_the_sum_of_friction_stays_what_sliding_showed(learned):
@@ -110,7 +110,7 @@ def test_the_sum_of_friction_stays_what_sliding_showed(learned):
 
 def test_uncertainty_shrinks_where_rest_shows_something(learned):
     truth, _, found, _ = learned
-    assert np.all(found.length_u < 0.75 * truth.length_u)
+    assert np.all(found.length_u < 0.35 * truth.length_u)
     bearing = len(NAMES) + list(FRICTIONS).index(Kind.BEARING)
     assert found.covariance[bearing, bearing] < truth.covariance[bearing, bearing]
     assert np.linalg.eigvalsh(found.covariance).min() > -1e-12

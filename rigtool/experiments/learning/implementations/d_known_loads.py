@@ -43,8 +43,8 @@ from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Ta
 LOADED = "known"
 """First part of the names of recordings of known loads."""
 
-EXPLORED = "explore"
-"""First part of the name of the recording that explores."""
+EXPLORED, CHECKED = "explore", "check"
+"""First part of the name of the recording that explores, and of those that check the model."""
 
 ANGLE_STEP_DEG, POINTS_OF_LOAD = 5.0, 13
 """Of the tables of the disturbance."""
@@ -68,8 +68,15 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
     ]
 
 
-def _explored() -> RecordingSpec:
-    return RecordingSpec(f"{EXPLORED}_000", channels(*CHANNELS), {"force": (0.0, "N")})
+def _explored(recipe: Recipe) -> list[RecordingSpec]:
+    """List the exploration, and the same with other free motion under three loads."""
+    loads = sorted(recipe.ilc_learn.loads.forces)
+    names = [f"{EXPLORED}_000", *(f"{CHECKED}_{number:03d}" for number in range(3))]
+    forces = (0.0, 0.0, loads[len(loads) // 2], loads[-1])
+    return [
+        RecordingSpec(name, channels(*CHANNELS), {"force": (force, "N")})
+        for name, force in zip(names, forces, strict=True)
+    ]
 
 
 class KnownLoads(LimitedAngle):
@@ -78,7 +85,7 @@ class KnownLoads(LimitedAngle):
     @classmethod
     def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
         """List the recordings of implementation C, the known loads by speed, the exploration."""
-        return (*super().recordings(recipe), *_loaded(recipe), _explored())
+        return (*super().recordings(recipe), *_loaded(recipe), *_explored(recipe))
 
     def require(self, recipe: Recipe, friction: Run | None) -> None:
         """Raise `RecipeError` without the instrument."""
@@ -105,7 +112,9 @@ class KnownLoads(LimitedAngle):
             load = Load(force=spec.conditions["force"][0])
             task = Task(motion, plain, load, record_every=spec.record_every)
             record(rig, task, recorder, spec.name)
-        record(rig, Task(exploring(recipe), plain), recorder, _explored().name)
+        for number, spec in enumerate(_explored(recipe)):
+            load = Load(force=spec.conditions["force"][0])
+            record(rig, Task(exploring(recipe, number), plain, load), recorder, spec.name)
 
     @classmethod
     def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
@@ -136,7 +145,8 @@ def _learn_force(run: Run, recipe: Recipe, kt: Run) -> LearnedForce:
             "in which ilc-learn --implementation D recorded its signals, or learn again"
         )
     moves = [r for kind in ("learn", "low") for r in run.recordings_named(f"{kind}_")]
-    return learn_force(strokes, moves, explored[0], recipe, kt)
+    checks = run.recordings_named(f"{CHECKED}_")
+    return learn_force(strokes, moves, explored[0], checks, recipe, kt)
 
 
 @dataclass(frozen=True, eq=False)
