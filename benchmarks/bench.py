@@ -78,6 +78,7 @@ def main() -> None:
             capture_output=True,
         )
         show("make -j2 tables, after set-up", time.perf_counter() - start, "s", 40)
+    force_sensor()
     line()
     growth()
 
@@ -88,6 +89,14 @@ def learning(folder: Path) -> None:
 
     show("learning one table: 20 turns at 8 kHz", best_of(one_table()), "s", 0.3)
     show("rigtool ilc-learn, implementation B from its run", whole_b(folder), "s", 3)
+
+
+def force_sensor() -> None:
+    """Show what the force sensor in C costs; `python benchmarks/sensor.py` counts operations."""
+    from sensor import on_this_machine
+
+    for kind, value in on_this_machine().items():
+        show(f"force sensor in C, {kind}, a step of 1 ms", value, "us", 10)
 
 
 def line() -> None:

@@ -40,8 +40,9 @@ def one_line(text: str) -> str:
 
 
 def c_comment(text: str) -> str:
-    """Return a line within a comment of C, which no part of it ends."""
-    return one_line(text).replace("*/", "* /").replace("/*", "/ *")
+    """Return a line within a comment of C, which no part of it ends; no trigraph is left."""
+    apart = one_line(text).replace("*/", "* /").replace("/*", "/ *")
+    return re.sub(r"\?(?=\?)", "? ", apart)
 
 
 def csv_text(text: str) -> str:

@@ -30,6 +30,7 @@ def test_no_text_ends_a_comment_of_c(text):
     safe = escapes.c_comment(text)
     assert "*/" not in safe
     assert "\n" not in safe
+    assert "??" not in safe
     assert comment([text]).count("*/") == 1
 
 

@@ -15,6 +15,7 @@ from rigtool.cli.options import debug_option, echo, example, open_inputs, run_op
         "rigtool export friction.h5 --part recordings/holds -o holds.parquet",
         "rigtool export friction.h5 -o friction.mat",
         "rigtool export tables.h5 -o table.h",
+        "rigtool export tables.h5 --kt kt.h5 --format c-sensor -o sensor.h",
     )
 )
 @click.argument("path", metavar="RUN.h5")
@@ -27,11 +28,11 @@ from rigtool.cli.options import debug_option, echo, example, open_inputs, run_op
 @click.option(
     "--format",
     "wanted",
-    type=click.Choice(["c", "c-int16", "table", "moteus", "odrive", "fourier"]),
-    help="Format of a learned table, where the suffix of FILE does not determine it.",
+    type=click.Choice(["c", "c-int16", "table", "moteus", "odrive", "fourier", "c-sensor"]),
+    help="Format of what was learned, where the suffix of FILE does not determine it.",
 )
 @click.option("--speed", type=float, help="For moteus, odrive, fourier: speed of the motor, rad/s.")
-@run_option("--kt", "For moteus and odrive: run of calibrate-kt, current to torque.")
+@run_option("--kt", "For moteus, odrive, c-sensor: run of calibrate-kt, current to torque.")
 @click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
 @debug_option
 def command(
@@ -55,6 +56,9 @@ def command(
     for half the size), a .csv or .json, or by --format: moteus, the 1024 codes of that drive's
     cogging table (.cfg); odrive, 3600 values of the turn; fourier, the orders above the noise;
     table, a .mat of the table alone. The loss by rounding is reported.
+
+    What implementation D learned becomes the force sensor of measure-force --record in C99 by
+    --format c-sensor: one header that reads the torque on the output from current and encoder.
     """
     from rigtool.experiments.deploy.stored_export import chosen_format, export_table
     from rigtool.runfile import open_run

@@ -1,4 +1,4 @@
-"""`export` of learned tables: the choice of the format, and its file."""
+"""`export` of what was learned: the choice of the format, and its file."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from rigtool.errors import UsageError
 from rigtool.experiments.deploy import drive_formats as texts
 from rigtool.experiments.deploy.c_header import header
 from rigtool.experiments.deploy.position_map import PositionMap, position_map
+from rigtool.experiments.deploy.stored_sensor import sensor
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
@@ -18,6 +19,9 @@ from rigtool.runfile.export import write_new
 
 LEARNED = "ilc-learn"
 
+SENSOR = "c-sensor"
+"""Format of the force model that was learned beside the table."""
+
 FORMATS: Mapping[str, tuple[str, ...]] = {
     "c": (".h",),
     "c-int16": (".h",),
@@ -25,6 +29,7 @@ FORMATS: Mapping[str, tuple[str, ...]] = {
     "moteus": (".cfg",),
     "odrive": (".csv", ".json"),
     "fourier": (".csv", ".json"),
+    SENSOR: (".h",),
 }
 """Formats of a learned table, and the endings of their files; the first format of an ending is what
 it means by itself."""
@@ -63,11 +68,17 @@ def export_table(
     kt: Run | None,
     overwrite: bool,
 ) -> tuple[str, ...]:
-    """Write a learned table; return remarks: the loss by rounding, and omitted parts.
+    """Write a learned table, or the sensor; return remarks: the loss by rounding, what is omitted.
 
     `speed`, rad/s, and `kt`, current to torque, are for the formats that need them. Raises
     `UsageError` where they are missing or do not apply.
     """
+    if wanted == SENSOR:
+        if speed is not None:
+            raise UsageError(f"--speed is for {', '.join(MAPS)}: {wanted} holds all speeds")
+        text, notes, inputs = sensor(run, kt)
+        write_new(output, overwrite, lambda path: _write(path, text), inputs)
+        return notes
     learned = learned_table_from(run)
     remarks: list[str] = []
     contents: str | dict[str, Any]

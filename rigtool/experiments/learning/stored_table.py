@@ -124,7 +124,6 @@ def learned_table_from(run: Run) -> LearnedTable:
     table = stored_table_from(run)
     stored = run.table("lookup")
     signal = stored.columns[stored.signal]
-    made = run.provenance
     band_hz, band_speed = _band(run)
     return LearnedTable(
         table=table,
@@ -134,10 +133,16 @@ def learned_table_from(run: Run) -> LearnedTable:
         friction={n: run.results[n] for n in (COULOMB, VISCOUS) if n in run.results},
         band_hz=band_hz,
         band_speed=band_speed,
-        origin=(
-            f"Rig {run.rig or 'unknown'}; learned on {made['date']}, rigtool {made['version']}.",
-            f"File {run.path.name}, content sha256 {run.content_sha256}.",
-        ),
+        origin=origin_of(run),
+    )
+
+
+def origin_of(run: Run) -> tuple[str, str]:
+    """Return where learned tables come from, in lines."""
+    made = run.provenance
+    return (
+        f"Rig {run.rig or 'unknown'}; learned on {made['date']}, rigtool {made['version']}.",
+        f"File {run.path.name}, content sha256 {run.content_sha256}.",
     )
 
 

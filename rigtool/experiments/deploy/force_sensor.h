@@ -1,0 +1,824 @@
+@HEAD@
+#ifndef RIGTOOL_SENSOR_H
+#define RIGTOOL_SENSOR_H
+
+/*
+ * Torque on the output from current and encoder, sample by sample; C99, no allocation, no globals.
+ *
+ *     struct rigtool_sensor sensor;
+ *     rigtool_sensor_init(&sensor);
+ *     for (;;) {
+ *         struct rigtool_sensor_sample sample = {count, ampere, degc};
+ *         const struct rigtool_sensor_reading *now = rigtool_sensor_update(&sensor, sample);
+ *     }
+ *
+ * Numbers are doubles; `#define RIGTOOL_SENSOR_FLOAT` before the include makes them floats. What
+ * begins with rs_ is not for use outside. Compile without -ffast-math: a reading without value is
+ * NaN.
+ */
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifdef RIGTOOL_SENSOR_FLOAT
+typedef float rigtool_sensor_real;
+#define RS_MATH(name) name##f
+#define RS_FARTHEST 12.0f
+#define RS_NARROWEST 5e-2f
+#define RS_STRAIGHT 0.1f
+#define RS_LEAST_WEIGHT 1e-7f
+#else
+typedef double rigtool_sensor_real;
+#define RS_MATH(name) name
+#define RS_FARTHEST 35.0
+#define RS_NARROWEST 1e-2
+#define RS_STRAIGHT 1e-2
+#define RS_LEAST_WEIGHT 1e-15
+#endif
+typedef rigtool_sensor_real rs_real;
+#if defined(__GNUC__) && !defined(__clang__)
+#define RS_UNROLL _Pragma("GCC unroll 16")
+#else
+#define RS_UNROLL
+#endif
+#define RS_TURN ((rs_real)6.28318530717958647693)
+
+/* One sample of the loop: all that the amplifier is asked for, at the count of this instant. */
+struct rigtool_sensor_sample {
+    int32_t encoder;     /* counts, rounded down, turns included */
+    rs_real current;     /* A */
+    rs_real temperature; /* degC, of the motor */
+};
+
+enum rigtool_sensor_state {
+    RIGTOOL_SENSOR_OUTSIDE,  /* outside what was learned: no value */
+    RIGTOOL_SENSOR_AGAINST,  /* moving against the load */
+    RIGTOOL_SENSOR_WITH,     /* moving with the load */
+    RIGTOOL_SENSOR_REVERSED, /* after a reversal */
+    RIGTOOL_SENSOR_STILL     /* standing still */
+};
+
+/* All but the state are NaN where there is no value. */
+struct rigtool_sensor_reading {
+    rs_real torque;    /* N m on the output, positive where it resists positive motion */
+    rs_real u;         /* its standard uncertainty, N m */
+    rs_real low, high; /* of the 95 % interval, N m */
+    enum rigtool_sensor_state state;
+    int fresh; /* 1 where this sample completed a step, 0 where the reading is that of before */
+};
+
+/* Order of the filter's states; those from RS_TORQUE on change from step to step alone. */
+enum {
+    RS_ANGLE,         /* of the rotor from the count that was read last, rad */
+    RS_SPEED,         /* rad/s */
+    RS_BRISTLE,       /* of the bearings, of its deflection while sliding */
+    RS_HOUSING,       /* bristle of the housing */
+    RS_GRASPER,       /* angle of the output from that count, rad */
+    RS_GRASPER_SPEED, /* rad/s */
+    RS_TIP,           /* bristle of the tip */
+    RS_TORQUE,        /* N m on the output */
+    RS_NOISE,         /* of friction, N m */
+    RS_SINE,          /* deviation of the stroke, N m */
+    RS_COSINE,
+    RS_LOAD, /* deviation of friction with load, relative */
+    RS_STATES,
+    RS_MOVING = RS_TORQUE,
+    RS_STROKE = RS_SINE,
+    RS_NOISY = RS_STROKE - RS_MOVING, /* change at random from step to step */
+    RS_ORDER = 2 /* of the low-pass */
+};
+
+/* Columns of the rotor's map. */
+enum { RS_COGGING, RS_RIPPLE, RS_GAIN, RS_SQUARE, RS_VISCOUS, RS_COLUMNS };
+
+/* What was learned. SI. */
+struct rs_model {
+    rs_real sample_time; /* of the equations, s */
+    rs_real step_time;   /* between two angles that the filter takes in, s */
+    rs_real count;       /* of the encoder, rad */
+    int32_t turn;        /* counts */
+    uint64_t output_turn; /* turns of the output for a count, 2^-64 */
+    rs_real constant, constant_slope;   /* torque at 0 degC, N m/A, and its change per kelvin */
+    rs_real offset_current, ripple_kept; /* A; what a sample leaves of the lagging ripple */
+    /* the drive: experiments/force_over_time/plant.py has the equations */
+    rs_real inertia, coulomb, static_friction, stribeck_velocity, presliding_angle;
+    rs_real presliding_damping, angle_ratio, torque_factor, stiffness, damping, grasper_inertia;
+    rs_real housing_friction, housing_asymmetry, housing_presliding_angle;
+    rs_real tip_friction, tip_presliding_angle, load_friction, load_friction_onset;
+    /* how far the equations may be off: standard deviations, and squares of random walks a step */
+    rs_real stroke, load_stroke, friction_noise, noise_kept, undecided, edge;
+    rs_real torque_start, bristle_start, speed_start;
+    rs_real quiet_walk, slow_walk, step_walk, walk[RS_MOVING];
+    rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
+    /* states */
+    rs_real sliding, speed_limit, torque_limit, current_limit, cold, warm;
+    int32_t lowest, highest; /* counts */
+    /* the reading: low-pass q' = A q + B M, y = C q + D M, and factors on its deviation by state */
+    rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], factor[RIGTOOL_SENSOR_STILL + 1], coverage;
+};
+
+@DATA@
+
+/* The filter; its numbers are for nobody else. */
+struct rigtool_sensor {
+    /* samples until they are one of the equations */
+    int collected, limited, limited_before;
+    int32_t encoder;
+    rs_real current, temperature, temperature_before;
+    /* x, and its covariance as U diag(d) U'; rows of U that move are those of now within a step.
+     * The last columns of u are the covariance of x and q; nothing depends on it. */
+    rs_real x[RS_STATES], u[RS_STATES][RS_STATES + RS_ORDER], d[RS_STATES];
+    rs_real q[RS_ORDER], own[RS_ORDER][RS_ORDER]; /* of the low-pass, and their covariance */
+    rs_real ripple, direction, step_sum, slow_sum, spread, outer_spread;
+    int step_left, slow_left; /* steps at the level of a step, of a slow change */
+    int32_t base; /* count that the angles are from */
+    rs_real turn; /* of the output at this count, in turns */
+    rs_real at, sine, cosine; /* of the output at the begin of the step */
+    int begun, samples;
+    /* states: counts of the last steps, and for how many steps they were one of two */
+    int32_t history[RS_SPEED_STEPS];
+    int steps, next, still_up, still_down, limit_left;
+    struct rigtool_sensor_reading reading;
+};
+
+static inline rs_real rs_square(rs_real value)
+{
+    return value * value;
+}
+
+/* -- the drive ------------------------------------------------------------------------------- */
+
+/* Place in a map of one turn, from turns between -1000 and 1000: the cell, and the part of it. */
+static inline int rs_place(rs_real turns, int cells, rs_real *part)
+{
+    rs_real place = 0;
+    int cell;
+    if (turns > -1000 && turns < 1000)
+        place = (turns + (rs_real)(turns < 0) - (rs_real)(int)turns) * (rs_real)cells;
+    cell = (int)place;
+    if (cell > cells - 1)
+        cell = cells - 1; /* rounding */
+    *part = place - (rs_real)cell;
+    return cell;
+}
+
+#ifdef RIGTOOL_SENSOR_FLOAT
+/* exp(x) for x up to 0, within two roundings: x = n ln 2 + r, and a polynomial of r. */
+static inline rs_real rs_exp(rs_real x)
+{
+    rs_real scaled = x * 1.44269504f - 0.5f, r, power;
+    uint32_t bits;
+    if (!(scaled > -125.0f))
+        return 0;
+    bits = (uint32_t)(127 + (int32_t)scaled);
+    r = (rs_real)(int32_t)scaled;
+    r = (x - r * 0.693359375f) + r * 2.12194440e-4f;
+    bits <<= 23;
+    memcpy(&power, &bits, sizeof power);
+    return power * (1 + r * (1 + r * (0.5f + r * (0.16666667f + r * (0.041666651f
+                    + r * (8.3333755e-3f + r * 1.3888889e-3f))))));
+}
+#else
+#define rs_exp exp
+#endif
+
+/* A bristle a sample later, and its derivatives: by itself, and by the speed. */
+struct rs_bristle {
+    rs_real after, by_self, by_speed;
+};
+
+static inline struct rs_bristle rs_bend(rs_real z, rs_real speed, rs_real length, rs_real spread)
+{
+    const rs_real dt = rs_model.sample_time;
+    struct rs_bristle found;
+    rs_real left = rs_exp(-RS_MATH(fabs)(speed) * (dt / length));
+    rs_real side = speed > 0 ? (rs_real)1 : (rs_real)-1;
+    found.after = side - (side - z) * left;
+    found.by_self = left;
+    if (RS_MATH(fabs)(speed) < spread)
+        side = speed / spread; /* a direction that is not certain: between both */
+    found.by_speed = (1 - side * z) * left * (dt / length);
+    return found;
+}
+
+/* Torque of current and rotor angle at the shaft; *viscous is the drag there, N m s/rad. */
+static inline rs_real rs_drive(struct rigtool_sensor *s, rs_real *viscous)
+{
+    const struct rs_model *m = &rs_model;
+    int32_t within = s->encoder % m->turn;
+    const rs_real *low, *high;
+    rs_real turns, part, plain, raw, here[RS_COLUMNS];
+    int cell, j;
+    if (within < 0)
+        within += m->turn;
+    turns = ((rs_real)within + (rs_real)0.5) * (1 / (rs_real)m->turn);
+    cell = rs_place(turns, RS_ROTOR_CELLS, &part);
+    low = rs_rotor_map[cell];
+    high = rs_rotor_map[cell + 1];
+    for (j = 0; j < RS_COLUMNS; j++)
+        here[j] = low[j] + part * (high[j] - low[j]);
+    plain = (m->constant + m->constant_slope * s->temperature) * (s->current + m->offset_current);
+    raw = here[RS_RIPPLE]
+        + plain * (here[RS_GAIN] + RS_MATH(fabs)(s->current) * here[RS_SQUARE]);
+    s->ripple += (1 - m->ripple_kept) * (raw - s->ripple);
+    *viscous = here[RS_VISCOUS];
+    return plain - here[RS_COGGING] - s->ripple;
+}
+
+/* Advance the states, and with them the columns of U, by one sample of the equations. */
+static inline void rs_advance(struct rigtool_sensor *s, rs_real torque, rs_real viscous)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real dt = m->sample_time, k = m->stiffness, c = m->damping;
+    const rs_real e = dt / m->inertia, f = dt / m->grasper_inertia, ratio = 1 / m->angle_ratio;
+    rs_real *x = s->x, w = x[RS_SPEED], v = x[RS_GRASPER_SPEED];
+    struct rs_bristle z = rs_bend(x[RS_BRISTLE], w, m->presliding_angle, s->spread);
+    struct rs_bristle h = rs_bend(x[RS_HOUSING], w, m->housing_presliding_angle, s->spread);
+    struct rs_bristle t = rs_bend(x[RS_TIP], v, m->tip_presliding_angle, s->outer_spread);
+    rs_real twist = k * (x[RS_ANGLE] * ratio - x[RS_GRASPER]) + c * (w * ratio - v);
+
+    /* bearings */
+    rs_real fast = w * (1 / m->stribeck_velocity), rate = m->presliding_damping / dt;
+    rs_real bump = RS_MATH(fabs)(fast) < 5
+        ? (m->static_friction - m->coulomb) * rs_exp(-fast * fast) : 0;
+    rs_real level = m->coulomb + bump;
+    rs_real shape = z.after + rate * (z.after - x[RS_BRISTLE]);
+    rs_real bearings = level * shape + x[RS_NOISE] * z.after + viscous * w;
+    rs_real by_z = level * (1 + rate) + x[RS_NOISE];
+    rs_real by_w = viscous - 2 / m->stribeck_velocity * fast * bump * shape;
+
+    /* housing */
+    rs_real part, on = x[RS_GRASPER] - s->at, squared = on * on;
+    int cell = rs_place(s->turn + x[RS_GRASPER] * (1 / RS_TURN), RS_HOUSING_CELLS, &part);
+    rs_real slope = rs_housing_map[cell + 1] - rs_housing_map[cell];
+    rs_real map = rs_housing_map[cell] + part * slope;
+    rs_real shift = on * (1 - squared * ((rs_real)1 / 6));
+    rs_real held = 1 - squared * (rs_real)0.5 * (1 - squared * ((rs_real)1 / 12));
+    rs_real sine = s->sine * held + s->cosine * shift;
+    rs_real cosine = s->cosine * held - s->sine * shift;
+    rs_real root = RS_MATH(sqrt)(twist * twist + rs_square(m->load_friction_onset));
+    rs_real carried = (root - m->load_friction_onset) * (1 / m->torque_factor);
+    rs_real leaning = m->housing_friction * (1 + m->housing_asymmetry * h.after);
+    rs_real per_load = m->load_friction * (1 + x[RS_LOAD]);
+    rs_real waves = x[RS_SINE] * sine + x[RS_COSINE] * cosine;
+    rs_real housing = leaning * map + per_load * carried + waves;
+    rs_real by_h = housing + m->housing_friction * m->housing_asymmetry * map * h.after;
+    rs_real by_twist = 1 / m->torque_factor * (1 + per_load * twist / root * h.after);
+    rs_real by_a = (leaning * slope * (RS_HOUSING_CELLS / RS_TURN) + x[RS_SINE] * cosine
+                    - x[RS_COSINE] * sine) * h.after;
+
+    /* speed of rotor and output a sample later, by what was before */
+    const rs_real w_by_angle = -e * by_twist * k * ratio;
+    const rs_real w_by_w =
+        1 - e * (by_z * z.by_speed + by_w + by_h * h.by_speed + by_twist * c * ratio);
+    const rs_real w_by_z = -e * (by_z * z.by_self - level * rate), w_by_h = -e * by_h * h.by_self;
+    const rs_real w_by_a = e * (by_twist * k - by_a), w_by_v = e * by_twist * c;
+    const rs_real w_by[] = {-e * z.after, -e * h.after * sine, -e * h.after * cosine,
+                            -e * m->load_friction * carried * h.after}; /* from RS_NOISE on */
+    const rs_real v_by_v = 1 - f * (c + m->tip_friction * t.by_speed);
+    const rs_real v_by_t = -f * m->tip_friction * t.by_self;
+    rs_real (*u)[RS_STATES + RS_ORDER] = s->u;
+    int i, j;
+
+    x[RS_SPEED] += e * (torque - bearings - twist * (1 / m->torque_factor) - housing * h.after);
+    x[RS_ANGLE] += dt * x[RS_SPEED];
+    x[RS_GRASPER_SPEED] += f * (twist - m->tip_friction * t.after - x[RS_TORQUE]);
+    x[RS_GRASPER] += dt * x[RS_GRASPER_SPEED];
+    x[RS_BRISTLE] = z.after;
+    x[RS_HOUSING] = h.after;
+    x[RS_TIP] = t.after;
+
+    RS_UNROLL
+    for (j = 0; j < RS_STATES + RS_ORDER; j++) {
+        const rs_real d_angle = u[RS_ANGLE][j], d_w = u[RS_SPEED][j];
+        const rs_real d_a = u[RS_GRASPER][j], d_v = u[RS_GRASPER_SPEED][j];
+        rs_real new_w = w_by_angle * d_angle + w_by_w * d_w + w_by_a * d_a + w_by_v * d_v
+            + w_by_z * u[RS_BRISTLE][j] + w_by_h * u[RS_HOUSING][j];
+        rs_real new_v = f * k * ratio * d_angle + f * c * ratio * d_w - f * k * d_a
+            + v_by_v * d_v + v_by_t * u[RS_TIP][j];
+        if (j >= RS_MOVING) {
+            for (i = RS_NOISE; i < RS_STATES && i <= j; i++)
+                new_w += w_by[i - RS_NOISE] * u[i][j];
+            new_v -= f * u[RS_TORQUE][j];
+        }
+        u[RS_BRISTLE][j] = z.by_self * u[RS_BRISTLE][j] + z.by_speed * d_w;
+        u[RS_HOUSING][j] = h.by_self * u[RS_HOUSING][j] + h.by_speed * d_w;
+        u[RS_TIP][j] = t.by_self * u[RS_TIP][j] + t.by_speed * d_v;
+        u[RS_ANGLE][j] = d_angle + dt * new_w;
+        u[RS_SPEED][j] = new_w;
+        u[RS_GRASPER][j] = d_a + dt * new_v;
+        u[RS_GRASPER_SPEED][j] = new_v;
+    }
+}
+
+/* -- the covariance U diag(d) U', U unit upper triangular -------------------------------------- */
+
+/* Variance of a state. */
+static inline rs_real rs_variance(const struct rigtool_sensor *s, int i)
+{
+    rs_real total = s->d[i];
+    int j;
+    for (j = i + 1; j < RS_STATES; j++)
+        total += s->u[i][j] * s->u[i][j] * s->d[j];
+    return total;
+}
+
+/* Add weight a a' to the covariance, from row `from`, with which a ends, down to row `to`:
+ * W. S. Agee, R. H. Turner 1972 (Bierman III.4). What is left to add to the rows before is in a,
+ * by the weight returned. */
+static inline rs_real rs_add(struct rigtool_sensor *s, rs_real weight, rs_real *a, int from, int to)
+{
+    int i, j;
+    for (j = from; j >= to; j--) {
+        const rs_real old = s->d[j], part = weight * a[j], whole = old + part * a[j];
+        const rs_real inverse = 1 / whole, gain = part * inverse;
+        s->d[j] = whole;
+        for (i = 0; i < j; i++) {
+            a[i] -= a[j] * s->u[i][j];
+            s->u[i][j] += gain * a[i];
+        }
+        weight *= old * inverse;
+    }
+    return weight;
+}
+
+/* Add a variance to a state's; what is left for the rows that move is in a, as in `rs_add`. */
+static inline rs_real rs_add_walk(struct rigtool_sensor *s, rs_real variance, rs_real *a, int state)
+{
+    const rs_real whole = s->d[state] + variance, kept = s->d[state] / whole;
+    int i;
+    s->d[state] = whole;
+    for (i = 0; i < state; i++) {
+        a[i] = -s->u[i][state];
+        s->u[i][state] *= kept;
+    }
+    return rs_add(s, variance * kept, a, state - 1, RS_MOVING);
+}
+
+/* Rows that move with what is added to them, each column by its weight: those of U by d, `other` by
+ * `weight`, and each row's random walk, a column of its own that begins as 1. */
+struct rs_rows {
+    rs_real other[RS_NOISY][RS_STROKE], weight[RS_NOISY];
+    rs_real walk[RS_MOVING][RS_MOVING]; /* above the diagonal; below it that of U */
+    rs_real d[RS_MOVING];
+};
+
+/* Make the rows before row j independent of it. */
+static inline void rs_apart(struct rigtool_sensor *s, struct rs_rows *r, int j)
+{
+    const rs_real *row = s->u[j];
+    rs_real by_d[RS_MOVING], by_weight[RS_NOISY], by_walk[RS_MOVING], total = rs_model.walk[j];
+    int i, m;
+    for (m = 0; m < RS_MOVING; m++) {
+        by_d[m] = s->d[m] * row[m];
+        total += by_d[m] * row[m];
+    }
+    for (m = 0; m < RS_NOISY; m++) {
+        by_weight[m] = r->weight[m] * r->other[m][j];
+        total += by_weight[m] * r->other[m][j];
+    }
+    for (m = j + 1; m < RS_MOVING; m++) {
+        by_walk[m] = rs_model.walk[m] * r->walk[j][m];
+        total += by_walk[m] * r->walk[j][m];
+    }
+    r->d[j] = total;
+    total = 1 / total;
+    for (i = 0; i < j; i++) {
+        rs_real *before = s->u[i], dot = 0;
+        for (m = 0; m < RS_MOVING; m++)
+            dot += by_d[m] * before[m];
+        for (m = 0; m < RS_NOISY; m++)
+            dot += by_weight[m] * r->other[m][i];
+        for (m = j + 1; m < RS_MOVING; m++)
+            dot += by_walk[m] * r->walk[i][m];
+        dot *= total;
+        for (m = 0; m < RS_MOVING; m++)
+            before[m] -= dot * row[m];
+        for (m = 0; m < RS_NOISY; m++)
+            r->other[m][i] -= dot * r->other[m][j];
+        for (m = j + 1; m < RS_MOVING; m++)
+            r->walk[i][m] -= dot * r->walk[j][m];
+        r->walk[i][j] = -dot;
+        r->walk[j][i] = dot;
+    }
+}
+
+/* Make the rows that move triangular again: modified weighted Gram-Schmidt, C. L. Thornton 1976
+ * (Bierman VI.4). */
+static inline void rs_triangular(struct rigtool_sensor *s, struct rs_rows *r)
+{
+    int i, j;
+    RS_UNROLL
+    for (j = RS_MOVING - 1; j >= 0; j--)
+        rs_apart(s, r, j);
+    RS_UNROLL
+    for (j = 0; j < RS_MOVING; j++) {
+        s->d[j] = r->d[j];
+        s->u[j][j] = 1;
+        for (i = 0; i < j; i++) {
+            s->u[j][i] = 0;
+            s->u[i][j] = r->walk[j][i];
+        }
+    }
+}
+
+/* A new stroke: its deviations are drawn anew, what they did to the other states stays. */
+static inline void rs_new_stroke(struct rigtool_sensor *s)
+{
+    int i, j;
+    for (j = RS_STROKE; j < RS_STATES; j++) {
+        rs_real a[RS_STROKE];
+        for (i = 0; i < RS_STROKE; i++)
+            a[i] = s->u[i][j];
+        rs_add(s, s->d[j], a, RS_STROKE - 1, 0);
+        for (i = 0; i < j; i++)
+            s->u[i][j] = 0;
+        for (i = 0; i < RS_ORDER; i++)
+            s->u[j][RS_STATES + i] = 0;
+        s->x[j] = 0;
+        s->d[j] = rs_square(j == RS_LOAD ? rs_model.load_stroke : rs_model.stroke);
+    }
+}
+
+/* -- a step of the filter ---------------------------------------------------------------------- */
+
+/* Advance the low-pass by a step, with its covariances. */
+static inline void rs_pass(struct rigtool_sensor *s)
+{
+    rs_real part[RS_STATES], torque[RS_STATES]; /* covariance of x and the torque */
+    rs_real q[RS_ORDER], own[RS_ORDER][RS_ORDER];
+    int i, j, m, n;
+    for (j = RS_TORQUE; j < RS_STATES; j++)
+        part[j] = s->d[j] * s->u[RS_TORQUE][j];
+    RS_UNROLL
+    for (n = 0; n < RS_STATES; n++) {
+        torque[n] = 0;
+        for (j = n < RS_TORQUE ? RS_TORQUE : n; j < RS_STATES; j++)
+            torque[n] += s->u[n][j] * part[j];
+    }
+    for (i = 0; i < RS_ORDER; i++) {
+        const rs_real *a = rs_model.low_pass[i];
+        q[i] = a[RS_ORDER] * s->x[RS_TORQUE];
+        for (m = 0; m < RS_ORDER; m++)
+            q[i] += a[m] * s->q[m];
+        for (j = 0; j <= i; j++) {
+            const rs_real *b = rs_model.low_pass[j];
+            rs_real total = a[RS_ORDER] * torque[RS_TORQUE] * b[RS_ORDER];
+            for (m = 0; m < RS_ORDER; m++) {
+                total += (a[m] * b[RS_ORDER] + a[RS_ORDER] * b[m]) * s->u[RS_TORQUE][RS_STATES + m];
+                for (n = 0; n < RS_ORDER; n++)
+                    total += a[m] * s->own[m][n] * b[n];
+            }
+            own[i][j] = own[j][i] = total;
+        }
+    }
+    for (n = 0; n < RS_STATES; n++) {
+        rs_real *row = s->u[n] + RS_STATES, shared[RS_ORDER];
+        for (i = 0; i < RS_ORDER; i++) {
+            shared[i] = torque[n] * rs_model.low_pass[i][RS_ORDER];
+            for (m = 0; m < RS_ORDER; m++)
+                shared[i] += row[m] * rs_model.low_pass[i][m];
+        }
+        for (i = 0; i < RS_ORDER; i++)
+            row[i] = shared[i];
+    }
+    for (i = 0; i < RS_ORDER; i++) {
+        s->q[i] = q[i];
+        for (j = 0; j < RS_ORDER; j++)
+            s->own[i][j] = own[i][j];
+    }
+}
+
+/* What is needed of the states before the samples of a step. */
+static inline void rs_ahead(struct rigtool_sensor *s)
+{
+    const rs_real angle = s->turn * RS_TURN + s->x[RS_GRASPER];
+    s->spread = rs_model.undecided * RS_MATH(sqrt)(rs_variance(s, RS_SPEED));
+    s->outer_spread = rs_model.undecided * RS_MATH(sqrt)(rs_variance(s, RS_GRASPER_SPEED));
+    s->at = s->x[RS_GRASPER];
+    s->sine = RS_MATH(sin)(angle);
+    s->cosine = RS_MATH(cos)(angle);
+    rs_pass(s);
+}
+
+/* The end of the samples of a step: what the equations do not know is added. */
+static inline void rs_predicted(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real kept = m->noise_kept, forgotten = 1 / kept;
+    struct rs_rows rows;
+    rs_real added[RS_NOISY];
+    int i;
+    s->x[RS_NOISE] *= kept;
+    for (i = 0; i < RS_NOISE; i++)
+        s->u[i][RS_NOISE] *= forgotten;
+    for (i = RS_NOISE + 1; i < RS_STATES + RS_ORDER; i++)
+        s->u[RS_NOISE][i] *= kept;
+    s->d[RS_NOISE] *= kept * kept;
+    added[RS_NOISE - RS_MOVING] = rs_square(m->friction_noise) * (1 - kept * kept);
+    added[RS_TORQUE - RS_MOVING] =
+        s->step_left > 0 ? m->step_walk : s->slow_left > 0 ? m->slow_walk : m->quiet_walk;
+    if (s->step_left > 0)
+        s->step_left--;
+    if (s->slow_left > 0)
+        s->slow_left--;
+    for (i = RS_NOISY - 1; i >= 0; i--)
+        rows.weight[i] = rs_add_walk(s, added[i], rows.other[i], RS_MOVING + i);
+    rs_triangular(s, &rows);
+    if (s->x[RS_HOUSING] * s->direction < (rs_real)-0.5) {
+        s->direction = -s->direction;
+        rs_new_stroke(s);
+    }
+}
+
+/* Mean of a density exp(-slope x) between 0 and width; *variance receives its variance. */
+static inline rs_real rs_exponential(rs_real slope, rs_real width, rs_real *variance)
+{
+    rs_real end;
+    if (slope * width < RS_STRAIGHT) {
+        *variance = width * width / 12;
+        return width * ((rs_real)0.5 - slope * width / 12);
+    }
+    end = rs_exp(-slope * width);
+    *variance = 1 / (slope * slope) - width * width * end / ((1 - end) * (1 - end));
+    return 1 / slope - width * end / (1 - end);
+}
+
+/* Mean of a standard normal between alpha and beta; *variance receives its variance. */
+static inline rs_real rs_truncated(rs_real alpha, rs_real beta, rs_real *variance)
+{
+    const rs_real root = (rs_real)0.70710678118654752440, density = (rs_real)0.39894228040143267794;
+    rs_real sign = 1, mean, tail, low, high, swap;
+    if (alpha + beta < 0) { /* above zero the tails are those that erfc resolves */
+        swap = alpha;
+        alpha = -beta;
+        beta = -swap;
+        sign = -1;
+    }
+    if (beta - alpha < RS_NARROWEST || alpha > RS_FARTHEST) {
+        rs_real width = beta - alpha < 1 ? beta - alpha : (rs_real)1;
+        rs_real middle = width < RS_NARROWEST ? width : RS_NARROWEST;
+        return sign * (alpha + rs_exponential(alpha + middle / 2, width, variance));
+    }
+    tail = (rs_real)0.5 * (RS_MATH(erfc)(alpha * root) - RS_MATH(erfc)(beta * root));
+    low = density * rs_exp((rs_real)-0.5 * alpha * alpha) / tail;
+    high = density * rs_exp((rs_real)-0.5 * beta * beta) / tail;
+    mean = low - high;
+    *variance = 1 + alpha * low - (high > 0 ? beta * high : 0) - mean * mean;
+    return sign * mean;
+}
+
+/* Counts from one to another, across an overflow, too. */
+static inline int32_t rs_from(int32_t to, int32_t from)
+{
+    return (int32_t)((uint32_t)to - (uint32_t)from);
+}
+
+/* Angles are from now on from another count. */
+static inline void rs_rebase(struct rigtool_sensor *s, int32_t count)
+{
+    rs_real moved = (rs_real)rs_from(count, s->base) * rs_model.count;
+    uint32_t turn;
+    s->x[RS_ANGLE] -= moved;
+    s->x[RS_GRASPER] -= moved / rs_model.angle_ratio;
+    s->base = count;
+    turn = (uint32_t)((uint64_t)(int64_t)count * rs_model.output_turn >> 32);
+    s->turn = (rs_real)turn * (1 / (rs_real)4294967296.0);
+}
+
+/* Take in that the angle lies within its count: the interval as a scalar measurement, U and d after
+ * Bierman (V.3); the variance left is never below that of `least_variance`. */
+static inline void rs_update(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real edge = rs_square(m->edge * m->count);
+    rs_real variance = edge, deviation, low, left, mean, found, weight;
+    rs_real shared[RS_ORDER], shared_weight[RS_ORDER];
+    rs_real part[RS_STATES], column[RS_STATES]; /* d U'[angle], and U d U'[angle] */
+    int i, j;
+    for (j = 0; j < RS_STATES; j++) {
+        part[j] = s->d[j] * s->u[RS_ANGLE][j];
+        variance += part[j] * s->u[RS_ANGLE][j];
+    }
+    deviation = RS_MATH(sqrt)(variance);
+    low = -s->x[RS_ANGLE] / deviation;
+    found = mean = rs_truncated(low, low + m->count / deviation, &left);
+    if (!(left > m->least_variance))
+        left = m->least_variance;
+    weight = 1 - left;
+    if (!(weight > RS_LEAST_WEIGHT))
+        weight = RS_LEAST_WEIGHT;
+    {
+        /* a measurement of this variance leaves the same */
+        rs_real sum = edge + variance * left / weight, inverse = 1 / sum;
+        RS_UNROLL
+        for (j = 0; j < RS_STATES; j++) {
+            const rs_real by = s->u[RS_ANGLE][j], gain = -by * inverse, whole = sum + part[j] * by;
+            for (i = 0; i < j; i++) {
+                const rs_real old = s->u[i][j];
+                s->u[i][j] = old + gain * column[i];
+                column[i] += old * part[j];
+            }
+            column[j] = part[j];
+            inverse = 1 / whole;
+            s->d[j] *= sum * inverse;
+            sum = whole;
+        }
+    }
+    mean /= deviation;
+    weight /= variance;
+    for (i = 0; i < RS_ORDER; i++)
+        shared[i] = s->u[RS_ANGLE][RS_STATES + i];
+    for (i = 0; i < RS_ORDER; i++) {
+        s->q[i] += shared[i] * mean;
+        for (j = 0; j < RS_ORDER; j++)
+            s->own[i][j] -= shared[i] * shared[j] * weight;
+        shared_weight[i] = shared[i] * weight;
+    }
+    for (i = 0; i < RS_STATES; i++) {
+        s->x[i] += column[i] * mean;
+        for (j = 0; j < RS_ORDER; j++)
+            s->u[i][RS_STATES + j] -= column[i] * shared_weight[j];
+    }
+    for (i = RS_BRISTLE; i <= RS_TIP; i++) {
+        if (i == RS_GRASPER || i == RS_GRASPER_SPEED)
+            continue;
+        if (s->x[i] > 1)
+            s->x[i] = 1;
+        if (s->x[i] < -1)
+            s->x[i] = -1;
+    }
+    s->step_sum = m->short_kept * s->step_sum + found * m->step_time;
+    s->slow_sum = m->long_kept * s->slow_sum + found * m->step_time;
+    if (RS_MATH(fabs)(s->step_sum) > m->step_threshold)
+        s->step_left = RS_BUSY_STEPS;
+    if (RS_MATH(fabs)(s->slow_sum) > m->slow_threshold)
+        s->slow_left = RS_BUSY_STEPS;
+}
+
+/* -- states and the reading -------------------------------------------------------------------- */
+
+/* For how many steps the encoder has passed one edge at most, this one included. */
+static inline int rs_still_steps(struct rigtool_sensor *s, int32_t moved)
+{
+    int up = s->still_up, down = s->still_down; /* at this count or one above, one below */
+    s->still_up = moved == 0 ? up : moved == -1 ? down : 0;
+    s->still_down = moved == 0 ? down : moved == 1 ? up : 0;
+    if (s->still_up < RS_STILL_STEPS)
+        s->still_up++;
+    if (s->still_down < RS_STILL_STEPS)
+        s->still_down++;
+    return s->still_up > s->still_down ? s->still_up : s->still_down;
+}
+
+/* Whether angle, mean speed, torque or temperature is beyond what was learned. */
+static inline int rs_outside(
+    const struct rigtool_sensor *s, rs_real torque, int32_t oldest, int steps)
+{
+    const struct rs_model *m = &rs_model;
+    rs_real way = (rs_real)rs_from(s->encoder, oldest) * m->count;
+    rs_real warm = (s->temperature_before + s->temperature) / 2;
+    return s->encoder < m->lowest || s->encoder > m->highest
+        || RS_MATH(fabs)(way) > m->speed_limit * ((rs_real)steps * m->step_time)
+        || RS_MATH(fabs)(torque) > m->torque_limit || warm < m->cold || warm > m->warm;
+}
+
+/* The state of the step that ends with this count. */
+static inline enum rigtool_sensor_state rs_state(struct rigtool_sensor *s, rs_real torque)
+{
+    const int full = s->steps >= RS_SPEED_STEPS, last = s->next ? s->next - 1 : RS_SPEED_STEPS - 1;
+    const int32_t before = s->steps ? s->history[last] : s->encoder;
+    const int32_t oldest = full ? s->history[s->next] : s->steps ? s->history[0] : s->encoder;
+    const int outside = rs_outside(s, torque, oldest, s->steps ? s->steps : 1);
+    const int still = rs_still_steps(s, rs_from(s->encoder, before)) >= RS_STILL_STEPS;
+    const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
+    s->history[s->next] = s->encoder;
+    s->next = s->next + 1 < RS_SPEED_STEPS ? s->next + 1 : 0;
+    s->steps += !full;
+    if (s->limited || s->limited_before)
+        s->limit_left = RS_LIMIT_STEPS;
+    else if (s->limit_left > 0)
+        s->limit_left--;
+    if (s->limit_left > 0 || outside)
+        return RIGTOOL_SENSOR_OUTSIDE;
+    if (still)
+        return RIGTOOL_SENSOR_STILL;
+    if (s->x[RS_HOUSING] * direction < rs_model.sliding)
+        return RIGTOOL_SENSOR_REVERSED;
+    return torque * direction >= 0 ? RIGTOOL_SENSOR_AGAINST : RIGTOOL_SENSOR_WITH;
+}
+
+/* Whether there are numbers to read: currents beyond all limits end them. */
+static inline int rs_read(struct rigtool_sensor *s)
+{
+    const rs_real *c = rs_model.low_pass[RS_ORDER], d = c[RS_ORDER];
+    rs_real torque = d * s->x[RS_TORQUE], variance = d * d * rs_variance(s, RS_TORQUE), half;
+    struct rigtool_sensor_reading *now = &s->reading;
+    int i, j;
+    for (i = 0; i < RS_ORDER; i++) {
+        torque += c[i] * s->q[i];
+        variance += 2 * d * c[i] * s->u[RS_TORQUE][RS_STATES + i];
+        for (j = 0; j < RS_ORDER; j++)
+            variance += c[i] * s->own[i][j] * c[j];
+    }
+    if (!isfinite(torque) || !isfinite(variance))
+        return 0;
+    now->fresh = 1;
+    now->state = rs_state(s, torque);
+    if (now->state == RIGTOOL_SENSOR_OUTSIDE) {
+        now->torque = now->u = now->low = now->high = (rs_real)NAN;
+        return 1;
+    }
+    now->torque = torque;
+    now->u = rs_model.factor[now->state] * RS_MATH(sqrt)(variance > 0 ? variance : 0);
+    half = rs_model.coverage * now->u;
+    now->low = torque - half;
+    now->high = torque + half;
+    return 1;
+}
+
+/* -- the interface ----------------------------------------------------------------------------- */
+
+/* Begin, or begin anew: nothing is known of what was before. */
+static inline void rigtool_sensor_init(struct rigtool_sensor *s)
+{
+    memset(s, 0, sizeof *s);
+    s->reading.torque = s->reading.u = s->reading.low = s->reading.high = (rs_real)NAN;
+}
+
+/* The shaft rests somewhere within its count; the tendon is stretched by what acts on the output,
+ * almost, as the tip's friction holds it. */
+static inline void rs_begin(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real stretch = m->torque_start / m->stiffness, held = (rs_real)0.999;
+    int i;
+    rs_rebase(s, s->encoder);
+    for (i = 0; i < RS_STATES; i++) {
+        s->x[i] = 0;
+        s->u[i][i] = 1;
+        s->d[i] = rs_square(m->bristle_start);
+    }
+    s->x[RS_ANGLE] = m->count / 2;
+    s->x[RS_GRASPER] = m->count / 2 / m->angle_ratio;
+    s->d[RS_ANGLE] = rs_square(m->count / 2);
+    s->d[RS_SPEED] = s->d[RS_GRASPER_SPEED] = rs_square(m->speed_start);
+    s->d[RS_GRASPER] = rs_square(stretch) * (1 - held * held);
+    s->d[RS_TORQUE] = rs_square(m->torque_start);
+    s->u[RS_GRASPER][RS_TORQUE] = -held / m->stiffness;
+    s->d[RS_NOISE] = rs_square(m->friction_noise);
+    s->d[RS_SINE] = s->d[RS_COSINE] = rs_square(m->stroke);
+    s->d[RS_LOAD] = rs_square(m->load_stroke);
+    s->direction = 1;
+    s->still_up = s->still_down = RS_STILL_STEPS;
+    rs_ahead(s);
+    s->begun = 1;
+}
+
+/* Take in a sample of the loop and return the latest reading; a current or a temperature that is no
+ * number, or beyond all limits, begins anew. */
+static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
+    struct rigtool_sensor *s, struct rigtool_sensor_sample sample)
+{
+    rs_real torque, viscous;
+    s->reading.fresh = 0;
+    if (!isfinite(sample.current + sample.temperature)) {
+        rigtool_sensor_init(s);
+        return &s->reading;
+    }
+    if (s->collected == 0) {
+        s->encoder = sample.encoder;
+        s->current = s->temperature = 0;
+        s->limited = 0;
+    }
+    s->current += sample.current;
+    s->temperature += sample.temperature;
+    s->limited |= RS_MATH(fabs)(sample.current) >= rs_model.current_limit;
+    if (++s->collected < RS_AVERAGED)
+        return &s->reading;
+    s->collected = 0;
+    s->current *= (rs_real)1 / RS_AVERAGED;
+    s->temperature *= (rs_real)1 / RS_AVERAGED;
+    if (!s->begun)
+        rs_begin(s);
+    if (s->samples == RS_STEP_SAMPLES) {
+        s->samples = 0;
+        rs_predicted(s);
+        rs_rebase(s, s->encoder);
+        rs_update(s);
+        if (!rs_read(s)) {
+            rigtool_sensor_init(s);
+            return &s->reading;
+        }
+        rs_ahead(s);
+    }
+    s->samples++;
+    torque = rs_drive(s, &viscous);
+    rs_advance(s, torque, viscous);
+    s->temperature_before = s->temperature;
+    s->limited_before = s->limited;
+    return &s->reading;
+}
+
+#endif /* RIGTOOL_SENSOR_H */

@@ -1,0 +1,200 @@
+"""The causal estimate of torque over time as a C header: the template `force_sensor.h` with data.
+
+The template holds all of the algorithm; only numbers go into it, and a comment on their origin.
+Its equations are those of `force_over_time.plant`, `kalman` and `passed`, its states those of
+`force_over_time.motion_states`; the covariance is U diag(d) U' (G. J. Bierman, Factorization
+Methods for Discrete Sequential Estimation, 1977), which 4-byte numbers carry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+
+import numpy as np
+
+from rigtool.experiments.deploy.c_header import comment
+from rigtool.experiments.force.sensor import AT_THE_LIMIT, Instrument
+from rigtool.experiments.force_over_time import kalman, motion_states, passed
+from rigtool.experiments.force_over_time.drive import VISCOUS
+from rigtool.numerics.arrays import Array
+
+Number = float | int | str | Array
+
+DIGITS = 12
+"""Of the maps; all other numbers are exact."""
+
+INT32 = 2**31 - 1
+"""Largest count of an encoder in the header."""
+
+
+def sensor_header(
+    instrument: Instrument,
+    factors: Array,
+    coverage_factor: float,
+    origin: Sequence[str],
+) -> str:
+    """Return the text of the header for samples every `instrument.interval` s.
+
+    `factors` (5,) are on the filter's deviation by state, `coverage_factor` is that of the
+    interval, and `origin` are the lines about where the numbers come from. Raises `ValueError` for
+    samples further apart than those of the equations, for an output without inertia, bearings with
+    asymmetry, and numbers that are not finite.
+    """
+    grid, model = instrument.grid, instrument.model
+    if grid.divided > 1:
+        raise ValueError(
+            f"a loop of {1 / instrument.interval:.4g} Hz is slower than the equations, "
+            f"{1 / grid.sample_time:.4g} Hz"
+        )
+    plant = model.plant(grid.sample_time)
+    if plant.grasper_inertia <= 0 or plant.asymmetry != 0:
+        raise ValueError(
+            f"inertia of the output {plant.grasper_inertia:g} kg m2, asymmetry of the bearings "
+            f"{plant.asymmetry:g}: the equations in C need an inertia, and have no asymmetry"
+        )
+    steps = {
+        "AVERAGED": grid.averaged,
+        "STEP_SAMPLES": grid.step_samples,
+        "STILL_STEPS": _within(motion_states.STILL_TIME, grid.step_time),
+        "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, grid.step_time),
+        "SPEED_STEPS": _within(motion_states.SPEED_TIME, grid.step_time) - 1,
+        "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
+        "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
+        "HOUSING_CELLS": len(plant.friction_map) - 1,
+    }
+    numbers = {**_drive(instrument), **_filter(instrument), **_states(instrument)}
+    numbers |= _reading(instrument, factors, coverage_factor)
+    for name, value in numbers.items():
+        if not isinstance(value, str) and not np.isfinite(value).all():
+            raise ValueError(f"{name} is {value}")
+    rotor_map = model.drive.rotor_map.copy()
+    rotor_map[:, VISCOUS] += plant.housing_viscous  # of the same speed
+    data = [
+        "".join(f"#define RS_{name} {value}\n" for name, value in steps.items()),
+        _struct(numbers),
+        _map("rotor_map[RS_ROTOR_CELLS + 1][RS_COLUMNS]", rotor_map),
+        _map("housing_map[RS_HOUSING_CELLS + 1]", plant.friction_map),
+    ]
+    template = files("rigtool.experiments.deploy").joinpath("force_sensor.h").read_text("utf-8")
+    # The comment comes last: its text is others', and no marker in it counts.
+    return template.replace("@DATA@", "\n".join(data), 1).replace("@HEAD@", comment(origin), 1)
+
+
+def _within(span: float, step_time: float) -> int:
+    """Return the steps that a span of time, s, back from one and it itself are."""
+    return 2 * max(1, round(span / step_time / 2)) + 1
+
+
+def _lasting(left: float, step_time: float) -> int:
+    """Return the steps that a time, s, lasts where each takes its own off it."""
+    steps = 0
+    while left > 0:
+        left -= step_time
+        steps += 1
+    return steps
+
+
+def _drive(instrument: Instrument) -> dict[str, Number]:
+    grid, model = instrument.grid, instrument.model
+    plant = model.plant(grid.sample_time)
+    constant, slope = instrument.torque_constant
+    turn = round(2 * math.pi / instrument.count)
+    equations = {
+        name: getattr(plant, name)
+        for name in plant.__dataclass_fields__
+        if name not in ("static", "asymmetry", "housing_viscous", "friction_map")
+    }
+    return {
+        **equations,
+        "static_friction": plant.static,
+        "step_time": grid.step_time,
+        "count": instrument.count,
+        "turn": turn,
+        "output_turn": f"{round(2**64 / (turn * plant.angle_ratio)) % 2**64}u",
+        "constant": constant,
+        "constant_slope": slope,
+        "offset_current": model.drive.offset,
+        "ripple_kept": math.exp(-grid.sample_time / model.drive.ripple_time),
+    }
+
+
+def _filter(instrument: Instrument) -> dict[str, Number]:
+    own, span = instrument.model.uncertainty, instrument.grid.step_time
+    moving = (
+        own.angle_rate,
+        own.speed_rate,
+        own.bristle_rate,
+        own.slip_rate,
+        own.grasper_rate,
+        own.speed_rate,
+        own.slip_rate,
+    )
+    same = (
+        "stroke",
+        "load_stroke",
+        "friction_noise",
+        "undecided",
+        "edge",
+        "torque_start",
+        "bristle_start",
+        "speed_start",
+    )
+    return {
+        **{name: getattr(own, name) for name in same},
+        "noise_kept": math.exp(-span / own.friction_noise_time),
+        "quiet_walk": own.torque_rate**2 * span,
+        "slow_walk": own.slow_torque_rate**2 * span,
+        "step_walk": own.step_torque_rate**2 * span,
+        "walk": np.square(moving) * span,
+        "short_kept": math.exp(-span / kalman.SHORT),
+        "long_kept": math.exp(-span / kalman.LONG),
+        "step_threshold": kalman.STEP_THRESHOLD,
+        "slow_threshold": kalman.SLOW_THRESHOLD,
+        "least_variance": kalman.LEAST_VARIANCE,
+    }
+
+
+def _states(instrument: Instrument) -> dict[str, Number]:
+    reach, count = instrument.reach, instrument.count
+    low, high = reach.angle
+    margin = motion_states.BEYOND_ANGLE * (high - low)
+    cold, warm = np.clip(reach.temperature_degc, -1e4, 1e4)
+    return {
+        "sliding": motion_states.SLIDING,
+        "speed_limit": motion_states.BEYOND * reach.speed,
+        "torque_limit": motion_states.BEYOND * reach.torque,
+        "current_limit": AT_THE_LIMIT * instrument.current_limit,
+        "cold": cold,
+        "warm": warm,
+        "lowest": max(math.ceil((low - margin) / count), -INT32),
+        "highest": min(math.floor((high + margin) / count), INT32),
+    }
+
+
+def _reading(instrument: Instrument, factors: Array, coverage_factor: float) -> dict[str, Number]:
+    return {
+        "low_pass": passed.section(instrument.bandwidth_hz, instrument.grid.step_time),
+        "factor": factors,
+        "coverage": coverage_factor,
+    }
+
+
+def _struct(numbers: Mapping[str, Number]) -> str:
+    lines = (f"    .{name} = {_literal(value)},\n" for name, value in numbers.items())
+    return "static const struct rs_model rs_model = {\n" + "".join(lines) + "};\n"
+
+
+def _literal(value: Number) -> str:
+    if isinstance(value, np.ndarray):
+        return "{" + ", ".join(_literal(part) for part in value) + "}"
+    return (
+        value if isinstance(value, str) else repr(value if isinstance(value, int) else float(value))
+    )
+
+
+def _map(declaration: str, values: Array) -> str:
+    rows = [", ".join(f"{v:.{DIGITS}g}" for v in np.atleast_1d(row)) for row in values]
+    whole = "".join(f"    {{{row}}},\n" if values.ndim > 1 else f"    {row},\n" for row in rows)
+    return f"static const rs_real rs_{declaration} = {{\n{whole}}};\n"

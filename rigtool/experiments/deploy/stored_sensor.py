@@ -1,0 +1,66 @@
+"""`export --format c-sensor`: the force sensor in C, from a run of implementation D."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rigtool.errors import RunFileError, UsageError
+from rigtool.experiments.deploy.force_sensor import sensor_header
+from rigtool.experiments.force.procedure_calibration import scales_of
+from rigtool.experiments.force.procedure_over_time import reach_of, require_calibration
+from rigtool.experiments.force.procedure_reading import instrument_of
+from rigtool.experiments.force.results_over_time import COVERAGE_FACTOR
+from rigtool.experiments.force_over_time.motion_states import Reach
+from rigtool.experiments.force_over_time.stored import model_from
+from rigtool.experiments.learning.stored_table import origin_of
+from rigtool.recipe import Recipe
+from rigtool.runfile import Run
+
+
+def sensor(tables: Run, kt: Run | None) -> tuple[str, tuple[str, ...], list[Path]]:
+    """Return the header of the sensor that these tables and this calibration make, remarks, and
+    the files that it is made of.
+
+    It is for the loop of the recipe that the tables were learned with. Raises `UsageError` without
+    a calibration, `RunFileError` for tables without the force model, a calibration of another rig,
+    and what no sensor can be made of.
+    """
+    tables.require_command("ilc-learn")
+    recipe = tables.recipe
+    if recipe is None:
+        raise RunFileError(
+            f"{tables.path}: does not state on which rig it was learned: learn again"
+        )
+    model = model_from(tables, recipe)
+    if kt is None:
+        raise UsageError(
+            "--kt is missing: the sensor reads torque from current; give the run of calibrate-kt "
+            "that the tables were learned with"
+        )
+    require_calibration(kt, recipe)
+    reach = reach_of(tables, kt, recipe)
+    instrument = instrument_of(recipe, kt, model, reach, recipe.rig.sample_time)
+    factors = scales_of(tables, recipe, kt, model, reach).causal
+    origin = (*origin_of(tables), *_about(recipe, reach), *_calibration(kt))
+    try:
+        text = sensor_header(instrument, factors, COVERAGE_FACTOR, origin)
+    except ValueError as error:
+        raise RunFileError(f"{tables.path}: no sensor can be made of it: {error}") from None
+    return text, _about(recipe, reach), [tables.path, kt.path]
+
+
+def _about(recipe: Recipe, reach: Reach) -> tuple[str, ...]:
+    rig, (low, high) = recipe.rig, reach.angle
+    cold, warm = reach.temperature_degc
+    return (
+        f"Call it once in each sample of the loop, every {rig.sample_time:g} s; the encoder has "
+        f"{rig.encoder_counts:g} counts a turn.",
+        f"Low-pass at {recipe.measure_force.motion.bandwidth_hz:g} Hz; force at the tip is torque "
+        f"over {rig.load_arm:g} m.",
+        f"No value outside {low:.4g} to {high:.4g} rad of the motor, {reach.speed:.4g} rad/s, "
+        f"{reach.torque * 1e3:.4g} mN m and {cold:g} to {warm:g} degC.",
+    )
+
+
+def _calibration(kt: Run) -> tuple[str, ...]:
+    return (f"Torque constant of {kt.path.name}, content sha256 {kt.content_sha256}.",)

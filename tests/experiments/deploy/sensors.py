@@ -1,0 +1,138 @@
+"""A sensor's model for tests, signals that it explains, and the exported header as a C library."""
+
+import ctypes
+import math
+import subprocess
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rigtool.experiments.force.sensor import Instrument, Sensor
+from rigtool.experiments.force_over_time.drive import Drive
+from rigtool.experiments.force_over_time.kalman import Uncertainty
+from rigtool.experiments.force_over_time.motion_states import Reach
+from rigtool.experiments.force_over_time.plant import (
+    ANGLE,
+    NOISE,
+    SPEED,
+    STATES,
+    TORQUE,
+    Plant,
+    advance,
+    as_record,
+)
+from tests.experiments.force_over_time.plants import PLANT, UNCERTAINTY
+
+HOST = Path(__file__).with_name("sensor_host.c")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+INTERVAL, COUNTS, CONSTANT = 125e-6, 4000, (0.046, -4e-5)
+WIDTH = 2 * math.pi / COUNTS
+WARM = 27.0
+REACH = Reach((-1.2, 1.2), 20.0, 0.06, (20.0, 50.0))
+
+TURN = np.linspace(0, 2 * math.pi, 513)
+ROTOR = np.stack(
+    [
+        1e-4 + 3e-4 * np.cos(7 * TURN),
+        5e-5 * np.sin(TURN),
+        2e-3 * np.cos(2 * TURN),
+        1e-4 * np.sin(3 * TURN),
+        5e-5 * (1 + 0.1 * np.cos(TURN)),
+    ],
+    axis=1,
+)
+
+
+DRIVE = Drive(ROTOR, 0.05, 2e-3)
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a sensor takes of a learned model."""
+
+    drive: Drive = DRIVE
+    uncertainty: Uncertainty = UNCERTAINTY
+
+    def plant(self, sample_time: float) -> Plant:
+        return replace(PLANT, sample_time=sample_time, asymmetry=0.0)
+
+
+def instrument(**changed):
+    """Return the instrument of these tests, with some of its properties changed."""
+    own = Instrument(Model(), REACH, INTERVAL, WIDTH, CONSTANT, 2.0, 10.0)
+    return replace(own, **changed)
+
+
+def moved(wanted, contact, seed=1):
+    """Return samples (3, n) of encoder, current and temperature: the plant of the tests follows an
+    angle rad, and feels a torque N m, (n,) each."""
+    plant, dt = Model().plant(INTERVAL), INTERVAL
+    rng = np.random.default_rng(seed)
+    x, record = np.zeros(STATES), as_record(plant)[0]
+    encoder, current = np.empty(len(wanted)), np.empty(len(wanted))
+    kept = math.exp(-dt / UNCERTAINTY.friction_noise_time)
+    noise = UNCERTAINTY.friction_noise * math.sqrt(1 - kept**2) * rng.standard_normal(len(wanted))
+    constant = CONSTANT[0] + CONSTANT[1] * WARM
+    integral = 0.0
+    for k in range(len(wanted)):
+        encoder[k] = math.floor(x[ANGLE] / WIDTH)
+        error = wanted[k] - x[ANGLE]
+        integral += error * dt
+        torque = 2.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
+        x[TORQUE] = contact[k]
+        x[NOISE] = kept * x[NOISE] + noise[k]
+        cogging = np.interp(x[ANGLE] % (2 * math.pi), TURN, ROTOR[:, 0])
+        current[k] = (torque + cogging) / constant
+        advance(x, record, plant.friction_map, torque, 5e-5, None, 0.0, 0.0)
+    return np.stack([encoder, current, np.full(len(wanted), WARM)])
+
+
+def motions():
+    """Return samples by the name of the motion: strokes and free motion with contacts, and rest."""
+    time = np.arange(round(6.0 / INTERVAL)) * INTERVAL
+    pulse = 0.04 * np.clip(np.minimum((time % 2 - 0.7) / 0.05, (1.3 - time % 2) / 0.05), 0, 1)
+    sines = np.sin(3.1 * time) + 0.6 * np.sin(7.3 * time + 1) + 0.2 * np.sin(23.0 * time)
+    free = 0.5 * sines * np.clip(np.abs((time % 3) - 1.5) / 0.3 - 1, 0, 1)
+    wanted = {
+        "strokes": np.abs(1.6 * time % 2 - 1) - 0.5,
+        "free": free,
+        "rest": np.full(len(time), 0.3),
+    }
+    return {name: moved(angle, pulse) for name, angle in wanted.items()}
+
+
+def compiled(folder, text, *flags, name="sensor"):
+    """Return a library of the exported header, strictly compiled."""
+    (folder / "sensor.h").write_text(text)
+    library = folder / f"{name}.so"
+    build = ["cc", *STRICT, *flags, "-O2", "-shared", "-fPIC", f"-I{folder}", HOST, "-o", library]
+    subprocess.run([*build, "-lm"], check=True, timeout=120)
+    return CSensor(library)
+
+
+class CSensor:
+    """The exported sensor; takes blocks of any length."""
+
+    def __init__(self, path):
+        self._library = ctypes.CDLL(str(path))
+        self._library.sensor_begin()
+
+    def begin(self):
+        self._library.sensor_begin()
+
+    def add(self, samples):
+        """Return readings (m, 5) that samples (3, n) complete: torque, u, low, high and state."""
+        values = np.ascontiguousarray(np.asarray(samples, dtype=np.float64).T)
+        readings = np.empty((len(values) + 1, 5))
+        pointers = (array.ctypes.data_as(ctypes.c_void_p) for array in (values, readings))
+        return readings[: self._library.sensor_run(len(values), *pointers)].copy()
+
+
+def expected(own, samples, factors):
+    """Return what the sensor in Python reads, as `CSensor.add` does."""
+    found = Sensor(own, context=False).add(samples)
+    torque, u = found.estimate.passed, found.estimate.deviation * factors[found.states]
+    readings = np.stack([torque, u, torque - 1.96 * u, torque + 1.96 * u, found.states], axis=1)
+    readings[found.states == 0, :4] = np.nan
+    return readings

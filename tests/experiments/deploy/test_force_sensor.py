@@ -1,0 +1,196 @@
+"""The sensor in C reads what the one in Python reads, whatever it is compiled for."""
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.deploy.force_sensor import sensor_header
+from rigtool.experiments.force_over_time.motion_states import State
+from tests.experiments.deploy.sensors import (
+    COUNTS,
+    HOST,
+    REACH,
+    STRICT,
+    WARM,
+    Model,
+    compiled,
+    expected,
+    instrument,
+    motions,
+)
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
+
+FACTORS = np.array([1.0, 1.1, 1.5, 1.3, 1.2])
+FLOAT = "-DRIGTOOL_SENSOR_FLOAT"
+RANGE = REACH.torque
+
+
+def header(own=None, origin=("rig",)):
+    return sensor_header(own or instrument(), FACTORS, 1.96, origin)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return motions()
+
+
+@pytest.fixture(scope="module")
+def libraries(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sensor")
+    return {
+        "double": compiled(folder, header(), name="double"),
+        "float": compiled(folder, header(), FLOAT, "-Wdouble-promotion", name="float"),
+    }
+
+
+def read(library, samples):
+    library.begin()
+    return library.add(samples)
+
+
+@pytest.mark.parametrize("motion", ["strokes", "free", "rest"])
+def test_readings_are_those_of_python(libraries, samples, motion):
+    wanted = expected(instrument(), samples[motion], FACTORS)
+    found = read(libraries["double"], samples[motion])
+    assert np.isfinite(wanted[:, 0]).mean() > 0.9
+    np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * RANGE)
+    seen = {State(int(state)) for state in set(wanted[:, 4])}
+    moving = {State.AGAINST, State.WITH, State.REVERSED}
+    assert moving <= seen if motion != "rest" else State.STILL in seen
+
+
+@pytest.mark.parametrize("motion", ["strokes", "free", "rest"])
+def test_floats_are_off_by_less_than_a_twentieth_of_u(libraries, samples, motion):
+    wanted = read(libraries["double"], samples[motion])
+    found = read(libraries["float"], samples[motion])
+    same = found[:, 4] == wanted[:, 4]
+    assert same.mean() > 0.999
+    off = np.abs(found - wanted)[same & (wanted[:, 4] > 0)]
+    u = wanted[same & (wanted[:, 4] > 0), 1]
+    assert (off[:, 0] < 0.05 * u).all()
+    assert np.sqrt(np.mean(off[:, 0] ** 2)) < 1e-4 * RANGE
+    assert (off[:, 1] < 0.02 * u).all()
+
+
+def test_blocks_and_begins_change_nothing(libraries, samples):
+    library, part = libraries["double"], samples["free"][:, :9001]
+    whole = read(library, part)
+    library.begin()
+    pieces = [library.add(piece) for piece in np.array_split(part, 7, axis=1)]
+    np.testing.assert_array_equal(np.concatenate(pieces), whole)
+
+
+def test_what_is_no_number_begins_anew(libraries, samples):
+    library, part = libraries["double"], samples["free"][:, 16000:24000]
+    alone = read(library, part)
+    for bad in ((0.0, np.nan, WARM), (0.0, np.inf, WARM), (0.0, 0.1, np.nan)):
+        read(library, samples["strokes"][:, :9000])
+        assert not len(library.add(np.array([bad]).T))
+        np.testing.assert_array_equal(library.add(part), alone)
+
+
+def test_limits_have_no_value(libraries, samples):
+    changed = {
+        "warm": np.where(np.arange(samples["free"].shape[1]) > 20000, 60.0, WARM),
+        "cold": np.full(samples["free"].shape[1], 10.0),
+    }
+    for row in changed.values():
+        part = samples["free"].copy()
+        part[2] = row
+        wanted = expected(instrument(), part, FACTORS)
+        found = read(libraries["double"], part)
+        np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+        assert (wanted[:, 4] == State.OUTSIDE).any()
+        assert np.isnan(found[found[:, 4] == State.OUTSIDE, :4]).all()
+
+
+def test_a_current_at_its_limit_has_no_value(tmp_path, samples):
+    limit = float(np.quantile(np.abs(samples["free"][1]), 0.98))
+    own = instrument(current_limit=limit)
+    found = read(compiled(tmp_path, header(own)), samples["free"])
+    wanted = expected(own, samples["free"], FACTORS)
+    np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
+    assert 0.05 < np.mean(wanted[:, 4] == State.OUTSIDE) < 0.9
+
+
+@pytest.mark.parametrize("kind", [(), (FLOAT,)])
+def test_sanitizers_find_nothing(tmp_path, samples, kind):
+    (tmp_path / "sensor.h").write_text(header())
+    build = ["cc", *STRICT, *kind, "-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow"]
+    build += ["-fno-sanitize-recover=all", f"-I{tmp_path}", HOST, "-o", tmp_path / "host", "-lm"]
+    subprocess.run(build, check=True, timeout=120)
+    part = np.concatenate([samples["free"][:, :12000], extremes()], axis=1)
+    done = subprocess.run(
+        [tmp_path / "host"], input=part.T.tobytes(), capture_output=True, check=True, timeout=120
+    )
+    found = np.frombuffer(done.stdout).reshape(-1, 5)
+    assert len(found) > 1400
+    assert not done.stderr
+
+
+def extremes():
+    """Return samples that no rig gives: counts from end to end, and currents beyond any."""
+    rng = np.random.default_rng(3)
+    count = 1200
+    encoder = rng.choice([-(2.0**31), 2.0**31 - 1, 0.0, 5.0], count)
+    current = rng.choice([0.0, 1e30, -1e30, 3.0, np.nan], count, p=[0.4, 0.1, 0.1, 0.39, 0.01])
+    return np.stack([encoder, current, np.full(count, WARM)])
+
+
+def test_no_text_of_a_run_is_anything_but_a_comment(tmp_path, samples):
+    hostile = (
+        "rig */ #error broken /*",
+        "ends in a trigraph ??/",
+        "ends in a backslash \\",
+        "*/\nint main(void) { return 1; }\n/*",
+        '" #include "/etc/passwd',
+        "@DATA@ @HEAD@",
+        "\u202eright to left \x1b[31m",
+    )
+    text = header(origin=hostile)
+    library = compiled(tmp_path, text)
+    part = samples["rest"][:, :4000]
+    np.testing.assert_array_equal(
+        read(library, part), read(compiled(tmp_path, header(), name="b"), part)
+    )
+    head = text[: text.index("#ifndef RIGTOOL_SENSOR_H")]
+    assert head.count("*/") == 1
+    assert head.rstrip().endswith("*/")
+
+
+def test_states_and_counts_are_those_of_the_model():
+    text = header()
+    states = re.search(r"enum rigtool_sensor_state \{(.*?)\};", text, re.S)[1]
+    names = re.findall(r"RIGTOOL_SENSOR_(\w+)", states)
+    assert names == [state.name for state in State]
+    assert f".turn = {COUNTS}," in text
+    assert "@" not in text
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"interval": 1e-3}, "a loop of 1000 Hz is slower than the equations"),
+        ({"torque_constant": (float("nan"), 0.0)}, "constant is nan"),
+        ({"current_limit": float("inf")}, "current_limit is inf"),
+    ],
+)
+def test_what_a_sensor_cannot_be_made_of_is_refused(changed, message):
+    with pytest.raises(ValueError, match=message):
+        header(instrument(**changed))
+
+
+@pytest.mark.parametrize("changed", [{"grasper_inertia": 0.0}, {"asymmetry": 0.02}])
+def test_a_drive_that_the_equations_do_not_have_is_refused(changed):
+    class Other(Model):
+        def plant(self, sample_time):
+            return replace(super().plant(sample_time), **changed)
+
+    with pytest.raises(ValueError, match="need an inertia, and have no asymmetry"):
+        header(instrument(model=Other()))

@@ -1,0 +1,149 @@
+"""The sensor of a stored run: what is in it, and what is refused."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rigtool.errors import RunFileError, UsageError
+from rigtool.experiments.deploy.stored_export import SENSOR, chosen_format, export_table
+from rigtool.experiments.force.procedure_over_time import reach_of
+from rigtool.experiments.force.procedure_reading import instrument_of
+from rigtool.experiments.force_over_time.deviations import Deviations
+from rigtool.experiments.force_over_time.force_model import ForceModel
+from rigtool.experiments.force_over_time.learning import NAMES, Learned
+from rigtool.experiments.force_over_time.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_over_time.stored import model_from, model_results, model_tables
+from rigtool.recipe import load_recipe
+from rigtool.runfile import RunWriter, open_run
+from tests.experiments.deploy.sensors import INTERVAL, compiled, expected, moved
+from tests.experiments.virtual_runs import RECIPE
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+COEFFICIENTS = {
+    (Kind.OFFSET, 0): 1e-4,
+    (Kind.INERTIA, 0): 1e-7,
+    (Kind.VISCOUS, 0): 5e-5,
+    (Kind.COGGING, 7): 3e-4,
+    (Kind.RIPPLE, 1): 5e-5,
+    (Kind.GAIN_RIPPLE, 2): 2e-3,
+    (Kind.SQUARE_RIPPLE, 0): 1e-4,
+    (Kind.BEARING, 0): 2e-3,
+    (Kind.STRIBECK, 0): 1e-3,
+    (Kind.BEARING_DAMPING, 0): 1e-6,
+    (Kind.HOUSING, 0): 9e-3,
+    (Kind.HOUSING, 1): 9e-4,
+    (Kind.HOUSING_SIDED, 0): 3e-4,
+    (Kind.LOAD_FRICTION, 0): 0.1,
+    (Kind.CARRIED, 0): 2e-3,
+}
+SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
+
+
+def force_model(rig):
+    size = len(NAMES) + len(COEFFICIENTS)
+    learned = Learned(
+        tuple(Term(kind, 1e-3, order) for kind, order in COEFFICIENTS),
+        SHAPE,
+        Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, 1e-3),
+        np.array(list(COEFFICIENTS.values())),
+        1e-6 * np.eye(size),
+        np.full(2, 0.01),
+    )
+    return ForceModel(learned, Deviations(3e-4, 1e-3, 1e-4, 0.15))
+
+
+def learned_run(path, *overrides):
+    """Write a run of implementation D that holds a force model and no recordings."""
+    recipe, text = load_recipe(RECIPE, overrides)
+    model = force_model(recipe.rig)
+    with RunWriter(path, command="ilc-learn", recipe=recipe, recipe_text=text) as writer:
+        writer.finish(model_results(model), model_tables(model))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    with open_run(learned_run(tmp_path_factory.mktemp("learned") / "d.h5")) as run:
+        yield run
+
+
+@pytest.fixture(scope="module")
+def kt():
+    with open_run(FIXTURES / "kt.h5") as run:
+        yield run
+
+
+def export(run, path, kt=None, speed=None):
+    chosen = chosen_format(run, path, None, SENSOR)
+    return export_table(run, path, chosen, speed=speed, kt=kt, overwrite=False)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
+def test_the_sensor_of_a_run_reads_what_python_reads(tables, kt, tmp_path):
+    remarks = export(tables, tmp_path / "sensor.h", kt)
+    assert any("every 0.000125 s" in remark for remark in remarks)
+    text = (tmp_path / "sensor.h").read_text()
+    for part in (tables.content_sha256, kt.content_sha256, "briaire-2006", "Low-pass at 10 Hz"):
+        assert part in text.partition("*/")[0]
+    time = np.arange(round(1.5 / INTERVAL)) * INTERVAL
+    samples = moved(0.4 - 0.3 * np.cos(4 * time), np.where(time > 0.8, 0.02, 0.0))
+    recipe, model = tables.recipe, model_from(tables, tables.recipe)
+    own = instrument_of(recipe, kt, model, reach_of(tables, kt, recipe), recipe.rig.sample_time)
+    wanted = expected(own, samples, np.ones(5))
+    found = compiled(tmp_path, text).add(samples)
+    assert np.isfinite(wanted).mean() > 0.5
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * own.reach.torque)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
+def test_names_of_a_run_do_not_leave_the_comment(kt, tmp_path):
+    hostile = "*/ #error ??/"
+    rig = learned_run(tmp_path / "x?? *.h5", f"rig.name={hostile!r}")
+    calibrated = tmp_path / "*??.h5"
+    with RunWriter(calibrated, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
+        writer.finish(dict(kt.results), {})
+    with open_run(rig) as run, open_run(calibrated) as own:
+        export(run, tmp_path / "sensor.h", own)
+    text = (tmp_path / "sensor.h").read_text()
+    assert "#error" in text
+    assert len(compiled(tmp_path, text).add(np.zeros((3, 100)))) == 12
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "--kt is missing: .*give the run of calibrate-kt"),
+        ({"speed": 3.0}, "--speed is for moteus, odrive, fourier"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(tables, tmp_path, options, message):
+    with pytest.raises(UsageError, match=message):
+        export(tables, tmp_path / "sensor.h", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_another_run_is_no_calibration(tables, tmp_path):
+    with (
+        open_run(FIXTURES / "friction.h5") as other,
+        pytest.raises(RunFileError, match="calibrate-kt"),
+    ):
+        export(tables, tmp_path / "sensor.h", other)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_tables_without_the_force_model_are_refused(kt, tmp_path):
+    with (
+        open_run(FIXTURES / "tables.h5") as run,
+        pytest.raises(RunFileError, match="learn again with ilc-learn --implementation D"),
+    ):
+        export(run, tmp_path / "sensor.h", kt)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_loop_that_is_too_slow_is_refused(kt, tmp_path):
+    slow = learned_run(tmp_path / "slow.h5", "rig.sample_time=1e-3")
+    with open_run(slow) as run, pytest.raises(RunFileError, match="a loop of 1000 Hz is slower"):
+        export(run, tmp_path / "sensor.h", kt)
+    assert not (tmp_path / "sensor.h").exists()
