@@ -6,7 +6,6 @@ from pathlib import Path
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.deploy.force_sensor import sensor_header
-from rigtool.experiments.force.procedure_calibration import scales_of
 from rigtool.experiments.force.procedure_over_time import reach_of, require_calibration
 from rigtool.experiments.force.procedure_reading import instrument_of
 from rigtool.experiments.force.results_over_time import COVERAGE_FACTOR
@@ -40,7 +39,7 @@ def sensor(tables: Run, kt: Run | None) -> tuple[str, tuple[str, ...], list[Path
     require_calibration(kt, recipe)
     reach = reach_of(tables, kt, recipe)
     instrument = instrument_of(recipe, kt, model, reach, recipe.rig.sample_time)
-    factors = scales_of(tables, recipe, kt, model, reach).causal
+    factors = model.scales[1]  # of the causal torque
     origin = (*origin_of(tables), *_about(recipe, reach), *_calibration(kt))
     try:
         text = sensor_header(instrument, factors, COVERAGE_FACTOR, origin)
