@@ -1,17 +1,25 @@
-# make tables   the whole chain on the virtual rig: Tables 8 and 9 beside the published ones
-# make corrected  known loads learned, Table 8 three times: published, without and with correction
-# make over-time  a force that nothing knows of, in strokes, free motion and against tissue, as figures
-# make thesis   every figure and table of the thesis beside the virtual rig: docs/reproduction.md
-# make real-data DATA=folder of mis-tool  a real instrument: torque from current against a sensor
-# make test     style, types and tests
-# make docs     the documentation as a site, in build/docs
-# make coverage whether stated intervals hold, on virtual rigs drawn anew
-# make fixtures store the fixtures anew; make bench measures speed; make clean removes results
+# make tables         the whole chain on the virtual rig: Tables 8 and 9 beside the published ones
+# make corrected      known loads learned, Table 8 three times: published, without and with correction
+# make over-time      an unknown force in strokes, free motion and against tissue, as figures
+# make thesis         every figure and table of the thesis beside the virtual rig: docs/reproduction.md
+# make real-data      a real instrument: torque from current against a sensor; DATA=folder of mis-tool
+# make test           style, types and tests
+# make docs           the documentation as a site, in build/docs
+# make bench          speed and memory of what users wait for
+# make attack         kills, signals, damaged and malicious files, changed recipes; SECONDS=600 SEED=20061
+# make coverage       whether stated intervals hold, on virtual rigs drawn anew
+# make fixtures       the runs in tests/fixtures, stored anew
+# make release-check  tests, site, source distribution, wheel: what a release needs
+# make clean          removes build
+# make help           shows this list
+# Settings: RECIPE=file, BUILD=folder, SET="table.key=value ..."
 
 PYTHON ?= python3
 RECIPE ?= recipes/briaire-2006.toml
 BUILD ?= build
 SET ?=
+SECONDS ?= 600
+SEED ?= 20061
 BIN := .venv/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 RIGTOOL := $(BIN)/rigtool
 INSTALLED := .venv/installed
@@ -21,7 +29,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: real-data tables corrected over-time thesis test docs fixtures bench coverage clean
+.PHONY: real-data tables corrected over-time thesis test docs fixtures bench coverage attack release-check clean help
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -152,6 +160,9 @@ test: $(INSTALLED)
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist worksteal
 
+attack: $(INSTALLED)
+	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)
+
 docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
 
@@ -164,5 +175,11 @@ bench: $(INSTALLED)
 coverage: $(INSTALLED)
 	$(BIN)/python benchmarks/coverage.py
 
+release-check: test docs
+	$(BIN)/python release_check.py
+
 clean:
 	rm -rf $(BUILD)
+
+help:
+	@sed -n '/^#/!q; s/^# //p' Makefile

@@ -9,7 +9,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "rigtool"
-author = "the rigtool authors"
+author = "rigtool developers"
 version = release = version_of("rigtool")
 extensions = ["myst_parser", "generated", "mathml"]
 exclude_patterns = ["_ext"]
@@ -17,6 +17,8 @@ source_suffix = {".md": "markdown"}
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
+
+smartquotes = False  # two hyphens begin an option
 
 html_theme = "furo"
 html_title = f"rigtool {version}"

@@ -1,6 +1,6 @@
 """rigtool turns a motor, an encoder and a current amplifier into a force sensor.
 
-In Python, `rigtool.open` and the functions named as the commands do what the commands do, see
+In Python, `rigtool.open` and the functions named after the commands do the same as these, see
 docs/python.md. Everything is imported when it is first used.
 """
 
@@ -39,7 +39,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    # Metadata and numerics are read when somebody asks: `rigtool --help` does not.
+    # Metadata and numerics are read on demand: `rigtool --help` does not need them.
     if name == "__version__":
         return version("rigtool")
     if name in __all__:

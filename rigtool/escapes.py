@@ -69,3 +69,8 @@ def latex_label(text: str) -> str:
 def figure(text: str) -> str:
     """Return text in a figure of matplotlib: a dollar begins no formula."""
     return one_line(text).replace("$", r"\$")
+
+
+def is_text(name: str) -> bool:
+    """Return whether a name is text; file systems also have names that are not UTF-8."""
+    return not any("\ud800" <= character <= "\udfff" for character in name)

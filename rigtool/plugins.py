@@ -1,4 +1,4 @@
-"""What other packages add to rigtool, found by the entry points of their metadata.
+"""Additions of other packages, found by the entry points of their metadata.
 
     [project.entry-points."rigtool.commands"]
     heating = "rigtool_heating.command:command"
@@ -45,7 +45,7 @@ def load(entry: EntryPoint, kind: type[Plugin]) -> Plugin:
         ) from error
     if not isinstance(plugin, kind):
         raise RigtoolError(
-            f"{describe(entry)} is of type {type(plugin).__name__}, needed is {kind.__name__}: "
+            f"{describe(entry)} is of type {type(plugin).__name__}, but must be {kind.__name__}: "
             "repair or remove that package"
         )
     return plugin
@@ -66,7 +66,7 @@ def load_all(
 
 
 def describe(entry: EntryPoint) -> str:
-    """Return what an entry point offers and its package: "command heating of rigtool-heating"."""
+    """Return an entry point's kind, name and package: "command heating of rigtool-heating"."""
     what = entry.group.removeprefix("rigtool.").removesuffix("s")
     return f"{what} {entry.name} of {package(entry)}"
 
@@ -77,7 +77,7 @@ def package(entry: EntryPoint) -> str:
 
 
 def summary(entry: EntryPoint) -> str:
-    """Return what the package of an entry point says of itself in one line, and its name."""
+    """Return the one-line description of an entry point's package, and its name."""
     said = "" if entry.dist is None else entry.dist.metadata.json.get("summary", "")
     return f"{said} [{package(entry)}]".strip()
 

@@ -68,6 +68,6 @@ def test_an_analysis_says_where_its_method_is_from(path):
         for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef)
     )
-    if path.name not in ("checks.py",):
+    if path.name not in ("checks.py", "compiled.py"):
         source = re.search(r"\[[\dA-Z].*?\]|\(?[12][09]\d\d\b|Fig\. \d|eq\. |=", documented)
         assert source, f"{path.name}: neither an equation nor a source"

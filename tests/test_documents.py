@@ -1,6 +1,7 @@
 """ARCHITECTURE.md and CONTRIBUTING.md, held against the tree."""
 
 import ast
+import importlib
 import re
 from pathlib import Path
 
@@ -69,6 +70,25 @@ def test_a_row_begins_in_its_own_room():
 
 def test_architecture_fits_a_page():
     assert len(text_of("ARCHITECTURE.md").splitlines()) <= 90
+
+
+@pytest.fixture
+def generated(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs" / "_ext")
+    return importlib.import_module("generated")
+
+
+def test_pages_of_commands_keep_lists_and_options(generated):
+    page = generated.command_page("ilc-learn")
+    assert "```text\nA         turns at one speed" in page
+    assert "`--validate` records" in page
+
+
+def test_pages_of_modules_are_text_with_equations_as_code(generated):
+    page = generated.room_page(PACKAGE / "experiments" / "learning")
+    assert "Iterative learning of a feed-forward table.\n" in page
+    assert "```text\nf(k+1) = Q (f(k) + p L q(k))\n```" in page
+    assert r"\[Fig. 44, 45\]" in page
 
 
 def test_links_lead_somewhere():

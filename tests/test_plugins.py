@@ -88,7 +88,7 @@ def test_without_other_packages_the_help_has_no_section_for_them(tmp_path):
     [
         ("acme_missing:command", "cannot be imported: ModuleNotFoundError: No module named"),
         ("acme_rig:nothing", "cannot be imported: AttributeError"),
-        ("acme_rig:text", "is of type str, needed is Command"),
+        ("acme_rig:text", "is of type str, but must be Command"),
     ],
 )
 def test_a_broken_command_is_one_line_with_its_name(install, value, message):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ast
+import inspect
+import re
+import textwrap
 import typing
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +17,14 @@ from pydantic.fields import FieldInfo
 import rigtool as rigtool_package
 from rigtool.cli import COMMANDS, rigtool
 
+OPTION = re.compile(r"(?<![\w`-])--?[a-z][\w-]*")
+"""An option in a text, which Markdown would set as a dash."""
+
+CODE = r"`\g<0>`"
+
+MARKUP = re.compile(r"(`[^`]*`)|([*_<>$\[\]|#])")
+"""Code, which stays, or a character that Markdown would obey."""
+
 # -- commands
 
 
@@ -22,15 +33,20 @@ def command_page(name: str) -> str:
     command = rigtool.get_command(click.Context(rigtool), name)
     assert command is not None
     context = click.Context(command, info_name=f"rigtool {name}")
-    text = (command.help or "").replace("\b\n", "")
     usage = " ".join(["rigtool", name, *command.collect_usage_pieces(context)])
-    lines = [f"# rigtool {name}", "", f"```text\n{usage}\n```", "", *_paragraphs(text)]
+    lines = [
+        f"# rigtool {name}",
+        "",
+        f"```text\n{usage}\n```",
+        "",
+        *_help(inspect.cleandoc(command.help or "")),
+    ]
     lines += ["## Options", "", "| option | meaning |", "| --- | --- |"]
     for parameter in command.get_params(context):
         record = parameter.get_help_record(context)
         if record is not None and isinstance(parameter, click.Option):
             option, meaning = (_in_table(part) for part in record)
-            lines.append(f"| `{option}` | {meaning} |")
+            lines.append(f"| `{option}` | {OPTION.sub(CODE, meaning)} |")
     lines += ["", "## Example", "", "```sh", *examples(command), "```", ""]
     return "\n".join(lines)
 
@@ -41,9 +57,15 @@ def examples(command: click.Command) -> list[str]:
     return [line.strip() for line in epilog if line.startswith("  ")]
 
 
-def _paragraphs(text: str) -> Iterator[str]:
-    for paragraph in text.split("\n\n"):
-        yield " ".join(line.strip() for line in paragraph.splitlines())
+def _help(text: str) -> Iterator[str]:
+    """Yield the paragraphs of a help text; those that click does not wrap stay as they are."""
+    for paragraph in inspect.cleandoc(text).split("\n\n"):
+        if paragraph.startswith("\b\n"):
+            unwrapped = paragraph.removeprefix("\b\n")
+            yield f"```text\n{unwrapped}\n```"
+        else:
+            joined = " ".join(line.strip() for line in paragraph.splitlines())
+            yield OPTION.sub(CODE, joined)
         yield ""
 
 
@@ -161,11 +183,11 @@ def room_page(room: Path) -> str:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         if path.name != "__init__.py":
             lines += [f"## {room_name(room)}.{path.stem}", ""]
-        lines += _quoted(ast.get_docstring(tree))
+        lines += _described(ast.get_docstring(tree))
         for node in tree.body:
             if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
                 signature = f"```python\n{_signature(node)}\n```"
-                lines += [signature, "", *_quoted(ast.get_docstring(node))]
+                lines += [signature, "", *_described(ast.get_docstring(node))]
     return "\n".join(lines)
 
 
@@ -184,8 +206,18 @@ def _signature(node: ast.FunctionDef | ast.ClassDef) -> str:
     return "\n".join(lines)
 
 
-def _quoted(text: str | None) -> list[str]:
-    return ["```text", text, "```", ""] if text else []
+def _described(text: str | None) -> Iterator[str]:
+    """Yield a docstring as Markdown: indented paragraphs are equations, set as code."""
+    for block in re.split(r"\n\s*\n", text or ""):
+        if all(line.startswith("  ") for line in block.splitlines()):
+            yield f"```text\n{textwrap.dedent(block)}\n```"
+        else:
+            yield re.sub(r"^(.+)\n-+$", r"**\1**\n", MARKUP.sub(_plain, block), flags=re.MULTILINE)
+        yield ""
+
+
+def _plain(found: re.Match[str]) -> str:
+    return found[1] or f"\\{found[2]}"
 
 
 def room_list() -> str:

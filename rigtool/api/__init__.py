@@ -1,6 +1,6 @@
-"""The commands as functions, for notebooks and scripts: `import rigtool` offers what is here.
+"""The commands as functions, for notebooks and scripts: `import rigtool` offers them.
 
-Sources are what a command takes, a recipe (.toml) or run files (.h5), or open runs, or arrays:
+Sources are those of the command, a recipe (.toml) or run files (.h5), or open runs, or arrays:
 `{"staircase": signals}`, a recording's name with a DataFrame or mapping of its signals (n,), in the
 units of run files, with the recipe of their rig. Inputs such as `kt` are run files or open runs.
 Each function returns the `Outcome` of its command, and raises the `RigtoolError` that the command
@@ -49,7 +49,7 @@ __all__ = [
 
 
 class Options(TypedDict, total=False):
-    """What each function takes beside its sources and inputs.
+    """Arguments of each function beside its sources and inputs.
 
     `recipe` is that of arrays: a file, or `run.recipe`. `settings` are the `key=value` texts of
     `--set`. `output` is the run file to write; without it the outcome is returned only, which is
@@ -101,20 +101,24 @@ def ilc_learn(
     kt: File | Run | None = None,
     friction: File | Run | None = None,
     plant: File | Run | None = None,
+    prior: File | Run | None = None,
     implementation: str | None = None,
     **options: Unpack[Options],
 ) -> Outcome:
     """Learn the disturbance that repeats with position and speed [7.2.4].
 
     `implementation` is the way to learn by the thesis's letter; without it, the recipe's. "D" on
-    imported runs of known loads needs no recipe.
+    imported runs of known loads needs no recipe; two loads are enough with a `prior` of another
+    mounting. Raises `UsageError` for a `prior` of other runs.
     """
     from rigtool.experiments.imported_load.procedure import PROCEDURE as BY_LOAD
     from rigtool.experiments.learning.procedure import PROCEDURE, asked
 
     inputs = {"kt": kt, "friction": friction, "plant": plant}
     if implementation == "D" and not any(map(_has_recipe, sources)):
-        return _call(BY_LOAD, sources, inputs, **options)
+        return _call(BY_LOAD, sources, {**inputs, "prior": prior}, **options)
+    if prior is not None:
+        raise UsageError("prior: is for imported runs with implementation D")
     given = CommonOptions(overrides=tuple(options.get("settings", ())))
     options["settings"] = asked(given, implementation, validate=False).overrides
     return _call(PROCEDURE, sources, inputs, **options)
@@ -144,7 +148,7 @@ def _call(
     seed: int | None = None,
     yes: bool = False,
 ) -> Outcome:
-    """Do what the command of a procedure does, and return what it found."""
+    """Run the command of a procedure, and return its outcome."""
     options = CommonOptions(overwrite=overwrite, seed=seed, overrides=tuple(settings), yes=yes)
     arrays = [source for source in sources if isinstance(source, Mapping)]
     paths = [_path(source) for source in sources if not isinstance(source, Mapping)]

@@ -1,4 +1,4 @@
-"""Signals given as arrays: analysed as what the rig of a recipe recorded."""
+"""Signals given as arrays: analysed like recordings of a recipe's rig."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def analyse_arrays(
     options: CommonOptions,
     inputs: Mapping[str, Run],
 ) -> Outcome:
-    """Store arrays as recordings of a recipe, analyse them, and return what the output holds.
+    """Store arrays as recordings of a recipe, analyse them, and return the outcome.
 
     `arrays` maps names of recordings to their signals (n,), in the units of run files; conditions
     of a recording, its speed for instance, are those that the recipe plans. Raises `UsageError` for
@@ -80,7 +80,7 @@ def analyse_arrays(
 
 
 def _as_given(spec: RecordingSpec, signals: Mapping[str, Array]) -> RecordingSpec:
-    """Return what is stored: the signals that are there, without loss of digits."""
+    """Return the signals to store, without loss of digits."""
     channels = (replace(item, dtype="f8") for item in spec.channels if item.name in signals)
     return replace(spec, channels=tuple(channels))
 
@@ -95,10 +95,12 @@ def _signals(spec: RecordingSpec, signals: Signals) -> dict[str, Array]:
         if name not in units:
             raise UsageError(f"{spec.name}: has no signal {name!r}; its signals are {known}")
         if stated.get(name, units[name]) != units[name]:
-            raise UsageError(f"{spec.name}: {name} is in {stated[name]}, needed is {units[name]}")
+            raise UsageError(
+                f"{spec.name}: {name} is in {stated[name]}, but must be in {units[name]}"
+            )
         found[name] = _numbers(f"{spec.name}: {name}", signals[name])
     if "time" not in found or len(found) < 2:
-        raise UsageError(f"{spec.name}: needs time and what was measured; its signals are {known}")
+        raise UsageError(f"{spec.name}: needs time and a measured signal; its signals are {known}")
     sizes = {name: values.size for name, values in found.items()}
     if len(set(sizes.values())) > 1:
         raise UsageError(f"{spec.name}: signals differ in their number of samples: {sizes}")
@@ -113,7 +115,7 @@ def _numbers(what: str, values: Any) -> Array:
     except (TypeError, ValueError) as error:
         raise UsageError(f"{what}: is no array of numbers: {error}") from None
     if found.ndim != 1:
-        raise UsageError(f"{what}: has shape {found.shape}, needed is one dimension")
+        raise UsageError(f"{what}: has shape {found.shape}, but must have one dimension")
     return found
 
 

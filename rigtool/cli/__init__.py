@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from rigtool.errors import RigtoolError
-from rigtool.escapes import terminal
+from rigtool.errors import RigtoolError, UsageError
+from rigtool.escapes import is_text, terminal
 from rigtool.interrupts import Terminated, handled
 
 if TYPE_CHECKING:
@@ -82,6 +82,19 @@ class LazyGroup(click.Group):
 
         return load(added[cmd_name], click.Command)
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command among the arguments; a misspelt one gets a suggestion."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            import difflib  # only here: the time of `rigtool --help` counts
+
+            close = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
+            hint = f" Did you mean {close[0]!r}?" if close else ""
+            raise click.UsageError(f"{error.message}{hint}", ctx) from None
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands into the help."""
         from rigtool.plugins import summary
@@ -114,7 +127,7 @@ def rigtool() -> None:
     stdout, everything else to stderr.
 
     Exit codes: 0 done; 1 failed while running; 2 usage; 3 bad recipe or run file; 4 the data do
-    not carry the result; 5 hardware.
+    not support the result; 5 hardware.
     """
 
 
@@ -123,6 +136,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     arguments = list(sys.argv[1:] if argv is None else argv)
     _keep_memory_of_blocks()
     try:
+        _require_text(arguments)
         with handled():
             code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False)
     except BaseException as error:
@@ -130,6 +144,13 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
             traceback.print_exc()
         sys.exit(_report(error))
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _require_text(arguments: Sequence[str]) -> None:
+    """Raise `UsageError` for a name that is not UTF-8: no run file could state its origin."""
+    for argument in arguments:
+        if not is_text(argument):
+            raise UsageError(f"{argument}: is not UTF-8: give the file another name")
 
 
 def _keep_memory_of_blocks() -> None:

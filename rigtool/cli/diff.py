@@ -17,8 +17,9 @@ from rigtool.cli.options import debug_option, echo, example
 def command(ctx: click.Context, first: str, second: str, rtol: float, atol: float) -> None:
     """Show where two runs differ.
 
-    Compares results, tables and signals, but not provenance and notes. Values agree if they differ
-    by at most atol + rtol * the larger one. Exit code 1 if anything differs.
+    Compares results, tables and signals, but not provenance and notes. An analysis of a stored run
+    has no signals of its own: results and tables are compared with that run. Values agree if they
+    differ by at most atol + rtol * the larger one. Exit code 1 if anything differs.
     """
     from rigtool.runfile import open_run
     from rigtool.runfile.comparison import Tolerance, differences

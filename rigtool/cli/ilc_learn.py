@@ -45,6 +45,11 @@ if TYPE_CHECKING:
     help="Then also sweep, and turn at speeds that were not learned, table off and on.",
 )
 @run_option(
+    "--prior",
+    "Run of ilc-learn, of another mounting: its lightest and heaviest load learn the new one "
+    "(imported runs).",
+)
+@run_option(
     "--check", "Run of ilc-learn: check whether its tables still fit, and find what changed."
 )
 @common_options
@@ -57,6 +62,7 @@ def command(
     learning_filter: str | None,
     implementation: str | None,
     validate: bool,
+    prior: str | None,
     check: str | None,
     options: CommonOptions,
 ) -> None:
@@ -82,7 +88,8 @@ def command(
 
     Imported runs of a slowly turning motor need no --kt: the result is a map of the turn. Imported
     runs of known loads, measured by a sensor (reference_torque), give tables of implementation D:
-    effort by motion and load, from which measure-force reads torque.
+    effort by motion and load, from which measure-force reads torque. With --prior, the tables of
+    another mounting, the lightest and the heaviest load are enough.
     """
     from rigtool.experiments.imported_load.procedure import PROCEDURE as BY_LOAD
     from rigtool.experiments.learning import procedure as ilc_learn
@@ -93,6 +100,7 @@ def command(
             ("implementation", implementation),
             ("learning-filter", learning_filter),
             ("validate", validate),
+            ("prior", prior),
         ):
             if given:
                 raise click.UsageError(f"--{name}: --check moves as the tables were learned")
@@ -100,12 +108,14 @@ def command(
         return
     # Imported runs hold no recipe that names an implementation: D learns from known loads.
     by_load = implementation == "D" and not any(source.endswith(".toml") for source in sources)
+    if prior is not None and not by_load:
+        raise click.UsageError("--prior: is for imported runs with --implementation D")
     if not by_load:
         options = ilc_learn.asked(options, implementation, validate=validate)
     if learning_filter is not None:
         options = options.with_override(f"ilc_learn.learning_filter={learning_filter}")
     procedure = BY_LOAD if by_load else ilc_learn.PROCEDURE
-    paths = {"kt": kt, "friction": friction, "plant": plant}
+    paths = {"kt": kt, "friction": friction, "plant": plant, "prior": prior}
     run_and_print(procedure, sources, output, options, **paths)
 
 

@@ -43,7 +43,7 @@ def command(
     from rigtool.report.page import require_pdf
     from rigtool.runfile import open_run
 
-    require_free(output, overwrite=overwrite)
+    require_free(output, overwrite=overwrite, inputs=paths)
     if pdf:
         require_pdf()
     with ExitStack() as stack:

@@ -30,5 +30,5 @@ def command(paths: tuple[str, ...]) -> None:
                 broken.append(str(link.path))
     if broken:
         raise RunFileError(
-            f"broken: {', '.join(dict.fromkeys(broken))}; make what depends on it anew"
+            f"broken: {', '.join(dict.fromkeys(broken))}; make the runs that depend on it again"
         )

@@ -1,1 +1,1 @@
-"""What the bench does: motions, loads, what to record, then which analysis."""
+"""Experiments: motions, loads, recordings, and their analysis."""

@@ -79,7 +79,7 @@ class UnsampledCurrent:
         if self.stepping:
             raise InsufficientDataError(
                 "the drive followed steps of position, each of which makes a step of current; the "
-                f"current between the samples at {speed:.3g} rad/s was read too rarely to say how "
+                f"current between the samples at {speed:.3g} rad/s was read too rarely to show how "
                 "far the samples are off: hold this speed for longer"
             )
         return 0.0

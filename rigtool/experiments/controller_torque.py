@@ -1,16 +1,16 @@
-"""The torque of the controller: the set point of current, less what is fed forward [7.2.4.2, 8.1].
+"""The torque of the controller: set point of current less feed-forward and table [7.2.4.2, 8.1].
 
     controller torque = k (set point - feed-forward - table)
 
 k is the torque per ampere (`torque_per_ampere`), the others are currents: the set point of the
-amplifier, the feed-forward of inertia and friction, and what was learned, from a table by position
+amplifier, the feed-forward of inertia and friction, and the learned one, from a table by position
 or as a signal by time.
 
 A recording counts only where the loop was healthy: not saturated, the rotor held. A controller
 answers a distance of rotor and set point with a torque: below its crossover with no less than its
-smallest gain times the distance. A fast motion of a heavy load needs a large torque, so a large
-distance is as it should be then: all angles are read from the encoder. A distance without that
-torque is a fault: of the encoder, of the set point or of what [rig.controller] states.
+smallest gain times the distance. A fast motion of a heavy load needs a large torque and thus a
+large distance, which is no fault: all angles are read from the encoder. A distance without that
+torque is a fault: of the encoder, of the set point or of [rig.controller].
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Recording
 
 TABLE, SIGNAL = "table_current", "signal_current"
-"""Channels of what was learned: by position, by time."""
+"""Channels of learned torque: by position, by time."""
 
 CHANNELS = (
     "time",
@@ -39,7 +40,10 @@ CHANNELS = (
     "position_setpoint",
     "encoder",
 )
-"""What is recorded of the position loop while the table is by position."""
+"""Channels of the position loop with a table by position."""
+
+AT_THE_LIMIT = 0.999
+"""Part of the rig's limit of current from which a set point is at it."""
 
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
@@ -70,7 +74,7 @@ class LoopSignals:
 def controller_torque(recording: Recording, torque_constant: float) -> Array:
     """Return the controller's torque over a recording (n,), N m; `torque_constant` in N m/A.
 
-    What the recording does not hold was not fed forward.
+    Channels that the recording lacks were not fed forward.
     """
     current = recording.read("current_setpoint")
     for name in ("feedforward_current", TABLE, SIGNAL):
@@ -150,12 +154,7 @@ def require_tracking(
     part of it, A, and `distance` the largest one of rotor and set point, rad. `remedy` is what to
     do where the loop saturates.
     """
-    limit = recipe.rig.current_limit
-    if largest_current >= 0.999 * limit:
-        raise InsufficientDataError(
-            f"the current set point reaches the limit of {limit} A, so the controller saturates "
-            f"and the current no longer shows the torque: {remedy}"
-        )
+    require_unlimited(largest_current, recipe, remedy)
     allowed = UNEXPLAINED_DISTANCE + (
         recipe.rig.torque_constant * largest_controller / smallest_gain(recipe)
     )
@@ -167,11 +166,26 @@ def require_tracking(
         )
 
 
+def require_unlimited(largest_current: float, recipe: Recipe, remedy: str) -> None:
+    """Raise `InsufficientDataError` where a current set point, A, is at the limit of the rig."""
+    limit = recipe.rig.current_limit
+    if largest_current >= AT_THE_LIMIT * limit:
+        raise InsufficientDataError(
+            f"the current set point reaches the limit of {limit} A, so the controller saturates "
+            f"and the current no longer shows the torque: {remedy}"
+        )
+
+
 def smallest_gain(recipe: Recipe) -> float:
     """Return the smallest gain of the recipe's controller below its crossover, N m/rad."""
+    return _smallest_gain(recipe.rig.controller.crossover_hz, **recipe.rig.loop_design)
+
+
+@lru_cache(maxsize=8)
+def _smallest_gain(highest_hz: float, **design: float) -> float:
+    """Return the smallest gain of a controller; each recording of a run asks for the same one."""
     from scipy.signal import sosfreqz
 
-    rig, crossover = recipe.rig, recipe.rig.controller.crossover_hz
-    sections = controller_sections(**rig.loop_design)
-    frequency = np.geomspace(min(LOWEST_HZ, crossover), crossover, 100)
-    return float(np.abs(sosfreqz(sections, frequency, fs=1 / rig.sample_time)[1]).min())
+    sections = controller_sections(**design)
+    frequency = np.geomspace(min(LOWEST_HZ, highest_hz), highest_hz, 100)
+    return float(np.abs(sosfreqz(sections, frequency, fs=1 / design["sample_time"])[1]).min())

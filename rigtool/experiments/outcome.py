@@ -1,4 +1,4 @@
-"""What an analysis returns and a run file stores."""
+"""The outcome of an analysis, as a run file stores it."""
 
 from __future__ import annotations
 

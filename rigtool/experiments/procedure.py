@@ -1,4 +1,4 @@
-"""A measuring command as a value: what it records, how it moves the rig, how it analyses a run."""
+"""A measuring command as a value: its recordings, the motions of the rig, the analysis of a run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rigtool.runfile import Channel, RecordingSpec, RunWriter
 class Procedure:
     """Everything that `session.run_command` has to know of a command; inputs are open runs.
 
-    `recordings(recipe)` lists what will be recorded; `measure(rig, recipe, recorder, **inputs)`
+    `recordings(recipe)` lists the recordings; `measure(rig, recipe, recorder, **inputs)`
     performs the tasks and records them; `analyse(runs, recipe, **inputs)` computes results from
     stored signals only. `needed` names the inputs that only imported runs can do without.
 
@@ -27,8 +27,11 @@ class Procedure:
     `follow(recipe, **inputs)` returns what turns blocks of signals, as they come, into the values
     that are shown instead of them: arrays by name, `time` among them.
 
-    `rig_needs(recipe)` names what a rig has to offer for motions that depend on what is measured
+    `rig_needs(recipe)` names the abilities for motions that depend on results measured
     first, see `dry_run`.
+
+    `analysis_settings` are the keys of the recipe that decide how stored signals are read, and
+    nothing that moved: a stored run may be analysed with other values of these only.
     """
 
     command: str
@@ -42,6 +45,7 @@ class Procedure:
     imported_settings: Mapping[str, str] = field(default_factory=dict)
     follow: Callable[..., Callable[[Block], Block]] | None = None
     rig_needs: Callable[[Recipe], tuple[str, ...]] = lambda recipe: ()
+    analysis_settings: tuple[str, ...] = ()
 
 
 def channels(*names: str) -> tuple[Channel, ...]:

@@ -7,8 +7,10 @@ i is the current set point, g the gain of the amplifier, k the torque constant o
 The thesis takes one constant, the mean over 20 to 35 degC, for all that it measures [7.1.1]:
 `torque_per_ampere`, of every command but those below. Its standard uncertainty includes the change
 of k over that range, since the motor may have any temperature within it: a rectangular distribution
-(GUM 4.3.7). What `ilc-learn` stores is fed forward as current by the same constant, so that the
-constant cancels: uncertainties of learned tables are those of their scatter.
+(GUM 4.3.7). Where recordings show a temperature at which k is further from the mean, the
+distribution reaches to there, and a note states it. A table of `ilc-learn` is fed forward as
+current by the same constant, so that the constant cancels: uncertainties of learned tables are
+those of their scatter.
 
 `identify-plant` and `measure-force --correction full` resolve less than the change of k. They take
 k at the recorded temperature of the motor: `torque_per_ampere_at`, with the uncertainty of the
@@ -18,15 +20,25 @@ calibration alone.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from rigtool.experiments.torque_constant.temperature_fit import REFERENCE_DEGC
 from rigtool.quantity import Quantity
-from rigtool.runfile import Run
+from rigtool.runfile import Recording, Run
+
+ENDS = 1024
+"""Samples at either end of a recording that show its temperatures, which change slowly."""
 
 
-def torque_per_ampere(kt: Run, *, of_measured_current: bool = False) -> Quantity:
+def torque_per_ampere(
+    kt: Run, recordings: Sequence[Recording] = (), *, of_measured_current: bool = False
+) -> Quantity:
     """Return the torque for each ampere of set point, N m/A, from a run of calibrate-kt.
+
+    Its uncertainty holds for the temperatures of `recordings`, where they show any.
 
     The torque constant holds for the current as measured; the amplifier delivers `amplifier_gain`
     of its set point, which does not count `of_measured_current`. Raises `RunFileError` where `kt`
@@ -35,11 +47,9 @@ def torque_per_ampere(kt: Run, *, of_measured_current: bool = False) -> Quantity
     kt.require_command("calibrate-kt")
     mean = kt.result("torque_constant_mean")
     gain = Quantity(1.0, "1", 0.0) if of_measured_current else kt.result("amplifier_gain")
-    error = kt.results.get("torque_constant_constant_error")
+    error = max(_known_error(kt), abs(_furthest(kt, recordings)[1]))
     own = (mean.u or 0.0) / mean.value
-    relative_u = math.hypot(
-        own, (gain.u or 0.0) / gain.value, 0.0 if error is None else error.value / math.sqrt(3)
-    )
+    relative_u = math.hypot(own, (gain.u or 0.0) / gain.value, error / math.sqrt(3))
     # Welch-Satterthwaite (GUM G.4.1): only the mean has finite degrees of freedom.
     dof = mean.dof * (relative_u / own) ** 4 if mean.dof is not None and own else None
     value = mean.value * gain.value
@@ -81,8 +91,49 @@ def with_constant(quantity: Quantity, constant: Quantity) -> Quantity:
     return replace(quantity, u=u, dof=dof)
 
 
-def mean_constant_note(constant: Quantity) -> str:
-    """State by which constant torques were computed, and what its uncertainty includes."""
+def _known_error(kt: Run) -> float:
+    """Return the largest relative error of the mean constant over its range of temperatures."""
+    error = kt.results.get("torque_constant_constant_error")
+    return 0.0 if error is None else error.value
+
+
+def _furthest(kt: Run, recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Return the recorded temperature, degC, at which k is furthest from its mean, and how far,
+    relative; NaN and 0 where nothing shows it."""
+    names = ("torque_constant", "torque_constant_temperature_coefficient")
+    ends = [
+        end
+        for recording in recordings
+        if recording.has("temperature") and recording.size
+        for end in (
+            recording.read_stored("temperature", 0, ENDS),
+            recording.read_stored("temperature", max(0, recording.size - ENDS)),
+        )
+    ]
+    degc = np.concatenate([*ends, np.empty(0)], dtype=np.float64)
+    degc = degc[np.isfinite(degc)]  # NaN where no thermometer is there
+    if not degc.size or not all(name in kt.results for name in names):
+        return math.nan, 0.0
+    constant, slope = (kt.result(name).value for name in names)
+    there = constant * (1 + slope * (degc - REFERENCE_DEGC))
+    away = there / kt.result("torque_constant_mean").value - 1
+    worst = int(np.abs(away).argmax())
+    return float(degc[worst]), float(away[worst])
+
+
+def mean_constant_note(kt: Run, recordings: Sequence[Recording] = ()) -> str:
+    """State the constant behind the torques, and the parts of its uncertainty."""
+    constant = torque_per_ampere(kt, recordings)
+    degc, away = _furthest(kt, recordings)
+    if abs(away) > _known_error(kt):
+        return (
+            f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A, but the motor "
+            f"had {degc:.3g} degC, where the constant is {abs(away):.2%} "
+            f"{'below' if away < 0 else 'above'} it: torques are read too "
+            f"{'high' if away < 0 else 'low'} by that; the standard uncertainty, "
+            f"{(constant.u or 0.0) / constant.value:.2%}, includes it; widen "
+            "calibrate_kt.reference_range_degc, or let the motor cool"
+        )
     return (
         f"torque by the mean torque constant, {constant.value * 1e3:.4g} mN m/A; its standard "
         f"uncertainty, {(constant.u or 0.0) / constant.value:.2%}, includes its change over the "

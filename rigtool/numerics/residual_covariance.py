@@ -16,7 +16,7 @@ import numpy as np
 from rigtool.numerics.arrays import Array, Mask
 
 MIN_COEFFICIENTS = 4
-"""Fewest coefficients, whatever the correlation: fewer do not determine an uncertainty."""
+"""Fewest coefficients, for any correlation: fewer do not determine an uncertainty."""
 
 
 def long_run_covariance(design: Array, residual: Array, independent: float) -> tuple[Array, int]:
@@ -24,13 +24,13 @@ def long_run_covariance(design: Array, residual: Array, independent: float) -> t
 
     `design` (n, p) and `residual` (n,) are in the order of time. Rows of zeros stand for samples
     that were left out, so that the others keep their distance in time. `independent` is the number
-    of independent samples that the residuals are worth; B = n_i^(2/3).
+    of independent samples equivalent to the residuals; B = n_i^(2/3).
     """
     from scipy.fft import dct
 
     count = len(residual)
     # The published rule, 0.4 n^(2/3), assumes a correlation of 0.7 from sample to sample, where n
-    # samples are worth n_i = 0.18 n: 1.3 n_i^(2/3). B is lower because n_i is itself estimated.
+    # samples count as n_i = 0.18 n: 1.3 n_i^(2/3). B is lower because n_i is itself estimated.
     lowest = int(min(max(independent ** (2 / 3), MIN_COEFFICIENTS), count - 1))
     moments = design * residual[:, None]
     # scipy's type II is twice the sum of the definition above
@@ -42,7 +42,7 @@ def long_run_covariance(design: Array, residual: Array, independent: float) -> t
 
 
 def independent_samples(residual: Array, used: Mask, lag: int) -> float:
-    """Return how many independent samples residuals (n,) are worth, where `used`.
+    """Return the number of independent samples equivalent to residuals (n,), where `used`.
 
     From their correlation at one lag, that of a first-order process: n/lag (1 - r)/(1 + r), at most
     n/lag.

@@ -7,23 +7,35 @@ and the last reading remain. It is the minimum-variance mean of a series whose n
 compensate fully; for independent readings its standard uncertainty is at most a tenth above the
 lowest possible.
 
-The variance of a mean is the power of the readings at frequency zero. It is estimated by the power
-at the lowest frequencies of their cosine transform: drift makes it larger than the scatter of the
-readings, compensation smaller (P. Heidelberger and P. D. Welch, Comm. ACM 24(4) 233-245,
-1981, who fit the same periodogram). Each frequency adds one degree of freedom.
+How much is paid back, p, and with it the variance of the mean, come from the readings themselves:
+several series of the same motion are taken to have it in common,
+
+    reading[i] = mean + s (e[i] - p e[i - 1])
+
+whose covariance is tridiagonal, with the sine transform (DST-I) as its eigenvectors, so that its
+likelihood is exact for any number of readings. Mean and s are each series' own (restricted
+likelihood: H. D. Patterson and R. Thompson, Biometrika 58(3) 545-554, 1971). Where the slowest
+waves of a series are larger than chance allows, drift counts as well.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 
-LOWEST_FREQUENCIES = 6
-"""Number of the lowest frequencies, in half periods of the series, that estimate the power."""
+PAYBACKS = np.linspace(-0.95, 1.0, 79)
+"""Values of p that are weighed by their likelihood; neighbours alike, p < 0, occur as well."""
+
+SLOWEST_WAVES, BY_CHANCE = 6, 0.01
+"""Number of the slowest waves that show drift, and how seldom chance makes them as large."""
+
+LEAST_VARIANCE = 1e-200
+"""Of readings that do not scatter at all."""
 
 MIN_READINGS = 3
 """Fewest readings from which scatter is estimated."""
@@ -43,20 +55,43 @@ def steady_mean(values: Array) -> Array:
     return mean
 
 
-def steady_u(values: Array) -> tuple[Any, float]:
-    """Return the standard uncertainty of `steady_mean` and its degrees of freedom.
+def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
+    """Return standard uncertainty and degrees of freedom of each series' `steady_mean`.
 
-    Repeats along the first axis, values (m, n) or (m,) to (n,) or (). Raises
-    `InsufficientDataError` for fewer than three.
+    Each of the series (m,) has its own scatter, all have the payback in common. Raises
+    `InsufficientDataError` for fewer than three readings in one.
     """
-    from scipy.fft import dct
+    from scipy.fft import dst
+    from scipy.stats import chi2
 
-    count = len(values)
-    if count < MIN_READINGS:
-        raise InsufficientDataError(
-            f"{count} cycles show no scatter, {MIN_READINGS} are needed: measure more cycles"
+    likelihood = np.zeros(len(PAYBACKS))
+    variances, drifts = [], []
+    for values in series:
+        count = len(values)
+        if count < MIN_READINGS:
+            raise InsufficientDataError(
+                f"{count} cycles show no scatter, {MIN_READINGS} are needed: measure more cycles"
+            )
+        waves, ones, weighted = (
+            dst(each, type=1, norm="ortho") for each in (values, np.ones(count), weights(count))
         )
-    lowest = min(LOWEST_FREQUENCIES, count - 1)
-    waves = dct(values - values.mean(axis=0), norm="ortho", axis=0)[1 : lowest + 1]
-    power = np.mean(waves**2, axis=0)
-    return np.sqrt(power * np.sum(weights(count) ** 2)), float(lowest)
+        turn = np.pi * np.arange(1, count + 1) / (count + 1)
+        p = PAYBACKS[:, None]
+        power = 1 + p**2 - 2 * p * np.cos(turn)
+        known = np.sum(ones**2 / power, axis=1)
+        mean = np.sum(ones * waves / power, axis=1) / known
+        left = (waves - mean[:, None] * ones) ** 2 / power
+        scale = np.maximum(left.sum(axis=1) / (count - 1), LEAST_VARIANCE)
+        likelihood -= ((count - 1) * np.log(scale) + np.log(power).sum(axis=1) + np.log(known)) / 2
+        variances.append(scale * np.sum(weighted**2 * power, axis=1))
+        drifts.append(left[:, :SLOWEST_WAVES].mean(axis=1) / scale)
+    share = np.exp(likelihood - likelihood.max())
+    share /= share.sum()
+    found = []
+    for values, variance, drift in zip(series, variances, drifts, strict=True):
+        slow, lowest = float(share @ drift), min(SLOWEST_WAVES, len(values))
+        beyond = slow > chi2.isf(BY_CHANCE, lowest) / lowest
+        square = float(share @ variance)
+        relative = float(share @ (variance / square - 1) ** 2) + 2 / (len(values) - 1)
+        found.append((math.sqrt(square * (slow if beyond else 1.0)), 2 / relative))
+    return found

@@ -23,7 +23,7 @@ class CalibrateKt(Section):
         (20, 25, 30, 35, 40, 45, 50), min_length=2, description="of the motor, degC"
     )
     rotor_positions: int = Field(
-        8, ge=1, description="equally spaced angles of the arm, shifted with each temperature"
+        8, ge=1, description="angles of the arm around the turn, others at each temperature"
     )
     current_max: float = Field(4.0, gt=0, description="top of the staircase, A")
     steps: int = Field(16, ge=3, description="from zero to the top")
@@ -240,6 +240,17 @@ class MeasureForce(Section):
     extra_cycles: int = Field(5, ge=1, description="for these two loads")
     record_every: int = Field(16, ge=1, description="samples averaged into a recorded one")
     motion: ForceMotion = ForceMotion()
+
+    @model_validator(mode="after")
+    def _reads_within_the_stroke(self) -> MeasureForce:
+        require_straight_part("turn_angle", self.turn_angle, self.angle)
+        low, high = self.turn_angle, self.angle - self.turn_angle
+        if not low <= self.measure_angle <= high:
+            raise ValueError(
+                f"measure_angle {self.measure_angle:g} deg is not between {low:g} and {high:g} "
+                "deg, where a stroke has a constant speed: choose an angle there, in degrees"
+            )
+        return self
 
 
 class Suspension(Section):

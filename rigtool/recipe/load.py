@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ from rigtool.recipe.commands import (
     Stribeck,
     Suspension,
 )
+from rigtool.recipe.mistakes import described
 from rigtool.recipe.rig import RigDescription
 from rigtool.recipe.serial import Serial
 from rigtool.recipe.virtual import Sine, Virtual
@@ -76,6 +76,14 @@ class Recipe(Section):
                     f"tenth of the loop's rate, {highest:g} Hz: lower it"
                 )
         return self
+
+    @property
+    def highest_current(self) -> float:
+        """The lowest of the limits of current, A: of the amplifier, and of a rig on a line."""
+        limits = [self.rig.current_limit]
+        if self.rig.source == "serial" and self.serial is not None:
+            limits.append(self.serial.limits.current)
+        return min(limits)
 
     def resolved(self) -> str:
         """Return the recipe with all defaults filled in, as canonical JSON."""
@@ -157,7 +165,7 @@ def validate(
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise RecipeError(_describe_mistakes(error, text, name, kind, overrides)) from None
+        raise RecipeError(described(error, model, text, name, kind, overrides)) from None
 
 
 def recipe_from_resolved(text: str) -> Recipe:
@@ -214,54 +222,3 @@ def _apply_override(data: dict[str, Any], override: str) -> None:
         if not isinstance(target, dict):
             raise UsageError(f"--set {override!r}: {table!r} is a value, not a table")
     target[last] = parsed
-
-
-def _describe_mistakes(
-    error: ValidationError, text: str, name: str, kind: str, overrides: Sequence[str]
-) -> str:
-    """Return all mistakes in a TOML `text` with their lines; `kind` is recipe or mapping."""
-    lines = _line_numbers(text)
-    set_keys = {override.partition("=")[0].strip() for override in overrides}
-    mistakes = []
-    for item in error.errors():
-        path = tuple(part for part in item["loc"] if isinstance(part, str))
-        dotted = ".".join(str(part) for part in item["loc"])
-        message = item["msg"].removeprefix("Value error, ")
-        if item["type"] == "extra_forbidden":
-            message = "is not a key that this table knows; remove it or correct its spelling"
-        elif item["type"] == "missing":
-            message = "is missing; add it"
-        elif not path:  # tables contradict each other: the mistake concerns the whole recipe
-            dotted = kind
-        else:
-            message = f"{message}, got {item['input']!r}"
-        where = f"{name}, --set" if ".".join(path) in set_keys else _where(name, path, lines)
-        mistakes.append(f"{where}: {dotted}: {message}")
-    count = len(mistakes)
-    head = f"{name}: {count} mistake{'s' if count > 1 else ''} in the {kind}"
-    return "\n  ".join([head, *mistakes])
-
-
-def _where(name: str, path: tuple[str, ...], lines: dict[tuple[str, ...], int]) -> str:
-    # A missing key has no line: name the line of the closest table around it.
-    while path and path not in lines:
-        path = path[:-1]
-    return f"{name}:{lines[path]}" if path in lines else name
-
-
-_TABLE = re.compile(r"^\s*\[\[?\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
-_KEY = re.compile(r"^\s*([A-Za-z0-9_.\-\"']+)\s*=")
-
-
-def _line_numbers(text: str) -> dict[tuple[str, ...], int]:
-    """Map each table and key of a TOML text to its line, counted from 1."""
-    found: dict[tuple[str, ...], int] = {}
-    table: tuple[str, ...] = ()
-    for number, line in enumerate(text.splitlines(), start=1):
-        if match := _TABLE.match(line):
-            table = tuple(part.strip().strip("\"'") for part in match[1].split("."))
-            found.setdefault(table, number)
-        elif match := _KEY.match(line):
-            path = (*table, *(part.strip("\"'") for part in match[1].split(".")))
-            found.setdefault(path, number)
-    return found

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -90,6 +90,8 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
 class ImportedRig(Section):
     """Properties of the rig, as far as the person who measured knows them."""
 
+    LARGEST_COUNT: ClassVar[int] = 2**40
+
     name: str = Field(min_length=1, description="which rig this is")
     axis: Literal["rotary", "linear"] = Field("rotary", description="rad and N m, or m and N")
     encoder_counts: int | None = Field(
@@ -103,6 +105,15 @@ class ImportedRig(Section):
         None, gt=0, description="nominal torque of the motor, N m, for torque in percent"
     )
     inertia: float | None = Field(None, gt=0, description="on the motor shaft, kg m2")
+
+    @model_validator(mode="after")
+    def _fits_axis(self) -> ImportedRig:
+        if self.axis == "linear" and self.torque_constant is not None:
+            raise ValueError(
+                f"torque_constant {self.torque_constant:g} N m/A has no meaning on a linear axis, "
+                'where current makes force: take it out, or set axis = "rotary"'
+            )
+        return self
 
 
 class FileLayout(Section):
@@ -142,8 +153,8 @@ class Signal(Section):
 
     column: int | str = Field(description="number from 1, or name")
     unit: str = Field(description="of scale*raw + offset")
-    scale: float = Field(1.0, description="for the raw value")
-    offset: float = Field(0.0, description="added after scaling, in `unit`")
+    scale: float = Field(1.0, ge=-1e15, le=1e15, description="for the raw value")
+    offset: float = Field(0.0, ge=-1e15, le=1e15, description="added after scaling, in `unit`")
     sign: Literal[1, -1] = Field(1, description="-1 where the sensor counts the other way")
     counts_per_turn: float | None = Field(
         None, gt=0, description="turns counts into rad; per metre on a linear axis, into m"

@@ -6,7 +6,7 @@ rig knows; no analysis reads those.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -39,18 +39,25 @@ class Controller(Section):
     """
 
     crossover_hz: float = Field(50.0, gt=0, description="crossover of the open loop, Hz")
-    lead_ratio: float = Field(3.0, gt=1, description="zero and pole of the lead around crossover")
+    lead_ratio: float = Field(
+        3.0, gt=1, le=100, description="zero and pole of the lead around crossover"
+    )
     integrator_hz: float = Field(4.0, ge=0, description="zero of the integrator, Hz; 0 for none")
     lowpass_hz: float = Field(400.0, gt=0, description="second-order low-pass, Hz")
-    lowpass_damping: float = Field(0.7, gt=0, description="damping ratio of the low-pass")
+    lowpass_damping: float = Field(
+        0.7, ge=0.01, le=100, description="damping ratio of the low-pass"
+    )
 
 
 class Instrument(Section):
     """Geometry of the instrument as the thesis uses it [8.1]."""
 
-    angle_ratio: float = Field(0.85, gt=0, description="motor angle per grasper angle")
+    angle_ratio: float = Field(0.85, ge=1e-4, le=1e4, description="motor angle per grasper angle")
     torque_factor: float = Field(
-        1.18, gt=0, description="grasper torque per motor torque, as the thesis multiplies"
+        1.18,
+        ge=1e-4,
+        le=1e4,
+        description="grasper torque per motor torque, as the thesis multiplies",
     )
     grasper_length: float = Field(0.020, gt=0, description="axis to where the load hangs, m")
 
@@ -61,7 +68,7 @@ class ForceArm(Section):
     length: float = Field(0.540, gt=0, description="arm from shaft to gauge, m")
     length_u: float = Field(0.2e-3, ge=0, description="standard uncertainty of the length, m")
     gauge_relative_u: float = Field(
-        3e-4, ge=0, description="relative standard uncertainty of the gauge's calibration"
+        3e-4, ge=0, le=1, description="relative standard uncertainty of the gauge's calibration"
     )
 
 
@@ -69,7 +76,7 @@ class MotorSuspension(Section):
     """Leaf springs that carry the motor, and pulleys out of centre [App. E, J]."""
 
     elasticity: float = Field(2.1e11, gt=0, description="modulus of the leaf springs, Pa")
-    elasticity_relative_u: float = Field(0.02, ge=0, description="its relative uncertainty")
+    elasticity_relative_u: float = Field(0.02, ge=0, le=1, description="its relative uncertainty")
     length: float = Field(gt=0, description="of a leaf spring between its clamps, m")
     width: float = Field(gt=0, description="of a leaf spring, m")
     thickness: float = Field(gt=0, description="of a leaf spring, m")
@@ -87,6 +94,8 @@ MAX_VIRTUAL_SAMPLE_TIME = 0.01
 
 class RigDescription(Section):
     """The rig as its owner describes it."""
+
+    LARGEST_COUNT: ClassVar[int] = 2**32
 
     name: str = Field(min_length=1, description="which rig this is; tables belong to one rig")
     source: Literal["virtual", "serial"] = Field(

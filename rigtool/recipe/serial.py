@@ -5,7 +5,7 @@ Limits have no defaults: only who stands at the bench knows what the rig can tak
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -22,6 +22,9 @@ class Limits(Section):
     )
     temperature_degc: float = Field(description="of the motor, where it is measured, degC")
     duration: float = Field(gt=0, description="of one motion, s")
+    following_error: float = Field(
+        2.0, gt=0, description="distance of the shaft from its set point, rad; watched by the host"
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Limits:
@@ -33,19 +36,26 @@ class Limits(Section):
 class MeasuringInstrument(Section):
     """An instrument beside the drive, or the operator who reads one."""
 
+    LARGEST_COUNT: ClassVar[int] = 2**31
+
     driver: str = Field(
         description='protocol, e.g. "mark10", "scpi", "number-lines"; "operator" asks who is there'
     )
     port: str | None = Field(None, description="its own serial port; none for the operator")
     baud_rate: int | None = Field(None, gt=0, description="bit/s; none for the protocol's usual")
     scale: float = Field(
-        1.0, description="factor on what it reads; negative where its sign is the other way"
+        1.0,
+        ge=-1e9,
+        le=1e9,
+        description="factor on what it reads; negative where its sign is the other way",
     )
     offset: float = Field(0.0, description="added to what it reads, in the unit of the channel")
 
 
 class Serial(Section):
     """The drive of a rig, or a target that runs the loop, at the end of a serial line."""
+
+    LARGEST_COUNT: ClassVar[int] = 2**31
 
     driver: str = Field(
         description='"target", "odrive", "moteus", "maxon", or a driver that another package adds; '
@@ -65,7 +75,7 @@ class Serial(Section):
         "memory", description="a target keeps its log until the run is over, or sends it meanwhile"
     )
     position_gain: float = Field(
-        10.0, gt=0, description="of the host, where a drive takes speeds only, (rad/s)/rad"
+        10.0, gt=0, le=1e4, description="of the host, where a drive takes speeds only, (rad/s)/rad"
     )
     force: MeasuringInstrument | None = Field(None, description="force gauge at the end of the arm")
     temperature: MeasuringInstrument | None = Field(None, description="thermometer on the motor")

@@ -35,7 +35,7 @@ class Turning(Section):
     """Whole turns of the bare motor: implementations A and B [7.2.4.2]."""
 
     speeds_rev_per_s: tuple[Positive, ...] = Field(
-        (1, 2, 3, 4, 5), min_length=1, description="both directions; A learns at the lowest"
+        (1, 2, 3, 4, 5), min_length=1, description="both directions, rev/s; A learns at the lowest"
     )
     low_speeds_rev_per_s: tuple[Positive, ...] = Field(
         (0.05, 0.1, 0.2, 0.5), description="for the amplitude tables below the lowest speed, rev/s"

@@ -6,7 +6,7 @@ throughout; temperatures in degC.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -20,7 +20,7 @@ class Order(Section):
     """One order of rotation: amplitude * cos(order * angle + phase)."""
 
     order: int = Field(ge=1, le=MAX_ORDER, description="cycles a turn")
-    amplitude: float = Field(ge=0, description="in the unit of what it modulates")
+    amplitude: float = Field(ge=0, le=100, description="in the unit of what it modulates")
     phase: float = Field(0.0, description="rad")
 
 
@@ -28,7 +28,7 @@ class DrawnOrder(Section):
     """One order whose phase and amplitude each power-up draws anew."""
 
     order: int = Field(ge=1, le=MAX_ORDER, description="cycles a turn")
-    amplitude: float = Field(ge=0, description="typical, in the unit of what it modulates")
+    amplitude: float = Field(ge=0, le=100, description="typical, in the unit of what it modulates")
 
 
 class Motor(Section):
@@ -54,7 +54,7 @@ class Motor(Section):
 class Thermal(Section):
     """Two thermal masses: winding and housing; the torque constant follows the winding."""
 
-    ambient_degc: float = Field(22.0, description="of the room")
+    ambient_degc: float = Field(22.0, description="of the room, degC")
     winding_resistance: float = Field(gt=0, description="ohm at 20 degC")
     winding_to_housing: float = Field(gt=0, description="K/W")
     winding_capacity: float = Field(gt=0, description="J/K")
@@ -65,7 +65,7 @@ class Thermal(Section):
 class Amplifier(Section):
     """Current amplifier with what its start-up calibration leaves behind [7.1.3, App. F]."""
 
-    gain: float = Field(1.0, gt=0, description="current delivered per current asked for")
+    gain: float = Field(1.0, ge=1e-3, le=1e3, description="current delivered per current asked for")
     offset: float = Field(0.0, description="A")
     bandwidth_hz: float = Field(1500.0, gt=0, description="of the current loop, Hz")
     offset_ripple: tuple[DrawnOrder, ...] = Field((), description="A, whatever the current")
@@ -82,7 +82,7 @@ class Sensors(Section):
 
     current_noise: float = Field(0.0, ge=0, description="std a sample, A")
     force_noise: float = Field(0.0, ge=0, description="std a sample, N")
-    force_gain: float = Field(1.0, gt=0, description="gauge reading per newton")
+    force_gain: float = Field(1.0, ge=1e-3, le=1e3, description="gauge reading per newton")
     force_resolution: float = Field(1e-3, ge=0, description="N")
     temperature_noise: float = Field(0.0, ge=0, description="std a sample, K")
     micrometer_error: float = Field(0.0, ge=0, description="std of a reading, m")
@@ -119,7 +119,7 @@ class VirtualInstrument(Section):
     presliding_angle: float = Field(gt=0, description="at the motor shaft, rad")
     tip_friction: float = Field(ge=0, description="at the grasper, N m")
     tip_presliding_angle: float = Field(gt=0, description="at the grasper, rad")
-    load_friction: float = Field(ge=0, description="friction per torque carried")
+    load_friction: float = Field(ge=0, le=10, description="friction per torque carried")
     load_friction_onset: float = Field(
         gt=0, description="torque below which pre-tension hides the load friction, N m"
     )
@@ -268,6 +268,8 @@ class Hand(Section):
 
 class Virtual(Section):
     """The simulated rig."""
+
+    LARGEST_COUNT: ClassVar[int] = 2**62
 
     seed: int = Field(1, ge=0, description="of everything random")
     power_cycle: int = Field(0, ge=0, description="which start-up of the amplifier this is")

@@ -42,7 +42,7 @@ SUBJECTS = {
     "suspension": "suspension",
     "import": "imported recordings",
 }
-"""What the runs of each command are about."""
+"""Subject of the runs of each command."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Report:
 
     `requirements` are those of the recipes, with verdicts; `warnings` concern runs that do not
     belong together; `remarks` are the notes of each run, by its label. `force_tables` are Tables 8
-    and 9, `results` all results of each run; `compared` where published values stand beside.
+    and 9, `results` all results of each run; `compared` where published values are beside them.
     """
 
     title: str
@@ -121,7 +121,7 @@ def build_report(runs: Sequence[Run]) -> Report:
 
 
 def _title(commands: Sequence[str], rigs: Sequence[str]) -> str:
-    """Return what the runs are about: force from motor current, or what was measured for it."""
+    """Return the subject of the runs: force from motor current, or its parts."""
     if "measure-force" in commands:
         subject = "Force from motor current"
     else:

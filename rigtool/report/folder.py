@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from rigtool.errors import UsageError
 from rigtool.report.build import Report
-from rigtool.report.formats import csv_text, latex, markdown, terminal
+from rigtool.report.formats import csv_table, latex_table, markdown_table, terminal_table
 from rigtool.report.page import render_page, render_pdf
 from rigtool.runfile.outputs import own_folder
 
@@ -17,14 +18,19 @@ ENTRIES = frozenset({"index.html", "report.pdf", "tables.txt", "tables", "figure
 
 def terminal_text(report: Report) -> str:
     """Return Tables 8 and 9 as text, separated by an empty line."""
-    return "\n".join(terminal(table) for table in report.force_tables)
+    return "\n".join(terminal_table(table) for table in report.force_tables)
 
 
-def require_free(output: str | os.PathLike[str], *, overwrite: bool) -> Path:
+def require_free(
+    output: str | os.PathLike[str],
+    *,
+    overwrite: bool,
+    inputs: Iterable[str | os.PathLike[str]] = (),
+) -> Path:
     """Return the folder to write as an absolute path.
 
-    Raises `UsageError` where it cannot be written, exists without `overwrite`, or holds something
-    that no report wrote.
+    Raises `UsageError` where it cannot be written, exists without `overwrite`, holds one of the
+    `inputs`, or something that no report wrote.
     """
     target = Path(output).absolute()
     if not target.parent.is_dir():
@@ -37,6 +43,9 @@ def require_free(output: str | os.PathLike[str], *, overwrite: bool) -> Path:
         raise UsageError(f"{output}: is no folder: give the report a name of its own")
     if not overwrite:
         raise UsageError(f"{output}: exists already: give another name, or --overwrite")
+    for name in inputs:
+        if Path(os.path.realpath(name)).is_relative_to(os.path.realpath(target)):
+            raise UsageError(f"{output}: holds {name}, an input of this report: give another name")
     foreign = sorted(entry.name for entry in target.iterdir() if entry.name not in ENTRIES)
     if foreign:
         raise UsageError(
@@ -68,9 +77,9 @@ def _contents(report: Report, pdf: bool) -> dict[str, bytes]:
     texts = {"index.html": render_page(report), "tables.txt": terminal_text(report)}
     required = () if report.requirements is None else (report.requirements,)
     for table in (*required, *report.force_tables, *report.results):
-        texts[f"tables/{table.name}.md"] = markdown(table)
-        texts[f"tables/{table.name}.csv"] = csv_text(table)
-        texts[f"tables/{table.name}.tex"] = latex(table)
+        texts[f"tables/{table.name}.md"] = markdown_table(table)
+        texts[f"tables/{table.name}.csv"] = csv_table(table)
+        texts[f"tables/{table.name}.tex"] = latex_table(table)
     for picture in report.pictures:
         texts[f"figures/{picture.name}.svg"] = picture.svg
     contents = {name: text.encode() for name, text in texts.items()}

@@ -86,7 +86,7 @@ def records(table: Table) -> Iterator[dict[str, float]]:
         yield {name: float(table[name][index]) for name in table.columns}
 
 
-def markdown(table: ReportTable) -> str:
+def markdown_table(table: ReportTable) -> str:
     """Write a pipe table under its title."""
     heads = [escapes.markdown(_head(column)) for column in table.columns]
     rules = ["---:" if column.numeric else ":---" for column in table.columns]
@@ -96,7 +96,7 @@ def markdown(table: ReportTable) -> str:
     return f"**{escapes.markdown(table.title)}**\n\n" + "\n".join(lines) + "\n" + note
 
 
-def csv_text(table: ReportTable) -> str:
+def csv_table(table: ReportTable) -> str:
     """Write numbers in SI units with all digits, below a header `key [unit]`."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
@@ -117,7 +117,7 @@ def csv_text(table: ReportTable) -> str:
     return stream.getvalue()
 
 
-def latex(table: ReportTable) -> str:
+def latex_table(table: ReportTable) -> str:
     """Write a table environment with caption and label; its tabular needs no package."""
     alignment = "".join("r" if column.numeric else "l" for column in table.columns)
     titles = " & ".join(escapes.latex(column.title) for column in table.columns)
@@ -142,7 +142,7 @@ def latex(table: ReportTable) -> str:
     return "\n".join(lines) + "\n"
 
 
-def terminal(table: ReportTable) -> str:
+def terminal_table(table: ReportTable) -> str:
     """Write aligned text: title, two lines of header, a rule, rows."""
     grid = [
         [column.title for column in table.columns],

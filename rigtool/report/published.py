@@ -41,7 +41,7 @@ class PublishedValue:
 
 
 def is_of_thesis(rig: str | None) -> bool:
-    """Return whether a rig is the thesis's, by its name: only then its numbers stand beside."""
+    """Return whether a rig is the thesis's, by its name: only then published numbers are shown."""
     return bool(rig == _published()["rig"])
 
 

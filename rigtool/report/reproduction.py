@@ -303,7 +303,7 @@ INTRODUCTION = (
 NOTES_LINK = "Assumptions where the thesis is silent: [notes](thesis-notes.md)."
 
 
-def markdown(shown: Sequence[PageRow]) -> str:
+def page_text(shown: Sequence[PageRow]) -> str:
     """Return the page as Markdown; its pictures are in `reproduction/`."""
     parts = ["# The thesis, figure by figure", INTRODUCTION, _summary(shown), NOTES_LINK]
     for row in shown:
@@ -368,7 +368,7 @@ def write(
             (folder / row.picture[0]).write_bytes(row.picture[1])
     text = json.dumps(stored, indent=1, ensure_ascii=False)
     (folder / "numbers.json").write_text(text + "\n", "utf-8")
-    (docs / "reproduction.md").write_text(markdown(shown), "utf-8")
+    (docs / "reproduction.md").write_text(page_text(shown), "utf-8")
     if page is not None:
         page.write_text(html(shown), "utf-8")
 

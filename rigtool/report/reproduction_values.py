@@ -110,6 +110,9 @@ def _unit(left: str, sign: str, right: str) -> str:
     return f"{left} {right}" if sign == "*" else f"{left}/({right})"
 
 
+ON_THE_GRID = 1e-9
+"""Of the range of an axis: a point that is nearer to an end belongs to it."""
+
 _UNITS = {
     ("N m", "/", "m"): "N",
     ("A", "*", "N m/A"): "N m",
@@ -141,8 +144,12 @@ def _of_table(table: Table, column: str, where: str, reduce: str | None) -> Quan
         axis, _, wanted = condition.partition("=")
         places = np.asarray(table[axis], dtype=np.float64)
         if ".." in wanted:
-            low, high = np.searchsorted(places, [float(end) for end in wanted.split("..")])
-            index[table.axes.index(axis)] = slice(int(low), int(high) + 1)
+            low, high = (float(end) for end in wanted.split(".."))
+            near = ON_THE_GRID * (places[-1] - places[0])
+            first = int(np.searchsorted(places, low - near))
+            index[table.axes.index(axis)] = slice(
+                first, int(np.searchsorted(places, high + near, side="right"))
+            )
         else:
             index[table.axes.index(axis)] = int(np.argmin(np.abs(places - float(wanted))))
     values = np.asarray(table[column], dtype=np.float64)[tuple(index)]

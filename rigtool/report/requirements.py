@@ -1,4 +1,4 @@
-"""What a recipe requires, and whether the runs show it.
+"""Requirements of a recipe, and whether the runs meet them.
 
 A figure meets a limit where it does so with its expanded uncertainty (k = 2), and misses it where
 it does so with it; between both the runs do not decide (ISO 14253-1).

@@ -75,7 +75,7 @@ def _as_own(table: ReportTable) -> ReportTable:
 def force_table(run: Run, label: str, table: str = "loads") -> ReportTable:
     """Return Table 8 (instrument) or Table 9 (pulley) from a run of measure-force.
 
-    Each row stands beside the published one of the same force and torque, where there is one.
+    Each row is beside the published one of the same force and torque, where there is one.
     `label` distinguishes this run from others. Raises `RunFileError` where the run has no such
     table.
     """

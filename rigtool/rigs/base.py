@@ -28,20 +28,20 @@ CHANNELS = {
     "current": ("A", "f4", "as the amplifier measures it"),
     "feedforward_current": ("A", "f4", "part from acceleration and friction model"),
     "table_current": ("A", "f4", "part from the learned table"),
-    "signal_current": ("A", "f4", "part that repeats with time: excitation, or what was learned"),
+    "signal_current": ("A", "f4", "part that repeats with time: excitation, or a learned torque"),
     "temperature": ("degC", "f4", "of the motor's cooling body"),
     "force": ("N", "f4", "force gauge at the end of the arm"),
     "rotor_angle": ("rad", "f4", "angle of the shaft in the arm's clamp"),
     "deflection": ("m", "f8", "of the motor on its leaf springs, by a micrometer"),
-    "reference_torque": ("N m", "f8", "what truly acts on the output from outside; judges only"),
+    "reference_torque": ("N m", "f8", "true external torque on the output; for comparison only"),
 }
-"""Unit, type in the file and meaning of each channel a rig may offer."""
+"""Unit, type in the file and meaning of each channel that a rig may offer."""
 
 
 NEEDS = {
     "closed_loop": "follow a set point of position",
     "open_loop": "follow a current with the position loop open",
-    "observe": "record while somebody else moves it",
+    "observe": "record while a hand or another controller moves it",
     "feedforward": "add a torque that is computed from the set point",
     "table": "add a learned table",
     "signal": "add a torque signal sample by sample",
@@ -50,16 +50,16 @@ NEEDS = {
     "soak": "bring the motor to a temperature",
     "power_cycle": "switch the amplifier off and on",
 }
-"""What a command may need of a rig beside channels, see `Rig.lacks`."""
+"""Abilities that a command may need beside channels, see `Rig.lacks`."""
 
 
 @dataclass(frozen=True)
 class Feedforward:
-    """What is added to the controller's output, computed from the set point [Fig. 31, 33, 36].
+    """Torque added to the controller's output, computed from the set point [Fig. 31, 33, 36].
 
     torque = inertia * a + coulomb * tanh(v / (1 rad/s)) + viscous * v + table(position, v)
     + signal(t), N m. `signal` (n,) N m holds one value a sample of the loop; it starts with the
-    task and repeats: an excitation, or what was learned along a trajectory [Fig. 37].
+    task and repeats: an excitation, or the torque learned along a trajectory [Fig. 37].
     """
 
     inertia: float = 0.0
@@ -76,7 +76,7 @@ class Feedforward:
 
 @dataclass(frozen=True)
 class Load:
-    """What acts on the rig from outside.
+    """External loads on the rig.
 
     `force` hangs on the output (grasper or pulley), N; `torque` is constant on the motor shaft,
     N m (a weight on a cord around the pulley); `radial_force` pulls on the shaft sideways, N;
@@ -95,10 +95,10 @@ class Task:
 
     Each recorded sample is the mean of `record_every` samples of the loop. An open-loop task ends
     early once the shaft has turned by `stop_angle` rad, where that is given. Where it is `touched`,
-    whatever is at the output may touch it meanwhile, unknown to the program, and a rig that knows
-    what truly acted records it as `reference_torque`: the torque on the output [N m] of all that
-    hangs on it or touches it, positive where it resists positive motion, with the inertia of what
-    hangs there.
+    objects may touch the output meanwhile, unknown to the program, and a rig that knows the true
+    torque records it as `reference_torque`: the torque on the output [N m] of all that
+    hangs on it or touches it, positive where it resists positive motion, with the inertia of the
+    hanging load.
     """
 
     motion: Motion | OpenLoop | Observe
@@ -119,15 +119,15 @@ class Task:
 class Rig(Protocol):
     """A motor, an encoder and a current amplifier under position control.
 
-    A context manager: whatever ends the `with` block leaves the motor without current. What only
-    a physical rig needs does nothing here; a rig of equations inherits that.
+    A context manager: however the `with` block ends, the motor has no current afterwards. Methods
+    that only a physical rig needs do nothing here; a simulated rig inherits them.
     """
 
     physical: bool = False
     """Whether something real moves: a plan of the motions is agreed to first, and time passes."""
 
     watcher: Callable[[Block], None] | None = None
-    """Receives what a rig sends while it moves, where signals come later; it must not wait."""
+    """Receives the status during a motion, where signals come later; it must not block."""
 
     streams: bool = False
     """Whether that is every sample, as it comes, with all channels."""
@@ -142,7 +142,7 @@ class Rig(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop, switch off and let go of the line."""
+        """Stop, switch off and release the line."""
         return None
 
     def lacks(self, need: str) -> str | None:
@@ -154,7 +154,7 @@ class Rig(Protocol):
         return None
 
     def permit(self, plan: str) -> None:
-        """Show what is about to move; raises `UsageError` unless that is agreed to."""
+        """Show the planned motions; raises `UsageError` without consent."""
         return None
 
     def report(self) -> str | None:
@@ -183,5 +183,5 @@ class Rig(Protocol):
         ...
 
     def power_cycle(self) -> None:
-        """Switch the amplifier off and on: it calibrates itself anew."""
+        """Switch the amplifier off and on: it calibrates itself again."""
         ...

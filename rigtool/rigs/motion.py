@@ -15,7 +15,7 @@ from rigtool.numerics.arrays import Array
 
 
 class Motion(Protocol):
-    """A closed-loop motion: what the set-point generator of the controller runs through."""
+    """A closed-loop motion: the path of the controller's set-point generator."""
 
     @property
     def duration(self) -> float:
@@ -108,7 +108,7 @@ class Triangle:
         late = within - stroke / 2
         straight = stroke / 2 - turn
         travelled = v * late
-        speed = np.full(len(time), v)
+        speed = np.full(len(time), float(v))
         acceleration = np.zeros(len(time))
         turning = np.flatnonzero(np.abs(late) > straight)
         end = np.sign(late[turning])
@@ -180,10 +180,11 @@ OpenLoop = CurrentSteps | CurrentRamp
 
 @dataclass(frozen=True)
 class Observe:
-    """Nothing is sent that moves: somebody else moves the rig for `duration` s, or nobody does.
+    """rigtool moves nothing: for `duration` s a hand or another controller may move the rig.
 
-    Signals are recorded as far as they can be read without taking part: time, encoder, current,
-    the current set point where the amplifier shows it, temperature; no set point of position.
+    Signals are recorded as far as they can be read without control of the rig: time, encoder,
+    current, the current set point where the amplifier shows it, temperature; no set point of
+    position.
     """
 
     duration: float

@@ -1,4 +1,4 @@
-"""The operator: gives permission to move, and does at the rig what no drive can."""
+"""The operator: gives permission to move, and does the manual work at the rig."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _ask(question: str) -> str:
     print(f"\n{question}", end=" ", file=sys.stderr, flush=True)  # below a bar or a drawing
     answer = sys.stdin.readline()
     if not answer:
-        raise HardwareError(f"stdin ended where somebody was to answer: {question}")
+        raise HardwareError(f"stdin ended before an answer to: {question}")
     return answer.strip()
 
 
@@ -26,9 +26,9 @@ def _ask(question: str) -> str:
 class Operator:
     """The person at the rig, asked at the terminal.
 
-    Without a terminal (`present` is false) each question raises a `HardwareError` that states what
-    was to be done. `yes` (--yes) is permission in advance; `spy` (--spy) is the file that receives
-    every byte on the line. `ask` and `say` are replaced in tests.
+    Without a terminal (`present` is false) each question raises a `HardwareError` that states the
+    task. `yes` (--yes) is consent in advance; `spy` (--spy) is the file that receives every byte on
+    the line. `ask` and `say` are replaced in tests.
     """
 
     ask: Callable[[str], str] = _ask
@@ -43,7 +43,7 @@ class Operator:
         self.ask(f"{request}, then press Enter:")
 
     def reading(self, what: str, unit: str) -> float:
-        """Ask for a reading, e.g. `reading("force gauge", "N")`; typed wrongly, it is repeated.
+        """Ask for a reading, e.g. `reading("force gauge", "N")`; after a typing error, ask again.
 
         The value is shown once more: only Enter takes it; `r`, or anything else, reads again.
         """
@@ -69,9 +69,9 @@ class Operator:
         return self.ask(f"{question} [y/N]").lower() in ("y", "yes")
 
     def permit(self, plan: str, consequence: str, question: str) -> None:
-        """Show a plan and ask; raises `UsageError` unless it is agreed to.
+        """Show a plan and ask for consent; raises `UsageError` without it.
 
-        `consequence` is what follows from a yes, e.g. "the rig would move".
+        `consequence` states the result of a yes, e.g. "the rig would move".
         """
         self.say(plan)
         if self.yes:

@@ -16,6 +16,7 @@ import h5py
 
 from rigtool.errors import RigtoolError, RunFileError
 from rigtool.runfile import schema, tree
+from rigtool.runfile.storage import open_file
 
 MAX_OPEN = 8
 """Files that are kept open between two reads: each takes most of a megabyte, and h5py takes longer
@@ -114,7 +115,7 @@ def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
         what = "is empty" if size == 0 else "is not an HDF5 file"
         raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
     try:
-        return h5py.File(path, "r", locking="best-effort", **_CHUNK_CACHE)
+        return open_file(path, "r", **_CHUNK_CACHE)
     except Exception as error:
         raise RunFileError(f"{path}: {_open_problem(path, str(error))}") from error
 
@@ -148,6 +149,8 @@ def _open_problem(path: Path, reason: str) -> str:
             "was not closed: it is being written, or its writer was killed; wait, or "
             f"`rigtool recover {path}`"
         )
+    if "unable to lock file" in reason:
+        return "is locked by another program: wait until that program has closed it"
     return f"cannot be read as HDF5: {reason}; {DAMAGED}"
 
 

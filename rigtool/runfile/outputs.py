@@ -21,6 +21,9 @@ from pathlib import Path
 from rigtool.errors import UsageError
 from rigtool.runfile.storage import storage_errors
 
+MAX_NAME = 250
+"""Bytes of a file's name: file systems take 255, and `.part` is added."""
+
 _HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
 _OURS = re.compile(rf"\.rigtool-{_HOST}-(\d+)-[0-9a-f]{{8}}")
 
@@ -39,6 +42,11 @@ def require_output(
     found = Path(os.path.realpath(path))
     if not found.parent.is_dir():
         raise UsageError(f"{path}: the folder {found.parent} does not exist: create it first")
+    if len(os.fsencode(found.name)) > MAX_NAME:
+        raise UsageError(
+            f"{path}: its name has {len(os.fsencode(found.name))} bytes, at most {MAX_NAME} leave "
+            "room for the .part of a run: choose a shorter one"
+        )
     if found.is_dir():
         raise UsageError(f"{path}: is a folder: give the name of a file")
     if found.exists() and not found.is_file():

@@ -70,8 +70,8 @@ class Run:
         """Raise `RunFileError` unless the run was made by one of these commands."""
         if self.command not in commands:
             raise RunFileError(
-                f"{self.path}: is a run of {self.command}, needed is one of "
-                f"{' or '.join(commands)}: give another file"
+                f"{self.path}: was written by {self.command}; a run of {' or '.join(commands)} "
+                "is needed: give another file"
             )
 
     def recording(self, name: str) -> Recording:

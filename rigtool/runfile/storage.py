@@ -14,6 +14,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import h5py
 
@@ -45,8 +46,18 @@ def reserve(handle: int, size: int) -> None:
     try:
         os.posix_fallocate(handle, 0, size)
     except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP):
+        if error.errno not in (errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS):
             raise
+
+
+def open_file(path: str | os.PathLike[str], mode: str, **options: Any) -> h5py.File:
+    """Open an HDF5 file, locked against writers; without a lock where the file system has none."""
+    try:
+        return h5py.File(path, mode, locking="best-effort", **options)
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):
+            raise
+    return h5py.File(path, mode, locking=False, **options)
 
 
 def flush(file: h5py.File) -> None:

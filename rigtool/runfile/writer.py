@@ -32,6 +32,7 @@ from rigtool.runfile.storage import (
     flush,
     is_locked,
     lock,
+    open_file,
     reserve,
     storage_errors,
     sync_folder,
@@ -194,7 +195,7 @@ class RunWriter:
             # an unwritable result while it is being completed costs nothing.
             self._require_own_part()
             shutil.copyfile(self.part, new)
-            with h5py.File(new, "r+", libver=schema.LIBVER, locking="best-effort") as file:
+            with open_file(new, "r+", libver=schema.LIBVER) as file:
                 self._reserve(file, layout.footer_size(tables, notes) + self._head_size())
                 for stream in self._streams.values():
                     stream.seal(file)
@@ -247,7 +248,7 @@ class RunWriter:
         with self.part.open("xb") as stream:
             self._inode = os.fstat(stream.fileno()).st_ino
             reserve(stream.fileno(), self._head_size())
-        self._file = file = h5py.File(self.part, "w", libver=schema.LIBVER, locking="best-effort")
+        self._file = file = open_file(self.part, "w", libver=schema.LIBVER)
         lock(file.id.get_vfd_handle())
         self._reserve(file, self._head_size())
         layout.write_head(file, self._command, self._rig, self._specs, self._provenance)

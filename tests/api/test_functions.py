@@ -162,7 +162,7 @@ def test_sources_that_do_not_go_together(kt, staircase):
         (lambda frame: dict(frame), "time.* is given, recordings of this recipe are staircase"),
         (lambda frame: {"staircase": frame.assign(weight=1.0)}, "no signal 'weight'; .* force .N."),
         (lambda frame: {"staircase": frame.drop(columns="time")}, "needs time"),
-        (lambda frame: {"staircase": frame[["time"]]}, "needs time and what was measured"),
+        (lambda frame: {"staircase": frame[["time"]]}, "needs time and a measured signal"),
         (lambda frame: {"staircase": frame[::-1]}, "time must rise"),
         (lambda frame: {"staircase": frame[:1]}, "2 or more samples"),
         (lambda frame: {"staircase": frame[::2]}, r"are 0.04 s apart, by the recipe 0\.02 s"),
@@ -186,7 +186,7 @@ def test_arrays_that_are_no_recording_are_refused(staircase, change, message):
 
 def test_units_that_a_frame_states_are_compared(staircase):
     staircase.attrs["units"] = staircase.attrs["units"] | {"force": "mN"}
-    with pytest.raises(UsageError, match="force is in mN, needed is N"):
+    with pytest.raises(UsageError, match="force is in mN, but must be in N"):
         rigtool.calibrate_kt({"staircase": staircase}, recipe=RECIPE)
 
 

@@ -74,7 +74,7 @@ def test_a_table_that_does_not_fit_is_told_written_and_exits_with_4(rigtool):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["--check", "kt.h5", "--kt", "kt.h5"], 3, "is a run of calibrate-kt"),
+        (["--check", "kt.h5", "--kt", "kt.h5"], 3, "was written by calibrate-kt"),
         (["--check", "tables.h5"], 2, "--kt is missing"),
         (["--check", "none.h5", "--kt", "kt.h5"], 3, "no such file"),
         (["--check", "tables.h5", "--kt", "kt.h5", "--friction", "kt.h5"], 2, "--friction"),

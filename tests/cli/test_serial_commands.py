@@ -229,5 +229,5 @@ def test_options_that_have_nothing_to_do_are_refused(tmp_path, capsys):
         code, _, err = calibrate(capsys, tmp_path, server.port, "--yes", "--seed", "3")
         assert (code, "is on a line, not virtual" in err) == (2, True)
         code, _, err = calibrate(capsys, tmp_path, server.port, "--yes", "--spy", tmp_path)
-        assert (code, "cannot be written" in err) == (5, True)
+        assert (code, "is a folder" in err) == (2, True)
     assert list(tmp_path.iterdir()) == []

@@ -1,18 +1,23 @@
 """The conversion from set point to torque."""
 
+import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.torque_per_ampere import torque_per_ampere, with_constant
+from rigtool.experiments.torque_per_ampere import (
+    mean_constant_note,
+    torque_per_ampere,
+    with_constant,
+)
 from rigtool.quantity import Quantity
-from rigtool.runfile import RunWriter, open_run
+from rigtool.runfile import Channel, RecordingSpec, RunWriter, open_run
 
 
 def calibration(path, command="calibrate-kt", **more):
     results = {
-        **more,
         "torque_constant_mean": Quantity(0.0454, "N m/A", 0.0454 * 3e-4, 12.0),
         "amplifier_gain": Quantity(1.02, "1", 1.02 * 4e-4),
+        **more,
     }
     with RunWriter(path, command=command, recipe=None, recipe_text=None) as writer:
         writer.finish(results, {})
@@ -43,6 +48,42 @@ def test_an_unknown_temperature_is_in_the_uncertainty_of_the_mean(tmp_path):
     assert (found.u / found.value) ** 2 == pytest.approx(5e-4**2 + 9e-3**2 / 3, rel=1e-9)
     # Welch-Satterthwaite: a part of 3e-4 with 12 degrees of freedom among many
     assert found.dof == pytest.approx(12 * (found.u / found.value / 3e-4) ** 4, rel=1e-9)
+
+
+@pytest.mark.parametrize(("degc", "away"), [(45.0, 0.0204), (27.0, None), (5.0, 0.0264)])
+def test_a_motor_outside_the_range_of_the_mean_is_in_u_and_in_a_note(tmp_path, degc, away):
+    slope = -1.16e-3
+    mean = Quantity(0.0458 * (1 + 7.5 * slope), "N m/A", 1e-5, 12.0)
+    results = {
+        "torque_constant": Quantity(0.0458, "N m/A", 1e-5),
+        "torque_constant_temperature_coefficient": Quantity(slope, "1/K", 1e-6),
+        "torque_constant_mean": mean,
+        "torque_constant_constant_error": Quantity(0.0088, "1", 1e-5),
+        "amplifier_gain": Quantity(1.0, "1", 0.0),
+    }
+    time = np.arange(5000) / 100
+    channels = (Channel("time", "s", "f8", ""), Channel("temperature", "degC", "f4", ""))
+    spec = RecordingSpec("holds", channels)
+    with RunWriter(
+        tmp_path / "run.h5", command="stribeck", recipe=None, recipe_text=None, recordings=[spec]
+    ) as writer:
+        # at the end only: the motor warmed up
+        warm = np.linspace(27.5, degc, 5000)
+        warm[:10] = np.nan  # as before the first reading of a thermometer
+        writer.append("holds", {"time": time, "temperature": warm})
+        writer.finish({}, {})
+    with open_run(tmp_path / "run.h5") as run, calibration(tmp_path / "kt.h5", **results) as kt:
+        recorded = [run.recording("holds")]
+        found, note = torque_per_ampere(kt, recorded), mean_constant_note(kt, recorded)
+        usual = torque_per_ampere(kt)
+    assert found.value == usual.value
+    if away is None:
+        assert found.u == usual.u
+        assert "degC" not in note
+    else:
+        assert found.u == pytest.approx(found.value * away / np.sqrt(3), rel=0.01)
+        assert f"had {degc:.3g} degC" in note
+        assert f"too {'high' if degc > 27 else 'low'}" in note
 
 
 def test_what_is_proportional_to_the_constant_shares_its_uncertainty():

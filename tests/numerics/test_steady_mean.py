@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import t as student
 
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.steady_mean import steady_mean, steady_u, weights
+from rigtool.numerics.steady_mean import steady_mean, steady_us, weights
 
 
 def payback(part, series, count, seed=1):
@@ -29,12 +30,18 @@ def test_weights_are_those_of_least_variance_where_all_is_paid_back():
     np.testing.assert_allclose(weights(count), best / best.sum(), rtol=1e-9)
 
 
-@pytest.mark.parametrize(("part", "low", "high"), [(0.0, 0.95, 1.05), (0.9, 1.0, 1.5)])
-def test_u_is_the_scatter_of_the_means_of_many_series(part, low, high):
-    values = payback(part, 4000, 40) + 0.5 * np.random.default_rng(3).standard_normal((40, 4000))
-    u, dof = steady_u(values)
-    assert dof == 6
-    assert low < np.sqrt(np.mean(u**2)) / np.std(steady_mean(values)) < high
+@pytest.mark.parametrize("part", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("count", [8, 39])
+def test_u_is_the_scatter_of_the_means_of_many_series(part, count):
+    """Seven recordings of one motion show together how much is paid back."""
+    values = payback(part, 2100, count)
+    values += 0.3 * np.random.default_rng(3).standard_normal(values.shape)
+    found = [steady_us(list(some)) for some in np.split(values.T, 300)]
+    u, dof = np.array([pair for some in found for pair in some]).T
+    means = steady_mean(values)
+    assert 0.95 < np.sqrt(np.mean(u**2)) / np.std(means) < (1.1 if count == 39 else 1.5)
+    within = np.abs(means) < student.ppf(0.975, dof) * u
+    assert 0.93 < within.mean() < (0.97 if count == 39 else 1.0)
 
 
 def test_payback_makes_the_mean_better_than_one_of_equal_weights():
@@ -43,10 +50,22 @@ def test_payback_makes_the_mean_better_than_one_of_equal_weights():
 
 
 def test_drift_counts():
-    steps = np.random.default_rng(2).standard_normal((40, 2000)).cumsum(axis=0)
-    assert np.mean(steady_u(steps)[0]) > 2 * np.mean(steps.std(axis=0)) / np.sqrt(40)
+    steps = np.random.default_rng(2).standard_normal((40, 300)).cumsum(axis=0)
+    us = [steady_us([each])[0][0] for each in steps.T]
+    assert np.mean(us) > 2 * np.mean(steps.std(axis=0)) / np.sqrt(40)
+
+
+def test_each_series_has_a_scatter_of_its_own():
+    rng = np.random.default_rng(5)
+    small, large = rng.standard_normal(40), 10 * rng.standard_normal(40)
+    (first, _), (second, _) = steady_us([small, large])
+    assert second / first == pytest.approx(large.std() / small.std(), rel=0.1)
+
+
+def test_readings_without_scatter_have_no_u():
+    assert steady_us([np.ones(5)])[0][0] == pytest.approx(0, abs=1e-12)
 
 
 def test_two_readings_show_no_scatter():
     with pytest.raises(InsufficientDataError, match="2 cycles show no scatter"):
-        steady_u(np.array([1.0, 2.0]))
+        steady_us([np.array([1.0, 2.0])])

@@ -57,7 +57,7 @@ def test_every_limit_is_mandatory():
     [
         ("position = [4, -3]", r"position must be \[lowest, highest\]"),
         ("position = [4, 4]", r"position must be"),
-        ("current = 0", "greater than 0"),
+        ("current = 0", "above 0"),
         ("current = inf", "finite"),
         ("torque = 1", "is not a key that this table knows"),
     ],

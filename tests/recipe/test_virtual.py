@@ -63,11 +63,11 @@ def test_without_contacts_nothing_touches():
         ('kind = "pulse"\nat = [1]\nforce = [2, 1]', "from 2 down to 1: swap the two ends"),
         ('kind = "pulse"\nat = [1]\nforce = 1\nduration = 0.05', "twice the rise_time of 0.05 s"),
         ('kind = "pulse"\nat = [1]\nforce = 1e6', "1000"),
-        ('kind = "pulse"\nat = [-1]\nforce = 1', "greater than or equal to 0"),
-        ('kind = "mass"\nat = [1]\nforce = -1', "greater than 0"),
+        ('kind = "pulse"\nat = [-1]\nforce = 1', "at least 0"),
+        ('kind = "mass"\nat = [1]\nforce = -1', "above 0"),
         ('kind = "sine"\nat = [1]\nforce = 1\nfrequency_hz = 900', "a tenth of the loop's"),
         ('kind = "ramp"\nat = [1]\nforce = 1', "is missing"),
-        ('kind = "tissue"\nat = [1]\nangle_deg = 10\nstiffness = 0', "greater than 0"),
+        ('kind = "tissue"\nat = [1]\nangle_deg = 10\nstiffness = 0', "above 0"),
         ('kind = "tissue"\nat = [1]\nangle_deg = 10\nstiffness = 1\ncolour = 1', "not a key"),
     ],
 )
@@ -84,7 +84,7 @@ def test_mistakes_in_a_contact_are_named(text, message):
         ("angle_deg = [90, 90]", "leaves 0 deg"),
         ("speed_rev_per_s = [2, 1]", "swap the two ends"),
         ('moves = "tool"', "motor"),
-        ("pause_share = 1", "less than 1"),
+        ("pause_share = 1", "below 1"),
     ],
 )
 def test_mistakes_in_a_hand_are_named(text, message):

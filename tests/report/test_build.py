@@ -4,7 +4,7 @@ import pytest
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.report.build import build_report
-from rigtool.report.formats import csv_text
+from rigtool.report.formats import csv_table
 from rigtool.report.tables import force_table, results_table
 from rigtool.runfile import RunWriter
 
@@ -67,7 +67,7 @@ def test_a_corrected_run_shows_table_8_three_times(make, open_all, no_figures):
     assert cells(tables[1], "mean_torque")[-1] == "–"
     assert cells(tables[2], "mean_torque")[-1] == "55.00(10)"
     assert "whole strokes" in tables[1].note
-    assert "nan" not in csv_text(three).lower()
+    assert "nan" not in csv_table(three).lower()
 
 
 def test_results_stand_beside_published_ones_with_their_section(make, open_all):
@@ -78,7 +78,7 @@ def test_results_stand_beside_published_ones_with_their_section(make, open_all):
     assert cells(table, "published") == ["45.8", "-0.116", "–"]
     assert cells(table, "section") == ["7.1.1", "7.1.1", "–"]
     assert cells(table, "reason") == ["", "", "taken as given"]
-    assert "torque_constant,0.0458,2e-05,N m/A,0.0458,7.1.1," in csv_text(table)
+    assert "torque_constant,0.0458,2e-05,N m/A,0.0458,7.1.1," in csv_table(table)
 
 
 def test_a_run_without_loads_has_no_force_table(make, open_all):

@@ -8,10 +8,10 @@ from rigtool.report.formats import (
     Cell,
     ReportColumn,
     ReportTable,
-    csv_text,
-    latex,
-    markdown,
-    terminal,
+    csv_table,
+    latex_table,
+    markdown_table,
+    terminal_table,
 )
 
 TABLE = ReportTable(
@@ -30,7 +30,7 @@ TABLE = ReportTable(
 
 
 def test_markdown():
-    assert markdown(TABLE) == (
+    assert markdown_table(TABLE) == (
         "**Table 8. A title & more**\n\n"
         "| Name | Mean [mN m] | Error [%] |\n"
         "| :--- | ---: | ---: |\n"
@@ -40,14 +40,14 @@ def test_markdown():
 
 
 def test_csv_has_si_numbers_and_uncertainties():
-    rows = list(csv.reader(io.StringIO(csv_text(TABLE))))
+    rows = list(csv.reader(io.StringIO(csv_table(TABLE))))
     assert rows[0] == ["name", "mean [N m]", "mean_u [N m]", "error [%]"]
     assert rows[1] == ["a_b | c", "0.00137", "0.0001", "-14.6"]
     assert rows[2] == ["long name", "", "", ""]
 
 
 def test_latex_escapes_what_tex_would_misread():
-    text = latex(TABLE)
+    text = latex_table(TABLE)
     assert r"Table 8. A title \& more" in text
     assert r"a\_b | c & 1.37(10) & $-14.6$ \\" in text
     assert r"long name & -- & $+8$ \\" in text
@@ -57,7 +57,7 @@ def test_latex_escapes_what_tex_would_misread():
 
 
 def test_terminal_is_aligned():
-    title, empty, heads, units, rule, *rows = terminal(TABLE).splitlines()
+    title, empty, heads, units, rule, *rows = terminal_table(TABLE).splitlines()
     assert title == "Table 8. A title & more"
     assert empty == ""
     assert {len(heads), len(rule), *map(len, rows)} == {len(rule)}
@@ -68,13 +68,13 @@ def test_terminal_is_aligned():
 
 def test_a_note_stands_below():
     noted = replace(TABLE, note="zero: 5 % off")
-    assert markdown(noted).endswith("|\n\nzero: 5 % off\n")
-    assert terminal(noted).endswith("\nzero: 5 % off\n")
-    assert r"\par zero: 5 \% off" in latex(noted)
-    assert csv_text(noted) == csv_text(TABLE)
+    assert markdown_table(noted).endswith("|\n\nzero: 5 % off\n")
+    assert terminal_table(noted).endswith("\nzero: 5 % off\n")
+    assert r"\par zero: 5 \% off" in latex_table(noted)
+    assert csv_table(noted) == csv_table(TABLE)
 
 
-@pytest.mark.parametrize("render", [markdown, csv_text, latex, terminal])
+@pytest.mark.parametrize("render", [markdown_table, csv_table, latex_table, terminal_table])
 def test_each_ends_with_one_newline(render):
     assert render(TABLE).endswith("\n")
     assert not render(TABLE).endswith("\n\n")

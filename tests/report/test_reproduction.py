@@ -194,6 +194,22 @@ def test_a_value_of_a_table_brings_its_uncertainty(runs):
     assert (found.value, found.u) == (table["torque_constant"][1], table["u"][1])
 
 
+@pytest.mark.parametrize(
+    ("ends", "points"),
+    [((0, -1), slice(None)), ((2, 5), slice(2, 6)), ((2.5, 5.5), slice(3, 6)), ((1.9, 2.1), [2])],
+)
+def test_a_range_holds_the_points_between_its_ends_and_no_other(runs, ends, points):
+    table = runs["force-instrument"].table("feedforward")
+    position, residual = table["position"], table["residual"]
+    ends = [position[-1] if end < 0 else np.interp(end, range(9), position[:9]) for end in ends]
+    where = f"{ends[0]!r}..{ends[1]!r}".replace("np.float64(", "").replace(")", "")
+    for reduce, function in (("peak", lambda v: np.abs(v).max()), ("mean", np.mean)):
+        found = evaluate(
+            f"{reduce} feedforward.residual[position={where}]", runs, "force-instrument"
+        )
+        assert found.value == pytest.approx(function(residual[points]), rel=1e-12)
+
+
 def test_values_are_combined_from_left_to_right(runs):
     constant, mean = (runs["kt"].result(n) for n in ("torque_constant", "torque_constant_mean"))
     found = evaluate("torque_constant - torque_constant_mean / 2", runs, "kt")

@@ -74,3 +74,10 @@ def test_current_ramp_reaches_its_limit():
     motion = CurrentRamp(rate=-0.02, limit=-0.25)
     assert motion.duration == pytest.approx(12.5, rel=1e-12)
     assert motion.current(np.array([12.5])) == pytest.approx(-0.25, rel=1e-12)
+
+
+def test_whole_numbers_make_the_same_strokes_as_fractions():
+    time = np.linspace(0, 1, 500)
+    whole, fractions = Triangle(0, 2, 4, 0.3, 1), Triangle(0.0, 2.0, 4.0, 0.3, 1)
+    for found, expected in zip(whole.setpoint(time), fractions.setpoint(time), strict=True):
+        np.testing.assert_array_equal(found, expected)

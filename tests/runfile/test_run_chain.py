@@ -137,6 +137,15 @@ def another_column(tables: dict[str, Table]) -> None:
     tables["breakaway"] = Table(("position",), columns, "positive")
 
 
+def test_an_analysis_differs_in_results_and_tables_only(tmp_path):
+    first, other = write(tmp_path / "a.h5", size=100), write(tmp_path / "o.h5", size=101)
+    again = write(tmp_path / "again.h5", inputs=(first,), recordings=())
+    with open_run(first) as a, open_run(again) as b, open_run(other) as o:
+        assert list(differences(a, b, Tolerance())) == []
+        assert list(differences(b, a, Tolerance())) == []
+        assert "recordings/sweep: only in the first" in differences(o, b, Tolerance())
+
+
 def test_a_run_does_not_differ_from_itself(tmp_path):
     path = write(tmp_path / "a.h5", size=9000)
     assert lines(path, path) == []

@@ -213,7 +213,7 @@ def test_a_virtual_dataset(copy):
 def test_a_run_of_another_command(run_path):
     with open_run(run_path) as run:
         run.require_command("calibrate-kt", "stribeck")
-        with pytest.raises(RunFileError, match=r"is a run of stribeck, needed is.*calibrate-kt"):
+        with pytest.raises(RunFileError, match=r"was written by stribeck; a run of .*calibrate-kt"):
             run.require_command("calibrate-kt")
 
 

@@ -84,7 +84,7 @@ static inline int {p}_covers(float position, float speed)
 
 
 def header(learned: LearnedTable, stem: str, *, short: bool) -> tuple[str, str]:
-    """Return the text of a C header, and what its numbers lose; `short` makes them int16.
+    """Return the text of a C header, and its loss by rounding; `short` makes its numbers int16.
 
     `stem` is the file's name without its ending; the names in the header begin with it.
     """

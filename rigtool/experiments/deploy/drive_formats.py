@@ -22,7 +22,7 @@ ODRIVE_SIZE = 3600
 
 
 def moteus(learned: LearnedTable, turn: PositionMap) -> tuple[str, str]:
-    """Return the configuration of a moteus drive with this map, in A, and what it loses.
+    """Return the configuration of a moteus drive with this map, in A, and its loss.
 
     The drive adds scale*code in A of Q current, code i at i/1024 of a turn of its commutation
     encoder and linear between. Lines are as its tools store and restore a configuration.
@@ -43,7 +43,7 @@ def moteus(learned: LearnedTable, turn: PositionMap) -> tuple[str, str]:
 
 
 def odrive(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[str, str]:
-    """Return a map of the size that ODrive uses, 3600 floats of N m, and what it loses."""
+    """Return a map of the size that ODrive uses, 3600 floats of N m, and its loss."""
     values, lost = held_values(turn, ODRIVE_SIZE)
     text = lost.text("N m", f"{ODRIVE_SIZE} steps of float")
     head = [
@@ -61,11 +61,8 @@ def odrive(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[
 
 
 def fourier(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple[str, str]:
-    """Return the orders above the noise as text, and what they leave out."""
-    band = None
-    if learned.band_hz is not None:
-        band = int(learned.band_hz * 2 * math.pi / abs(turn.speed))
-    series = fourier_series(turn, band)
+    """Return the orders above the noise as text, and their remainder."""
+    series = fourier_series(turn, learned.band_order(turn.speed))
     unit = learned.unit
     text = series.lost.text(
         unit,
@@ -73,7 +70,7 @@ def fourier(learned: LearnedTable, turn: PositionMap, *, as_json: bool) -> tuple
     )
     head = [
         f"map(position) = sum of amplitude*cos(order*position + phase), {unit}; position in rad.",
-        f"{series.order.size} of the orders 1 to {series.examined} stand out of their noise; "
+        f"{series.order.size} of the orders 1 to {series.examined} exceed their noise; "
         "u, standard uncertainty: the scatter of the table, spread evenly over these orders.",
         *_map_lines(learned, turn, unit),
         f"Lost: {text}.",

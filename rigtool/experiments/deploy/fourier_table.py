@@ -25,9 +25,9 @@ from rigtool.numerics.arrays import Array
 
 @dataclass(frozen=True, eq=False)
 class FourierSeries:
-    """Orders that stand out of the noise (k,): amplitude and phase, rad, each with its u.
+    """Orders above the noise (k,): amplitude and phase, rad, each with its u.
 
-    `examined` is the highest order that was looked at, `lost` what the series leaves of the map.
+    `examined` is the highest order examined, `lost` the remainder of the map.
     """
 
     order: NDArray[np.int64]
@@ -46,10 +46,10 @@ class FourierSeries:
 
 
 def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
-    """Return the orders of a map that stand out, up to order `band`, the highest that passed Q.
+    """Return the orders of a map above the noise, up to order `band`, the highest that passed Q.
 
     Without `band` it is the highest that the map's positions carry. Raises `InsufficientDataError`
-    where none stands out.
+    where there is none.
     """
     count = turn.values.size
     carried = (count - 1) // 2
@@ -65,7 +65,7 @@ def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
     clear = amplitude > CLEAR * floor
     if not clear.any():
         raise InsufficientDataError(
-            f"none of the orders 1 to {highest} stands out of the noise by a factor of {CLEAR:g} "
+            f"none of the orders 1 to {highest} exceeds the noise by a factor of {CLEAR:g} "
             f"(the largest has {amplitude.max():.3g}, the noise floor is "
             f"{floor:.3g}): learn from more revolutions"
         )

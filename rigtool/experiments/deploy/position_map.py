@@ -1,4 +1,4 @@
-"""A learned table at one speed, around the turn: what a drive can hold.
+"""A learned table at one speed, around the turn, as drives store it.
 
 A drive looks its cogging table up by position alone. The mean of a table over both directions,
 
@@ -26,7 +26,7 @@ TURN = 2 * math.pi
 class PositionMap:
     """Values (n,) at equal steps of a turn from `start`, rad, their mean over the turn removed.
 
-    `u` (n,) is their standard uncertainty, in the same unit. `mean` is what was removed, `speed`
+    `u` (n,) is their standard uncertainty, in the same unit. `mean` is the removed mean, `speed`
     the one the map belongs to, rad/s, negative where only that direction was learned;
     `both_directions` is true for the mean of two.
     """

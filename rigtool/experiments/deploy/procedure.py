@@ -1,6 +1,6 @@
 """`deploy`: a learned table into the drive that it was learned with.
 
-The drive adds the table by itself, at its own rate; what it holds is one map of the turn in A.
+The drive adds the table by itself, at its own rate; it stores one map of the turn in A.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TIMEOUT = 1.0
 """Longest wait for an answer, s: a drive that writes its flash is busy."""
 
 WAVEFORMS = "residual_waveforms"
-"""Table of a run with waveforms before, and with what was learned switched on."""
+"""Table of a run with waveforms before, and with the learned table switched on."""
 
 TABLE_ON = "cogging table is on"
 """Part of a drive's identity where its own table was in use."""
@@ -38,7 +38,7 @@ TABLE_ON = "cogging table is on"
 
 @dataclass(frozen=True)
 class Deployed:
-    """What was stored, or would be: lines about it, and remarks."""
+    """The stored table, or the one to be stored: lines about it, and remarks."""
 
     lines: tuple[str, ...]
     remarks: tuple[str, ...]
@@ -99,7 +99,7 @@ def deploy(
 
 
 def _store_of(recipe: Recipe) -> tuple[Callable[[Line, Recipe], TableStore], int]:
-    """Return what makes the table store of the recipe's drive, and the usual baud rate, bit/s."""
+    """Return the maker of the table store of the recipe's drive, and the usual baud rate, bit/s."""
     if recipe.rig.source != "serial" or recipe.serial is None:
         raise UsageError(
             f"the rig {recipe.rig.name} is {recipe.rig.source}: a table is stored in a drive; give "
@@ -192,8 +192,8 @@ def _origin_remarks(tables: Run, recipe: Recipe) -> list[str]:
         )
     if TABLE_ON in str(facts.get("identity", "")):
         raise UsageError(
-            f"{tables.path}: was learned while the drive's own table was on, so it is what that "
-            "left over: switch that off (motor.cogging_dq_scale 0), and learn again"
+            f"{tables.path}: was learned while the drive's own table was on, and holds only the "
+            "remainder of that: switch it off (motor.cogging_dq_scale 0), and learn again"
         )
     return []
 

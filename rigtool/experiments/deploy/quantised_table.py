@@ -1,8 +1,8 @@
-"""A learned table in the numbers that a drive has room for, and what that loses.
+"""A learned table in the codes of a drive, and the loss by rounding.
 
 code = round(value/scale),  scale = largest |value| / largest code
 
-What is lost is measured, not bounded: the difference of what the receiver computes from the codes
+The loss is measured, not bounded: the difference between the receiver's value from the codes
 and the table itself, on a grid finer than both.
 """
 
@@ -24,13 +24,13 @@ FINE = 2**16
 
 @dataclass(frozen=True)
 class Loss:
-    """What a coarser table is off by: largest and rms difference, in the unit of the table."""
+    """Error of a coarser table: largest and rms difference, in the unit of the table."""
 
     largest: float
     rms: float
 
     def text(self, unit: str, by: str) -> str:
-        """State what was lost by which step, in the unit of the table."""
+        """State the loss of each step, in the unit of the table."""
         return f"by {by}, largest {self.largest:.2g} {unit}, rms {self.rms:.2g} {unit}"
 
 
@@ -48,7 +48,7 @@ class Quantised:
 
     @property
     def values(self) -> Array:
-        """What the codes stand for."""
+        """Values of the codes."""
         values: Array = self.codes.astype(np.float64) * self.scale
         return values
 
@@ -62,7 +62,7 @@ def quantise(values: Array, largest_code: int, step: float = 0.0) -> Quantised:
     scale = peak / largest_code
     if step:
         scale = math.ceil(scale / step) * step
-    # The receiver reads the scale as a 4-byte float: round with what it will multiply by.
+    # The receiver reads the scale as a 4-byte float: round with that value.
     scale = float(np.float32(scale))
     if scale == 0:
         return Quantised(np.zeros(values.shape, dtype=np.int64), 0.0)

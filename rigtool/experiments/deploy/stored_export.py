@@ -63,7 +63,7 @@ def export_table(
     kt: Run | None,
     overwrite: bool,
 ) -> tuple[str, ...]:
-    """Write a learned table; return remarks: what is lost, and what is left out.
+    """Write a learned table; return remarks: the loss by rounding, and omitted parts.
 
     `speed`, rad/s, and `kt`, current to torque, are for the formats that need them. Raises
     `UsageError` where they are missing or of no use.

@@ -8,13 +8,15 @@ nothing else: errors by kind of stroke, and a Table 8 at one position of the clo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.force.imported_strokes import levels_table, read_strokes, scatter_results
-from rigtool.experiments.imported import require_one_rig, signals_of
+from rigtool.experiments.force.results_over_time import Reading, over_time_tables
+from rigtool.experiments.force_over_time.motion_states import State
+from rigtool.experiments.imported import RECORDING, require_one_rig, signals_of
 from rigtool.experiments.imported_load.imported_accuracy import (
     FAST,
     REFERENCE,
@@ -28,6 +30,7 @@ from rigtool.experiments.imported_load.imported_accuracy import (
     levels_of,
     read_signals,
 )
+from rigtool.experiments.imported_load.loop import DOUBTED, REFUSED
 from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
 from rigtool.experiments.imported_load.stored import RANDOM, WIDE_MODEL, load_model_from
 from rigtool.experiments.outcome import Outcome
@@ -50,13 +53,40 @@ class Measured:
 def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None) -> Outcome:
     """Measure torque, and compare it with the sensor where there is one.
 
-    Raises `UsageError` for tables of another rig, `InsufficientDataError` where all is outside what
-    was learned.
+    Raises `UsageError` for tables of another rig, `InsufficientDataError` for those of another
+    mounting and where all is outside what was learned.
     """
     recordings = signals_of(runs)
     require_one_rig(recordings, runs)
     model, unit = load_model_from(tables)
     _require_learned_here(runs, tables)
+    measured = _measured(runs, recordings, model, kt, unit)
+    notes = [*_require_inside(measured, model), *_also_learned(runs, tables)]
+    measured, remarks = _of_this_mounting(measured, model, tables)
+    notes += remarks
+    results, found = over_time_tables(
+        [_reading(item) for item in measured], model.scales.torque, model.bandwidth_hz
+    )
+    found["force"] = _with_motion(found["force"], measured, unit, model.direction)
+    results |= _own_results(measured)
+    if all(item.signals.reference is not None for item in measured):
+        more, judged_tables, remarks = _judged(runs, recordings, measured, tables, kt, unit)
+        results |= more
+        found |= judged_tables
+        notes += remarks
+    else:
+        notes.append(f"not every run holds {REFERENCE}: the torque is not judged")
+    return Outcome(results, found, tuple(notes))
+
+
+def _measured(
+    runs: Sequence[Run],
+    recordings: Sequence[Recording],
+    model: LoadModel,
+    kt: Run | None,
+    unit: str,
+) -> list[Measured]:
+    """Return signals and estimates; `UsageError` where the effort is not in the model's unit."""
     measured = []
     for run, recording in zip(runs, recordings, strict=True):
         signals = read_signals(run, recording, kt, model.bandwidth_hz)
@@ -65,19 +95,54 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
                 f"{run.path}: its effort is in {signals.effort_unit}, the tables were learned "
                 f"in {unit}: give --kt to both commands or to neither"
             )
-        estimate = model.estimate(signals.effort, signals.path)
-        measured.append(Measured(signals, estimate))
-    notes = [*_require_inside(measured, model), *_also_learned(runs, tables)]
-    found = {"series": _series_table(measured, unit, model.direction)}
-    results = _own_results(measured)
-    if all(item.signals.reference is not None for item in measured):
-        more, judged_tables, remarks = _judged(runs, recordings, measured, tables, kt, model)
-        results |= more
-        found |= judged_tables
-        notes += remarks
-    else:
-        notes.append(f"not every run holds {REFERENCE}: the torque is not judged")
-    return Outcome(results, found, tuple(notes))
+        measured.append(Measured(signals, model.estimate(signals.effort, signals.path)))
+    return measured
+
+
+def _of_this_mounting(
+    measured: Sequence[Measured], model: LoadModel, tables: Run
+) -> tuple[list[Measured], list[str]]:
+    """Return the estimates with u widened where strokes to and fro disagree, and notes.
+
+    Raises `InsufficientDataError` where they disagree as none of the learned recordings did.
+    """
+    loop = model.loop
+    misfits = np.array([_misfit(item, model) for item in measured])
+    known = misfits[np.isfinite(misfits)]
+    if not known.size:
+        return list(measured), [
+            "no run has strokes in both directions at the same places: whether the tables are of "
+            "this mounting cannot be checked"
+        ]
+    typical, limit = float(np.median(known)), loop.limit(REFUSED)
+    if typical > limit:
+        raise InsufficientDataError(
+            f"strokes to and fro disagree {typical:.1f} times as much as in the runs that "
+            f"{tables.path} was learned from, {limit:.1f} times at most is by chance: these runs "
+            "are of another instrument or mounting, or of loads unlike the learned ones; learn "
+            "tables from runs of this mounting (two loads are enough with --prior)"
+        )
+    doubted = np.nan_to_num(misfits) > loop.limit(DOUBTED)
+    wider = [
+        Measured(item.signals, item.estimate.widened(misfit)) if doubt else item
+        for item, misfit, doubt in zip(measured, misfits, doubted, strict=True)
+    ]
+    notes = [
+        f"strokes to and fro disagree {typical:.2g} times as much as in the runs that were learned "
+        f"from; tables of another mounting are refused beyond {limit:.2g} times"
+    ]
+    if doubted.any():
+        notes.append(
+            f"u of {int(doubted.sum())} runs is wider: their strokes disagree up to "
+            f"{float(misfits[doubted].max()):.2g} times as much"
+        )
+    return wider, notes
+
+
+def _misfit(item: Measured, model: LoadModel) -> float:
+    rows, estimate, path = item.signals.counts, item.estimate, item.signals.path
+    torque = np.where(estimate.inside, estimate.torque, np.nan)[rows] / model.scales.torque
+    return model.loop.misfit(model.place(path)[rows], path.speed[rows] > 0, torque)
 
 
 def _require_learned_here(runs: Sequence[Run], tables: Run) -> None:
@@ -102,20 +167,22 @@ def _also_learned(runs: Sequence[Run], tables: Run) -> list[str]:
 def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]:
     """Return notes on samples without an estimate; raise where no sample has one."""
     rows = np.concatenate([item.signals.counts for item in measured])
-    still = np.concatenate([item.estimate.still for item in measured])[rows]
-    inside = np.concatenate([item.estimate.inside for item in measured])[rows]
+    states = np.concatenate([item.estimate.states for item in measured])[rows]
     wild = np.concatenate([~item.signals.path.regular for item in measured])[rows]
-    moving, outside = int(np.sum(~still)), int(np.sum(~still & ~inside))
+    inside = np.isin(states, (State.AGAINST, State.WITH))
+    hidden = np.isin(states, (State.REVERSED, State.STILL))
     if not inside.any():
         raise InsufficientDataError(
-            f"all {moving} samples in motion are outside the position, speed and load of the "
-            f"tables (learned up to {model.scales.torque * 1e3:.3g} mN m): learn from runs that "
-            "cover these"
+            f"all {len(states)} samples are outside the position, speed and load of the tables "
+            f"(learned up to {model.scales.torque * 1e3:.3g} mN m), or at rest: learn from runs "
+            "that cover these"
         )
     notes = [
-        f"{outside} of {moving} samples in motion are outside what was learned and have no value",
-        f"{int(np.sum(still))} samples are near standstill (below "
-        f"{model.scales.standstill:.3g} rad/s): a dead band instead of a value",
+        f"{int(np.sum(states == State.OUTSIDE))} of {len(states)} samples are outside what was "
+        "learned and have no value",
+        f"{int(np.sum(hidden))} samples are near standstill (below "
+        f"{model.scales.standstill:.3g} rad/s) or after a reversal: the torque is the middle of a "
+        "dead band there",
     ]
     if wild.any():
         where = [item for item in measured if (~item.signals.path.regular).any()]
@@ -128,61 +195,79 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
 
 def _own_results(measured: Sequence[Measured]) -> dict[str, Quantity]:
     """Return the results that need no sensor."""
-    rows = [item.signals.counts for item in measured]
-    inside = np.concatenate([m.estimate.inside[r] for m, r in zip(measured, rows, strict=True)])
-    still = np.concatenate([m.estimate.still[r] for m, r in zip(measured, rows, strict=True)])
-    u = np.concatenate([m.estimate.u[r] for m, r in zip(measured, rows, strict=True)])
-    width = np.concatenate(
-        [(m.estimate.high - m.estimate.low)[r] for m, r in zip(measured, rows, strict=True)]
-    )
+    parts = [
+        [getattr(item.estimate, name)[item.signals.counts] for item in measured]
+        for name in ("inside", "states", "u", "low", "high")
+    ]
+    inside, states, u, low, high = (np.concatenate(part) for part in parts)
+    hidden = np.isin(states, (State.REVERSED, State.STILL))
     count = "a count"
     found = {
         "samples": Quantity(int(np.sum(inside)), "1", reason=count),
-        "samples_outside": Quantity(int(np.sum(~inside & ~still)), "1", reason=count),
-        "samples_still": Quantity(int(np.sum(still)), "1", reason=count),
+        "samples_outside": Quantity(int(np.sum(states == State.OUTSIDE)), "1", reason=count),
+        "samples_still": Quantity(int(np.sum(hidden)), "1", reason=count),
         "torque_u_median": Quantity(
-            float(np.nanmedian(u)), "N m", reason="itself an uncertainty: of one sample"
+            float(np.median(u[inside])), "N m", reason="itself an uncertainty: of one sample"
         ),
     }
-    if np.isfinite(width).any():
+    if hidden.any():
         found["dead_band"] = Quantity(
-            float(np.nanmedian(width)), "N m", reason="the median width, near standstill"
+            float(np.median((high - low)[hidden])),
+            "N m",
+            reason="the median width, near standstill and after reversals",
         )
     return found
 
 
-def _series_table(measured: Sequence[Measured], unit: str, direction: int) -> Table:
-    """Return the torque of every run over time; runs of different lengths end in NaN."""
-    length = max(len(item.signals.path.time) for item in measured)
+def _reading(item: Measured) -> Reading:
+    """Return a run as force over time has it."""
+    signals, estimate = item.signals, item.estimate
+    rows = signals.counts
 
-    def stacked(values: Sequence[Array]) -> Array:
-        rows = np.full((len(values), length), np.nan)
-        for row, each in zip(rows, values, strict=True):
-            row[: len(each)] = each
-        return rows
+    def kept(values: Array) -> Array:
+        return np.nan_to_num(values[rows])  # no value: the state is that of none
 
-    first = max((item.signals.path.time for item in measured), key=len)
-    columns = {
-        "run": Column(np.arange(len(measured)), "1", "in the order they were given"),
-        "time": Column(first - first[0], "s", "from the start of the run"),
-        "torque": Column(
-            stacked([item.estimate.torque for item in measured]), "N m", "from effort and motion"
-        ),
-        "u": Column(stacked([item.estimate.u for item in measured]), "N m", "of one sample"),
-        "low": Column(stacked([m.estimate.low for m in measured]), "N m", "dead band"),
-        "high": Column(stacked([m.estimate.high for m in measured]), "N m", "dead band"),
-        "position": Column(stacked([m.signals.path.position for m in measured]), "rad", "motor"),
+    return Reading(
+        name=RECORDING,
+        step_time=float(np.diff(signals.path.time[:2])[0]),
+        time=signals.path.time[rows],
+        torque=kept(estimate.torque),
+        deviation=kept(estimate.u),
+        causal=np.empty(0),
+        causal_deviation=np.empty(0),
+        causal_states=np.empty(0, dtype=estimate.states.dtype),
+        states=estimate.states[rows],
+        reference=None if signals.reference is None else signals.reference[rows],
+        limited=0,
+    )
+
+
+def _with_motion(table: Table, measured: Sequence[Measured], unit: str, direction: int) -> Table:
+    """Return the table with what the torque was read from; low and high are those of the dead band
+    where friction may act either way."""
+
+    def joined(values: Sequence[Array]) -> Array:
+        rows = [item.signals.counts for item in measured]
+        return np.concatenate([own[row] for own, row in zip(values, rows, strict=True)])
+
+    columns = dict(table.columns)
+    for name in ("low", "high"):
+        values = joined([getattr(item.estimate, name) for item in measured])
+        columns[name] = replace(columns[name], values=values)
+    columns |= {
+        "position": Column(joined([m.signals.path.position for m in measured]), "rad", "motor"),
         "speed": Column(
-            stacked([direction * m.signals.output_speed for m in measured]),
+            joined([direction * m.signals.output_speed for m in measured]),
             "rad/s",
             "of the output, positive against the load",
         ),
-        "effort": Column(stacked([m.signals.effort for m in measured]), unit, "of the motor"),
+        "effort": Column(joined([m.signals.effort for m in measured]), unit, "of the motor"),
     }
-    if all(item.signals.reference is not None for item in measured):
-        sensors = [m.signals.reference for m in measured if m.signals.reference is not None]
-        columns["reference"] = Column(stacked(sensors), "N m", "the sensor's")
-    return Table(("run", "time"), columns, "torque", "torque at the load, all signals low-passed")
+    return replace(
+        table,
+        columns=columns,
+        description="torque at the load over time, in the sensor's sign, low-passed as all signals",
+    )
 
 
 # -- judged by the sensor
@@ -194,22 +279,18 @@ def _judged(
     measured: Sequence[Measured],
     tables: Run,
     kt: Run | None,
-    model: LoadModel,
+    unit: str,
 ) -> tuple[dict[str, Quantity], dict[str, Table], list[str]]:
     """Return results, tables and notes of the comparison with the sensor."""
-    judged = [judge(item.signals, item.estimate, model.direction) for item in measured]
-    found = accuracy(judged)
+    model, _ = load_model_from(tables)
+    found = _accuracy(measured, model)
     strokes = read_strokes([(m.signals, m.estimate) for m in measured], model.direction)
     rows = [(LEFT_OUT, model.bandwidth_hz, found)]
     if WIDE_MODEL in tables.tables and carries(recordings, WIDE):
-        wide = []
         model, _ = load_model_from(tables, WIDE_MODEL)
-        for run, recording in zip(runs, recordings, strict=True):
-            signals = read_signals(run, recording, kt, model.bandwidth_hz)
-            wide.append(
-                judge(signals, model.estimate(signals.effort, signals.path), model.direction)
-            )
-        rows.append((LEFT_OUT, WIDE, accuracy(wide)))
+        rows.append(
+            (LEFT_OUT, WIDE, _accuracy(_measured(runs, recordings, model, kt, unit), model))
+        )
     numbers = levels_of([item.signals for item in measured])
     more, notes = scatter_results(strokes)
     found_tables = {"accuracy": _accuracy_table(rows, tables)}
@@ -221,6 +302,10 @@ def _judged(
             "there is no table of levels"
         )
     return {**_accuracy_results(found), **more}, found_tables, notes
+
+
+def _accuracy(measured: Sequence[Measured], model: LoadModel) -> Accuracy:
+    return accuracy([judge(item.signals, item.estimate, model.direction) for item in measured])
 
 
 def _accuracy_results(found: Accuracy) -> dict[str, Quantity]:

@@ -63,7 +63,8 @@ def read_strokes(
         for row, part in enumerate(parts):
             place = signals.place[part]
             order = np.argsort(place, kind="stable")
-            for values, of in ((torque, estimate.torque), (sensor, _sensor(signals))):
+            moving = np.where(estimate.inside, estimate.torque, np.nan)
+            for values, of in ((torque, moving), (sensor, _sensor(signals))):
                 values[row] = np.interp(
                     grid, place[order], of[part][order], left=np.nan, right=np.nan
                 )

@@ -15,7 +15,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.procedure_over_time import analyse_over_time, require_calibration
-from rigtool.experiments.force.procedure_readings import read_load, unloaded_cycles
+from rigtool.experiments.force.procedure_readings import read_load
 from rigtool.experiments.force.results import ZERO_AGAIN, Reading, load_rows, loads_outcome
 from rigtool.experiments.force.results_instrument import instrument_outcome
 from rigtool.experiments.force.results_method import (
@@ -23,8 +23,8 @@ from rigtool.experiments.force.results_method import (
     require_slow_strokes,
     resolution_u,
 )
+from rigtool.experiments.force_over_time.procedure_learning import CHANNELS, stroke_record
 from rigtool.experiments.learning.stored_table import feedforward_from, require_same_rig
-from rigtool.experiments.load_disturbance.stored_recordings import CHANNELS
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import mean_constant_note, torque_per_ampere
@@ -108,7 +108,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
         return analyse_over_time(runs, recipe, kt=kt, tables=tables)
     _require_inputs(recipe, kt, tables)
     require_slow_strokes(recipe, strokes(recipe, 1))
-    per_ampere = torque_per_ampere(kt)
+    per_ampere = torque_per_ampere(kt, recorded)
     constant = _constant_at_one_angle(per_ampere, kt)
     if recorded[0].condition("force") != 0:
         raise RunFileError(
@@ -135,7 +135,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
             *_input_notes(kt, tables),
             *remarks,
             *outcome.notes,
-            mean_constant_note(per_ampere),
+            mean_constant_note(kt, recorded),
             *failed,
             *more.notes,
         ),
@@ -165,14 +165,14 @@ def _corrected(
     )
 
     if correction == "load":
-        corrected, friction_u = without_load_friction(loads, recipe, tables)
+        corrected, added_u = without_load_friction(loads, recipe, tables)
         found = load_rows(corrected, recipe, constant, table_u)
-        return load_outcome(loads_outcome(corrected, found, recipe), found, friction_u, rows)
+        return load_outcome(loads_outcome(corrected, found, recipe), found, added_u, rows)
     first, again = run.recordings_named("load_")[0], run.recordings_named(ZERO_AGAIN)
     return full_outcome(
         loads_outcome(loads, rows, recipe),
         loads,
-        [unloaded_cycles(recording, recipe, kt) for recording in again],
+        [stroke_record(recording, recipe, kt) for recording in again],
         rows,
         recipe,
         tables,
@@ -252,4 +252,11 @@ PROCEDURE = Procedure(
     needed=("kt",),
     accepts=("ilc-learn", "identify-plant", "stribeck", "fft-ripple"),
     analyse_imported=analyse_imported,
+    analysis_settings=(
+        "measure_force.measure_angle",
+        "measure_force.lowpass_hz",
+        "measure_force.correction",
+        "measure_force.zero",
+        "measure_force.motion.bandwidth_hz",
+    ),
 )

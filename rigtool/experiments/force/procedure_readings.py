@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 
-from rigtool.experiments.controller_torque import LoopSignals, loop_blocks, loop_signals, naming
+from rigtool.experiments.controller_torque import loop_blocks, naming
 from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.results import Reading
 from rigtool.experiments.force.results_method import resolution_u, unsteady_torque
-from rigtool.experiments.load_disturbance.cycles import LoadedCycles
-from rigtool.experiments.load_disturbance.stored_recordings import cycles_of
+from rigtool.experiments.force_over_time.procedure_learning import stroke_record
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.decimation import Decimator
@@ -38,8 +37,7 @@ def read_load(
     """
     settings, rig = recipe.measure_force, recipe.rig
     with naming(recording):
-        signals = None if whole is None else loop_signals(recording, recipe)
-        (position, controller, table, modelled), rate = _filtered(recording, recipe, signals)
+        (position, controller, table, modelled), rate = _filtered(recording, recipe)
         cycles = find_cycles(position)
         angle = position * (2 * math.pi / rig.encoder_counts) / rig.angle_ratio
         torque = rig.torque_factor * (torque_constant * controller)
@@ -56,9 +54,6 @@ def read_load(
             resolution_u(recording, recipe, torque_constant),
         )
         values = readings(angle, torque, cycles, math.radians(settings.measure_angle))
-    superimposed = None
-    if whole is not None and signals is not None:
-        superimposed = cycles_of(recording, signals, recipe, whole, motor_speed(recipe))
     return Reading(
         name=recording.name,
         force=recording.condition("force"),
@@ -69,33 +64,19 @@ def read_load(
         cycles=cycles,
         values=values,
         method_u=math.hypot(*method),
-        whole=superimposed,
+        whole=None if whole is None else stroke_record(recording, recipe, whole),
     )
 
 
-def unloaded_cycles(recording: Recording, recipe: Recipe, kt: Run) -> LoadedCycles:
-    """Return the whole cycles of a recording, without readings at one angle."""
-    with naming(recording):
-        signals = loop_signals(recording, recipe)
-    return cycles_of(recording, signals, recipe, kt, motor_speed(recipe))
-
-
-def motor_speed(recipe: Recipe) -> float:
-    """Return the speed of the motor in the strokes of `measure_force`, rad/s."""
-    return 2 * math.pi * recipe.measure_force.speed_rev_per_s * recipe.rig.angle_ratio
-
-
-def _filtered(
-    recording: Recording, recipe: Recipe, signals: LoopSignals | None
-) -> tuple[Array, float]:
+def _filtered(recording: Recording, recipe: Recipe) -> tuple[Array, float]:
     """Return encoder, current of controller, table, model, low-passed and thinned, (4, m), and Hz.
 
-    Without `signals` they are read block by block, so that memory does not grow with the recording.
+    Read block by block, so that memory does not grow with the recording.
     """
     cutoff = recipe.measure_force.lowpass_hz
     rate, last, samples = _rate(recording), np.zeros(0), 0
     collected = Decimator(factor := kept_factor(rate, cutoff), 4)
-    for block in loop_blocks(recording, recipe) if signals is None else (signals,):
+    for block in loop_blocks(recording, recipe):
         rising_steps(np.concatenate([last, block.time]), samples - last.size)
         last, samples = block.time[-1:], samples + block.time.size
         collected.add(block.encoder, block.controller, block.learned, block.modelled)

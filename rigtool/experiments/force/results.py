@@ -16,7 +16,7 @@ from rigtool.experiments.force.cycles import (
     statistics,
     up_and_down,
 )
-from rigtool.experiments.load_disturbance.cycles import LoadedCycles
+from rigtool.experiments.force_over_time.records import Record
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -39,7 +39,7 @@ class Reading:
 
     `position` in quad counts of the motor; `torque` at the output and `feedforward` (of the learned
     table) at the motor, N m. `method_u` N m is the standard uncertainty at the output by the errors
-    that the method adds to a reading. `whole` holds the same cycles superimposed on one period,
+    that the method adds to a reading. `whole` holds the same cycles laid over each other,
     where loads are read from whole strokes.
     """
 
@@ -52,7 +52,7 @@ class Reading:
     cycles: list[Cycle]
     values: Array
     method_u: float = 0.0
-    whole: LoadedCycles | None = None
+    whole: Record | None = None
 
     def strokes(self, signal: Array, grid: Array) -> tuple[Array, Array]:
         """Return a signal over position of the rising and of the falling strokes."""

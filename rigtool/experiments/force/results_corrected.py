@@ -1,9 +1,10 @@
 """Table 8 with the disturbance of the load taken off: `measure-force --correction load|full`.
 
 `load` takes friction that grows with load off the thesis's reading, at one angle of the rising
-strokes. `full` reads the load from whole strokes, lifting and lowering, with all that was learned
-at known loads (`experiments.load_disturbance.reading`), the motor constant at the motor's own
-temperature. A load outside what was learned has no value; near standstill none has, only a dead
+strokes; what remains, by the tendon's stretch and by ripple that grows with the current, is part of
+its uncertainty. `full` reads the load from whole strokes, lifting and lowering, with the model
+learned at known loads (`experiments.load_disturbance.reading`), the motor constant at the motor's
+own temperature. A load outside what was learned has no value; near standstill none has, only a dead
 band.
 """
 
@@ -17,10 +18,14 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force.results import COLUMNS, LoadRow, Reading, loads_table
-from rigtool.experiments.load_disturbance.cycles import LoadedCycles
-from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
-from rigtool.experiments.load_disturbance.reading import LoadReading, dead_band, read_load
-from rigtool.experiments.load_disturbance.stored import disturbance_from, load_friction
+from rigtool.experiments.force_over_time.records import Record
+from rigtool.experiments.load_disturbance.reading import (
+    LoadedPair,
+    LoadReading,
+    dead_band,
+    read_loads,
+)
+from rigtool.experiments.load_disturbance.stored import Disturbance, disturbance_from, rising_load
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -40,38 +45,38 @@ ITERATIONS = 50
 def without_load_friction(
     loads: Sequence[Reading], recipe: Recipe, tables: Run
 ) -> tuple[list[Reading], Array]:
-    """Return readings without the friction that grows with load, and its u, N m (loads,).
+    """Return readings without the friction that grows with load, and the u that this adds, N m
+    (loads,).
 
-    `loads` begin with the one without load. Solves T + friction(T) = reading - zero for T. The u of
-    a load beyond the learned ones is NaN.
+    `loads` begin with the one without load. Solves T + friction(T) = reading - zero for T. To u
+    belong the friction's own and all that it does not take off, which is known to be there: the
+    correction stays that of friction alone. The u of a load beyond the learned ones is NaN.
     """
     disturbance = corrects(tables, recipe)
-    settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
-    position = math.radians(settings.measure_angle) * ratio
-    speed = 2 * math.pi * settings.speed_rev_per_s * ratio
     zero = float(loads[0].values.mean())
     found, us = [loads[0]], [0.0]
     for load in loads[1:]:
         shown = load.values - zero
         torque = shown.copy()
         for _ in range(ITERATIONS):
-            friction, u = load_friction(tables, speed, position, torque)
-            torque = shown - friction
+            added = rising_load(tables, recipe, disturbance.model, torque)
+            torque = shown - added.friction
         inside = float(torque.mean()) <= BEYOND * disturbance.torque
-        us.append(float(u.mean()) if inside else math.nan)
+        u = math.hypot(added.u.mean(), added.remains.mean())
+        us.append(u if inside else math.nan)
         found.append(replace(load, values=zero + torque))
     return found, np.array(us)
 
 
 def load_outcome(
-    base: Outcome, found: Sequence[LoadRow], friction_u: Array, thesis: Sequence[LoadRow]
+    base: Outcome, found: Sequence[LoadRow], added_u: Array, thesis: Sequence[LoadRow]
 ) -> Outcome:
-    """Return the outcome `base` of readings `without_load_friction` with the u of the correction.
+    """Return the outcome `base` of readings `without_load_friction` with the u that it adds.
 
     `found` are the rows of these readings, `thesis` those of the readings as they were. Raises
     `InsufficientDataError` where all loads are beyond the learned ones.
     """
-    if np.isnan(friction_u[1:]).all():
+    if np.isnan(added_u[1:]).all():
         raise InsufficientDataError(
             "all loads are beyond those that friction was learned with: learn with larger loads in "
             "[ilc_learn.loads]"
@@ -80,10 +85,11 @@ def load_outcome(
         row.blank()
         if math.isnan(u)
         else replace(row, mean_torque_u=math.hypot(row.mean_torque_u, u))
-        for row, u in zip(found, friction_u.tolist(), strict=True)
+        for row, u in zip(found, added_u.tolist(), strict=True)
     ]
     described = {
-        "mean_torque_u": "standard uncertainty: as for --correction none, and the friction's"
+        "mean_torque_u": "standard uncertainty: as for --correction none, the friction's, and what "
+        "stretch and ripple add"
     }
     return _with_rows(
         base,
@@ -152,7 +158,7 @@ WHOLE_TEXTS = {
 def full_outcome(
     base: Outcome,
     loads: Sequence[Reading],
-    again: Sequence[LoadedCycles],
+    again: Sequence[Record],
     thesis: Sequence[LoadRow],
     recipe: Recipe,
     tables: Run,
@@ -162,7 +168,7 @@ def full_outcome(
     """Return the outcome with its loads read from whole strokes.
 
     `base` and the rows `thesis` are those of the thesis's way, from the same `loads`; `again` are
-    the cycles without load after all loads. `drift` is that of the motor's temperature since
+    the strokes without load after all loads. `drift` is that of the motor's temperature since
     learning, `sampled_u` N m, at the output, the standard uncertainty by how the rig takes its
     samples of current. Where the motion is slower than any
     that was learned, loads have a dead band and no value. Raises `InsufficientDataError` where no
@@ -170,25 +176,27 @@ def full_outcome(
     """
     disturbance = corrects(tables, recipe)
     slow = slower_than_learned(disturbance, recipe)
-    zero = [*(_whole(load) for load in loads if load.force == 0), *again]
-    settings = recipe.measure_force
-    angle, margin = math.radians(settings.measure_angle), math.radians(settings.turn_angle)
+    zero = (*(_whole(load) for load in loads if load.force == 0), *again)
+    settings, arm = recipe.measure_force, recipe.rig.load_arm
+    angle, model = math.radians(settings.measure_angle), disturbance.model
+    pairs = [LoadedPair(_whole(load), zero, arm) for load in loads[1:]]
+    read: Sequence[LoadReading | InsufficientDataError]
+    if slow:
+        read = [InsufficientDataError(slow)] * len(pairs)
+    else:
+        read = read_loads(model, pairs, disturbance.torque, angle, settings.lowpass_hz)
     rows: list[LoadRow] = [WholeRow(**vars(row)) for row in thesis[:1]]
     reasons = []
-    for load, row in zip(loads[1:], thesis[1:], strict=True):
-        pair = LoadedPair.of(_whole(load), zero, margin)
-        band = dead_band(pair, angle)
+    for load, row, pair, reading in zip(loads[1:], thesis[1:], pairs, read, strict=True):
+        band = dead_band(model, pair, angle, settings.lowpass_hz)
         blank = WholeRow(**vars(row.blank()), dead_band_middle=band.middle, dead_band=band.half)
-        try:
-            if slow:
-                raise InsufficientDataError(slow)
-            reading = _read(disturbance, pair, angle, load.name)
-        except InsufficientDataError as error:  # costs its own row only
+        reason = _outside(disturbance, reading)
+        if reason or isinstance(reading, InsufficientDataError):  # costs its own row only
             rows.append(blank)
-            reasons.append(str(error))
+            reasons.append(reason if slow else f"{load.name}: {reason}")
             continue
         rows.append(_row(blank, reading, math.sin(angle), drift.u, sampled_u))
-    if reasons and len(reasons) == len(loads) - 1 and not slow:
+    if len(reasons) == len(pairs) and not slow:
         raise InsufficientDataError(f"no load can be read: {reasons[0]}")
     notes = (
         f"--correction full: loads read from whole strokes with the disturbance of "
@@ -204,23 +212,21 @@ def full_outcome(
     return _with_rows(base, rows, thesis, WHOLE_TEXTS, about, notes)
 
 
-def _whole(load: Reading) -> LoadedCycles:
+def _whole(load: Reading) -> Record:
     assert load.whole is not None
     return load.whole
 
 
-def _read(disturbance: Disturbance, pair: LoadedPair, angle: float, name: str) -> LoadReading:
-    """Return the load of a recording; `InsufficientDataError` where it cannot be read."""
-    try:
-        found = read_load(disturbance, pair, angle)
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"{name}: {error}") from None
-    if found.moment > BEYOND * disturbance.torque:
-        raise InsufficientDataError(
-            f"{name}: the load is {found.moment * 1e3:.4g} mN m, learned were loads up to "
-            f"{disturbance.torque * 1e3:.4g} mN m: learn with larger loads in [ilc_learn.loads]"
-        )
-    return found
+def _outside(disturbance: Disturbance, reading: LoadReading | InsufficientDataError) -> str:
+    """Return why a reading has no value, nothing where it has."""
+    if isinstance(reading, InsufficientDataError):
+        return str(reading)
+    if reading.moment <= BEYOND * disturbance.torque:
+        return ""
+    return (
+        f"the load is {reading.moment * 1e3:.4g} mN m, learned were loads up to "
+        f"{disturbance.torque * 1e3:.4g} mN m: learn with larger loads in [ilc_learn.loads]"
+    )
 
 
 def _row(
@@ -283,7 +289,7 @@ def corrects(tables: Run, recipe: Recipe) -> Disturbance:
     Raises `RunFileError` where they hold none, `InsufficientDataError` where the motion is faster
     than any that was learned, or too slow for `load`.
     """
-    disturbance = disturbance_from(tables)
+    disturbance = disturbance_from(tables, recipe)
     speed = recipe.measure_force.speed_rev_per_s
     fastest = disturbance.speeds[-1] / (2 * math.pi * recipe.rig.angle_ratio)
     slow = slower_than_learned(disturbance, recipe)

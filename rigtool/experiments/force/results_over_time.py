@@ -36,9 +36,9 @@ COVERAGE_FACTOR = 1.96
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Torque on the output at each step of a stretch without gaps (m,), N m: smoothed, and causal
-    behind the low-pass, each with its states; deviations are those behind the low-pass.
-    `reference` N m where it was recorded. `limited` counts the samples whose current was at its
-    limit; `contacts` are in steps."""
+    behind the low-pass (empty where there is none), each with its states; deviations are those
+    behind the low-pass. `reference` N m where it was recorded. `limited` counts the samples whose
+    current was at its limit; `contacts` are in steps."""
 
     name: str
     step_time: float
@@ -135,23 +135,50 @@ def force_outcome(
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     parts = [(number, part) for number, r in enumerate(recordings) for part in r.parts]
     rows = [scales.applied(part.low_passed(bandwidth)) for _, part in parts]
-    whole = Reading.joined([replace(r, reference=None, causal_reference=None) for r in rows])
-    number = np.repeat([number for number, _ in parts], [len(row.time) for row in rows])
-    known = whole.states != State.OUTSIDE
-    lost = sum(r.lost for r in recordings)
-    results = _results(whole, known, sum(len(r.time) * r.step_time for r in rows), lost)
-    tables = {"force": _table(rows, whole, known, number, recipe)}
+    results, tables = over_time_tables(
+        rows,
+        reach.torque,
+        bandwidth,
+        recipe.rig.load_arm,
+        numbers=[number for number, _ in parts],
+        lost=sum(r.lost for r in recordings),
+    )
     if np.isfinite(limits).any():
         tables |= (events := _events(parts, rows))
         count = events["events"].shape[0] if events else 0
         results["contacts"] = Quantity(float(count), "1", reason="counted")
-    judged = [row for row in rows if row.reference is not None]
-    if judged:
-        found, table = _judged(Reading.joined(judged), reach)
-        results |= found
-        tables["force_accuracy"] = table
+    known = tables["force"]["state"] != State.OUTSIDE
     notes = [*_notes(recordings, known, reach, scales), *_contact_notes(limits)]
     return Outcome(results, tables, tuple(notes))
+
+
+def over_time_tables(
+    rows: Sequence[Reading],
+    largest: float,
+    bandwidth_hz: float,
+    load_arm: float | None = None,
+    *,
+    numbers: Sequence[int] | None = None,
+    lost: float = 0.0,
+) -> tuple[dict[str, Quantity], dict[str, Table]]:
+    """Return results and tables of stretches, low-passed at `bandwidth_hz`, with uncertainties.
+
+    `largest` N m is the largest torque that was learned; the force at the tip needs a `load_arm` m.
+    `numbers` are those of the recordings that the stretches belong to, one each by default; `lost`
+    s is the time without a stretch.
+    """
+    whole = Reading.joined([replace(r, reference=None, causal_reference=None) for r in rows])
+    number = np.repeat(
+        np.arange(len(rows)) if numbers is None else numbers, [len(row.time) for row in rows]
+    )
+    known = whole.states != State.OUTSIDE
+    results = _results(whole, known, sum(len(r.time) * r.step_time for r in rows), lost)
+    tables = {"force": _table(rows, whole, known, number, bandwidth_hz, load_arm)}
+    judged = [row for row in rows if row.reference is not None]
+    if judged:
+        found, tables["force_accuracy"] = _judged(Reading.joined(judged), largest)
+        results |= found
+    return results, tables
 
 
 def _results(
@@ -172,7 +199,8 @@ def _table(
     whole: Reading,
     known: NDArray[np.bool_],
     number: NDArray[np.intp],
-    recipe: Recipe,
+    bandwidth_hz: float,
+    load_arm: float | None,
 ) -> Table:
     def valid(values: Array, where: NDArray[np.bool_] = known) -> Array:
         return np.where(where, values, np.nan)
@@ -186,19 +214,24 @@ def _table(
         "recording": Column(number, "1", "of this run, in order"),
         "time": Column(whole.time, "s", "bench clock"),
         "torque": Column(valid(whole.torque), "N m", "on the output, from the whole recording"),
-        "force": Column(valid(whole.torque / recipe.rig.load_arm), "N", "at the tip"),
+        "force": Column(valid(whole.torque / (load_arm or np.nan)), "N", "at the tip"),
         "u": Column(valid(whole.deviation), "N m", "standard uncertainty of torque"),
         "low": Column(valid(whole.torque - half), "N m", "lower end of the 95 % interval"),
         "high": Column(valid(whole.torque + half), "N m", "upper end of the 95 % interval"),
         "state": Column(whole.states, "1", states),
-        "causal_torque": Column(
-            valid(whole.causal, so_far), "N m", "from samples up to its time only"
-        ),
-        "causal_u": Column(
-            valid(whole.causal_deviation, so_far), "N m", "its standard uncertainty"
-        ),
-        "causal_state": Column(whole.causal_states, "1", "from samples up to its time only"),
     }
+    if load_arm is None:
+        del columns["force"]
+    if whole.causal.size:
+        columns |= {
+            "causal_torque": Column(
+                valid(whole.causal, so_far), "N m", "from samples up to its time only"
+            ),
+            "causal_u": Column(
+                valid(whole.causal_deviation, so_far), "N m", "its standard uncertainty"
+            ),
+            "causal_state": Column(whole.causal_states, "1", "from samples up to its time only"),
+        }
     if any(row.reference is not None for row in rows):
         columns["reference"] = Column(_references(rows), "N m", "torque that acted, low-passed")
     return Table(
@@ -206,7 +239,7 @@ def _table(
         columns,
         "torque",
         "torque on the output over time, positive where it resists positive motion, low-passed at "
-        f"{recipe.measure_force.motion.bandwidth_hz:g} Hz",
+        f"{bandwidth_hz:g} Hz",
     )
 
 
@@ -217,13 +250,12 @@ def _references(rows: Sequence[Reading]) -> Array:
     )
 
 
-def _judged(rows: Reading, reach: Reach) -> tuple[dict[str, Quantity], Table]:
+def _judged(rows: Reading, largest: float) -> tuple[dict[str, Quantity], Table]:
     """Return errors and coverage against the reference, which has no other use."""
     assert rows.reference is not None
-    assert rows.causal_reference is not None
     results: dict[str, Quantity] = {}
     columns = {
-        "band": Column(np.array(BANDS[:-1]) * reach.torque, "N m", "lower end of the load's band"),
+        "band": Column(np.array(BANDS[:-1]) * largest, "N m", "lower end of the load's band"),
         "state": Column(np.array([int(state) for state in JUDGED]), "1", "as in table force"),
     }
     for prefix, torque, reference, u, states in (
@@ -236,6 +268,8 @@ def _judged(rows: Reading, reach: Reach) -> tuple[dict[str, Quantity], Table]:
             rows.causal_states,
         ),
     ):
+        if reference is None:
+            continue  # there is no causal form
         known = states != State.OUTSIDE
         moving = known & (states != State.STILL)
         error = np.where(known, torque - reference, np.nan)
@@ -247,7 +281,7 @@ def _judged(rows: Reading, reach: Reach) -> tuple[dict[str, Quantity], Table]:
             f"{prefix}rmse_moving": Quantity(while_moving.rmse, "N m", reason=why),
             f"{prefix}coverage_95": Quantity(overall.coverage, "1", reason="counted"),
         }
-        cells = by_band_and_state(error, covered, rows.reference, states, reach.torque)
+        cells = by_band_and_state(error, covered, rows.reference, states, largest)
         columns |= _cells(prefix, cells)
     return results, Table(
         ("band", "state"), columns, "rmse", "torque against the reference, by load and state"

@@ -12,12 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_over_time.learning import Learned
 from rigtool.experiments.force_over_time.model import Kind, Term, wave
 from rigtool.experiments.force_over_time.plant import Plant
+from rigtool.numerics.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ def tabulated(terms: tuple[Term, ...], coefficient: Array) -> Array:
     return found
 
 
-@njit(cache=True)
+@compiled
 def _drive(
     angle: Array,
     plain: Array,

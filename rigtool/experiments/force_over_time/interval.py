@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from rigtool.numerics.compiled import compiled
 
 FARTHEST = 35.0
 """Edge, in standard deviations, from which on the normal's tail is below what a double holds."""
@@ -22,12 +22,12 @@ NARROWEST = 1e-2
 """Width in standard deviations below which the density's logarithm is a straight line."""
 
 
-@njit(cache=True)
+@compiled
 def _density(u: float) -> float:
     return math.exp(-0.5 * u * u) / math.sqrt(2.0 * math.pi)
 
 
-@njit(cache=True)
+@compiled
 def _exponential(slope: float, width: float) -> tuple[float, float]:
     """Return mean and variance of a density exp(-slope x) between 0 and width."""
     if slope * width < 1e-2:
@@ -37,7 +37,7 @@ def _exponential(slope: float, width: float) -> tuple[float, float]:
     return mean, 1.0 / slope**2 - width**2 * end / (1.0 - end) ** 2
 
 
-@njit(cache=True)
+@compiled
 def truncated(alpha: float, beta: float) -> tuple[float, float]:
     """Return mean and variance of a standard normal between alpha < beta."""
     if alpha + beta < 0.0:  # by symmetry: above zero the tails are those that erfc resolves

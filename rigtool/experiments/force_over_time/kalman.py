@@ -21,7 +21,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_over_time import passed
@@ -45,6 +44,7 @@ from rigtool.experiments.force_over_time.plant import (
     Record,
     advance,
 )
+from rigtool.numerics.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ def begin(plant: Plant, uncertainty: Uncertainty, low: float, width: float) -> N
     return state
 
 
-@njit(cache=True)
+@compiled
 def _predict(
     s: Record,
     p: Record,
@@ -200,7 +200,7 @@ def _predict(
     return False
 
 
-@njit(cache=True)
+@compiled
 def _update(
     s: Record, u: Record, low: float, width: float, span: float, gain: Array
 ) -> tuple[float, float, float]:
@@ -230,7 +230,7 @@ def _update(
     return mean / deviation, weight, variance
 
 
-@njit(cache=True)
+@compiled
 def run(
     state: NDArray[np.void],
     plant: NDArray[np.void],

@@ -35,7 +35,6 @@ from rigtool.experiments.force_over_time.model import (
 )
 from rigtool.experiments.force_over_time.paths import bristle
 from rigtool.experiments.force_over_time.records import SLOWEST, Record
-from rigtool.experiments.load_disturbance.tendon import Tendon
 
 Array = NDArray[np.float64]
 
@@ -69,9 +68,12 @@ NEAR = 0.3
 LENGTH_SPREAD = 1.0
 """Of the logarithm of a bristle's length, before anything is known."""
 
-STRETCH, DAMPING_RATIO, GRASPER_HZ, LOAD_ARM = 0.2, 0.1, 70.0, 0.02
-"""Where the search for the tendon begins: its stretch under the largest load, rad, its damping
-ratio then, the resonance of the bare output, and how far out a load hangs, m."""
+STRETCHES = np.geomspace(1e-2, 1.0, 9)
+"""Of the tendon under the largest load, rad: the search begins at the best of them."""
+
+DAMPING_RATIO, GRASPER_HZ, LOAD_ARM = 0.1, 70.0, 0.02
+"""Where it begins besides: the damping ratio under the largest load, the resonance of the bare
+output, and how far out a load hangs, m."""
 
 INDEPENDENT = 30.0
 """Rows that one independent row is worth: friction's own noise lasts longer than a row."""
@@ -96,20 +98,36 @@ class Learned:
     length_u: Array
 
 
-TENDON = ("stiffness", "damping", "tip_friction")
-"""What a shape has of a tendon; positive, as the search is over logarithms."""
+@dataclass(frozen=True, eq=False)
+class Sliding:
+    """A model `learned` from sliding, and the `problem` with its normal equations there (records,
+    p + 1, p + 1), right-hand side last."""
+
+    learned: Learned
+    problem: Problem
+    normal: Array
+
+    def learned_from(self, chosen: Sequence[bool]) -> Learned:
+        """Return the model that some of the records give, one step from that of all.
+
+        `chosen` (records,) is in the order of `problem.records`.
+        """
+        model, normal = self.learned, self.normal[np.asarray(chosen)].sum(axis=0)
+        solution, covariance = self.problem.solved(normal, model.shape, len(NAMES))
+        step = np.clip(solution[: len(NAMES)], -LONGEST, LONGEST)
+        return replace(
+            model,
+            shape=moved(model.shape, step),
+            coefficient=solution[len(NAMES) :],
+            covariance=covariance,
+        )
 
 
 def learn_sliding(
-    records: Sequence[Record],
-    known: Known,
-    count: float,
-    deviation: Deviations,
-    tendon: Tendon | None = None,
-) -> Learned:
+    records: Sequence[Record], known: Known, count: float, deviation: Deviations
+) -> Sliding:
     """Learn from records of known loads; `count` rad is that of the encoder.
 
-    The search begins at a `tendon`, where one was found from the differences between loads.
     Raises `InsufficientDataError` where nothing slides in any record.
     """
     if not any(record.used.any() for record in records):
@@ -119,9 +137,10 @@ def learn_sliding(
     records = [record for record in records if record.used.any()]
     sizes = sizes_of(records, known)
     terms = terms_for(sizes, known)
-    shape = _start(sizes, known, count)
-    if tendon is not None:
-        shape = replace(shape, **{f: getattr(tendon, f) for f in TENDON if getattr(tendon, f) > 0})
+    tried = [_start(sizes, known, count, stretch) for stretch in STRETCHES.tolist()]
+    telling = _telling(records)
+    scan = Problem(telling, terms, known, tried[0], deviation, sizes.friction)
+    shape = min(tried, key=scan.misfit)
     problem = Problem(records, terms, known, shape, deviation, sizes.friction)
     coefficient, covariance = problem.step(shape, None)
     for _ in range(ROUNDS):
@@ -131,7 +150,15 @@ def learn_sliding(
         problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < NEAR)))
         if np.all(np.abs(step) < ENOUGH * np.sqrt(np.diag(covariance))[: len(NAMES)]):
             break
-    return Learned(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
+    learned = Learned(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
+    return Sliding(learned, problem, problem.normal(shape, coefficient))
+
+
+def _telling(records: Sequence[Record]) -> list[Record]:
+    """Return the records that show a tendon: the largest load, and as long strokes without one."""
+    largest = max(record.moment for record in records)
+    sizes = {record.angle.size for record in records if record.moment == largest}
+    return [r for r in records if r.moment in (0.0, largest) and r.angle.size in sizes]
 
 
 def sizes_of(records: Sequence[Record], known: Known) -> Sizes:
@@ -161,10 +188,13 @@ def sizes_of(records: Sequence[Record], known: Known) -> Sizes:
     )
 
 
-def _start(sizes: Sizes, known: Known, count: float) -> Shape:
-    """Return where the search begins: of the rig's own sizes, and not of any one rig."""
+def _start(sizes: Sizes, known: Known, count: float, stretch: float) -> Shape:
+    """Return where the search begins: of the rig's own sizes, and not of any one rig.
+
+    `stretch` rad is that of the tendon under the largest load.
+    """
     load = sizes.load or sizes.friction * known.torque_factor
-    stiffness = load / STRETCH
+    stiffness = load / stretch
     return Shape(
         bearing_length=count,
         housing_length=6 * count,
@@ -197,22 +227,27 @@ class Problem:
         self.spread = np.array([term.spread for term in terms])
         self.shape_spread = np.array([SHAPE_SPREAD[name] for name in NAMES])
         self.variance = np.full(len(records), (0.1 * friction) ** 2 * INDEPENDENT)
+        self._at_shape: dict[int, tuple[State, Array, Array, Array]] = {}
         self.strokes = [_strokes(record, start.housing_length) for record in records]
 
     def rows(self, number: int, shape: Shape, coefficient: Array | None) -> tuple[Array, Array]:
         """Return rows of a record: [shape's derivatives, terms] (p, rows), and right-hand side."""
-        record = self.records[number]
-        state = State.of(shape, self.known, record)
-        values, carried = functions(self.terms, state), state.carried / self.known.torque_factor
-        current = record.current + self.known.offset
-        measured = record.torque_constant * current - self.known.inertia * record.acceleration
-        right, columns = record.rows(measured - carried), record.rows(values)
+        record, at_shape = self.records[number], self._at_shape.get(number)
+        if at_shape is None or at_shape[0].shape != shape:
+            at_shape = self._at_shape[number] = self._functions(record, shape)
+        state, values, columns, right = at_shape
         if coefficient is None:
             return columns, right
         predicted = Prediction(self.terms, coefficient, values, shape, state)
-        here = coefficient @ values + carried
-        slopes = [predicted.torque(moved(shape, STEP * unit)) - here for unit in np.eye(len(NAMES))]
-        return np.vstack([record.rows(np.stack(slopes) / STEP), columns]), right
+        return np.vstack([record.rows(slopes(predicted, state)), columns]), right
+
+    def _functions(self, record: Record, shape: Shape) -> tuple[State, Array, Array, Array]:
+        """Return state, functions (t, n), their rows, and those of what is measured."""
+        state = State.of(shape, self.known, record)
+        values = functions(self.terms, state)
+        carried = state.carried / self.known.torque_factor
+        right = record.rows(measured(record, self.known) - carried)
+        return state, values, record.rows(values), right
 
     def own(self, number: int, shape: Shape) -> Iterator[tuple[slice, Array, Array]]:
         """Yield for each stroke its used rows, the shapes in which it deviates (k, rows) and their
@@ -247,13 +282,21 @@ class Problem:
         weighted: Array = normal / v
         return weighted
 
+    def normal(self, shape: Shape, coefficient: Array | None) -> Array:
+        """Return the normal matrices of all records (records, p + 1, p + 1), see `sums`."""
+        return np.stack([self.sums(n, shape, coefficient) for n in range(len(self.records))])
+
     def step(self, shape: Shape, coefficient: Array | None) -> tuple[Array, Array]:
         """Return the best [shape's step, coefficients] and their covariance."""
         first = 0 if coefficient is None else len(NAMES)
+        return self.solved(self.normal(shape, coefficient).sum(axis=0), shape, first)
+
+    def solved(self, normal: Array, shape: Shape, first: int) -> tuple[Array, Array]:
+        """Solve a normal matrix (p + 1, p + 1) at a shape, the `first` parameters being its step.
+
+        Returns the solution (p,) and its covariance (p, p).
+        """
         count = first + len(self.terms)
-        normal = np.zeros((count + 1, count + 1))
-        for number in range(len(self.records)):
-            normal += self.sums(number, shape, coefficient)
         scale = np.concatenate([self.shape_spread[:first], self.spread])
         away = logarithms(shape) - logarithms(self.start)
         prior = np.zeros(count)
@@ -264,6 +307,12 @@ class Problem:
         solution = scale * (inverse @ right)
         covariance: Array = inverse * np.outer(scale, scale)
         return solution, covariance
+
+    def misfit(self, shape: Shape) -> float:
+        """Return what the best coefficients leave at a shape: least squares' own sum."""
+        normal = self.normal(shape, None).sum(axis=0)
+        solution, _ = self.solved(normal, shape, 0)
+        return float(normal[-1, -1] - normal[-1, :-1] @ solution)
 
     def weigh(self, shape: Shape, coefficient: Array, near: bool) -> None:
         """Weigh the records by what a model with coefficients (t,) leaves of them.
@@ -288,6 +337,19 @@ class Problem:
         for inside, x, variances in self.own(number, shape):
             left[inside] -= np.linalg.solve(np.diag(v / variances) + x @ x.T, x @ left[inside]) @ x
         return left
+
+
+def measured(record: Record, known: Known) -> Array:
+    """Return what the motor puts out along a record, less what its own inertia takes (n,), N m."""
+    current = record.current + known.offset
+    return record.torque_constant * current - known.inertia * record.acceleration
+
+
+def slopes(predicted: Prediction, state: State) -> Array:
+    """Return derivatives of a prediction by the logarithms of `NAMES` (p, n), N m."""
+    here, units = predicted.along(state), np.eye(len(NAMES))
+    moves = [predicted.torque(moved(state.shape, STEP * unit)) - here for unit in units]
+    return np.stack(moves) / STEP
 
 
 def _strokes(record: Record, length: float) -> NDArray[np.intp]:

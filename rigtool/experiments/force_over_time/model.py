@@ -24,7 +24,8 @@ an order of the rotor's or the output's angle times what it modulates:
     HOUSING           z_h cos, z_h sin             friction of the long bristle, by output angle
     HOUSING_SIDED     z_h^2                        of which one direction has more
     LOAD_FRICTION     z_h (sqrt(s^2 + o^2) - o)/n  friction that grows with the torque carried, less
-                                                   where pre-tension o hides it
+                                                   where pre-tension o hides it; and the same times
+                                                   cos, sin of the output angle
     CARRIED           s / n                        what the torque factor is off
 
 Bristles z follow P. R. Dahl, AIAA J. 14(12) 1675-1682, 1976; two of them in series of lengths are
@@ -149,7 +150,11 @@ class Prediction:
 
     def torque(self, shape: Shape) -> Array:
         """Return the torque (n,), N m, less what the known inertia takes."""
-        state, record = self._state.at(shape), self._state.record
+        return self.along(self._state.at(shape))
+
+    def along(self, state: State) -> Array:
+        """Return the same in another state of the record: of another shape, or another load."""
+        record, shape = self._state.record, state.shape
         whole = self._fixed + state.carried / state.known.torque_factor
         if shape.ripple_time == self._shape.ripple_time:
             whole += self._lagged
@@ -179,25 +184,32 @@ class State:
         """Return the state for another shape with the same bristles of the rotor."""
         if all(getattr(shape, name) == getattr(self.shape, name) for name in _OF_TENDON):
             return replace(self, shape=shape)
-        return State.of(shape, self.known, self.record)
+        return replace(self, shape=shape).under(self.record.moment, self.record.load_inertia)
 
     @staticmethod
     def of(shape: Shape, known: Known, record: Record) -> State:
         """Return the state along a record."""
+        bearing = bristle(record.angle, shape.bearing_length, record.periodic)
+        housing = bristle(record.angle, shape.housing_length, record.periodic)
+        none = np.empty(0)
+        state = State(record, shape, known, bearing, housing, none, none)
+        return state.under(record.moment, record.load_inertia)
+
+    def under(self, moment: float, load_inertia: float) -> State:
+        """Return the state of the same motion under another load, N m at 90 degrees and kg m2."""
+        record, shape = self.record, self.shape
         carried, output = tendon(
-            record.angle / known.angle_ratio,
+            record.angle / self.known.angle_ratio,
             record.interval,
             shape.stiffness,
             shape.damping,
-            record.load_inertia + shape.grasper_inertia,
+            load_inertia + shape.grasper_inertia,
             shape.tip_friction,
             shape.tip_length,
-            record.moment,
+            moment,
             record.periodic,
         )
-        bearing = bristle(record.angle, shape.bearing_length, record.periodic)
-        housing = bristle(record.angle, shape.housing_length, record.periodic)
-        return State(record, shape, known, bearing, housing, carried, output)
+        return replace(self, carried=carried, output=output)
 
     def function(self, term: Term) -> Array:
         """Return a term along the record (n,), ripple before its lag."""
@@ -256,7 +268,7 @@ class Sizes:
 
 
 COGGING_ORDERS, RIPPLE_ORDERS, GAIN_ORDERS = range(1, 13), range(1, 7), range(1, 5)
-HOUSING_ORDERS = range(1, 7)
+HOUSING_ORDERS, LOAD_FRICTION_ORDERS = range(1, 7), range(1, 3)
 
 OFFSET_SPREAD = 0.01
 """Of the friction: a constant torque besides the amplifier's offset."""
@@ -288,6 +300,7 @@ def terms_for(sizes: Sizes, known: Known) -> tuple[Term, ...]:
     listed += _waves(Kind.GAIN_RIPPLE, RIPPLE_SPREAD, GAIN_ORDERS)
     listed += _waves(Kind.SQUARE_RIPPLE, RIPPLE_SPREAD / sizes.current, GAIN_ORDERS)
     listed += _waves(Kind.HOUSING, 0.3 * sizes.friction, HOUSING_ORDERS, 0.5)
+    listed += _waves(Kind.LOAD_FRICTION, LOAD_FRICTION_SPREAD / 10, LOAD_FRICTION_ORDERS)
     return tuple(listed)
 
 

@@ -13,10 +13,10 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_over_time.plant import ANGLE, MOVING_STATES, STATES, TORQUE
+from rigtool.numerics.compiled import compiled
 
 Array = NDArray[np.float64]
 Record = Any
@@ -44,7 +44,7 @@ def delay(bandwidth_hz: float) -> float:
     return math.sqrt(2) / (2 * math.pi * bandwidth_hz)
 
 
-@njit(cache=True)
+@compiled
 def predict(s: Record, low_pass: Array, derivative: Array, kept: float, noise: int) -> None:
     """Advance q and its covariances by a step, before x: `derivative` (7, 12) of x by itself.
 
@@ -82,7 +82,7 @@ def predict(s: Record, low_pass: Array, derivative: Array, kept: float, noise: i
                 shared[n, i] = new_shared[n, i] * (kept if n == noise else 1.0)
 
 
-@njit(cache=True)
+@compiled
 def update(s: Record, gain: Array, shift: float, removed: float, variance: float) -> None:
     """Take in what an update found, before x: its gain (12,), the angle's shift, and `removed`,
     by which the angle's variance fell from `variance`."""
@@ -99,7 +99,7 @@ def update(s: Record, gain: Array, shift: float, removed: float, variance: float
             shared[n, i] -= gain[n] * own_gain * removed
 
 
-@njit(cache=True)
+@compiled
 def output(s: Record, low_pass: Array, row: Array) -> tuple[float, float]:
     """Return mean and variance of y; `row` (12,) receives its covariance with x."""
     c, d = low_pass[ORDER], low_pass[ORDER, ORDER]

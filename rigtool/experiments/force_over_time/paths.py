@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from rigtool.numerics.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -83,7 +84,7 @@ def tendon(
     return carried, output
 
 
-@njit(cache=True)
+@compiled
 def _bristle(path: Array, length: float, rounds: int, found: Array) -> None:
     z = 0.0
     last = path[0]
@@ -96,7 +97,7 @@ def _bristle(path: Array, length: float, rounds: int, found: Array) -> None:
             found[i] = z
 
 
-@njit(cache=True)
+@compiled
 def _lag(waves: Array, x: float, rounds: int, found: Array) -> None:
     kept = math.exp(-x)
     after = 1.0 - (1.0 - kept) / x
@@ -111,7 +112,7 @@ def _lag(waves: Array, x: float, rounds: int, found: Array) -> None:
                 found[m, i] = y
 
 
-@njit(cache=True)
+@compiled
 def _tendon(
     angle: Array,
     interval: float,

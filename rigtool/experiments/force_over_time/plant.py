@@ -27,8 +27,9 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from rigtool.numerics.compiled import compiled
 
 Array = NDArray[np.float64]
 Record = Any  # the one element of a structured array, with its fields as attributes
@@ -85,14 +86,14 @@ def as_record(parameters: Any) -> NDArray[np.void]:
     return record
 
 
-@njit(cache=True)
+@compiled
 def dahl(deflection: float, path: float, presliding_angle: float) -> float:
     """Return a bristle's deflection after a path in one direction, exactly."""
     side = 1.0 if path > 0.0 else -1.0
     return side - (side - deflection) * math.exp(-abs(path) / presliding_angle)
 
 
-@njit(cache=True)
+@compiled
 def _bend(z: float, speed: float, dt: float, x0: float, spread: float) -> tuple[float, ...]:
     """Return a bristle one sample later, and its derivatives by itself and by the speed.
 
@@ -107,7 +108,7 @@ def _bend(z: float, speed: float, dt: float, x0: float, spread: float) -> tuple[
     return after, left, (1.0 - side * z) * left * dt / x0
 
 
-@njit(cache=True)
+@compiled
 def _bearings(
     p: Record, w: float, old: float, z: float, noise: float, viscous: float
 ) -> tuple[float, ...]:
@@ -125,7 +126,7 @@ def _bearings(
     )
 
 
-@njit(cache=True)
+@compiled
 def _housing(p: Record, friction_map: Array, x: Array, h: float, twist: float) -> tuple[float, ...]:
     """Return the housing's friction, and its derivatives by h, tendon torque, a and load."""
     size = friction_map.shape[0] - 1
@@ -150,7 +151,7 @@ def _housing(p: Record, friction_map: Array, x: Array, h: float, twist: float) -
     )
 
 
-@njit(cache=True)
+@compiled
 def advance(
     x: Array,
     p: Record,

@@ -1,9 +1,9 @@
 """Recorded motions under known loads, on a grid: what a model of motor and instrument learns from.
 
 All rows, measured and modelled, pass the same low-pass, evaluated by its spectrum: no phase shift,
-no delay. A motion that repeats is the mean of its cycles, on one period; any other wraps around,
-and its ends are left out. The gain is that of a Butterworth low-pass of second order forward and
-backward,
+no delay. A motion that repeats is the mean of its cycles (`numerics.steady_mean`), on one period;
+any other wraps around, and its ends are left out. The gain is that of a Butterworth low-pass of
+second order forward and backward,
 
     G(f) = 1 / (1 + (f / fc)^4).
 """
@@ -20,6 +20,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_over_time.encoder_angle import interpolated
 from rigtool.experiments.force_over_time.paths import bristle
 from rigtool.numerics.moves import rising_crossings
+from rigtool.numerics.steady_mean import steady_mean
 
 Array = NDArray[np.float64]
 
@@ -138,13 +139,13 @@ def _rows(size: int, interval: float) -> int:
     return int(min(size, round(size * interval * ROWS_HZ)))
 
 
-def lowpassed_rows(signals: Array, interval: float) -> Array:
+def lowpassed_rows(signals: Array, interval: float, cutoff_hz: float = LOWPASS_HZ) -> Array:
     """Low-pass signals (..., n), sampled every `interval` s, and return their rows (..., rows)."""
     size = signals.shape[-1]
     count = _rows(size, interval)
     spectrum = np.fft.rfft(signals)[..., : count // 2 + 1]
     frequency = np.fft.rfftfreq(size, interval)[: count // 2 + 1]
-    spectrum /= 1 + (frequency / LOWPASS_HZ) ** 4
+    spectrum /= 1 + (frequency / cutoff_hz) ** 4
     found: Array = np.fft.irfft(spectrum, count) * (count / size)
     return found
 
@@ -185,12 +186,12 @@ def repeated(
     grid = starts[:-1, None] + np.arange(size) * (period / size)
     angles = interpolated(encoder, grid.ravel() / interval).reshape(cycles, size)
     currents = np.interp(grid.ravel(), time, current).reshape(cycles, size)
-    angle = angles.mean(axis=0) * under.count
+    angle = steady_mean(angles) * under.count
     speed = np.gradient(np.interp(grid[0], time, setpoint), period / size)
     return Record(
         period / size,
         angle,
-        currents.mean(axis=0),
+        steady_mean(currents),
         _sliding(angle, speed, period / size, under.count, True),
         under.torque_constant,
         under.moment,

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_over_time.plant import (
@@ -25,6 +24,7 @@ from rigtool.experiments.force_over_time.plant import (
     SINE,
     STATES,
 )
+from rigtool.numerics.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def room(count: int) -> tuple[Array, ...]:
     return (np.empty((count, MOVING_STATES, STATES)), *numbers, *rows)
 
 
-@njit(cache=True)
+@compiled
 def _before_update(
     adjoint: Array, information: Array, gain: Array, correction: float, g: float, s2: float
 ) -> None:
@@ -64,7 +64,7 @@ def _before_update(
     information[ANGLE, ANGLE] += g * (g * square - 2.0 * column[ANGLE]) + g / s2
 
 
-@njit(cache=True)
+@compiled
 def _before_prediction(
     adjoint: Array, information: Array, derivative: Array, fresh: bool, kept: float, work: Array
 ) -> None:
@@ -91,7 +91,7 @@ def _before_prediction(
             information[i, j] = information[j, i] = total
 
 
-@njit(cache=True)
+@compiled
 def backwards(
     adjoint: Array,
     information: Array,

@@ -51,19 +51,24 @@ _ABOUT = {
 
 def model_results(model: ForceModel) -> dict[str, Quantity]:
     """Return shape and deviations of a model as results."""
-    learned = model.learned
-    relative = dict(zip(NAMES, np.sqrt(np.diag(learned.covariance)).tolist(), strict=False))
-    relative["bearing_length"], relative["housing_length"] = learned.length_u.tolist()
-    results = {
-        name: Quantity(value, UNITS[name], value * relative[name])
-        for name, value in asdict(learned.shape).items()
-    }
-    results |= {
+    scatter = {
         name: Quantity(value, UNITS[name], reason="a measure of scatter itself")
         for name, value in asdict(model.deviations).items()
     }
-    results[OFFSET] = Quantity(learned.known.offset, "A", reason="that of the calibration")
-    return {PREFIX + name: result for name, result in results.items()}
+    offset = model.learned.known.offset
+    scatter[OFFSET] = Quantity(offset, "A", reason="that of the calibration")
+    named = {PREFIX + name: result for name, result in scatter.items()}
+    return shape_results(model.learned) | named
+
+
+def shape_results(learned: Learned) -> dict[str, Quantity]:
+    """Return the shape of a model as results, with standard uncertainty."""
+    relative = dict(zip(NAMES, np.sqrt(np.diag(learned.covariance)).tolist(), strict=False))
+    relative["bearing_length"], relative["housing_length"] = learned.length_u.tolist()
+    return {
+        PREFIX + name: Quantity(value, UNITS[name], value * relative[name])
+        for name, value in asdict(learned.shape).items()
+    }
 
 
 def model_tables(model: ForceModel) -> dict[str, Table]:

@@ -30,7 +30,7 @@ BREAKAWAY_TIME = 0.05
 
 
 @dataclass(frozen=True)
-class Ramp:
+class TorqueRamp:
     """One ramp: samples `begin` to `end` (excluded); `torque` (NaN: never broke away), N m."""
 
     begin: int
@@ -42,7 +42,7 @@ class Ramp:
 
 def find_ramps(
     *, time: ArrayLike, angle: ArrayLike, torque: ArrayLike, threshold: float
-) -> list[Ramp]:
+) -> list[TorqueRamp]:
     """Find the ramps in a recording and the torque at which each breaks the shaft away.
 
     `time` (n,) in s, `angle` of the shaft in rad, `torque` in N m; `threshold` is the motion that
@@ -64,7 +64,7 @@ def find_ramps(
         onset = _onset(t[part] - t[first], direction * shaft[part], threshold)
         broke = np.nan if onset is None else float(np.interp(onset, t[part] - t[first], size[part]))
         position = float(np.mod(shaft[first], 2 * np.pi))
-        ramps.append(Ramp(first, last, position, direction, broke))
+        ramps.append(TorqueRamp(first, last, position, direction, broke))
     if not ramps:
         raise InsufficientDataError(
             "no ramp of torque was found: each must rise slowly from zero at standstill"
@@ -128,7 +128,7 @@ class Breakaway:
         return float(np.nanmax([self.positive, self.negative]))
 
 
-def around_turn(ramps: list[Ramp], positions: Array | None = None) -> Breakaway:
+def around_turn(ramps: list[TorqueRamp], positions: Array | None = None) -> Breakaway:
     """Return ramps by position; `positions` (k,), rad, of another series to pair them with.
 
     Raises `InsufficientDataError` where most ramps do not break away.
@@ -164,7 +164,7 @@ def around_turn(ramps: list[Ramp], positions: Array | None = None) -> Breakaway:
     return Breakaway(here, columns[1.0], columns[-1.0], scatter, dof)
 
 
-def _positions(ramps: list[Ramp]) -> Array:
+def _positions(ramps: list[TorqueRamp]) -> Array:
     """Return the positions of the direction with most ramps, rising, (k,) rad."""
     by_sign = [np.array([r.position for r in ramps if r.direction == s]) for s in (1.0, -1.0)]
     return group_angles(max(by_sign, key=len))[0]

@@ -12,7 +12,7 @@ from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.friction.holds import find_holds, pool
 from rigtool.experiments.friction.imported_motion import add_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion, band_limit
-from rigtool.experiments.friction.procedure_analysis import fit_directions, separate
+from rigtool.experiments.friction.procedure_analysis import separate
 from rigtool.experiments.friction.results import (
     Findings,
     Scale,
@@ -20,6 +20,7 @@ from rigtool.experiments.friction.results import (
     add_static_friction,
     holds_table,
 )
+from rigtool.experiments.friction.stribeck_fit import fit_directions
 from rigtool.experiments.imported import (
     Effort,
     effort_of,
@@ -54,7 +55,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     """Return friction from holds, one or more a run, or from runs of any motion.
 
     Raises `UsageError` for runs of both kinds or of several rigs, `InsufficientDataError` where
-    they do not carry the result.
+    they do not support the result.
     """
     recordings = signals_of(runs)
     require_one_rig(recordings, runs)

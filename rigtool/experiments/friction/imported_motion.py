@@ -9,8 +9,8 @@ import numpy as np
 
 from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
-from rigtool.experiments.friction.results import DIRECTIONS, NOT_SEPARATED, Findings
-from rigtool.experiments.friction.stribeck_fit import separate_offset
+from rigtool.experiments.friction.results import NOT_SEPARATED, Findings
+from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, separate_offset
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
@@ -19,7 +19,7 @@ NEGATIVE_INERTIA = -3.0
 """An inertia below this multiple of its uncertainty is negative, which is impossible."""
 
 NOTED_POWER = 0.1
-"""Part of the residual's power, as a function of speed or position, that is worth a note."""
+"""Part of the residual's power, as a function of speed or position, that gets a note."""
 
 TABLE_RANGES = 60
 """Number of ranges of speed in the table of the fit."""
@@ -28,7 +28,7 @@ TABLE_RANGES = 60
 def add_dynamics(motions: Sequence[SmoothedMotion], found: Findings) -> None:
     """Fit the equation of motion to all motions and add its parameters.
 
-    Raises `InsufficientDataError` where they do not carry friction.
+    Raises `InsufficientDataError` where they do not determine friction.
     """
     dynamics = identify_dynamics(motions)
     dof = float(dynamics.dof)

@@ -96,7 +96,7 @@ def identify_dynamics(motions: Sequence[SmoothedMotion]) -> Dynamics:
             f"{np.count_nonzero(used)} smoothed samples are in motion, {MIN_SAMPLES_IN_MOTION} are "
             "needed: move for longer, faster, or with fewer reversals"
         )
-    # Each second counts the same, whatever the spacing.
+    # Each second has the same weight, for any spacing.
     weight = used * np.concatenate([np.full(len(m.torque), m.spacing**0.5) for m in motions])
     design = np.concatenate([motion.design for motion in motions]) * weight[:, None]
     torque = np.concatenate([motion.torque for motion in motions]) * weight
@@ -174,7 +174,7 @@ def _resolves_inertia(motions: Sequence[SmoothedMotion], design: Array) -> tuple
     share = float(noise / power) if power > 0 else math.inf
     if share > ACCELERATION_NOISE_LIMIT:
         return share, (
-            "the acceleration does not stand out of the encoder's resolution "
+            "the acceleration does not exceed the encoder's resolution "
             f"({min(share, 1.0):.0%} of its power is noise, limit "
             f"{ACCELERATION_NOISE_LIMIT:.0%}): move with more acceleration"
         )

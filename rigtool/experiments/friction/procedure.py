@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from rigtool.errors import RecipeError
 from rigtool.experiments.friction.imported import analyse_imported
 from rigtool.experiments.friction.procedure_analysis import (
     BREAKAWAY,
@@ -41,7 +42,7 @@ APPROACH_ANGLE = 0.2
 
 
 def rig_needs(recipe: Recipe) -> tuple[str, ...]:
-    """Return what compensation and breakaway need of a rig, once friction is known."""
+    """Return the abilities that compensation and breakaway need, once friction is known."""
     loaded = recipe.stribeck.radial_force > 0
     return ("feedforward", "open_loop", *(("load",) if loaded else ()))
 
@@ -67,8 +68,17 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 
 
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
-    """Hold, sweep, compensate and sweep again, then break the shaft away around the turn."""
+    """Hold, sweep, compensate and sweep again, then break the shaft away around the turn.
+
+    Raises `RecipeError` where the ramps would go beyond the limit of current.
+    """
     settings = recipe.stribeck
+    highest = recipe.rig.torque_constant * recipe.highest_current
+    if settings.breakaway_limit > highest:
+        raise RecipeError(
+            f"stribeck.breakaway_limit is {settings.breakaway_limit:g} N m, the limit of current "
+            f"leaves {highest:.4g} N m: lower the first"
+        )
     every = settings.record_every
     for direction in (1.0, -1.0):
         task = Task(hold_profile(settings, direction), record_every=every)

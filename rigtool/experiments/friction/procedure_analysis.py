@@ -15,12 +15,15 @@ from rigtool.experiments.between_set_points import (
     UnsampledCurrent,
     setpoint_resolution,
 )
-from rigtool.experiments.controller_torque import controller_torque
-from rigtool.experiments.friction.breakaway import Breakaway, Ramp, around_turn, find_ramps
+from rigtool.experiments.controller_torque import (
+    controller_torque,
+    naming,
+    require_unlimited,
+)
+from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp, around_turn, find_ramps
 from rigtool.experiments.friction.holds import SHAKING_LIMIT, Holds, find_holds, pool
 from rigtool.experiments.friction.low_current import require_linear_at_low_current
 from rigtool.experiments.friction.results import (
-    DIRECTIONS,
     Findings,
     Scale,
     Uncertain,
@@ -37,20 +40,21 @@ from rigtool.experiments.friction.results import (
 from rigtool.experiments.friction.stribeck_fit import (
     DirectionFit,
     Offset,
-    fit_direction,
+    fit_directions,
     mean_by_speed,
-    require_explained,
     separate_offset,
 )
 from rigtool.experiments.friction.sweep import TorqueSpeed, torque_speed_curve
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.torque_per_ampere import mean_constant_note, torque_per_ampere
+from rigtool.experiments.torque_per_ampere import mean_constant_note
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run, Table
 
 NOTED_SHARE = 0.1
-"""Part of its limit above which unsampled torque is worth a note."""
+"""Part of its limit above which unsampled torque gets a note."""
+
+SATURATED = "lower stribeck.speed_max, or the load on the shaft"
 
 HOLDS = "holds"
 SWEEPS = ("sweep", "sweep_coulomb", "sweep_viscous")
@@ -59,7 +63,7 @@ BREAKAWAY, BREAKAWAY_LOADED = "breakaway", "breakaway_loaded"
 
 def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
     """Return Coulomb [N m] and viscous friction [N m s/rad] from holds in both directions."""
-    scale = Scale.of(kt)
+    scale = Scale.of(kt, [holds])
     fits, _, _ = _fit_holds([holds], recipe, scale)
     return (
         float(np.mean([fit.coulomb[0] for fit in fits.values()])),
@@ -69,13 +73,14 @@ def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
 
 def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     """Return friction from the recordings that the runs hold; notes name those that are missing."""
-    found = Findings(Scale.of(kt))
-    found.notes.append(mean_constant_note(torque_per_ampere(kt)))
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
         for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
     }
-    if not any(recordings.values()):
+    everything = [recording for parts in recordings.values() for recording in parts]
+    found = Findings(Scale.of(kt, everything))
+    found.notes.append(mean_constant_note(kt, everything))
+    if not everything:
         runs[0].recording(HOLDS)  # raises, naming the recordings that are there
     missing = [name for name, parts in recordings.items() if not parts]
     if missing:
@@ -129,6 +134,9 @@ def _fit_holds(
     parts, notes = [], []
     setpoints, currents = [], []
     for recording in recordings:
+        with naming(recording):
+            asked = recording.read("current_setpoint")
+            require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED)
         found = find_holds(
             time=recording.read("time"),
             angle=_angle(recording, recipe),
@@ -186,26 +194,6 @@ def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> N
         )
     if abs(left_out[worst]) > NOTED_SHARE * limit:
         found.notes.append(f"{text}, which is in the uncertainty of friction: {REMEDY}")
-
-
-def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
-    """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,).
-
-    Raises `InsufficientDataError` where no direction can be fitted.
-    """
-    fits, reasons = {}, []
-    for sign in (1, -1):
-        chosen = speed * sign > 0
-        if not chosen.any():
-            continue
-        try:
-            fits[sign] = fit_direction(speed[chosen] * sign, torque[chosen] * sign, u[chosen])
-        except InsufficientDataError as error:
-            reasons.append(f"{DIRECTIONS[sign]} direction: {error}")
-    if reasons or not fits:
-        raise InsufficientDataError("; ".join(reasons) or "no speed but zero was held")
-    require_explained(list(fits.values()))
-    return fits
 
 
 def _fit_sweep(curve: TorqueSpeed) -> dict[int, DirectionFit]:
@@ -286,7 +274,7 @@ def _breakaway(
 
     Positions are those of `pair`, where another series is given to compare with.
     """
-    ramps: list[Ramp] = []
+    ramps: list[TorqueRamp] = []
     highest: Table | None = None
     for recording in recordings:
         time, angle = recording.read("time"), _angle(recording, recipe)

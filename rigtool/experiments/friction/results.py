@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from rigtool.experiments.friction.breakaway import Breakaway, Ramp
+from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp
 from rigtool.experiments.friction.holds import Holds
-from rigtool.experiments.friction.stribeck_fit import DirectionFit, Offset
+from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, DirectionFit, Offset
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Run, Table
+from rigtool.runfile import Column, Recording, Run, Table
 
 Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""
@@ -27,8 +28,6 @@ RAMP_POINTS = 2000
 
 TANH_DONE = 3.0
 """Speed above which the compensation's tanh(v / (1 rad/s)) is within 0.5 % of 1, rad/s."""
-
-DIRECTIONS = {1: "positive", -1: "negative"}
 
 NOT_SEPARATED = (
     "the data do not separate a constant torque from friction that differs between directions: "
@@ -45,9 +44,9 @@ class Scale:
     relative_u: float
 
     @classmethod
-    def of(cls, kt: Run) -> Scale:
-        """Take the mean torque constant of a calibration [7.1.1]."""
-        mean = torque_per_ampere(kt)
+    def of(cls, kt: Run, recordings: Sequence[Recording]) -> Scale:
+        """Take the mean torque constant of a calibration [7.1.1], for recordings to be read."""
+        mean = torque_per_ampere(kt, recordings)
         return cls(mean.value, (mean.u or 0.0) / mean.value)
 
     def quantity(self, estimate: Uncertain, unit: str, dof: float | None) -> Quantity:
@@ -79,7 +78,7 @@ class Findings:
 
 
 def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Findings) -> None:
-    """Add Coulomb, viscous and Stribeck parameters; `offset` is taken out of each direction."""
+    """Add Coulomb, viscous and Stribeck parameters; `offset` is subtracted from each direction."""
     dof = float(sum(fit.dof for fit in fits.values()))
     coulomb, viscous = ({s: getattr(f, n) for s, f in fits.items()} for n in ("coulomb", "viscous"))
     coulomb_u, viscous_u = found.left_out
@@ -148,7 +147,7 @@ def add_breakaway(unloaded: Breakaway, found: Findings) -> None:
         if unloaded.dof > 0:
             found.add(f"breakaway_torque_{name}", (value, unloaded.scatter), "N m", unloaded.dof)
         else:
-            reason = "too few positions to separate scatter from what repeats around the turn"
+            reason = "too few positions to separate scatter from repeatable ripple around the turn"
             found.results[f"breakaway_torque_{name}"] = Quantity(value, "N m", reason=reason)
 
 
@@ -268,7 +267,7 @@ def breakaway_table(position: Array, unloaded: Breakaway | None, loaded: Breakaw
     return Table(("position",), columns, signal, "Torque at which the shaft breaks away")
 
 
-def ramp_table(ramps: list[Ramp], time: Array, angle: Array, torque: Array) -> Table:
+def ramp_table(ramps: list[TorqueRamp], time: Array, angle: Array, torque: Array) -> Table:
     """Return the ramp with the highest breakaway torque (Fig. 22)."""
     highest = max(ramps, key=lambda ramp: -1.0 if np.isnan(ramp.torque) else ramp.torque)
     part = slice(highest.begin, highest.end, -(-(highest.end - highest.begin) // RAMP_POINTS))

@@ -12,8 +12,8 @@ together: torque(v) = offset + f+(v) for v > 0 and offset - f-(-v) for v < 0.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,8 @@ SHAPES = {2.0: 0.0, 1.0: 6.0}
 """Exponents d to try, each with the lead in the Akaike criterion that it needs: the Gaussian, and
 Tustin's, which extrapolates further towards standstill and so must be clearly better."""
 
+DIRECTIONS = {1: "positive", -1: "negative"}
+
 ASYMMETRY_U_LIMIT = 0.1
 """Largest uncertainty of an asymmetry that is separated from a constant torque; else its own."""
 
@@ -57,7 +59,8 @@ class DirectionFit:
 
     `covariance` belongs to `parameters`, (fc, fv) or (fc, fv, fs, vs). The fit covers speeds from
     `lowest` to `highest`; `structure` is the rms of its residuals beyond scatter, the largest at
-    `worst_speed`; `friction` is the mean of the points.
+    `worst_speed`; `friction` is the mean of the points; `criterion` is Akaike's, by which the model
+    was chosen, with the lead that its shape needs.
     """
 
     parameters: Array
@@ -69,6 +72,7 @@ class DirectionFit:
     structure: float
     worst_speed: float
     friction: float
+    criterion: float = math.nan
 
     @property
     def coulomb(self) -> tuple[float, float]:
@@ -103,10 +107,47 @@ class DirectionFit:
         return float(self.parameters[index]), math.sqrt(float(self.covariance[index, index]))
 
 
-def fit_direction(speed: Array, torque: Array, u: Array) -> DirectionFit:
+def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
+    """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,).
+
+    One law holds in both: where each by itself prefers another shape of the Stribeck effect, the
+    shape with the lower sum of criteria is taken, since parameters of two models have no mean.
+    Raises `InsufficientDataError` where a direction cannot be fitted.
+    """
+    fits = _by_direction(speed, torque, u, SHAPES)
+    shapes = {fit.exponent for fit in fits.values()} - {None}
+    if len(shapes) > 1:
+        common = (_by_direction(speed, torque, u, {d: SHAPES[d]}) for d in SHAPES)
+        fits = min(common, key=lambda found: sum(fit.criterion for fit in found.values()))
+    require_explained(list(fits.values()))
+    return fits
+
+
+def _by_direction(
+    speed: Array, torque: Array, u: Array, shapes: Mapping[float, float]
+) -> dict[int, DirectionFit]:
+    fits, reasons = {}, []
+    for sign in DIRECTIONS:
+        chosen = speed * sign > 0
+        if not chosen.any():
+            continue
+        signals = speed[chosen] * sign, torque[chosen] * sign, u[chosen]
+        try:
+            fits[sign] = fit_direction(*signals, shapes)
+        except InsufficientDataError as error:
+            reasons.append(f"{DIRECTIONS[sign]} direction: {error}")
+    if reasons or not fits:
+        raise InsufficientDataError("; ".join(reasons) or "no speed but zero was held")
+    return fits
+
+
+def fit_direction(
+    speed: Array, torque: Array, u: Array, shapes: Mapping[float, float] = SHAPES
+) -> DirectionFit:
     """Fit friction in one direction by weighted least squares.
 
-    `speed` (n,) > 0 in rad/s, `torque` (n,) against the motion with standard uncertainty `u`, N m.
+    `speed` (n,) > 0 in rad/s, `torque` (n,) against the motion with standard uncertainty `u`, N m;
+    `shapes` are the exponents to try.
     The Stribeck model is chosen only where the corrected Akaike criterion (Hurvich and Tsai 1989)
     prefers it and all its parameters are determined; else the line is fitted, without the lowest
     speeds where they lie off it. Raises `InsufficientDataError` where
@@ -121,16 +162,16 @@ def fit_direction(speed: Array, torque: Array, u: Array) -> DirectionFit:
     # Uncertainties from few degrees of freedom are uncertain themselves: weigh in the median.
     weight = 1 / np.sqrt((scatter**2 + np.median(scatter) ** 2) / 2 + 1e-30)
     best = _line(v, f, weight)
-    lowest = _criterion(best, v, f, weight)
-    for exponent, lead in SHAPES.items():
+    lowest, needed = _criterion(best, v, f, weight), 0.0
+    for exponent, lead in shapes.items():
         candidate = _stribeck(v, f, weight, exponent)
         if candidate is not None:
             criterion = _criterion(candidate, v, f, weight)
             if criterion + lead < lowest:
-                best, lowest = candidate, criterion
+                best, lowest, needed = candidate, criterion, lead
     if best.exponent is None:
         best = _straight_part(v, f, weight)
-    return best
+    return replace(best, criterion=lowest + needed)
 
 
 def mean_by_speed(v: Array, f: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -267,8 +308,9 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
             f"torque against speed has structure of {worst.structure * 1e3:.3g} mN m rms about "
             f"the best friction model, far beyond the scatter of its points; limit "
             f"{limit * 1e3:.3g} mN m ({STRUCTURE_LIMIT:.0%} of the friction); worst at "
-            f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect the current "
-            "amplifier at low current (thesis Appendix C), or a resonance of the speed loop"
+            f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
+            "that is slower than a hold (raise stribeck.hold_time), the current amplifier at low "
+            "current (thesis Appendix C), or a resonance of the speed loop"
         )
 
 

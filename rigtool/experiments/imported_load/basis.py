@@ -26,8 +26,8 @@ from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.lowpass import lowpass
 
-WORK_RATE = 10
-"""Samples for each period of the cut-off at which functions are computed, at most."""
+WORK_RATE = 5
+"""Samples for each period of the cut-off at which functions are computed, at least `ROW_RATE`."""
 
 ROW_RATE = 50.0
 """Rows per second that are kept after the low-pass, at least: closer neighbours add nothing."""
@@ -48,7 +48,7 @@ TURNS = 2.0
 """Turns below which orders are left out: splines of position cover them."""
 
 LENGTHS = tuple(2.0**-k for k in range(3, 8))
-"""Lengths of pre-sliding that are tried, in parts of the stroke."""
+"""Lengths of pre-sliding, in parts of the stroke."""
 
 SPLINE_COUNT = {
     "offset": 32,
@@ -60,7 +60,7 @@ SPLINE_COUNT = {
     "reversal": 5,
     "load_reversal": 5,
 }
-"""Splines along the stroke of groups that vary with position; the data choose how smooth."""
+"""Splines along the stroke of groups that vary with position."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,8 @@ def follow(
     arrays = {f"signal {i}": signal for i, signal in enumerate(signals)}
     t, p, *rest = require_signals(20, time=time, position=position, **arrays)
     step = require_rising(t)
-    size = max(1, math.floor(1 / (step * WORK_RATE * bandwidth_hz) * (1 + 1e-6)))
+    work_rate = max(WORK_RATE * bandwidth_hz, ROW_RATE)
+    size = max(1, math.floor(1 / (step * work_rate) * (1 + 1e-6)))
     t, p, *rest = (block_means(values, size) for values in (t, p, *rest))
     rate = 1 / (step * size)
     factor = max(1, round(rate / ROW_RATE))
@@ -214,13 +215,11 @@ def motion_functions(
     magnitude = np.abs(speed)
     slowness = np.log(np.hypot(magnitude, rest))
     memory = _since_reversal(path, scales) * (not alone)
+    along = {count: splines(place, count).T for count in set(SPLINE_COUNT.values())}
     groups = {
-        "offset": splines(place, SPLINE_COUNT["offset"]).T,
-        "load": splines(place, SPLINE_COUNT["load"]).T,
-        "load_squared": splines(place, SPLINE_COUNT["load_squared"]).T,
-        "load_cubed": splines(place, SPLINE_COUNT["load_cubed"]).T,
-        "viscous": splines(place, SPLINE_COUNT["viscous"]).T * magnitude,
-        "stribeck": splines(place, SPLINE_COUNT["stribeck"]).T * slowness,
+        **{name: along[count] for name, count in SPLINE_COUNT.items()},
+        "viscous": along[SPLINE_COUNT["viscous"]] * magnitude,
+        "stribeck": along[SPLINE_COUNT["stribeck"]] * slowness,
         "load_speed": np.stack([magnitude, slowness]),
         "inertia": np.gradient(path.fine_speed, 1 / path.rate)[None] / scales.acceleration,
         "memory": memory,
@@ -230,13 +229,15 @@ def motion_functions(
     here, there = (1 + way) / 2, (1 - way) / 2
     if alone:
         here, there = np.ones_like(way), np.zeros_like(way)
-    across = splines(place, SPLINE_COUNT["reversal"]).T * (there / here)
+    groups["reversal"] = groups["load_reversal"] = groups["reversal"] * (there / here)
     if scales.turn:
         angle = path.fine_position * (2 * math.pi / scales.turn)
         waves = np.stack([f(order * angle) for order in ORDERS for f in (np.cos, np.sin)])
-        groups["ripple"] = groups["load_ripple"] = waves
-    groups["reversal"] = groups["load_reversal"] = across
-    return {name: path.thin(columns * here).T for name, columns in groups.items()}
+        groups["ripple"] = waves
+    # One pass of the low-pass: designing it anew for each group takes longer than filtering
+    columns = path.thin(np.concatenate(list(groups.values())) * here).T
+    ends = np.cumsum([len(group) for group in groups.values()])
+    return dict(zip(groups, np.split(columns, ends[:-1], axis=1), strict=True))
 
 
 LOAD_POWER = {
@@ -245,7 +246,6 @@ LOAD_POWER = {
     "load_cubed": 3,
     "load_speed": 1,
     "load_memory": 1,
-    "load_ripple": 1,
     "load_reversal": 1,
 }
 """Power of the torque that a group is multiplied by; others stand alone."""
@@ -262,7 +262,6 @@ GROUPS = (
     "memory",
     "load_memory",
     "ripple",
-    "load_ripple",
     "reversal",
     "load_reversal",
 )
@@ -271,8 +270,7 @@ GROUPS = (
 
 def size_of(group: str) -> int:
     """Return how many columns a group has."""
-    waves = 2 * len(ORDERS)
-    sizes = {"load_speed": 2, "inertia": 1, "ripple": waves, "load_ripple": waves}
+    sizes = {"load_speed": 2, "inertia": 1, "ripple": 2 * len(ORDERS)}
     return SPLINE_COUNT.get(group) or sizes.get(group, len(LENGTHS))
 
 

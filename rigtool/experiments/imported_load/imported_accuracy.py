@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_over_time.motion_states import State
 from rigtool.experiments.imported import effort_of, position_of
 from rigtool.experiments.imported_load.basis import ShaftPath, follow
 from rigtool.experiments.imported_load.learning import Observation, level_numbers
-from rigtool.experiments.imported_load.model import TorqueEstimate
+from rigtool.experiments.imported_load.model import NORMAL_95, TorqueEstimate
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.runfile import Column, Recording, Run
 
@@ -27,8 +28,6 @@ FAST = 0.25
 
 WIDE = 50.0
 """The bandwidth of the same paper, Hz, at which accuracy is reported as well."""
-
-NORMAL_95 = 1.959963984540054
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,13 +142,13 @@ def judge(signals: LoadSignals, estimate: TorqueEstimate, direction: int) -> Jud
     if signals.reference is None:
         raise ValueError(f"nothing to compare with without {REFERENCE}")
     rows = signals.counts
-    error = (estimate.torque - signals.reference)[rows]
+    error = np.where(estimate.inside, estimate.torque - signals.reference, np.nan)[rows]
     speed = (direction * signals.output_speed)[rows]
     return Judged(
         error=error,
         closing=speed > FAST,
         opening=speed < -FAST,
-        moving=~estimate.still[rows],
+        moving=~np.isin(estimate.states, (State.REVERSED, State.STILL))[rows],
         sure=np.abs(error) <= NORMAL_95 * estimate.u[rows],
     )
 

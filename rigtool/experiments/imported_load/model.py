@@ -7,19 +7,22 @@ Friction that grows with load is the part of g1 that changes sign with the direc
 shifts f0 along the position, which to first order is part of g1, too.
 
 Outside the region that was learned there is no estimate (`region`). Near standstill friction
-is undetermined: the dead band bounds the load instead.
+is undetermined: a dead band bounds the load.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_over_time.motion_states import State, States
 from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
-from rigtool.experiments.imported_load.region import Region
+from rigtool.experiments.imported_load.loop import Loop
+from rigtool.experiments.imported_load.region import Region, reached
 from rigtool.numerics.arrays import Array, Mask
 
 SIGNS = (1, -1)
@@ -34,67 +37,85 @@ HIGHEST_POWER = max(LOAD_POWER.values())
 SLOWEST = 1e-3
 """Speed below which scatter does not change any more, as part of the highest."""
 
+NORMAL_95 = 1.959963984540054
+"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
+
 HALVINGS = 40
 """Times that the range of torques is halved to find one: far finer than any uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueEstimate:
-    """Torque, N m, and its standard uncertainty at each row (n,): NaN where there is none.
+    """Torque, N m, its standard uncertainty and 95 % interval at each row (n,).
 
-    `inside` marks rows within the learned region; `low` and `high` (n,) bound the torque where
-    friction hides it, NaN elsewhere and where nothing bounds it. `still` marks those rows: near
-    standstill, or so soon after a reversal that effort hardly depends on the load yet.
+    `states` (n,) are those of force over time. Where friction may act either way, near standstill
+    and so soon after a reversal that effort hardly depends on the load yet, `low` and `high` are
+    the ends of the dead band, the torque is its middle and u that of a rectangular distribution
+    (GUM 4.3.7). Outside what was learned, and where nothing bounds the torque, all are NaN.
     """
 
     torque: Array
     u: Array
-    inside: Mask
-    still: Mask
     low: Array
     high: Array
+    states: States
+
+    @property
+    def inside(self) -> Mask:
+        """Rows with a value while moving."""
+        found: Mask = (self.states == State.AGAINST) | (self.states == State.WITH)
+        return found
+
+    def widened(self, factor: float) -> TorqueEstimate:
+        """Return the estimate with u times a factor while moving."""
+        u = np.where(self.inside, factor, 1.0) * self.u
+        half = NORMAL_95 * u
+        low = np.where(self.inside, self.torque - half, self.low)
+        high = np.where(self.inside, self.torque + half, self.high)
+        return replace(self, u=u, low=low, high=high)
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """What was learned of one direction: `degree` of each group in use, in the order of columns.
+    """What was learned of one direction, of `groups` of functions in the order of columns.
 
     `weights` (k,) and their `covariance` (k, k) are without unit; `scatter` (3,) is the logarithm
-    of the scatter's variance: constant, by the logarithm of speed, by torque; `factor` multiplies
-    uncertainties. `common` is the standard deviation of a recording's mean error, what averaging
-    over one recording does not take off; `slope` is the usual one of effort by torque.
+    of the scatter's variance: constant, by the logarithm of speed, by torque; `factors` (l,)
+    multiply uncertainties at torques `levels` (l,), which rise: between two the larger. `slope` is
+    the usual one of effort by torque.
     """
 
-    degree: Mapping[str, float]
+    groups: tuple[str, ...]
     weights: Array
     covariance: Array
     scatter: Array
-    factor: float
-    common: float
+    levels: Array
+    factors: Array
     slope: float
 
-    def solve(
-        self, functions: Mapping[str, Array], effort: Array, torque_range: tuple[float, float]
-    ) -> tuple[Array, Array, Array]:
-        """Return torque, slope of effort by torque there, and variance of effort, (n,) each.
+    def factor(self, torque: Array) -> Array:
+        """Return the factor on uncertainties at torques (n,)."""
+        above = np.searchsorted(self.levels, torque)
+        last = len(self.levels) - 1
+        found: Array = np.maximum(
+            self.factors[np.clip(above - 1, 0, last)], self.factors[np.clip(above, 0, last)]
+        )
+        return found
 
-        All without unit. By halving the range of torques; NaN where the effort is that of none.
-        """
-        design = DesignMatrix.joined({name: functions[name] for name in self.degree})
-        parts = design.polynomial(self.weights)
-        low, high = (np.full(len(effort), edge) for edge in torque_range)
-        bottom, top = polynomial_at(parts, low), polynomial_at(parts, high)
-        rising = np.sign(top - bottom)
-        known = (rising * (effort - bottom) >= 0) & (rising * (top - effort) >= 0)
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2
-            beyond = rising * (polynomial_at(parts, middle) - effort) > 0
-            low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
-        torque = np.where(known, (low + high) / 2, np.nan)
-        powers = np.arange(1, len(parts))[:, None]
-        slope = polynomial_at(parts[1:] * powers, torque)
+    def design(self, functions: Mapping[str, Array]) -> DesignMatrix:
+        """Return the functions in use."""
+        return DesignMatrix.joined({name: functions[name] for name in self.groups})
+
+    def spread(self, design: DesignMatrix, speed: Array, torque: Array) -> tuple[Array, Array]:
+        """Return the standard uncertainty (n,) of torques (n,) at speeds (n,), and the slope of
+        effort by torque (n,) there, without unit."""
         row = design.at(torque)
-        return torque, slope, np.einsum("ij,ij->i", row @ self.covariance, row)
+        variance = np.einsum("ij,ij->i", row @ self.covariance, row)
+        variance += scatter_variance(self.scatter, speed, torque)
+        slope = np.abs(design.slope(self.weights, torque))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            u: Array = self.factor(torque) * np.sqrt(variance) / slope
+        return u, slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +123,8 @@ class LoadModel:
     """A model of both directions, positive speed first.
 
     Effort is in units of `effort_scale`; `torque_range` are the lowest and highest torque that are
-    looked at, without unit; `direction` is the sign of the speed against which the load acts.
+    looked at, without unit; `direction` is the sign of the speed against which the load acts;
+    `loop` is what shows that runs are of the mounting that was learned.
     """
 
     scales: Scales
@@ -112,47 +134,60 @@ class LoadModel:
     torque_range: tuple[float, float]
     direction: int
     region: Region
+    loop: Loop
+
+    def place(self, path: ShaftPath) -> Array:
+        """Return the position (n,) as part of the learned stroke."""
+        found: Array = (path.position - self.scales.low) / (self.scales.high - self.scales.low)
+        return found
 
     def estimate(self, effort: Array, path: ShaftPath) -> TorqueEstimate:
         """Return the torque at the rows (n,) of a path whose effort is given."""
         speed, unit = path.speed / self.scales.speed, self.scales.torque
-        torque, u, slope_share = (np.full(len(speed), np.nan) for _ in range(3))
+        torque, u, share = (np.full(len(speed), np.nan) for _ in range(3))
         for sign, side in zip(SIGNS, self.sides, strict=True):
             mask = speed < 0 if sign < 0 else speed >= 0
-            functions = motion_functions(path, self.scales, sign)
-            found, slope, variance = side.solve(
-                functions, effort / self.effort_scale, self.torque_range
-            )
-            variance += scatter_variance(side.scatter, speed, found)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                spread = side.factor * np.sqrt(variance) / np.abs(slope)
-            torque[mask], u[mask] = found[mask], spread[mask]
-            slope_share[mask] = np.abs(slope[mask]) / side.slope
-        still = (np.abs(path.speed) < self.scales.standstill) | (slope_share < FLAT)
-        place = (path.position - self.scales.low) / (self.scales.high - self.scales.low)
-        inside = self.region.holds(place, speed, torque) & path.regular & ~still
-        low, high = self._dead_band(effort, path, still)
-        return TorqueEstimate(
-            torque=np.where(inside, torque, np.nan) * unit,
-            u=np.where(inside, u, np.nan) * unit,
-            inside=inside,
-            still=still,
-            low=low,
-            high=high,
+            design = side.design(motion_functions(path, self.scales, sign))
+            found, known = design.solve(side.weights, effort / self.effort_scale, self.torque_range)
+            spread, slope = side.spread(design, speed, found)
+            torque[mask] = np.where(known, found, np.nan)[mask]
+            u[mask], share[mask] = spread[mask], slope[mask] / side.slope
+        still = np.abs(path.speed) < self.scales.standstill
+        hidden = still | (share < FLAT)
+        place = self.place(path)
+        known = self.region.holds(place, speed, torque) & path.regular & ~hidden
+        states = np.where(self.direction * speed >= 0, State.AGAINST, State.WITH)
+        states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]
+        low, high = self._dead_band(effort, path, hidden)
+        bounded = hidden & path.regular & reached(place) & np.isfinite(low + high)
+        states[~known & ~bounded] = State.OUTSIDE
+        low = np.where(known, torque - NORMAL_95 * u, low)
+        high = np.where(known, torque + NORMAL_95 * u, high)
+        torque = np.where(known, torque, (low + high) / 2)
+        u = np.where(known, u, (high - low) / math.sqrt(12))
+        torque, u, low, high = np.where(
+            states == State.OUTSIDE, np.nan, unit * np.stack([torque, u, low, high])
         )
+        return TorqueEstimate(torque, u, low, high, states)
 
-    def _dead_band(self, effort: Array, path: ShaftPath, still: Mask) -> tuple[Array, Array]:
-        """Return the torques (n,) between which the load is where friction may act either way."""
-        edges = np.full((2, len(effort)), np.nan)
-        if still.any():
-            for edge, sign, side in zip(edges, SIGNS, self.sides, strict=True):
+    def _dead_band(self, effort: Array, path: ShaftPath, hidden: Mask) -> tuple[Array, Array]:
+        """Return the torques (n,), without unit, between which the load is where friction may act
+        either way: at most the range that was learned."""
+        edges, half = np.full((2, 2, len(effort)), np.nan)
+        if hidden.any():
+            speed = path.speed[hidden] / self.scales.speed
+            for number, (sign, side) in enumerate(zip(SIGNS, self.sides, strict=True)):
                 functions = motion_functions(path, self.scales, sign, alone=True)
-                rows = {name: functions[name][still] for name in side.degree}
-                scaled = effort[still] / self.effort_scale
-                edge[still] = side.solve(rows, scaled, self.torque_range)[0]
-        edges[:, np.isnan(edges).any(axis=0)] = np.nan
-        low, high = np.sort(edges, axis=0) * self.scales.torque
-        return low, high
+                design = side.design({name: functions[name][hidden] for name in side.groups})
+                scaled = effort[hidden] / self.effort_scale
+                found, _ = design.solve(side.weights, scaled, self.torque_range)
+                edges[number, hidden] = found
+                half[number, hidden] = NORMAL_95 * side.spread(design, speed, found)[0]
+        order = np.argsort(edges, axis=0)
+        low, high = np.take_along_axis(edges, order, axis=0)
+        low = np.where(low < high, low, np.nan)  # else both are beyond one end of the range
+        wider = np.take_along_axis(half, order, axis=0)
+        return low - wider[0], high + wider[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,20 +205,36 @@ class DesignMatrix:
 
     def polynomial(self, weights: Array) -> Array:
         """Return the effort's parts by power of the torque, (powers, n)."""
-        parts = [
-            self.columns[:, self.power == power] @ weights[self.power == power]
-            for power in range(HIGHEST_POWER + 1)
-        ]
-        return np.stack(parts)
+        powers = np.arange(HIGHEST_POWER + 1)[:, None]
+        parts: Array = np.where(self.power == powers, weights, 0.0) @ self.columns.T
+        return parts
+
+    def solve(
+        self, weights: Array, effort: Array, torque_range: tuple[float, float]
+    ) -> tuple[Array, Mask]:
+        """Return the torque (n,) that makes an effort (n,), and where the range holds it.
+
+        By halving the range of torques: beyond it, the torque is the nearer end.
+        """
+        parts = self.polynomial(weights)
+        low, high = (np.full(len(effort), edge) for edge in torque_range)
+        bottom, top = polynomial_at(parts, low), polynomial_at(parts, high)
+        rising = np.sign(top - bottom)
+        known = (rising * (effort - bottom) >= 0) & (rising * (top - effort) >= 0)
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            beyond = rising * (polynomial_at(parts, middle) - effort) > 0
+            low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+        return (low + high) / 2, known
 
     def at(self, torque: Array) -> Array:
         """Return rows (n, k) at a torque, so that rows @ weights is the effort."""
         return self.columns * torque[:, None] ** self.power
 
-    def slope(self, torque: Array) -> Array:
-        """Return rows (n, k) so that rows @ weights is the slope of effort by torque."""
-        below = np.maximum(self.power - 1, 0)
-        return self.columns * (self.power * torque[:, None] ** below)
+    def slope(self, weights: Array, torque: Array) -> Array:
+        """Return the slope (n,) of effort by torque at a torque."""
+        parts = self.polynomial(weights)
+        return polynomial_at(parts[1:] * np.arange(1, len(parts))[:, None], torque)
 
 
 def polynomial_at(parts: Array, torque: Array) -> Array:

@@ -16,34 +16,34 @@ import numpy as np
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.imported import is_linear, require_one_rig, signals_of
 from rigtool.experiments.imported_load.imported_accuracy import (
+    FAST,
     REFERENCE,
     WIDE,
     Accuracy,
+    Judged,
     LoadSignals,
     accuracy,
     accuracy_columns,
     carries,
-    judge,
     levels_of,
     read_signals,
 )
-from rigtool.experiments.imported_load.learning import (
-    Learned,
-    Observation,
-    Validation,
-    learn_load_model,
+from rigtool.experiments.imported_load.learning import Learned, Validation, learn_load_model
+from rigtool.experiments.imported_load.model import NORMAL_95, LoadModel
+from rigtool.experiments.imported_load.stored import (
+    MODEL,
+    RANDOM,
+    WIDE_MODEL,
+    load_model_from,
+    tables_of,
 )
-from rigtool.experiments.imported_load.model import LoadModel
-from rigtool.experiments.imported_load.stored import RANDOM, WIDE_MODEL, tables_of
 from rigtool.experiments.learning.procedure import PROCEDURE as LEARNING
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
 from rigtool.recipe.commands import MeasureForce
 from rigtool.runfile import Column, Run, Table
-
-SEED = 1
-"""Of the random halves; the result hardly depends on it."""
 
 
 def analyse_imported(
@@ -52,12 +52,14 @@ def analyse_imported(
     kt: Run | None = None,
     friction: Run | None = None,
     plant: Run | None = None,
+    prior: Run | None = None,
     bandwidth_hz: float = MeasureForce().lowpass_hz,
 ) -> Outcome:
     """Learn effort by motion and load, from signals with this bandwidth.
 
-    Raises `RunFileError` for runs without a reference torque, `InsufficientDataError` where they do
-    not show how effort grows with load, `UsageError` for options of the bench's own rig.
+    `prior` holds the tables of another mounting of the instrument. Raises `RunFileError` for runs
+    without a reference torque, `InsufficientDataError` where they do not show how effort grows with
+    load, `UsageError` for options of the bench's own rig and a prior of other signals.
     """
     for name, given in (("friction", friction), ("plant", plant)):
         if given is not None:
@@ -75,49 +77,64 @@ def analyse_imported(
         for run, recording in zip(runs, recordings_, strict=True)
     ]
     levels = levels_of(signals)
-    observations = [item.observation(n) for item, n in zip(signals, levels, strict=True)]
     turn = 0.0 if is_linear(recordings_[0]) else 2 * math.pi
-    learned = learn_load_model(observations, turn=turn)
-    model = learned.model
     unit = signals[0].effort_unit
-    tables = tables_of(model, unit)
-    random = [_random_split(signals, observations, model, turn)]
+    learned = _learn(signals, levels, turn, _prior(prior, MODEL, unit, bandwidth_hz))
+    tables = tables_of(learned.model, unit)
+    random = [(bandwidth_hz, _random_half(signals, learned))]
     if carries(recordings_, WIDE):
         wide = [
             read_signals(run, recording, kt, WIDE)
             for run, recording in zip(runs, recordings_, strict=True)
         ]
-        again = [item.observation(level) for item, level in zip(wide, levels, strict=True)]
-        random.append(_random_split(wide, again, model, turn))
-        tables |= tables_of(learn_load_model(again, turn=turn, like=model).model, unit, WIDE_MODEL)
+        again = _learn(wide, levels, turn, _prior(prior, WIDE_MODEL, unit, WIDE))
+        random.append((WIDE, _random_half(wide, again)))
+        tables |= tables_of(again.model, unit, WIDE_MODEL)
     tables |= {
         "load_friction": _friction_table(learned),
-        "left_out": _level_table(learned.validation, levels, model.direction),
+        "left_out": _level_table(learned.validation, levels, learned.model.direction),
         RANDOM: _random_table(random),
     }
     return Outcome(_results(learned, levels), tables, tuple(_notes(learned, levels)))
 
 
-def _random_split(
-    signals: Sequence[LoadSignals],
-    observations: Sequence[Observation],
-    model: LoadModel,
-    turn: float,
-) -> tuple[float, Accuracy]:
-    """Learn from half of the samples, chosen at random; return bandwidth and errors of the rest.
+def _prior(prior: Run | None, name: str, unit: str, bandwidth_hz: float) -> LoadModel | None:
+    """Return the model of a prior run; `UsageError` where it is of other signals."""
+    if prior is None:
+        return None
+    model, prior_unit = load_model_from(prior, name)
+    if (prior_unit, model.bandwidth_hz) != (unit, bandwidth_hz):
+        raise UsageError(
+            f"{prior.path}: was learned from effort in {prior_unit} at {model.bandwidth_hz:g} Hz, "
+            f"these runs have {unit} at {bandwidth_hz:g} Hz: give --kt and "
+            "measure_force.lowpass_hz as there"
+        )
+    return model
 
-    As neighbouring samples are alike, this proves less than levels that were left out; publications
-    split in this way.
-    """
-    random = np.random.default_rng(SEED)
-    halves = [random.random(len(item.used)) < 0.5 for item in observations]
-    chosen = [replace(o, used=o.used & h) for o, h in zip(observations, halves, strict=True)]
-    half = learn_load_model(chosen, turn=turn, like=model).model
-    judged = []
-    for item, rest in zip(signals, halves, strict=True):
-        estimate = half.estimate(item.effort, item.path)
-        judged.append(judge(replace(item, counts=item.counts & ~rest), estimate, half.direction))
-    return signals[0].path.bandwidth_hz, accuracy(judged)
+
+def _learn(
+    signals: Sequence[LoadSignals], levels: Sequence[int], turn: float, prior: LoadModel | None
+) -> Learned:
+    observations = [item.observation(n) for item, n in zip(signals, levels, strict=True)]
+    return learn_load_model(observations, turn=turn, prior=prior)
+
+
+def _random_half(signals: Sequence[LoadSignals], learned: Learned) -> Accuracy:
+    """Return the errors at the random half of the samples that was kept from learning."""
+    found, judged = learned.random, []
+    for number, item in enumerate(signals):
+        own = found.recording == number
+        speed = learned.model.direction * item.output_speed[found.row[own]]
+        judged.append(
+            Judged(
+                error=found.error[own],
+                closing=speed > FAST,
+                opening=speed < -FAST,
+                moving=np.ones(len(speed), dtype=bool),
+                sure=np.abs(found.error[own]) <= NORMAL_95 * found.u[own],
+            )
+        )
+    return accuracy(judged)
 
 
 # -- what is reported
@@ -142,16 +159,13 @@ def _results(learned: Learned, levels: Sequence[int]) -> dict[str, Quantity]:
 
 def _notes(learned: Learned, levels: Sequence[int]) -> list[str]:
     model = learned.model
-    used = "; ".join(
-        f"speed {'+-'[number]}: "
-        + ", ".join(f"{name} {degree:g}" for name, degree in side.degree.items())
-        for number, side in enumerate(model.sides)
-    )
     scales = model.scales
     return [
         f"learned from {len(levels)} runs at {len(set(levels))} load levels, up to "
         f"{scales.torque * 1e3:.4g} mN m, position {scales.low:.4g} to {scales.high:.4g} rad",
-        f"functions in use and their degree of smoothing, chosen by levels left out: {used}",
+        "u is widened by the errors at levels and speeds that were left out, most by "
+        f"{max(side.factors.max() for side in model.sides):.3g}; slower and faster than learned "
+        "there is no value",
         f"below {scales.standstill:.3g} rad/s friction is undetermined: no value there, only a "
         "dead band",
     ]
@@ -211,8 +225,18 @@ def _random_table(found: Sequence[tuple[float, Accuracy]]) -> Table:
     )
 
 
+def _analyse(
+    runs: Sequence[Run], recipe: Recipe, *, prior: Run | None = None, **inputs: Run
+) -> Outcome:
+    """Analyse the bench's own runs."""
+    if prior is not None:
+        raise UsageError("--prior: is for imported runs, the bench's own rig is learned anew")
+    return LEARNING.analyse(runs, recipe, **inputs)
+
+
 PROCEDURE = replace(
     LEARNING,
+    analyse=_analyse,
     analyse_imported=analyse_imported,
     imported_settings={"measure_force.lowpass_hz": "bandwidth_hz"},
 )

@@ -1,7 +1,8 @@
-"""Where a load model was learned: a convex region of position, speed and load in each direction.
+"""Where a load model was learned: speeds v and torques M in each cell of the stroke, by direction.
 
-The region is the intersection of half-spaces n.x <= h in `FACES` directions n, h being the furthest
-that learned points go, plus a margin: convex, and never smaller than the hull of the points.
+    inside  =  v_min / 1.1 <= |v| <= 1.1 v_max  and  M_min - margin <= M <= M_max + margin
+
+Slower than learned is outside as well as faster: friction of slow motion is another one.
 """
 
 from __future__ import annotations
@@ -9,58 +10,84 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array, Mask
 
-FACES = 200
-"""Half-spaces."""
-
-MARGIN = 0.75
-"""Load beyond the learned levels, in spacings of the levels."""
+CELLS = 20
+"""Parts of the stroke."""
 
 SLACK = 0.03
-"""Position and speed beyond the learned ones, as part of the stroke and of the highest speed."""
+"""Position beyond the learned ones, as part of the stroke."""
+
+BEYOND = 1.1
+"""Of the speeds that were learned: what is given nonetheless, up and down."""
+
+MARGIN, NARROW = 0.75, 0.25
+"""Load beyond the learned levels, in spacings of the levels: where an interval held at the last
+level when that was left out, and where not. The second is for scatter, not for other loads."""
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Half-spaces of each direction: `reach` (2, FACES) of positive and negative speeds."""
+    """Lowest and highest magnitude of speed, and torque, in each cell of the stroke: (2, CELLS)
+    each, of positive and negative speeds; NaN where nothing was learned."""
 
-    reach: Array
+    slowest: Array
+    fastest: Array
+    lowest: Array
+    highest: Array
 
     def holds(self, place: Array, speed: Array, torque: Array) -> Mask:
         """Return which points (n,) are inside; NaN is outside."""
-        points = np.column_stack([place, speed, torque])
-        finite = np.isfinite(points).all(axis=1)
-        far = np.nan_to_num(points, nan=0.0, posinf=0.0, neginf=0.0) @ normals().T
-        side = (speed < 0).astype(int)
-        inside: Mask = finite & (far <= self.reach[side]).all(axis=1)
+        side, cell = (speed < 0).astype(int), cells_of(place)
+        magnitude = np.abs(speed)
+        inside: Mask = (
+            reached(place)
+            & (magnitude >= self.slowest[side, cell])
+            & (magnitude <= self.fastest[side, cell])
+            & (torque >= self.lowest[side, cell])
+            & (torque <= self.highest[side, cell])
+        )
         return inside
 
 
-def torque_range(torque: Array, levels: int) -> tuple[float, float]:
-    """Return the lowest and highest torque that can be inside, by those learned (n,)."""
-    margin = MARGIN * _spacing(torque, levels)
-    return float(torque.min()) - margin, float(torque.max()) + margin
+def reached(place: Array) -> Mask:
+    """Return which places (n,) are on the learned stroke."""
+    found: Mask = (place >= -SLACK) & (place <= 1 + SLACK)
+    return found
 
 
-def _spacing(torque: Array, levels: int) -> float:
+def cells_of(place: Array) -> NDArray[np.intp]:
+    """Return the cell (n,) of each place on the stroke."""
+    found: NDArray[np.intp] = np.clip(np.floor(np.nan_to_num(place) * CELLS), 0, CELLS - 1).astype(
+        np.intp
+    )
+    return found
+
+
+def spacing_of(torque: Array, levels: int) -> float:
+    """Return the mean spacing of the levels by the torques (n,) that were learned."""
     return float(np.ptp(torque)) / max(levels - 1, 1)
 
 
-def learn_region(place: Array, speed: Array, torque: Array, levels: int) -> Region:
-    """Return the region of learned points (n,): numbers near 1, whatever their units."""
-    margin = np.abs(normals()) @ np.array([SLACK, SLACK, MARGIN * _spacing(torque, levels)])
-    points = np.column_stack([place, speed, torque])
-    sides = [points[speed > 0], points[speed < 0]]
-    return Region(np.stack([(side @ normals().T).max(axis=0) + margin for side in sides]))
+def learn_region(place: Array, speed: Array, torque: Array, margins: Array) -> Region:
+    """Return the region of learned points (n,), without unit.
 
-
-def normals() -> Array:
-    """Return the directions, (FACES, 3): a spiral on the sphere, and the axes themselves."""
-    count = FACES - 6
-    z = 1 - (2 * np.arange(count) + 1) / count
-    turn = np.pi * (3 - 5**0.5) * np.arange(count)
-    radius = np.sqrt(1 - z**2)
-    spiral = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), z])
-    return np.vstack([spiral, np.eye(3), -np.eye(3)])
+    `margins` (2, 2) are those of torque, of positive and negative speeds, at the lower and at the
+    higher end.
+    """
+    found = np.full((4, 2, CELLS), np.nan)
+    cell = cells_of(place)
+    for side, rows in enumerate((speed > 0, speed < 0)):
+        for number in np.unique(cell[rows]):
+            # Speed changes along a cell: its neighbours' count as well
+            near = rows & (np.abs(cell - number) <= 1)
+            magnitude, own = np.abs(speed[near]), torque[near]
+            found[:, side, number] = (
+                magnitude.min() / BEYOND,
+                magnitude.max() * BEYOND,
+                own.min() - margins[side, 0],
+                own.max() + margins[side, 1],
+            )
+    return Region(*found)

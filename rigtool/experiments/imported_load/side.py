@@ -1,53 +1,55 @@
-"""One direction of a load model: penalised least squares, its degrees chosen by levels left out.
+"""One direction of a load model: penalised least squares, judged by what was left out.
 
-Neighbouring splines are held together and other weights held small, by a degree for each group of
-functions (Eilers & Marx, Statistical Science 11(2) 89-121, 1996). Rows are weighted by the scatter
-that a first fit shows. Leaving out one fold of recordings after the other chooses each degree, or
-that the group is of no use: what counts is how the model does where it was not learned.
+Neighbouring splines are held together and other weights held small by one degree of smoothing
+(P. H. C. Eilers, B. D. Marx, Statistical Science 11(2) 89-121, 1996). With columns A (n, k),
+weights W of the rows and the penalty P, the coefficients (k,) solve
 
-The uncertainty has three parts: of the weights, from how whole recordings disagree, so that
+    (A'WA + n P) (c - c0) = A'W (e - A c0)
+
+where c0 is what a prior model knows, else zero. A'WA and A'We are gathered recording by recording:
+all that leaving out levels, speeds or recordings needs are sums over those.
+
+The uncertainty has three parts: of the coefficients, from how whole recordings disagree, so that
 residuals may be correlated in time as they like; scatter, that changes with speed and load; and a
-factor that makes 95 % intervals hold 95 % of the rows of a level that was left out, from the choice
-of degrees on.
+factor for each load level, that makes 95 % intervals hold 95 % of its rows when the level, or one
+of the speeds between others, was left out.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.imported_load.basis import LOAD_POWER, SPLINE_COUNT, size_of
-from rigtool.experiments.imported_load.model import FLAT, Side, scatter_rows, scatter_variance
+from rigtool.experiments.imported_load.model import (
+    FLAT,
+    DesignMatrix,
+    Side,
+    scatter_rows,
+    scatter_variance,
+)
 from rigtool.numerics.arrays import Array, Mask
 
 Numbers = NDArray[np.intp]
-Degree = Mapping[str, float]
 
-DEGREES = (1e-6, 1e-4, 1e-2, 1.0)
-"""Degrees of smoothing that are tried; the mean square of a column is 1."""
-
-START = 1e-2
-"""Degree that the choice starts from, with all groups."""
-
-ALWAYS = ("offset", "load")
-"""Groups without which there is no model; others may turn out to be of no use."""
-
-WORTH = 0.002
-"""Part by which a choice must lower the error to be taken."""
-
-ROUNDS = 3
-"""Times that the choice goes round all groups, at most."""
+DEGREE = 1e-2
+"""Degree of smoothing; the mean square of a column is 1. Choosing one for each group of functions
+by levels left out is no better at levels that were in neither."""
 
 RIDGE = 1e-4
-"""Degree by which weights are held small, at least, so that functions that are alike where it was
+"""Degree by which splines are held small besides, so that functions that are alike where it was
 learned, such as those of speed, do not work against each other between."""
 
 TINY = 1e-7
-"""The same for groups that have nothing like them: just that the equations can be solved."""
+"""The same for `ALWAYS`, which have nothing like them: just that the equations can be solved."""
+
+HELD = 100.0
+"""Times that weights are held closer to a prior's than others to zero."""
+
+ALWAYS = ("offset", "load")
 
 COVERAGE, NORMAL = 0.95, 1.959963984540054
 """Of intervals, and the normal quantile of that."""
@@ -58,7 +60,7 @@ LOG_CHI2 = 1.270362845461478
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Rows (n,) of folds that were left out: error and u of the torque, without unit.
+    """Rows (n,) of levels that were left out: error and u of the torque, without unit.
 
     `resolved` (n,) marks rows where effort depends enough on the load for an error. `slope`
     (n,) of effort by torque is that of all rows, `slopes` (folds, n) those without each fold.
@@ -73,281 +75,238 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows (n,) in motion in one direction, without unit, and columns (n, k) of all groups.
+    """Rows (n,) in motion in one direction, without unit.
 
-    `columns` are the effort's functions at the row's torque, `slopes` their derivative by it, both
-    divided by `size` (k,); `fold` and `recording` number what is left out together, and where
-    residuals go together.
+    `design` holds the functions of motion (n, k), `columns` those at the row's torque over `size`
+    (k,); `recording` numbers where residuals go together, `level` the load; `folds` are ways (n,)
+    of leaving out, loads first: rows of one number are left out together, -1 never.
     """
 
-    groups: dict[str, Numbers]
+    names: tuple[str, ...]
+    design: DesignMatrix
     columns: Array
-    slopes: Array
     size: Array
     effort: Array
     torque: Array
     speed: Array
-    fold: Numbers
     recording: Numbers
+    level: Numbers
+    folds: Sequence[Numbers]
     weight: Array
     sums: Sums
 
     @staticmethod
     def of(
-        names: list[str],
-        columns: Array,
-        slopes: Array,
+        names: Sequence[str],
+        design: DesignMatrix,
         effort: Array,
         torque: Array,
         speed: Array,
-        fold: Numbers,
         recording: Numbers,
+        level: Numbers,
+        folds: Sequence[Numbers],
+        prior: Side | None,
     ) -> Rows:
         """Gather rows; weights are those of the scatter that a first fit shows."""
-        ends = np.cumsum([size_of(name) for name in names])
-        groups = {
-            name: np.arange(end - size_of(name), end) for name, end in zip(names, ends, strict=True)
-        }
+        columns = design.at(torque)
         size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
-        columns, ones = columns / size, np.ones(len(effort))
+        columns /= size
+        ones = np.ones(len(effort))
+        penalty = penalty_of(names, size)
+        centre = np.zeros(len(size))
+        if prior is not None:
+            penalty, centre = prior_of(prior, names, size, penalty)
+        sums = Sums.of(columns, effort, ones, recording, penalty, centre)
         plain = Rows(
-            groups,
+            tuple(names),
+            design,
             columns,
-            slopes / size,
             size,
             effort,
             torque,
             speed,
-            fold,
             recording,
+            level,
+            folds,
             ones,
-            Sums.of(columns, effort, ones, fold),
+            sums,
         )
-        scatter = _fit_scatter(
-            plain.residual([dict.fromkeys(groups, START)] * plain.sums.folds), speed, torque
-        )
+        scatter = _fit_scatter(plain.left_out(folds[0])[0], speed, torque)
         weight = 1 / scatter_variance(scatter, speed, torque)
         weight /= weight.mean()
-        return replace(plain, weight=weight, sums=Sums.of(columns, effort, weight, fold))
+        sums = Sums.of(columns, effort, weight, recording, penalty, centre)
+        return replace(plain, weight=weight, sums=sums)
 
-    # -- one choice of degrees
+    def half(self, chosen: Mask) -> Array:
+        """Return coefficients (k,) from the rows that are `chosen` (n,) alone."""
+        sums = self.sums
+        part = Sums.of(
+            self.columns[chosen],
+            self.effort[chosen],
+            self.weight[chosen],
+            self.recording[chosen],
+            sums.penalty,
+            sums.centre,
+        )
+        return part.solve(part.all) / self.size
 
-    def use(self, degree: Degree) -> Numbers:
-        """Return the columns in use."""
-        return np.concatenate([self.groups[name] for name in degree])
+    def left_out(self, fold: Numbers) -> tuple[Array, Array, Array, Array]:
+        """Leave out one fold after the other; return what the others make of its rows.
 
-    def penalty(self, degree: Degree) -> Array:
-        """Return the matrix of the penalty for one row, (k, k)."""
-        from scipy.linalg import block_diag
-
-        blocks = []
-        for name, value in degree.items():
-            count = len(self.groups[name])
-            held, block = max(value, RIDGE), np.zeros((count, count))
-            if name in SPLINE_COUNT:
-                bend = np.diff(np.eye(count), 2, axis=0)
-                size = self.size[self.groups[name]]
-                # Neighbours are held together as functions, whatever their columns' sizes
-                block = bend.T @ bend * (float(np.mean(size)) ** 2) / np.outer(size, size)
-                held = TINY if name in ALWAYS else RIDGE
-            blocks.append(value * block + held * np.eye(count))
-        return np.asarray(block_diag(*blocks))
-
-    def weights(self, degree: Degree, without: int | None = None) -> Array:
-        """Return weights (k,), one fold left out."""
-        return self.sums.solve(self.use(degree), self.penalty(degree), without)
-
-    def residual(self, degrees: Sequence[Degree]) -> Array:
-        """Return the residual of effort (n,) in each fold, left out, with its own degrees."""
-        residual = np.empty_like(self.effort)
-        for fold, degree in enumerate(degrees):
-            rows = self.fold == fold
-            model = self.columns[np.ix_(rows, self.use(degree))] @ self.weights(degree, fold)
-            residual[rows] = self.effort[rows] - model
-        return residual
-
-    def choose(self, levels: int, without: int | None = None) -> dict[str, float]:
-        """Return the degree of each group that is of use, one group after the other.
-
-        A fold to be `without` is not used. A power of the torque needs more levels than it is high.
+        Residual, variance of the model, and slope of effort by torque, (n,) each, NaN in rows that
+        are never left out; and the slope of all rows without each fold, (folds, n).
         """
-        sums = self.sums.without(without)
-        names = [name for name in self.groups if LOAD_POWER.get(name, 0) < levels]
-        degree = dict.fromkeys(names, START)
-        best = self._cost(degree, sums)
-        for _ in range(ROUNDS):
-            before = best
-            for name in names:
-                tried = [{**degree, name: value} for value in DEGREES if degree.get(name) != value]
-                if name in degree and name not in ALWAYS:
-                    tried.append({n: v for n, v in degree.items() if n != name})
-                costs = [self._cost(each, sums) for each in tried]
-                if min(costs) < best - WORTH:
-                    best = min(costs)
-                    degree = tried[int(np.argmin(costs))]
-            if best > before - WORTH:
-                break
-        return degree
+        residual, variance, slope = (np.full(len(self.effort), np.nan) for _ in range(3))
+        slopes = []
+        for number in np.unique(fold[fold >= 0]):
+            rows = fold == number
+            out = np.unique(self.recording[rows])
+            keep = np.setdiff1d(self.sums.all, out)
+            coefficients = self.sums.solve(keep)
+            covariance = self.sums.covariance(keep, coefficients)
+            columns = self.columns[rows]
+            residual[rows] = self.effort[rows] - columns @ coefficients
+            variance[rows] = np.einsum("ij,ij->i", columns @ covariance, columns)
+            slopes.append(self.design.slope(coefficients / self.size, self.torque))
+            slope[rows] = slopes[-1][rows]
+        return residual, variance, slope, np.array(slopes)
 
-    def choose_each(self, levels: int) -> list[dict[str, float]]:
-        """Return what each fold's absence would have chosen: the choice is part of the learning."""
-        if self.sums.folds < 3:
-            return [self.choose(levels)] * self.sums.folds
-        return [self.choose(levels, fold) for fold in range(self.sums.folds)]
-
-    def _cost(self, degree: Degree, sums: Sums) -> float:
-        """Return the mean logarithm of the residual in folds that are left out.
-
-        Logarithms, as the levels at either end would else decide alone: they are extrapolated to.
-        """
-        squares = sums.held_out(self.use(degree), self.penalty(degree))
-        return 0.5 * float(np.mean(np.log(np.maximum(squares, 1e-300))))
-
-    # -- the model
-
-    def model(self, degree: Degree, each: Sequence[Degree]) -> tuple[Side, HeldOut]:
-        """Return the model of these degrees, and how folds did that were left out.
-
-        `each` fold with the degrees that were chosen without it.
-        """
-        use, penalty = self.use(degree), self.penalty(degree)
-        weights = self.sums.solve(use, penalty)
-        residual = self.residual(each)
-        scores = self._scores(residual)
+    def model(self) -> tuple[Side, HeldOut]:
+        """Return the model, and how it did at folds that were left out."""
+        coefficients = self.sums.solve(self.sums.all)
+        covariance = self.sums.covariance(self.sums.all, coefficients)
+        found = [self.left_out(fold) for fold in self.folds]
+        residual, variance, slope, slopes = found[0]
         scatter = _fit_scatter(residual, self.speed, self.torque)
-        variance, slope = np.empty_like(residual), np.empty_like(residual)
-        slopes = np.empty((len(each), len(residual)))
-        for fold, own in enumerate(each):
-            rows, where = self.fold == fold, self.use(own)
-            left = np.unique(self.recording[~rows])
-            inverse = self.sums.inverse(where, self.penalty(own), fold)
-            within = _covariance(inverse, scores[np.ix_(left, where)])
-            columns = self.columns[np.ix_(rows, where)]
-            variance[rows] = np.einsum("ij,ij->i", columns @ within, columns)
-            slopes[fold] = self.slopes[:, where] @ self.weights(own, fold)
-            slope[rows] = slopes[fold, rows]
-        variance += scatter_variance(scatter, self.speed, self.torque)
-        factor = self._factor(np.abs(residual) / np.sqrt(variance))
+        own = scatter_variance(scatter, self.speed, self.torque)
         usual = float(np.median(np.abs(slope)))
+        ratios = [np.abs(each[0]) / np.sqrt(each[1] + own) for each in found]
+        levels, factors = self._factors(ratios)
+        side = Side(
+            groups=self.names,
+            weights=coefficients / self.size,
+            covariance=covariance / np.outer(self.size, self.size),
+            scatter=scatter,
+            levels=levels,
+            factors=factors,
+            slope=usual,
+        )
         resolved = np.abs(slope) >= FLAT * usual
         safe = np.where(resolved, slope, usual)
         held = HeldOut(
             error=-residual / safe,
-            u=factor * np.sqrt(variance) / np.abs(safe),
-            slope=self.slopes[:, use] @ weights,
+            u=side.factor(self.torque) * np.sqrt(variance + own) / np.abs(safe),
+            slope=self.design.slope(side.weights, self.torque),
             slopes=slopes,
             resolved=resolved,
         )
-        size = self.size[use]
-        covariance = _covariance(self.sums.inverse(use, penalty), scores[:, use])
-        side = Side(
-            degree=dict(degree),
-            weights=weights / size,
-            covariance=covariance / np.outer(size, size),
-            scatter=scatter,
-            factor=factor,
-            common=_between(held.error[resolved], self.recording[resolved]),
-            slope=usual,
-        )
         return side, held
 
-    def _factor(self, ratio: Array) -> float:
-        """Return what makes 95 % intervals hold 95 % of the rows of folds that were left out.
+    def _factors(self, ratios: Sequence[Array]) -> tuple[Array, Array]:
+        """Return levels (l,) by their mean torque, and the factor that each asks for.
 
-        `ratio` (n,) is that of residual and its standard uncertainty there. Folds ask for different
-        factors, their mean counts. Recordings repeat the measurement: by their number r, Student's
-        t with r - 1 degrees of freedom stands for the normal distribution.
+        `ratios` (n,) of residual and its standard uncertainty, one for each way of leaving out; the
+        widest counts. Recordings repeat the measurement: by their number r, Student's t with r - 1
+        degrees of freedom stands for the normal distribution. No level counts on fewer errors than
+        the levels show on average.
         """
         from scipy.stats import t
 
-        folds = range(self.sums.folds)
-        asked = [float(np.quantile(ratio[self.fold == fold], COVERAGE)) for fold in folds]
         wider = float(t.ppf((1 + COVERAGE) / 2, len(np.unique(self.recording)) - 1)) / NORMAL
-        return wider * float(np.mean(asked)) / NORMAL
-
-    def _scores(self, residual: Array) -> Array:
-        """Return the sum of row times residual over each recording, (recordings, k)."""
-        scores = np.zeros((int(self.recording.max()) + 1, self.columns.shape[1]))
-        np.add.at(scores, self.recording, self.columns * (self.weight * residual)[:, None])
-        return scores
+        rows = []
+        for level in np.unique(self.level):
+            own = self.level == level
+            parts = [ratio[own & np.isfinite(ratio)] for ratio in ratios]
+            asked = [float(np.quantile(part, COVERAGE)) for part in parts if part.size]
+            rows.append((float(self.torque[own].mean()), wider * max(asked) / NORMAL))
+        levels, factors = np.array(sorted(rows)).T
+        return levels, np.maximum(factors, factors.mean())
 
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Weighted sums over the rows of each fold, all that a choice of degrees needs.
+    """Weighted sums over the rows of each recording: all that leaving out recordings needs.
 
-    `normal` (f, k, k), `right` (f, k), `power` (f,) and `rows` (f,), for residuals
-    power - 2 w.right + w.normal.w.
+    `normal` (r, k, k), `right` (r, k) less what the `centre` (k,) of the penalty (k, k) explains,
+    `rows` (r,) the sum of weights.
     """
 
     normal: Array
     right: Array
-    power: Array
     rows: Array
+    penalty: Array
+    centre: Array
 
     @staticmethod
-    def of(columns: Array, effort: Array, weight: Array, fold: Numbers) -> Sums:
-        """Gather them."""
-        normal, right, power, rows = [], [], [], []
-        for number in range(int(fold.max()) + 1):
-            mask = fold == number
+    def of(
+        columns: Array,
+        effort: Array,
+        weight: Array,
+        recording: Numbers,
+        penalty: Array,
+        centre: Array,
+    ) -> Sums:
+        """Gather them; recordings are numbered from zero."""
+        normal, right, rows = [], [], []
+        beside = effort - columns @ centre
+        for number in range(int(recording.max()) + 1):
+            mask = recording == number
             scaled = columns[mask] * weight[mask, None]
             normal.append(scaled.T @ columns[mask])
-            right.append(scaled.T @ effort[mask])
-            power.append(float(np.sum(weight[mask] * effort[mask] ** 2)))
+            right.append(scaled.T @ beside[mask])
             rows.append(float(np.sum(weight[mask])))
-        return Sums(np.stack(normal), np.stack(right), np.array(power), np.array(rows))
+        return Sums(np.stack(normal), np.stack(right), np.array(rows), penalty, centre)
 
     @property
-    def folds(self) -> int:
-        """Number of folds."""
-        return len(self.rows)
+    def all(self) -> Numbers:
+        """Numbers of all recordings."""
+        return np.arange(len(self.rows))
 
-    def without(self, fold: int | None) -> Sums:
-        """Return the sums of all folds but one."""
-        if fold is None:
-            return self
-        parts = (
-            np.delete(part, fold, axis=0)
-            for part in (self.normal, self.right, self.power, self.rows)
-        )
-        return Sums(*parts)
-
-    def solve(self, use: Numbers, penalty: Array, without: int | None = None) -> Array:
-        """Return weights (k,), one fold left out."""
+    def solve(self, keep: Numbers) -> Array:
+        """Return coefficients (k,) from some recordings."""
         from scipy.linalg import cho_factor, cho_solve
 
-        keep = [fold for fold in range(self.folds) if fold != without]
-        factor = cho_factor(self._matrix(use, penalty, keep), check_finite=False)
-        weights: Array = cho_solve(factor, self.right[keep].sum(axis=0)[use], check_finite=False)
-        return weights
+        factor = cho_factor(self._matrix(keep), check_finite=False)
+        right = self.right[keep].sum(axis=0)
+        found: Array = self.centre + cho_solve(factor, right, check_finite=False)
+        return found
 
-    def inverse(self, use: Numbers, penalty: Array, without: int | None = None) -> Array:
-        """Return the inverse of the equations' matrix (k, k), one fold left out."""
-        keep = [fold for fold in range(self.folds) if fold != without]
-        return np.asarray(np.linalg.inv(self._matrix(use, penalty, keep)))
+    def covariance(self, keep: Numbers, coefficients: Array) -> Array:
+        """Return the covariance (k, k) of coefficients whose recordings disagree."""
+        scores = self.right[keep] - self.normal[keep] @ (coefficients - self.centre)
+        half = np.linalg.solve(self._matrix(keep), scores.T)
+        used = int(np.count_nonzero(self.rows[keep]))
+        covariance: Array = half @ half.T * (used / max(used - 1, 1))
+        return covariance
 
-    def held_out(self, use: Numbers, penalty: Array) -> Array:
-        """Return the mean square of the residual in each fold (f,) when it is left out."""
-        squares = []
-        for fold in range(self.folds):
-            weights = self.solve(use, penalty, fold)
-            normal, right = self.normal[fold][np.ix_(use, use)], self.right[fold, use]
-            square = self.power[fold] + float(weights @ (normal @ weights - 2 * right))
-            squares.append(square / float(self.rows[fold]))
-        return np.array(squares)
-
-    def _matrix(self, use: Numbers, penalty: Array, keep: list[int]) -> Array:
-        normal = self.normal[keep].sum(axis=0)[np.ix_(use, use)]
-        matrix: Array = normal + self.rows[keep].sum() * penalty
+    def _matrix(self, keep: Numbers) -> Array:
+        matrix: Array = self.normal[keep].sum(axis=0) + self.rows[keep].sum() * self.penalty
         return matrix
 
 
-def _covariance(inverse: Array, scores: Array) -> Array:
-    """Return the covariance of weights whose recordings disagree by these scores (r, k)."""
-    count, half = len(scores), scores @ inverse
-    covariance: Array = half.T @ half * (count / max(count - 1, 1))
-    return covariance
+def penalty_of(names: Sequence[str], size: Array) -> Array:
+    """Return the matrix of the penalty for one row, (k, k); columns have been divided by `size`."""
+    from scipy.linalg import block_diag
+
+    blocks, start = [], 0
+    for name in names:
+        count = size_of(name)
+        held, block = DEGREE, np.zeros((count, count))
+        if name in SPLINE_COUNT:
+            bend = np.diff(np.eye(count), 2, axis=0)
+            own = size[start : start + count]
+            # Neighbours are held together as functions, whatever their columns' sizes
+            block = bend.T @ bend * (float(np.mean(own)) ** 2) / np.outer(own, own)
+            held = TINY if name in ALWAYS else RIDGE
+        blocks.append(DEGREE * block + held * np.eye(count))
+        start += count
+    return np.asarray(block_diag(*blocks))
+
+
+def groups_for(names: Sequence[str], levels: int) -> tuple[str, ...]:
+    """Return the groups that so many load levels carry: a power of the torque needs more levels
+    than it is high."""
+    return tuple(name for name in names if LOAD_POWER.get(name, 0) < levels)
 
 
 def _fit_scatter(residual: Array, speed: Array, torque: Array) -> Array:
@@ -357,7 +316,9 @@ def _fit_scatter(residual: Array, speed: Array, torque: Array) -> Array:
     return np.asarray(np.linalg.lstsq(scatter_rows(speed, torque), logarithm, rcond=None)[0])
 
 
-def _between(error: Array, recording: Numbers) -> float:
-    """Return the standard deviation of the recordings' mean errors."""
-    means = [error[recording == number].mean() for number in np.unique(recording)]
-    return float(np.std(means, ddof=1)) if len(means) > 1 else math.nan
+def prior_of(prior: Side, names: Sequence[str], size: Array, penalty: Array) -> tuple[Array, Array]:
+    """Return penalty and centre where a prior model knows what two loads do not show: how effort
+    bends with the load. All else is learned from the rows."""
+    bends = np.concatenate([np.full(size_of(name), LOAD_POWER.get(name, 0) > 1) for name in names])
+    held = np.where(bends, HELD, 1.0)
+    return penalty * np.sqrt(np.outer(held, held)), np.where(bends, prior.weights * size, 0.0)

@@ -12,9 +12,9 @@ import numpy as np
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.imported_load.basis import GROUPS, Scales, size_of
+from rigtool.experiments.imported_load.loop import Loop
 from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
-from rigtool.experiments.imported_load.region import Region
-from rigtool.numerics.arrays import Array
+from rigtool.experiments.imported_load.region import CELLS, Region
 from rigtool.runfile import Column, Run, Table
 
 MODEL = "load_model"
@@ -36,6 +36,13 @@ _SCALES = {
     "turn": ("rad", "one turn of the encoder; 0: no orders of rotation in the model"),
 }
 
+_REGION = {
+    "slowest": "magnitude of the speed",
+    "fastest": "magnitude of the speed",
+    "lowest": "torque",
+    "highest": "torque",
+}
+
 _LIMITS = {
     "lowest": ("1", "torque that is looked for, by its unit"),
     "highest": ("1", "torque that is looked for, by its unit"),
@@ -49,9 +56,8 @@ def tables_of(model: LoadModel, effort_unit: str, name: str = MODEL) -> dict[str
 
     `effort_unit` is that of what the motor does.
     """
-    sizes = [[size_of(group) for group in side.degree] for side in model.sides]
-    group = [GROUPS.index(key) for side in model.sides for key in side.degree]
-    degree = [value for side in model.sides for value in side.degree.values()]
+    sizes = [[size_of(group) for group in side.groups] for side in model.sides]
+    group = [GROUPS.index(key) for side in model.sides for key in side.groups]
     every = [size for side in sizes for size in side]
     sign = np.repeat(SIGNS, [sum(side) for side in sizes])
     term = np.arange(sum(every))
@@ -59,9 +65,6 @@ def tables_of(model: LoadModel, effort_unit: str, name: str = MODEL) -> dict[str
     for number, side in enumerate(model.sides):
         where = np.flatnonzero(sign == SIGNS[number])
         covariance[np.ix_(where, where)] = side.covariance
-
-    def of_sides(key: str) -> Array:
-        return np.array([getattr(side, key) for side in model.sides])
 
     signs = Column(np.array(SIGNS, dtype=float), "1", "sign of the speed")
     scales = {
@@ -78,7 +81,6 @@ def tables_of(model: LoadModel, effort_unit: str, name: str = MODEL) -> dict[str
                 "term": Column(term, "1", "of one sign of the speed, then of the other"),
                 "sign": Column(sign, "1", "of the speed"),
                 "group": Column(np.repeat(group, every), "1", "of functions, by its number"),
-                "degree": Column(np.repeat(degree, every), "1", "of smoothing"),
                 "weight": Column(
                     np.concatenate([item.weights for item in model.sides]),
                     "1",
@@ -116,23 +118,61 @@ def tables_of(model: LoadModel, effort_unit: str, name: str = MODEL) -> dict[str
             {
                 "side": signs,
                 "coefficient": Column(np.arange(3), "1", "constant, log of speed, torque"),
-                "scatter": Column(of_sides("scatter"), "1", "logarithm of the variance of effort"),
-                "factor": Column(of_sides("factor"), "1", "on uncertainty, from levels left out"),
-                "common": Column(of_sides("common"), "1", "S of a recording's mean error"),
-                "slope": Column(of_sides("slope"), "1", "usual one of effort by torque"),
+                "scatter": Column(
+                    np.stack([side.scatter for side in model.sides]),
+                    "1",
+                    "logarithm of the variance of effort",
+                ),
+                "slope": Column(
+                    np.array([side.slope for side in model.sides]), "1", "usual one of effort"
+                ),
             },
             "scatter",
             "scatter beside the model",
         ),
+        f"{name}_factors": Table(
+            ("row",),
+            {
+                "row": Column(np.arange(sum(len(side.levels) for side in model.sides)), "1"),
+                "side": Column(
+                    np.repeat(SIGNS, [len(side.levels) for side in model.sides]), "1", "as there"
+                ),
+                "torque": Column(np.concatenate([side.levels for side in model.sides]), "1"),
+                "factor": Column(
+                    np.concatenate([side.factors for side in model.sides]),
+                    "1",
+                    "on uncertainty, from the level and from speeds left out",
+                ),
+            },
+            "factor",
+            "what makes intervals hold at each load level",
+        ),
         f"{name}_region": Table(
-            ("side", "face"),
+            ("side", "cell"),
             {
                 "side": signs,
-                "face": Column(np.arange(model.region.reach.shape[1]), "1"),
-                "reach": Column(model.region.reach, "1", "of the half-space, margin included"),
+                "cell": Column(np.arange(CELLS), "1", "of the stroke, from its lower end"),
+                **{
+                    key: Column(getattr(model.region, key), "1", what)
+                    for key, what in _REGION.items()
+                },
             },
-            "reach",
-            "half-spaces of position, speed and torque in which the model was learned",
+            "highest",
+            "speeds and torques at which the model was learned, margins included",
+        ),
+        f"{name}_loop": Table(
+            ("cell",),
+            {
+                "cell": Column(np.arange(CELLS), "1", "of the stroke, from its lower end"),
+                "mean": Column(model.loop.mean, "1", "torque while rising less while falling"),
+                "shape": Column(model.loop.shape, "1", "standard deviation, less the offset's"),
+                "offset": Column(
+                    np.full(CELLS, model.loop.offset), "1", "standard deviation of the whole loop's"
+                ),
+                "recordings": Column(np.full(CELLS, model.loop.recordings), "1", "it is from"),
+            },
+            "mean",
+            "loop of the torque that recordings of this mounting show, each left out",
         ),
     }
 
@@ -157,23 +197,25 @@ def load_model_from(run: Run, name: str = MODEL) -> tuple[LoadModel, str]:
 
 
 def _model_from(tables: Mapping[str, Table], name: str) -> tuple[LoadModel, str]:
-    terms, scales = tables[name], tables[f"{name}_scales"]
-    scatter, covariance = tables[f"{name}_scatter"], tables[f"{name}_covariance"]
+    terms, scales, covariance, scatter, factors, region, loop = (
+        tables[name + part]
+        for part in ("", "_scales", "_covariance", "_scatter", "_factors", "_region", "_loop")
+    )
     sides = []
     for number, sign in enumerate(SIGNS):
         where = np.flatnonzero(terms["sign"] == sign)
-        group, degree = terms["group"][where].astype(int), terms["degree"][where]
-        groups = {GROUPS[n]: float(degree[group == n][0]) for n in dict.fromkeys(group)}
+        groups = tuple(GROUPS[n] for n in dict.fromkeys(terms["group"][where].astype(int)))
         if (count := sum(size_of(name) for name in groups)) != len(where):
             raise ValueError(f"{len(where)} weights for {count} functions")
+        own = factors["side"] == sign
         sides.append(
             Side(
-                degree=groups,
+                groups=groups,
                 weights=terms["weight"][where],
                 covariance=covariance["covariance"][np.ix_(where, where)],
                 scatter=scatter["scatter"][number],
-                factor=float(scatter["factor"][number]),
-                common=float(scatter["common"][number]),
+                levels=factors["torque"][own],
+                factors=factors["factor"][own],
                 slope=float(scatter["slope"][number]),
             )
         )
@@ -184,6 +226,9 @@ def _model_from(tables: Mapping[str, Table], name: str) -> tuple[LoadModel, str]
         sides=(sides[0], sides[1]),
         torque_range=(float(scales["lowest"][0]), float(scales["highest"][0])),
         direction=int(scales["direction"][0]),
-        region=Region(tables[f"{name}_region"]["reach"]),
+        region=Region(**{key: region[key] for key in _REGION}),
+        loop=Loop(
+            loop["mean"], loop["shape"], float(loop["offset"][0]), int(loop["recordings"][0])
+        ),
     )
     return model, scales.columns["effort"].unit

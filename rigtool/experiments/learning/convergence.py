@@ -1,11 +1,11 @@
-"""Learning run by run: what each run found, and when nothing is left to learn [Fig. 44, 45].
+"""Learning run by run: the result of each run, and when nothing is left to learn [Fig. 44, 45].
 
     f(k+1) = Q (f(k) + p L q(k))
 
-What one more update would change is D_i = Q (f(k) + p L q_i) - f(k), one for each cycle i of a run.
-Its mean over m cycles contains what repeats and can be learned, and chance: the scatter of single
-cycles over m, and what of earlier scatter f(k) carries. For noise of variance s^2/m in each run,
-that of f(k) is g(k) s^2/m with
+One more update would change the table by D_i = Q (f(k) + p L q_i) - f(k), for each cycle i of a
+run. The mean of D_i over m cycles contains the repeatable part still to be learned, and noise: the
+scatter of single cycles over m, and the earlier scatter in f(k). For noise of variance s^2/m in
+each run, that of f(k) is g(k) s^2/m with
 
     g(0) = 0,   g(k+1) = (1 - p)^2 g(k) + p^2
 
@@ -37,9 +37,9 @@ def carried_noise(runs: int, factor: float) -> float:
 class LearningRun:
     """Result of one learning run, all its speeds together, within the band of Q.
 
-    `rms` and `peak` are of what repeats, `scatter` is the rms of a single cycle around the mean, in
-    the unit of the signal. `ratio` is the power that another update would change over the power
-    that chance explains, `limit` what chance alone exceeds once in a hundred times.
+    `rms` and `peak` are of the repeatable part, `scatter` is the rms of a single cycle around the
+    mean, in the unit of the signal. `ratio` is the power that another update would change over the
+    power that noise explains, `limit` the value that noise alone exceeds once in a hundred times.
     """
 
     rms: float
@@ -106,7 +106,7 @@ def learning_run(
 
 
 def _still_to_learn(cycles: Cycles, learning: Learning, updates: int) -> tuple[float, float]:
-    """Return ratio and limit of what another update would change."""
+    """Return ratio and limit for the change by another update."""
     updated = learning.updated(cycles.signal, cycles.period, cycles.before)
     change = (updated - cycles.before)[:, cycles.used]
     test = repeatability(change, 1 + carried_noise(updates, learning.factor))

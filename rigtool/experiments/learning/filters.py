@@ -47,7 +47,7 @@ class Inverse(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LearningFilter:
-    """L(z) = z^advance * filter(z), with a proper `filter` and what became of the zeros of T."""
+    """L(z) = z^advance * filter(z), with a proper `filter` and the treatment of the zeros of T."""
 
     filter: TransferFunction
     advance: int
@@ -115,9 +115,9 @@ def _from_roots(roots: ComplexArray) -> Array:
 def robustness_gain(frequency: Array, *, cutoff_hz: float, order: int, sample_time: float) -> Array:
     """Return the gain (n,) of Q at these frequencies, Hz: a Butterworth run forth and back.
 
-    |B|^2 = 1/(1 + (tan(pi f Ts)/tan(pi fc Ts))^(2 order)), what `filtfilt` does with a digital
-    Butterworth filter: no phase, a half at the cut-off. Raises ValueError unless the cut-off lies
-    below half the sampling rate.
+    |B|^2 = 1/(1 + (tan(pi f Ts)/tan(pi fc Ts))^(2 order)), the response of `filtfilt` with a
+    digital Butterworth filter: no phase, a half at the cut-off. Raises ValueError unless the
+    cut-off is below half the sampling rate.
     """
     if not 0 < cutoff_hz < 0.5 / sample_time:
         raise ValueError(
@@ -191,8 +191,8 @@ class Learning:
 class Convergence:
     """|Q (1 - p L T)| (n,) over frequency (n,), Hz; its largest value and where that is.
 
-    `bound` (n,) is what it may be for any plant that the measured response allows; None where the
-    plant was not measured.
+    `bound` (n,) is its largest value for any plant that the measured response allows; None where
+    the plant was not measured.
     """
 
     frequency: Array
@@ -250,5 +250,5 @@ def convergence(learning: Learning, frequency: Array) -> Convergence:
 
 
 def _product(gain: Array, doubt: Array) -> Array:
-    """Return gain times doubt, zero where nothing is learned, however doubtful the plant is."""
+    """Return gain times doubt, zero where nothing is learned, for any doubt of the plant."""
     return np.multiply(gain, doubt, out=np.zeros(len(gain)), where=gain > 0)

@@ -101,7 +101,7 @@ BY_CHANCE = 0.01
 
 
 class _Row:
-    """What repeats at one speed: mean and orders (k,), with the scatter that u comes from."""
+    """Repeatable part at one speed: mean and orders (k,), with the scatter behind u."""
 
     def __init__(self, group: RepeatedRuns) -> None:
         turns = len(group.torque)
@@ -160,8 +160,8 @@ def _steadied(floor: Array) -> Array:
 def _learn(group: RepeatedRuns) -> _Row:
     if len(group.torque) < 2:
         raise InsufficientDataError(
-            f"one turn at {group.label()} does not separate what repeats from what does not: give "
-            "two runs or more, or record more turns"
+            f"one turn at {group.label()} does not separate the repeatable part from the rest: "
+            "give two runs or more, or record more turns"
         )
     row = _Row(group)
     # Noise alone passes x floors with probability exp(-x^2) at each order (Rayleigh).
@@ -175,7 +175,7 @@ def _learn(group: RepeatedRuns) -> _Row:
 
 
 def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Quantity]:
-    """Return ripple, what does not repeat, and the strongest orders, of the lowest speed."""
+    """Return ripple, non-repeatable part, and the strongest orders, of the lowest speed."""
     row = rows[int(np.argmin(np.abs(table.speed)))]
     rms, u = row.ripple
     results = {
@@ -204,7 +204,7 @@ def _tables(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[st
             "u": Column(u, effort.unit, "standard uncertainty: scatter of the turns"),
         },
         effort.name,
-        "what repeats, by speed and position; bilinear between entries, periodic",
+        "repeatable part, by speed and position; bilinear between entries, periodic",
     )
     amplitude = Table(
         ("low_speed",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,11 +16,12 @@ COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
 
 @dataclass(frozen=True, eq=False)
 class LearnedTable:
-    """A learned table and what its user has to know.
+    """A learned table with the facts that its user needs.
 
     `u` has the shape of its torque. `quantity` and `unit` are those of its values; `friction` was
     fed forward while it was learned and is not part of it; `band_hz` is the cut-off of Q, None
-    where it is not known; `origin` are lines about rig, program, date and hash.
+    where it is not known, at `band_speed` rad/s, None where at each speed; `origin` are lines about
+    rig, program, date and hash.
     """
 
     table: LookupTable
@@ -28,7 +30,15 @@ class LearnedTable:
     unit: str
     friction: Mapping[str, Quantity]
     band_hz: float | None
+    band_speed: float | None
     origin: tuple[str, ...]
+
+    def band_order(self, speed: float) -> int | None:
+        """Return the highest order that Q passed in the map at a speed, rad/s; None: not known."""
+        if self.band_hz is None:
+            return None
+        at = speed if self.band_speed is None else self.band_speed
+        return int(self.band_hz * 2 * math.pi / abs(at))
 
     def rule(self) -> list[str]:
         """Return how values between the entries are found, in lines."""
@@ -43,7 +53,7 @@ class LearnedTable:
         ]
 
     def friction_lines(self) -> list[str]:
-        """Return what has to be fed forward beside the table, in lines; none where nothing is."""
+        """Return the models to feed forward beside the table, in lines; none without any."""
         if not self.friction:
             return []
         coulomb, viscous = (self.friction[name].value for name in (COULOMB, VISCOUS))

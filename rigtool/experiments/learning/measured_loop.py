@@ -6,7 +6,7 @@
 r goes in logarithm of magnitude and in phase, over the logarithm of frequency; beyond the first and
 the last line it stays what it is there: the model, as far from the response as at that line. The
 plant is known to lie within a circle, |P'/P - 1| <= d. Below the first line d stays as it is there,
-between lines it is interpolated; above the last line what is not modelled grows, d as the square of
+between lines it is interpolated; above the last line unmodelled dynamics grow, d as the square of
 frequency from the last line's circle and distance to the model together. Over the circle
 
     |T' - T| <= |T S| d/(1 - |T| d),
@@ -90,8 +90,8 @@ class InverseResponse:
     """L = W/T from the measured response: the second choice beside ZPETC.
 
     W is one up to the last measured line, zero an octave above, and falls smoothly between (half a
-    cosine over the logarithm of frequency): what was not measured is not learned. There is no phase
-    to advance: the filter acts off-line.
+    cosine over the logarithm of frequency): unmeasured frequencies are not learned. There is no
+    phase to advance: the filter acts off-line.
     """
 
     measured: MeasuredLoop

@@ -44,7 +44,7 @@ def asked(options: CommonOptions, name: str | None, *, validate: bool) -> Common
     if name is not None:
         options = options.with_override(f"ilc_learn.implementation={name}")
         if name in IMPLEMENTATIONS and IMPLEMENTATIONS[name].BARE_MOTOR:
-            options = options.with_override("rig.attachment=pulley")
+            options = replace(options, overrides=("rig.attachment=pulley", *options.overrides))
     return options.with_override("ilc_learn.validation=true") if validate else options
 
 
@@ -60,12 +60,12 @@ def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
 
 
 def rig_needs(recipe: Recipe) -> tuple[str, ...]:
-    """Return what a rig has to offer for motions that are only known once something is learned."""
+    """Return the abilities for motions that are only known once a table is learned."""
     return (_implementation(recipe).RIG_NEED,)
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
-    """List what the implementation records."""
+    """List the recordings of the implementation."""
     return _implementation(recipe).recordings(recipe)
 
 
@@ -78,7 +78,7 @@ def measure(
     friction: Run | None = None,
     plant: Run | None = None,
 ) -> None:
-    """Learn, and record what remains with what was learned switched on."""
+    """Learn, and record the remainder with the learned table switched on."""
     _implementation(recipe).measure(rig, recipe, recorder, kt=kt, friction=friction, plant=plant)
 
 
@@ -90,7 +90,7 @@ def analyse(
     friction: Run | None = None,
     plant: Run | None = None,
 ) -> Outcome:
-    """Learn from the stored signals, and report what remained."""
+    """Learn from the stored signals, and report the remainder."""
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
     return replace(
         outcome, notes=(*outcome.notes, *unsampled_note(runs, torque_per_ampere(kt).value))
@@ -105,4 +105,11 @@ PROCEDURE = Procedure(
     needed=("kt",),
     analyse_imported=analyse_imported,
     rig_needs=rig_needs,
+    analysis_settings=(
+        "ilc_learn.robustness_hz",
+        "ilc_learn.robustness_order",
+        "ilc_learn.learning_factor",
+        "ilc_learn.learning_filter",
+        "ilc_learn.cancel_radius",
+    ),
 )

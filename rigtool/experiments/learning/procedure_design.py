@@ -38,7 +38,7 @@ class FilterDesign:
     origin: tuple[str, ...]
 
     def results(self) -> dict[str, Quantity]:
-        """Return what describes the filters in numbers."""
+        """Return the results that describe the filters."""
         criterion = self.criterion
         why = COMPUTED if criterion.bound is None else BOUNDED
         results = {
@@ -59,7 +59,7 @@ class FilterDesign:
         return results
 
     def notes(self) -> tuple[str, ...]:
-        """State where T is from, and what L is."""
+        """State the source of T, and the form of L."""
         return self.origin
 
     def tables(self) -> dict[str, Table]:

@@ -30,7 +30,7 @@ NEGLIGIBLE = 1e-9
 class Repeatability:
     """Power of the orders 0..n/2 of cycles: `mean` (k,) that of their mean, `chance` (k,) expected.
 
-    `chance` is what the mean of the scatter has; both sum up to a mean square. `cycles` is m.
+    `chance` is the power of noise in the mean; both sum up to a mean square. `cycles` is m.
     """
 
     mean: Array
@@ -84,7 +84,7 @@ def repeatability(cycles: Array, spread: float = 1.0) -> Repeatability:
     if count < 2:
         raise ValueError(f"{count} cycle has no scatter: at least 2 are needed")
     orders = np.fft.rfft(cycles, axis=1) / cycles.shape[1]
-    weight = np.full(orders.shape[1], 2.0)  # an order k > 0 also stands for -k
+    weight = np.full(orders.shape[1], 2.0)  # an order k > 0 represents -k as well
     weight[0] = 1.0
     mean = orders.mean(axis=0)
     off = orders - mean

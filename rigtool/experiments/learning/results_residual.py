@@ -1,4 +1,4 @@
-"""What `ilc-learn` reports of the disturbance that remains with the table on [Fig. 56]."""
+"""Results of `ilc-learn` on the remaining disturbance with the table on [Fig. 56]."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Remaining:
                     "before": Column(
                         np.stack([row.mean for row in self.before]), "N m", "controller, no table"
                     ),
-                    "table": Column(self.applied, "N m", "what the table added"),
+                    "table": Column(self.applied, "N m", "torque added by the table"),
                     "residual": Column(
                         np.stack([row.mean for row in self.after]), "N m", "controller, with table"
                     ),

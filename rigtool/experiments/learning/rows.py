@@ -1,7 +1,7 @@
 """Learning the disturbance that repeats with position and speed [7.2.4.2].
 
 Moves to and fro at one speed are cut where the set point rises through its middle, and laid over
-each other on one period: what they share is repeatable, their scatter is not. One learning update
+each other on one period: their mean is repeatable, their scatter is not. One learning update
 (eq. 9) turns the controller's torque into feed-forward torque; read at the set point's positions it
 is a row of the table [Fig. 49]. Below the lowest learned speed an amplitude table scales that
 speed's row [Fig. 53].
@@ -29,7 +29,7 @@ from rigtool.quantity import Quantity
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """What is known at one speed and direction, at the positions of a table (n,).
+    """A row of a table: one speed and direction, at the positions of the table (n,).
 
     `speed` rad/s carries the direction's sign; `moves` (m, n) N m holds each move by itself.
     """
@@ -64,7 +64,7 @@ def learned_rows(
 ) -> list[Row]:
     """Return the feed-forward torque that one update learns at positions (p,), falling part first.
 
-    `before` (n,) is what was fed forward during the moves, N m.
+    `before` (n,) is the feed-forward during the moves, N m.
     """
     learned = learning.updated(moves.torque, moves.period, before)
     return _both_directions(moves, speed, learned, position)

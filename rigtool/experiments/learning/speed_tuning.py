@@ -2,7 +2,7 @@
 
     torque(p, v) = a(v) map(p + s(v))
 
-At each other speed, a and s are the least-squares ones for what repeats there; the thesis tuned
+At each other speed, a and s are least-squares estimates from the repeatable part; the thesis tuned
 them by hand. As the shift of a map is ambiguous where few orders dominate it, shifts are followed
 from the learning speed outwards: the next one is searched within half a period of the order that
 counts most.
@@ -43,7 +43,8 @@ NEWTON_STEPS = 5
 class Tuning:
     """Amplitude and shift by speed, rad/s (k,), rising; `u` where they are estimated, else zero.
 
-    `correlation` is that of the turned map with what repeats at the speed; 1 where it was learned.
+    `correlation` is that of the shifted map with the repeatable part at the speed; 1 where the map
+    was learned.
     """
 
     speed: Array

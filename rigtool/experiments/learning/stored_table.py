@@ -18,6 +18,7 @@ from rigtool.rigs import Feedforward
 from rigtool.runfile import Column, Run, Table
 
 PERIOD = "lookup_period"
+LEARNING_CUTOFF = "learning_cutoff"
 """Result that states the angle after which a periodic table repeats, rad."""
 
 
@@ -65,7 +66,7 @@ def period_results(table: LookupTable) -> dict[str, Quantity]:
 def friction_results(friction: Run | None) -> dict[str, Quantity]:
     """Return Coulomb and viscous friction of a run of `stribeck` under the names of this module.
 
-    Empty without a run. They are stored beside a table, which holds only what they left over.
+    Empty without a run. They are stored beside a table, which holds only their remainder.
     """
     if friction is None:
         return {}
@@ -92,7 +93,7 @@ def lookup_table_from(run: Run) -> LookupTable:
 
 
 def stored_table_from(run: Run) -> LookupTable:
-    """Return the learned table of a run of `ilc-learn`, in whatever unit it holds.
+    """Return the learned table of a run of `ilc-learn`, in its stored unit.
 
     Raises `RunFileError` where the run is of another command or its table is broken.
     """
@@ -124,13 +125,15 @@ def learned_table_from(run: Run) -> LearnedTable:
     stored = run.table("lookup")
     signal = stored.columns[stored.signal]
     made = run.provenance
+    band_hz, band_speed = _band(run)
     return LearnedTable(
         table=table,
         u=np.asarray(stored["u"], dtype=np.float64),
         quantity=stored.signal,
         unit=signal.unit,
         friction={n: run.results[n] for n in (COULOMB, VISCOUS) if n in run.results},
-        band_hz=_band(run),
+        band_hz=band_hz,
+        band_speed=band_speed,
         origin=(
             f"Rig {run.rig or 'unknown'}; learned on {made['date']}, rigtool {made['version']}.",
             f"File {run.path.name}, content sha256 {run.content_sha256}.",
@@ -138,12 +141,22 @@ def learned_table_from(run: Run) -> LearnedTable:
     )
 
 
-def _band(run: Run) -> float | None:
-    """Return the cut-off of Q, Hz; a table outlives the recipes that this version reads."""
+def _band(run: Run) -> tuple[float | None, float | None]:
+    """Return the cut-off of Q, Hz, and the speed, rad/s, that it belongs to, None for each speed.
+
+    Implementation A learns at one speed, whose orders it takes along to the others. A table
+    outlives the recipes that this version reads: then neither is known.
+    """
     try:
-        return None if run.recipe is None else run.recipe.ilc_learn.robustness_hz
+        settings = None if run.recipe is None else run.recipe.ilc_learn
     except RunFileError:
-        return None
+        return None, None
+    if settings is None:
+        return None, None
+    if LEARNING_CUTOFF in run.results:
+        one = 2 * math.pi * min(settings.turning.speeds_rev_per_s)
+        return run.results[LEARNING_CUTOFF].value, one
+    return settings.robustness_hz, None
 
 
 def feedforward(
@@ -159,7 +172,7 @@ def feedforward(
 
 
 def feedforward_from(run: Run, inertia: float) -> Feedforward:
-    """Return the feed-forward of a run of `ilc-learn`: its table and what it was learned with.
+    """Return the feed-forward of a run of `ilc-learn`: its table and the models beside it.
 
     `inertia` is the nominal one on the motor shaft, kg m2.
     """

@@ -63,7 +63,7 @@ def cut_turns(time: Array, setpoint: Array, torque: Array, turns: int) -> Moves:
 def by_angle(turns: Moves, signals: Array, positions: int) -> Array:
     """Return signals (..., n) of turns at `positions` equal angles from zero, (..., positions).
 
-    What passes is an order below half the number of angles; between samples it is exact.
+    Orders below half the number of angles pass; between samples they are exact.
     """
     orders = np.fft.rfft(signals, axis=-1) / signals.shape[-1]
     wanted = positions // 2 + 1
@@ -98,7 +98,7 @@ def learned_row(
 ) -> Row:
     """Return the feed-forward torque by angle that one update learns, N m; `speed` with its sign.
 
-    `before` (n,) is what was fed forward during the turns, N m.
+    `before` (n,) is the feed-forward during the turns, N m.
     """
     learned = learning.updated(turns.torque, turns.period, before)
     return Row(speed, by_angle(turns, learned, positions))

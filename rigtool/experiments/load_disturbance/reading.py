@@ -1,29 +1,37 @@
-"""The load on a motor, read from its torque over whole strokes with a learned disturbance.
+"""The load on a motor, read from its torque over whole strokes with a learned model.
 
-Every point of a stroke shows a part of a load F r sin(a). The load is the one whose expected torque
-(`model`) fits the straight part of the strokes best, with the recording's own friction level free:
-rising and falling strokes together determine the load, whatever its friction. Close to the solution
-that is a weighted mean over the stroke,
+Every point of a stroke shows a part of a load F r sin(a). What the model leaves of a motion with
+the load, less what it leaves of the same motion without,
+
+    e(M) = (torque - expected(M)) - (torque_0 - expected(0))
+
+is small for the load M that hangs there. M is found by least squares over all points where the
+rotor slides, with the recording's own friction level of each direction free ('instrument friction
+changes in time' [8.2]): rising and falling strokes together determine the load, whatever its
+friction. Close to the solution that is a weighted mean over the stroke,
 
     load = sum over points of weight * torque
 
 so that each cycle, with the load or without, has a reading of its own and their scatter is known.
-For pair the reading at one angle of the rising strokes is kept, the thesis's way [8.2], with
-the same disturbance taken off.
+Beside it stands the reading at one angle of the rising strokes, the thesis's way [8.2], with the
+same model.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import constants
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.load_disturbance.cycles import LoadedCycles
-from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
+from rigtool.experiments.force_over_time.learning import INDEPENDENT, Learned, measured, slopes
+from rigtool.experiments.force_over_time.model import Prediction, State, functions
+from rigtool.experiments.force_over_time.records import Record, lowpassed_rows
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.steady_mean import steady_u
+from rigtool.numerics.steady_mean import steady_mean, steady_us
 
 STEP = 0.01
 """Change of the load for a derivative, relative, or as part of the largest learned load."""
@@ -38,12 +46,21 @@ CONVERGED = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
+class LoadedPair:
+    """A load beside all recordings of the same motion without it; `arm` m is where it hangs."""
+
+    loaded: Record
+    unloaded: tuple[Record, ...]
+    arm: float
+
+
+@dataclass(frozen=True, eq=False)
 class LoadReading:
     """A load, N m at 90 degrees, by whole strokes and at one angle.
 
     `moment` and its standard uncertainty `u` with `dof`; `components` of u by source. `cycles` (m,)
-    are single readings of it, `at_angle` (m,) those at
-    one angle of each rising stroke. `rms` is what the model leaves.
+    are single readings of it, `at_angle` (m,) those at one angle of each rising stroke. `rms` N m,
+    at the motor, is what the model leaves.
     """
 
     moment: float
@@ -67,70 +84,185 @@ class DeadBand:
     half: float
 
 
-def read_load(disturbance: Disturbance, pair: LoadedPair, angle: float) -> LoadReading:
-    """Read the load of a pair; `angle` rad of the output is that of the single readings.
+@dataclass(frozen=True, eq=False)
+class _Explained:
+    """A record as a model explains it under a load: at its rows, what is measured and expected."""
 
-    Raises `InsufficientDataError` where no load explains the torque.
+    record: Record
+    state: State
+    predicted: Prediction
+    values: Array
+
+    @staticmethod
+    def of(model: Learned, record: Record, moment: float = 0.0, arm: float = 0.0) -> _Explained:
+        own = replace(record, moment=moment, load_inertia=moment * arm / constants.g)
+        state = State.of(model.shape, model.known, own)
+        values = functions(model.terms, state)
+        predicted = Prediction(model.terms, model.coefficient, values, model.shape, state)
+        return _Explained(own, state, predicted, values)
+
+    def left(self) -> Array:
+        """Return what the model leaves (rows,), N m at the motor."""
+        torque = measured(self.record, self.state.known) - self.predicted.along(self.state)
+        return self.record.rows(torque)
+
+    def under(self, moment: float, arm: float) -> Array:
+        """Return what is expected under another load (rows,), N m at the motor."""
+        state = self.state.under(moment, moment * arm / constants.g)
+        return self.record.rows(self.predicted.along(state))
+
+    def design(self) -> Array:
+        """Return derivatives of what is expected by shape and coefficients (p, rows)."""
+        by_shape = slopes(self.predicted, self.state)
+        return self.record.rows(np.vstack([by_shape, self.values]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A load M, N m, with the weight of each row in it; readings of cycles with and without it."""
+
+    moment: float
+    weight: Array
+    cycles: Array
+    zeros: list[Array]
+    at_angle: Array
+    model_u: float
+    rms: float
+    misfit_u: float
+
+
+def read_loads(
+    model: Learned, pairs: Sequence[LoadedPair], largest: float, angle: float, bandwidth_hz: float
+) -> list[LoadReading | InsufficientDataError]:
+    """Read the loads of pairs that move alike; the error, where no load explains the torque.
+
+    `largest` N m is that of the learned loads; `angle` rad of the output and the low-pass
+    `bandwidth_hz` are those of the readings at one angle. How far strokes deviate from one to the
+    next is what all cycles of these pairs show together.
     """
-    moment, weight, left = _solve(disturbance, pair)
-    loaded = pair.loaded
-    over_period = np.zeros(len(loaded.setpoint))
-    over_period[pair.rows] = weight
-    over_period = loaded.lowpass(over_period)  # acts on torques that are not low-passed
-    cycles = moment + (loaded.torque - loaded.mean) @ over_period
-    scatter_u, scatter_dof = steady_u(cycles)
-    zeros = [steady_u(each.torque @ over_period) for each in pair.unloaded]
+    zeros: dict[int, tuple[Array, Array]] = {}
+    found: list[_Found | InsufficientDataError] = []
+    for pair in pairs:
+        key = id(pair.unloaded)
+        if key not in zeros:
+            zeros[key] = _zero(model, pair)
+        try:
+            found.append(_find(model, pair, zeros[key], largest, angle, bandwidth_hz))
+        except InsufficientDataError as error:
+            found.append(error)
+    series = [s for f in found if isinstance(f, _Found) for s in (f.cycles, *f.zeros)]
+    us = iter(steady_us(series))
+    return [_stated(f, us) if isinstance(f, _Found) else f for f in found]
+
+
+def _stated(found: _Found, us: Iterator[tuple[float, float]]) -> LoadReading:
+    """Return a reading with its uncertainty; `us` yields those of cycles and zeros, and dof."""
+    scatter_u, scatter_dof = next(us)
+    zeros = [next(us) for _ in found.zeros]
     zero_u = math.hypot(*(u for u, _ in zeros)) / len(zeros)
-    rows = pair.rows
-    by = disturbance.sensitivity(pair, moment)[:, rows] @ weight
-    rms = float(np.sqrt(np.mean(left**2)))
     components = {
         "scatter": scatter_u,
         "zero": zero_u,
-        "disturbance": math.sqrt(max(0.0, float(by @ disturbance.covariance @ by))),
-        "misfit": rms * float(np.linalg.norm(weight)) * math.sqrt(len(rows) / pair.independent),
+        "disturbance": found.model_u,
+        "misfit": found.misfit_u,
     }
     u = math.hypot(*components.values())
-    zero_dof = sum(dof for _, dof in zeros)
-    return LoadReading(
+    spread = scatter_u**4 / scatter_dof
+    spread += sum((own / len(zeros)) ** 4 / dof for own, dof in zeros)
+    dof = u**4 / spread if spread else math.inf
+    return LoadReading(found.moment, u, dof, components, found.cycles, found.at_angle, found.rms)
+
+
+def _zero(model: Learned, pair: LoadedPair) -> tuple[Array, Array]:
+    """Return what the model leaves without load (rows,), N m, and its derivatives (p, rows)."""
+    count = pair.loaded.count
+    each = [_Explained.of(model, record) for record in pair.unloaded]
+    left = np.mean([_at(one.left(), count) for one in each], axis=0)
+    return left, _at(each[0].design(), count)
+
+
+def _at(rows: Array, count: int) -> Array:
+    """Return rows (..., r) of a period at as many points as another recording of it has."""
+    from scipy.signal import resample
+
+    if rows.shape[-1] == count:
+        return rows
+    found: Array = resample(rows, count, axis=-1)
+    return found
+
+
+def _find(
+    model: Learned,
+    pair: LoadedPair,
+    zero: tuple[Array, Array],
+    largest: float,
+    angle: float,
+    bandwidth_hz: float,
+) -> _Found:
+    loaded, used = pair.loaded, pair.loaded.used
+    explained = _Explained.of(model, loaded)
+    left_zero, design_zero = zero
+    shown = loaded.rows(measured(loaded, model.known)) - left_zero
+
+    def expected(moment: float) -> Array:
+        return explained.under(moment, pair.arm)
+
+    d, a = explained.state.housing, loaded.angle / model.known.angle_ratio
+    own = loaded.rows(np.stack([d, d * np.sin(a), d * np.cos(a)]))[:, used]
+    moment, weight, left = _solve(shown[used], lambda m: expected(m)[used], own, largest)
+
+    def readings(record: Record) -> Array:
+        torques = _at(record.torques, loaded.count)[:, used]
+        each: Array = (torques - steady_mean(torques)) @ weight
+        return each
+
+    there = _Explained.of(model, loaded, moment, pair.arm)
+    by = (there.design() - design_zero)[:, used] @ weight
+    step = _step(moment, largest)
+    slope = (expected(moment + step) - expected(moment)) / step
+    remains = loaded.torques - steady_mean(loaded.torques) + shown - expected(moment)
+    point = _crossing(loaded, angle * model.known.angle_ratio, 1)
+    narrow = _narrowed(loaded, np.vstack([remains, slope]), bandwidth_hz)
+    shown_at = _read(narrow, point)
+    rms = float(np.sqrt(np.mean(left**2)))
+    independent = max(1.0, used.sum() / INDEPENDENT)
+    return _Found(
         moment=moment,
-        u=u,
-        dof=u**4 / (scatter_u**4 / scatter_dof + zero_u**4 / zero_dof),
-        components=components,
-        cycles=cycles,
-        at_angle=_at_angle(disturbance, pair, moment, angle),
+        weight=weight,
+        cycles=moment + readings(loaded),
+        zeros=[readings(record) for record in pair.unloaded],
+        at_angle=moment + shown_at[:-1] / shown_at[-1],
+        model_u=math.sqrt(max(0.0, float(by @ model.covariance @ by))),
         rms=rms,
+        misfit_u=rms * float(np.linalg.norm(weight)) * math.sqrt(used.sum() / independent),
     )
 
 
-def _solve(disturbance: Disturbance, pair: LoadedPair) -> tuple[float, Array, Array]:
+def _step(moment: float, largest: float) -> float:
+    return max(STEP * abs(moment), SMALLEST_STEP * largest)
+
+
+def _solve(
+    shown: Array, expected: Callable[[float], Array], own: Array, scale: float
+) -> tuple[float, Array, Array]:
     """Return the load, N m, the weight of each row in it, and what is left at the rows, N m.
 
     A load that swings near its resonance fits at several places: all are scanned first.
     """
-    rows, scale = pair.rows, disturbance.torque
-    own = pair.nuisance[:, rows]
     basis = np.linalg.qr(own.T)[0]
 
-    expectation = disturbance.expectation(pair)
-
-    def expected(moment: float) -> Array:
-        found: Array = expectation(moment)[rows]
-        return found
-
     def misfit(moment: float) -> float:
-        left = pair.torque[rows] - expected(moment)
+        left = shown - expected(moment)
         left = left - basis @ (basis.T @ left)
         return float(left @ left)
 
     grid = scale * np.linspace(0.0, HIGHEST_LOAD, SCANNED_LOADS)
     moment, spacing = float(min(grid.tolist(), key=misfit)), float(grid[1])
     for _ in range(ROUNDS):
-        middle = expected(moment)
-        step = max(STEP * abs(moment), SMALLEST_STEP * scale)
+        middle, step = expected(moment), _step(moment, scale)
         matrix = np.vstack([(expected(moment + step) - middle) / step, own]).T
         inverse = np.linalg.pinv(matrix)
-        difference = pair.torque[rows] - middle
+        difference = shown - middle
         change = float(inverse[0] @ difference)
         if abs(change) <= CONVERGED * scale:
             return moment + change, inverse[0], difference - matrix @ (inverse @ difference)
@@ -143,33 +275,43 @@ def _solve(disturbance: Disturbance, pair: LoadedPair) -> tuple[float, Array, Ar
     )
 
 
-def _at_angle(disturbance: Disturbance, pair: LoadedPair, moment: float, angle: float) -> Array:
-    """Return the load that each rising stroke shows at one angle (cycles,), N m."""
-    loaded, unloaded = pair.loaded, pair.unloaded[0]
-    rotor = angle * loaded.transmission.angle_ratio
-    here, there = loaded.crossing(rotor, 1), unloaded.crossing(rotor, 1)
-    zero = unloaded.lowpass(pair.unloaded_torque)
-    shown = loaded.at(loaded.lowpass(loaded.torque), here) - unloaded.at(zero, there)
-    step = max(STEP * abs(moment), SMALLEST_STEP * disturbance.torque)
-    expected = disturbance.expected(pair, moment)
-    slope = (disturbance.expected(pair, moment + step) - expected) / step
-    # The model compares equal times; the thesis's reading compares equal angles.
-    moved = loaded.at(zero, here) - unloaded.at(zero, there)
-    found: Array = moment + (shown - loaded.at(expected, here) - moved) / loaded.at(slope, here)
-    return found
-
-
-def dead_band(pair: LoadedPair, angle: float) -> DeadBand:
+def dead_band(model: Learned, pair: LoadedPair, angle: float, bandwidth_hz: float) -> DeadBand:
     """Return the dead band of a pair at an output angle, rad."""
-    loaded, unloaded = pair.loaded, pair.unloaded[0]
-    rotor = angle * loaded.transmission.angle_ratio
 
-    def both(cycles: LoadedCycles, torque: Array) -> tuple[float, float]:
-        smooth = cycles.lowpass(torque)
-        rising, falling = (
-            float(cycles.at(smooth, cycles.crossing(rotor, side))) for side in (1, -1)
-        )
+    def both(record: Record) -> tuple[float, float]:
+        torque = model.known.torque_factor * record.rows(measured(record, model.known))
+        rotor = angle * model.known.angle_ratio
+        smooth = _narrowed(record, torque, bandwidth_hz)
+        rising, falling = (float(_read(smooth, _crossing(record, rotor, s))) for s in (1, -1))
         return (rising + falling) / 2, abs(rising - falling) / 2
 
-    middle, half = both(loaded, loaded.mean)
-    return DeadBand(middle - both(unloaded, pair.unloaded_torque)[0], half)
+    middle, half = both(pair.loaded)
+    return DeadBand(middle - float(np.mean([both(r)[0] for r in pair.unloaded])), half)
+
+
+def _narrowed(record: Record, rows: Array, bandwidth_hz: float) -> Array:
+    """Low-pass rows (..., r) once more."""
+    return lowpassed_rows(rows, record.interval * record.angle.size / rows.shape[-1], bandwidth_hz)
+
+
+def _crossing(record: Record, angle: float, direction: int) -> float:
+    """Return at which part of the period the rotor passes an angle, rad.
+
+    `direction` is 1 for the rising half, -1 for the falling one.
+    """
+    count = record.angle.size
+    bottom, top = int(np.argmin(record.angle)), int(np.argmax(record.angle))
+    first, last = (bottom, top) if direction > 0 else (top, bottom)
+    half = np.arange(first, first + (last - first) % count + 1)
+    way = np.maximum.accumulate(direction * record.angle[half % count])
+    return float(np.interp(direction * angle, way, half.astype(np.float64))) / count
+
+
+def _read(rows: Array, part: float) -> Array:
+    """Read rows (..., r) at a part of the period, between them linearly."""
+    count = rows.shape[-1]
+    place = part * count
+    whole = math.floor(place)
+    here, there = rows[..., whole % count], rows[..., (whole + 1) % count]
+    value: Array = here + (place - whole) * (there - here)
+    return value

@@ -2,7 +2,7 @@
 
     P(f) = model(J, fv, ...) exp(-j w tau - c w2)
 
-`model` is exact for a torque held over a sample; tau and c stand for the dynamics above the band
+`model` is exact for a torque held over a sample; tau and c model the dynamics above the band
 that are not the plant (the amplifier's current loop, the timing of the hold): far below their
 corner, the logarithm of any such dynamics begins with these two terms. Residuals are logarithms of
 measured over modelled response, magnitude and phase together, weighted by their scatter

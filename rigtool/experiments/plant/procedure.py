@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.controller_torque import naming, require_unlimited
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.plant.fit import fit_plant
 from rigtool.experiments.plant.frequency_response import Experiment, frequency_response
@@ -105,12 +106,9 @@ def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
 def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -> list[Experiment]:
     """Cut whole periods in steady state out of a recording: one experiment a direction."""
     asked, setpoint = recording.read("current_setpoint"), recording.read("position_setpoint")
-    limit = recipe.rig.current_limit
-    if asked.size and np.abs(asked).max() >= 0.999 * limit:
-        raise InsufficientDataError(
-            f"recording {recording.name}: the current set point reaches the limit of {limit} A, "
-            "so the loop is not linear: lower identify_plant.current_share or swing"
-        )
+    with naming(recording):
+        remedy = "lower identify_plant.current_share or swing"
+        require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, remedy)
     signals = (
         torque_constant * recording.read("signal_current"),
         torque_constant * asked,

@@ -249,11 +249,11 @@ def _notes(found: IdentifiedPlant, recipe: Recipe) -> list[str]:
     notes = [
         f"{len(response.each)} experiments; fit on {fit.used.sum()} of {len(fit.used)} lines, "
         f"{band[0]:.4g} to {band[-1]:.4g} Hz: those with a coherence of at least {MIN_COHERENCE}",
-        f"the encoder's steps, as white noise, make at most {100 * steps.max():.2g} % of a line's "
-        f"response uncertain, {share:.2g} of its variance (median)",
+        f"the encoder's steps, as white noise, make a line's response uncertain by at most "
+        f"{100 * steps.max():.2g} %, {share:.2g} of its variance (median)",
         _swing_note(found.swing),
         _model_note(fit),
-        f"delay and roll-off stand for what is not the plant (the amplifier, the hold): "
+        f"delay and roll-off model amplifier and hold: "
         f"{fit.delay * 1e6:+.3g} us beyond half a sample, gain "
         f"{100 * math.expm1(-fit.roll_off * (2 * math.pi * band[-1]) ** 2):+.2g} % at "
         f"{band[-1]:.4g} Hz",

@@ -1,4 +1,4 @@
-"""`fft-ripple` on imported runs: orders of rotation, what compensation reduced, maps compared.
+"""`fft-ripple` on imported runs: orders of rotation, the effect of compensation, maps compared.
 
 A slowly turning motor needs the current that overcomes its cogging, whether the controller or a
 table provides it. So both ripples are reported: that of the current, and that of the motion, which

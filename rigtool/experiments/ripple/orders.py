@@ -102,7 +102,7 @@ class Ripple:
         if self.waveforms.ndim != 2 or len(self.waveforms) < 2:
             raise InsufficientDataError(
                 f"{len(np.atleast_2d(self.waveforms))} revolution shows no scatter: at least 2 "
-                "are needed to separate what repeats"
+                "are needed to separate the repeatable part"
             )
 
     @property
@@ -174,7 +174,7 @@ class Spectrum:
         if amplitude < CLEAR * floor:
             raise InsufficientDataError(
                 f"the strongest order has an amplitude of {amplitude:.3g}, its noise floor is "
-                f"{floor:.3g}: no order stands out by a factor of {CLEAR:g}; average more "
+                f"{floor:.3g}: no order exceeds it by a factor of {CLEAR:g}; average more "
                 "revolutions"
             )
         return int(self.order[index])
@@ -253,7 +253,7 @@ def compare(reference: Ripple, other: Ripple, orders: int) -> RippleComparison:
         above = spectrum(ripple, orders).clear
         if not above.any():
             raise InsufficientDataError(
-                f"the {what} ripple is all noise: none of its orders 1 to {orders} stands out by "
+                f"the {what} ripple is all noise: none of its orders 1 to {orders} exceeds it by "
                 f"a factor of {CLEAR:g}; average more revolutions"
             )
         clear |= above

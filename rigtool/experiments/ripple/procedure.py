@@ -14,6 +14,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
+from rigtool.experiments.controller_torque import naming, require_unlimited
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
@@ -121,8 +122,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: fft-ripple takes one, with all its recordings")
-    per_ampere = torque_per_ampere(kt)
-    constant, run = per_ampere.value, runs[0]
+    run = runs[0]
     speeds = sorted(run.recordings_named("speed_"), key=lambda r: r.condition("speed"))
     if not speeds:
         raise RunFileError(
@@ -131,6 +131,9 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         )
     torques = sorted(run.recordings_named("torque_"), key=lambda r: r.condition("torque"))
     cycles = run.recordings_named("power_cycle_")
+    recorded = [*speeds, *torques, *cycles]
+    per_ampere = torque_per_ampere(kt, recorded)
+    constant = per_ampere.value
     segment = _segment(speeds)
     welches = [Welch(segment) for _ in speeds]
     by_speed = [
@@ -155,7 +158,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     for name in ("repeatable_rms", "non_repeatable_rms"):
         results[name] = with_constant(results[name], per_ampere)
     notes = [
-        mean_constant_note(per_ampere),
+        mean_constant_note(kt, recorded),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
         *unsampled_note(runs, constant),
@@ -181,23 +184,23 @@ def _ripple(
     recording: Recording, recipe: Recipe, torque_constant: float, welch: Welch | None = None
 ) -> Ripple:
     """Return the ripple of a recording's steady revolutions; add their torque to `welch`."""
-    steady = _steady(recording)
-    try:
+    steady, largest = _steady(recording), 0.0
+    with naming(recording):
         first, last = _ends(recording, "encoder", steady)
         collected = Revolutions(POSITIONS, forward=last > first)
         for time, encoder, current in recording.blocks(
             "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
         ):
+            largest = max(largest, float(np.abs(current).max()))
             encoder /= recipe.rig.encoder_counts
             current *= torque_constant
             collected.add(time, encoder, current)
             if welch is not None:
                 welch.add(current)
+        require_unlimited(largest, recipe, "lower fft_ripple.torques, or turn more slowly")
         settings = recipe.fft_ripple
         sampling = Sampling(collected.step, settings.record_every)
         return remove_offset(collected.waveforms(settings.revolutions), sampling)
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"recording {recording.name}: {error}") from None
 
 
 def _steady(recording: Recording) -> range:

@@ -11,12 +11,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from rigtool.errors import HardwareError
+from rigtool.errors import HardwareError, RecipeError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Serial
-from rigtool.rigs import NEEDS, Block, Rig, Task
+from rigtool.rigs import NEEDS, Block, Load, Rig, Task, open_rig
 from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.drivers import REPLAY, driver
@@ -27,17 +27,22 @@ LISTED_MOTIONS = 12
 """Kinds of motion that are listed; the others are only counted."""
 
 
+LONGEST = 24 * 3600.0
+"""All motions of a command on the virtual rig, s: an hour of its clock takes seconds."""
+
+
 class _NeedsData(Exception):
     """From here on the motions depend on measurements."""
 
 
 @dataclass
 class MotionPlan:
-    """Motions in order, with the extremes of each; what they need of the rig, by name.
+    """Motions in order, with the extremes of each; needed abilities of the rig, by name.
 
-    `complete` is false where further motions depend on what these measure.
+    `complete` is false where further motions depend on the results of these.
     """
 
+    duration: float = 0.0
     motions: list[tuple[str, safety.Extremes]] = field(default_factory=list)
     bench_work: list[str] = field(default_factory=list)
     needs: dict[str, None] = field(default_factory=dict)
@@ -57,14 +62,13 @@ class MotionPlan:
                 *lines[:LISTED_MOTIONS],
                 f"  and {rest} kinds of motion more",
             ]
-        total = sum(found.duration for _, found in self.motions)
-        count = len(self.motions)
+        count, total = len(self.motions), self.duration
         head = f"{count} motion{'s' if count != 1 else ''} to record, {total:.0f} s in all"
         parts = [head, *lines]
         if self.bench_work:
             parts.append(f"At the bench: {'; '.join(dict.fromkeys(self.bench_work))}")
         if not self.complete:
-            parts.append("Further motions depend on what these measure; limits hold for all")
+            parts.append("Further motions depend on the results of these; limits hold for all")
         return "\n".join(parts)
 
     def check(self, limits: Any) -> None:
@@ -76,14 +80,15 @@ class MotionPlan:
 class _Rehearsal(Rig):
     """A rig that only lists the motions that it is asked for."""
 
-    def __init__(self, recipe: Recipe, torque_constant: float, position: float) -> None:
+    def __init__(
+        self, recipe: Recipe, torque_constant: float, position: float, *, evaluated: bool
+    ) -> None:
         self.plan = MotionPlan()
-        self._dt = recipe.rig.sample_time
-        self._attachment = recipe.rig.attachment
-        on_line = recipe.rig.source == "serial" and recipe.serial is not None
-        self._limits = recipe.serial.limits if on_line and recipe.serial is not None else None
+        self._recipe, self._rig = recipe, recipe.rig
+        self._limits = recipe.serial.limits if _on_line(recipe) and recipe.serial else None
         self._torque_constant = torque_constant
         self._position = position
+        self._evaluated = evaluated
 
     @property
     def position(self) -> float:
@@ -92,16 +97,38 @@ class _Rehearsal(Rig):
 
     def perform(self, task: Task) -> Iterator[Block]:
         """List a task; there are no signals."""
+        self.plan.duration += task.motion.duration
         if self._limits is not None:
             safety.check_duration(task, self._limits)
-        found = safety.extremes(task, self._position, self._dt, self._torque_constant)
-        self._position = found.end
-        self.plan.motions.append((type(task.motion).__name__, found))
+        elif self.plan.duration > LONGEST:
+            raise RecipeError(
+                f"the motions would last longer than {LONGEST / 3600:.0f} h on the clock of the "
+                "virtual rig: shorten them in the recipe"
+            )
+        self._require_carried(task.load)
+        if self._evaluated:
+            found = safety.extremes(
+                task, self._position, self._rig.sample_time, self._torque_constant
+            )
+            self._position = found.end
+            self.plan.motions.append((type(task.motion).__name__, found))
         for need in _needs(task):
             self._need(need, None)
         if "load" in _needs(task):
-            self.plan.bench_work.append(describe_load(task.load, self._attachment))
+            self.plan.bench_work.append(describe_load(task.load, self._rig.attachment))
         return iter(())
+
+    def _require_carried(self, load: Load) -> None:
+        """Raise `RecipeError` for a load that takes more current than there is."""
+        torque = load.force * self._rig.load_arm / self._rig.torque_factor + load.torque
+        current, limit = abs(torque) / self._torque_constant, self._recipe.highest_current
+        if current > limit:
+            weight = f"{load.force:g} N at the output" if load.force else f"{load.torque:g} N m"
+            raise RecipeError(
+                f"a load of {weight} takes {current:.4g} A of the motor, and the current is "
+                f"limited to {limit:g} A: lower the load in the recipe, where forces are in N and "
+                "torques in N m"
+            )
 
     def move_by(self, angle: float) -> None:
         """Follow a move between recordings."""
@@ -152,10 +179,16 @@ def rehearse(
     torque_constant: float,
     inputs: Mapping[str, Run],
     position: float = 0.0,
+    *,
+    evaluated: bool = True,
 ) -> MotionPlan:
-    """Return the motions of a command; the shaft starts at `position`, rad."""
+    """Return the motions of a command; the shaft starts at `position`, rad.
+
+    What they ask for at most is only `evaluated` on demand: that takes time. Raises `RecipeError`
+    for what the recipe asks and no rig, or not this one, can do.
+    """
     specs = procedure.recordings(recipe)
-    rig = _Rehearsal(recipe, torque_constant, position)
+    rig = _Rehearsal(recipe, torque_constant, position, evaluated=evaluated)
     try:
         procedure.measure(rig, recipe, _Recorder(specs), **inputs)
     except _NeedsData:
@@ -181,9 +214,11 @@ def dry_run(
     procedure: Procedure, recipe: Recipe, torque_constant: float, inputs: Mapping[str, Run]
 ) -> Outcome:
     """Return the motions as notes, checked against the limits of a rig on a serial line."""
+    if not _on_line(recipe):
+        open_rig(recipe, torque_constant, procedure.command)
     plan = rehearse(procedure, recipe, torque_constant, inputs)
     notes = [str(plan)]
-    if recipe.rig.source == "serial" and recipe.serial is not None:
+    if _on_line(recipe) and recipe.serial is not None:
         plan.check(recipe.serial.limits)
         found = None if recipe.serial.driver == REPLAY else driver(recipe.serial.driver)
         if found is not None and found.make_drive is not None:
@@ -212,6 +247,10 @@ def _require_gauges(plan: MotionPlan, settings: Serial, command: str) -> None:
                 f"{command} cannot run on this rig: it records {need}: a {settings.driver} does "
                 f"not measure it: add [serial.{need}]"
             )
+
+
+def _on_line(recipe: Recipe) -> bool:
+    return recipe.rig.source == "serial" and recipe.serial is not None
 
 
 def _needs(task: Task) -> Iterator[str]:

@@ -6,6 +6,7 @@ A source is a recipe (measure on its rig, then analyse) or run files (analyse th
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -26,6 +27,7 @@ from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import Block, Rig, open_rig
 from rigtool.rigs.operator import Operator
 from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
+from rigtool.runfile.outputs import require_output
 
 IMPORTED = "import"
 """Command of the runs that hold measurements of other rigs."""
@@ -44,15 +46,14 @@ def run_command(
     options: CommonOptions,
     inputs: Mapping[str, Run],
 ) -> Outcome:
-    """Measure or re-analyse, write the output and return what it holds.
+    """Measure or re-analyse, write the output and return its outcome.
 
     `inputs` are open runs by the name of their option. Raises `UsageError` for sources that do not
     go together.
     """
     recipes = [source for source in sources if Path(source).suffix == ".toml"]
     if not recipes:
-        if options.dry_run:
-            raise UsageError("--dry-run: of stored runs nothing would move: leave it out")
+        _require_nothing_to_measure(options)
         return _analyse_stored(procedure, sources, output, options, inputs)
     if len(sources) > 1:
         raise UsageError(
@@ -70,22 +71,30 @@ def _measure(
 ) -> Outcome:
     require_inputs(procedure, inputs)
     overrides = list(options.overrides)
-    if procedure.bare_motor:
-        overrides.append("rig.attachment=pulley")
     if options.seed is not None:
         overrides.append(f"virtual.seed={options.seed}")
     recipe, text = load_recipe(source, overrides)
+    if procedure.bare_motor:
+        recipe = override_recipe(recipe, ["rig.attachment=pulley"])
     on_line = recipe.rig.source == "serial"
     if on_line and options.seed is not None:
         raise UsageError(f"--seed {options.seed}: this recipe's rig is on a line, not virtual")
     if options.spy is not None and not on_line:
         raise UsageError(f"--spy {options.spy}: this recipe's rig is virtual, there is no line")
+    if options.spy is not None:
+        read: list[str | Path] = [source, *(run.path for run in inputs.values())]
+        if require_output(options.spy, overwrite=options.overwrite, inputs=read) == Path(
+            os.path.realpath(output)
+        ):
+            raise UsageError(f"--spy {options.spy}: is the output of this run: give another name")
     seed = recipe.virtual.seed if recipe.virtual is not None and not on_line else None
     constant = _assumed_torque_constant(recipe, inputs)
     if options.dry_run:
         return dry_run(procedure, recipe, constant, inputs)
     operator = Operator(yes=options.yes, spy=options.spy)
     rig = open_rig(recipe, constant, procedure.command, operator)
+    if not rig.physical:
+        rehearse(procedure, recipe, constant, inputs, evaluated=False)
     plan = procedure.recordings(recipe)
     rig.use_only({channel.name for spec in plan for channel in spec.channels})
     if rig.physical:
@@ -185,12 +194,24 @@ def _permit(
     torque_constant: float,
     inputs: Mapping[str, Run],
 ) -> None:
-    """Refuse what this rig cannot do or must not do, show the motions, and ask for consent."""
+    """Refuse motions beyond the rig's abilities or limits, show the plan, and ask for consent."""
     assert recipe.serial is not None
     plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
     require_offered(rig, plan, procedure.command)
     plan.check(recipe.serial.limits)
     rig.permit(str(plan))
+
+
+def _require_nothing_to_measure(options: CommonOptions) -> None:
+    """Raise `UsageError` for an option that has no meaning where signals are stored already."""
+    if options.dry_run:
+        raise UsageError("--dry-run: of stored runs nothing would move: leave it out")
+    if options.seed is not None:
+        raise UsageError(
+            f"--seed {options.seed}: a stored run has its signals, nothing is drawn: leave it out"
+        )
+    if options.spy is not None:
+        raise UsageError(f"--spy {options.spy}: stored runs need no line: leave it out")
 
 
 def _analyse_stored(
@@ -215,15 +236,13 @@ def _analyse_stored(
                 f"{sources[0]}: holds no recipe, so the rig's geometry is unknown: "
                 "analyse a run that rigtool recorded"
             )
-        _require_as_recorded(options.overrides)
-        recipe = override_recipe(recipe, options.overrides)
+        recipe = _as_recorded(procedure, recipe, options.overrides)
         with RunWriter(
             output,
             command=procedure.command,
             recipe=recipe,
             recipe_text=None,
             inputs=[*runs, *inputs.values()],
-            seed=options.seed,
             overwrite=options.overwrite,
         ) as writer:
             outcome = procedure.analyse(runs, recipe, **inputs)
@@ -231,14 +250,22 @@ def _analyse_stored(
     return outcome
 
 
-def _require_as_recorded(overrides: Sequence[str]) -> None:
-    """Raise `UsageError` for settings that contradict how the signals were recorded."""
+def _as_recorded(procedure: Procedure, recipe: Recipe, overrides: Sequence[str]) -> Recipe:
+    """Return the recipe of a stored run with other settings of its analysis.
+
+    Raises `UsageError` for a setting that contradicts how the signals were recorded.
+    """
     for override in overrides:
-        if override.partition("=")[0].strip().endswith(".record_every"):
-            raise UsageError(
-                f"--set {override}: a stored run stays as it was recorded: leave this out, or "
-                "measure anew from the recipe"
-            )
+        key = override.partition("=")[0].strip()
+        if key in procedure.analysis_settings or override_recipe(recipe, [override]) == recipe:
+            continue
+        known = ", ".join(procedure.analysis_settings)
+        raise UsageError(
+            f"--set {override}: a stored run stays as it was recorded: leave this out, or measure "
+            f"again from the recipe; settings of the analysis by {procedure.command}: "
+            f"{known or 'none'}"
+        )
+    return override_recipe(recipe, overrides)
 
 
 def _analyse_imported(

@@ -69,7 +69,7 @@ class View(Protocol):
 
 @contextmanager
 def open_live(where: Literal["terminal", "window"]) -> Iterator[Feed]:
-    """Return what takes blocks for a drawing, for a `with` block.
+    """Return the receiver of blocks for a drawing, for a `with` block.
 
     Raises `UsageError` where there is nothing to open a window on.
     """
@@ -100,12 +100,12 @@ class Feed:
             self._blocks.put_nowait((recording, block))
 
     def close(self) -> None:
-        """Draw what waits, as far as there is time."""
+        """Draw waiting blocks, as far as there is time."""
         self._closed = True
         self._thread.join(CLOSING)
 
     def _run(self) -> None:
-        with contextlib.suppress(OSError, ValueError):  # what drew is closed
+        with contextlib.suppress(OSError, ValueError):  # the drawing process is closed
             while True:
                 try:
                     recording, block = self._blocks.get(timeout=INTERVAL / 4)
@@ -149,7 +149,7 @@ class Window:
         return self
 
     def __exit__(self, *details: object) -> None:
-        """Let the window draw what has come, and close it."""
+        """Let the window draw the received blocks, and close it."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()

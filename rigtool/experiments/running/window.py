@@ -1,7 +1,7 @@
 """The window of `--live-window`, in a process of its own: signals of the last seconds by channel.
 
 Run with `python -m`; reads pickled `(recording, block)` from stdin until it ends, and prints
-`ready` or what is wrong to stdout.
+`ready` or an error to stdout.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Panel:
         self._lines: dict[str, tuple[Axes, Line2D]] = {}
 
     def add(self, recording: str, block: Mapping[str, Array]) -> None:
-        """Take a block; of another recording, or with other channels, it begins anew."""
+        """Take a block; with another recording or other channels, begin a new drawing."""
         if len(block["time"]) == 0:
             return
         if recording != self._recording or block.keys() - {"time"} != self._lines.keys():
@@ -70,7 +70,7 @@ class Panel:
             self._blocks.popleft()
 
     def draw(self) -> None:
-        """Draw what was taken; `Figure.canvas` is to be drawn afterwards."""
+        """Draw the blocks; `Figure.canvas` is to be drawn afterwards."""
         if not self._blocks:
             return
         time = np.concatenate([block["time"] for block in self._blocks])
@@ -106,7 +106,7 @@ class Panel:
             (line,) = axes.plot([], [], linewidth=0.6, linestyle="--", color="0.5")
             self._lines[name] = (axes, line)
         plots[-1].set_xlabel("time [s]")
-        # Measured: a layout that is worked out anew each time takes as long as the drawing.
+        # Measured: computing the layout again each time takes as long as the drawing.
         self._figure.subplots_adjust(left=0.1, right=0.97, top=0.92, bottom=0.07, hspace=0.5)
 
 
@@ -155,7 +155,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the measurement, and that this
     try:
         figure = _open()
-    except Exception as error:  # whatever a toolkit raises
+    except Exception as error:  # any error of a toolkit
         print(" ".join(str(error).split()) or type(error).__name__, flush=True)
         return 1
     if hasattr(os, "nice"):

@@ -179,4 +179,10 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     bare_motor=True,
+    analysis_settings=(
+        "suspension.speeds_rev_per_s",
+        "rig.suspension.elasticity_relative_u",
+        "rig.suspension.dimension_u",
+        "rig.suspension.thickness_u",
+    ),
 )

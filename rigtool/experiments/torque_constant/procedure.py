@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from rigtool.experiments.torque_constant.temperature_fit import (
     Calibration,
     calibrate,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.recipe.commands import CalibrateKt
@@ -24,6 +26,9 @@ from rigtool.rigs.motion import CurrentSteps
 from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
 
 STAIRCASE = "staircase"
+
+FAR_OFF = 3.0
+"""Ratio of measured constant and data sheet that no motor explains: magnets differ by a tenth."""
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -36,8 +41,6 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
     """Run the staircases at each temperature and rotor angle.
 
-    The angles at one temperature lie between those of the others: together they resolve more
-    orders of the amplifier's ripple, and each temperature still averages over a whole turn.
     Raises `RecipeError` for currents above the rig's limit.
     """
     settings = recipe.calibrate_kt
@@ -51,13 +54,30 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
         load=Load(clamped=True),
         record_every=settings.record_every,
     )
-    pitch = 2 * np.pi / settings.rotor_positions
+    angles = clamping_angles(settings)
     for number, temperature in enumerate(settings.temperatures_degc):
-        shift = pitch * number / len(settings.temperatures_degc)
-        for position in range(settings.rotor_positions):
+        for angle in angles[number].tolist():
             rig.soak(temperature)
-            rig.clamp(position * pitch + shift)
+            rig.clamp(angle)
             record(rig, task, recorder, STAIRCASE)
+
+
+def clamping_angles(settings: CalibrateKt) -> Array:
+    """Return the angles of the arm at each temperature, (temperatures, positions) rad.
+
+    Together they divide the turn equally, so that they resolve as many orders of the amplifier's
+    ripple as they can. In time they go round by about the golden section of a turn: those of one
+    temperature spread over the turn, but not evenly, since an order that is a multiple of their
+    number would then pass for a change with temperature.
+    """
+    temperatures, positions = len(settings.temperatures_degc), settings.rotor_positions
+    count = temperatures * positions
+    golden = (math.sqrt(5) - 1) / 2 * count
+    steps = [step for step in range(1, count + 1) if math.gcd(step, count) == 1]
+    step = min(steps, key=lambda step: abs(step - golden))
+    places = np.arange(count) * step % count
+    angles: Array = (2 * np.pi * places / count).reshape(temperatures, positions)
+    return angles
 
 
 def staircase(settings: CalibrateKt) -> tuple[float, ...]:
@@ -78,7 +98,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
         gauge_relative_u=arm.gauge_relative_u,
         reference_range_degc=settings.reference_range_degc,
     )
-    return Outcome(_results(found), _tables(found), _notes(found, settings))
+    return Outcome(_results(found), _tables(found), _notes(found, recipe))
 
 
 def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
@@ -170,8 +190,14 @@ def _tables(found: Calibration) -> dict[str, Table]:
     }
 
 
-def _notes(found: Calibration, settings: CalibrateKt) -> tuple[str, ...]:
-    notes = []
+def _notes(found: Calibration, recipe: Recipe) -> tuple[str, ...]:
+    notes, settings = [], recipe.calibrate_kt
+    ratio = found.mean.value / recipe.rig.torque_constant
+    if not 1 / FAR_OFF < ratio < FAR_OFF:
+        notes.append(
+            f"the measured constant is {ratio:.3g} times the data sheet's, rig.torque_constant = "
+            f"{recipe.rig.torque_constant:g} N m/A: see to the units of force, arm and current"
+        )
     parts = sorted(found.components.items(), key=lambda item: -item[1])
     budget = ", ".join(f"{name} {u * 100:.2g} %" for name, u in parts if u > 0)
     notes.append(f"standard uncertainty of torque_constant_mean: {budget}")
@@ -212,4 +238,10 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     bare_motor=True,
+    analysis_settings=(
+        "calibrate_kt.settle_time",
+        "calibrate_kt.reference_range_degc",
+        "rig.arm.length_u",
+        "rig.arm.gauge_relative_u",
+    ),
 )

@@ -18,6 +18,9 @@ from rigtool.numerics.checks import require_rising, require_signals
 LEVEL_TOLERANCE = 1e-3
 """Part of the span within which set points count as one level."""
 
+COURSE = 96
+"""Parts of a plateau's time, to see the arm swing after each step."""
+
 MINIMUM_PLATEAUS = 8
 """Smallest number of plateaus in a recording."""
 
@@ -28,6 +31,8 @@ class Plateaus:
 
     `current_setpoint` and `current` in A, `torque` in N m, `temperature` in degC, `rotor_angle` in
     rad (NaN where unknown), `begin` and `end` in s; `staircase` numbers the staircases from 0.
+    `course` (n, COURSE) in N m is the torque over the whole stretch, its settling included, as
+    means over equal parts of its time.
     """
 
     current_setpoint: Array
@@ -38,6 +43,7 @@ class Plateaus:
     begin: Array
     end: Array
     staircase: NDArray[np.int64]
+    course: Array
 
 
 def find_plateaus(
@@ -103,7 +109,18 @@ def find_plateaus(
         begin=t[starts][keep],
         end=t[ends][keep] + sample,
         staircase=np.unique(staircase, return_inverse=True)[1].astype(np.int64),
+        course=_course(newton, starts[keep], ends[keep] + 1) * arm_length,
     )
+
+
+def _course(values: Array, start: NDArray[np.int64], stop: NDArray[np.int64]) -> Array:
+    """Return means (n, COURSE) over equal parts of values[start:stop], for n such stretches."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    length = (stop - start)[:, None]
+    edges = start[:, None] + length * np.linspace(0, 1, COURSE + 1)
+    integral = np.interp(edges, np.arange(len(total)), total)
+    course: Array = np.diff(integral, axis=1) * COURSE / length
+    return course
 
 
 @dataclass(frozen=True)

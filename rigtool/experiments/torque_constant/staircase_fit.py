@@ -22,7 +22,9 @@ from rigtool.experiments.torque_constant.staircase_model import (
     mean_of,
     winding,
 )
+from rigtool.experiments.torque_constant.swings import swings_seen
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.numerics.turn_mean import mean_over_turn
 
 MISFIT_LIMIT = 5e-3
@@ -30,6 +32,9 @@ MISFIT_LIMIT = 5e-3
 
 SLOPE_LIMIT = 0.25
 """Largest relative change of a straight line's slope by friction and heat."""
+
+RATE_STEP = 1.03
+"""Factor by which a parameter moves for the rate at which the model follows it."""
 
 REJECTION_CHI2 = 10.8
 """Chi square with one degree of freedom that scatter alone exceeds with probability 0.001."""
@@ -43,10 +48,11 @@ class Slopes:
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `friction_u` the relative standard
-    uncertainty from the model of friction. `transition` is s of (1) in N m (None where no friction
-    shows), `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque
-    minus the straight line, mean over staircases; `hysteresis` in N m: falling minus rising in the
-    middle of the span, `hysteresis_u` its standard uncertainty with `hysteresis_dof`.
+    uncertainty from the model of friction with `friction_dof`, `friction_drift_u` in 1/K that of a
+    relative change of the slopes with temperature. `transition` is s of (1) in N m (None where no
+    friction shows), `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in
+    N m: torque minus the straight line, mean over staircases; `hysteresis` in N m: falling minus
+    rising in the middle of the span, `hysteresis_u` its standard uncertainty with `hysteresis_dof`.
     """
 
     slope: Array
@@ -58,6 +64,8 @@ class Slopes:
     heating_u: float
     heating_dof: float
     friction_u: float
+    friction_dof: float
+    friction_drift_u: float
     transition: float | None
     time_constant: float
     level: Array
@@ -75,21 +83,22 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
     staircase does not rise and fall, or where torque does not follow current.
     """
     stairs = arrange(plateaus)
-    common = fit_common(stairs, coefficient)
+    # A gauge that shows no swings may be too slow for them: then straight steps are possible too.
+    kinds = (True,) if swings_seen(stairs.courses) else (True, False)
+    commons = [fit_common(stairs, coefficient, swings=swings) for swings in kinds]
+    commons.sort(key=lambda common: common.square_misfit)
+    common = commons[0]
     solution = _solve(stairs, common, coefficient)
-    other = replace(stairs, travel=stairs.swinging)
-    other_common = fit_common(other, coefficient)
-    other_solution = _solve(other, other_common, coefficient)
-    if other_common.square_misfit < common.square_misfit:
-        stairs, other = other, stairs
-        common, other_common = other_common, common
-        solution, other_solution = other_solution, solution
-    doubt = 0.0 if common.transition is None else _transition_doubt(stairs, solution)
-    # Both kinds of travel count unless the data reject one.
-    worse = other_common.square_misfit / max(common.square_misfit, 1e-300) - 1
-    if worse * common.dof < REJECTION_CHI2:
-        change = float(np.mean(other_solution.slope / solution.slope - 1))
-        doubt = max(doubt, abs(change) / math.sqrt(3))
+    weight = np.full(len(solution.slope), 1 / len(solution.slope))
+    friction_u, friction_dof = _lack_of_fit(stairs, solution, common, weight)
+    rise = solution.temperature - solution.temperature.mean()
+    spread = max(float(rise @ rise), 1e-300)
+    drift_u = _lack_of_fit(stairs, solution, common, rise / spread)[0]
+    for other in commons[1:]:
+        worse = other.square_misfit / max(common.square_misfit, 1e-300) - 1
+        if worse * common.dof < REJECTION_CHI2:
+            change = float(np.mean(_solve(stairs, other, coefficient).slope / solution.slope - 1))
+            friction_u = math.hypot(friction_u, change / math.sqrt(3))
     _require_straight(stairs, solution)
     level, rising, falling = _branches(stairs, solution.off_line)
     hysteresis, hysteresis_u, hysteresis_dof = _hysteresis(stairs, solution.off_line)
@@ -102,7 +111,9 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        friction_u=doubt,
+        friction_u=friction_u,
+        friction_dof=friction_dof,
+        friction_drift_u=drift_u,
         transition=common.transition,
         time_constant=common.time_constant,
         level=level,
@@ -126,6 +137,7 @@ class _Solution:
     heating_u: float
     heating_dof: float
     design: Array
+    parameters: Array
     residual: Array
     off_line: Array
 
@@ -135,8 +147,8 @@ def _solve(stairs: Stairs, common: Common, coefficient: float) -> _Solution:
     heat, warmth = winding(stairs, common.time_constant)
     temperature = mean_of(warmth, stairs.weight)
     current = stairs.current * (1 + coefficient * (warmth - temperature[:, None]))
-    loss, loss_u, loss_dof = _heat_loss(stairs, common.transition, current, heat)
-    design = design_matrix(stairs, common.transition, current * (1 - loss * heat))
+    loss, loss_u, loss_dof = _heat_loss(stairs, common, current, heat)
+    design = design_matrix(stairs, common, current * (1 - loss * heat))
     inverse = np.linalg.pinv(design)
     parameters = np.einsum("mcp,mp->mc", inverse, stairs.torque)
     residual = stairs.torque - np.einsum("mpc,mc->mp", design, parameters)
@@ -153,19 +165,20 @@ def _solve(stairs: Stairs, common: Common, coefficient: float) -> _Solution:
         heating_u=loss_u * share,
         heating_dof=loss_dof,
         design=design,
+        parameters=parameters,
         residual=residual,
         off_line=stairs.torque - straight,
     )
 
 
 def _heat_loss(
-    stairs: Stairs, transition: float | None, current: Array, heat: Array
+    stairs: Stairs, common: Common, current: Array, heat: Array
 ) -> tuple[float, float, float]:
     """Return g of (1), its standard uncertainty, 1/(A2 s), and degrees of freedom.
 
     At a single rotor angle its uncertainty is unknown, and taken as large as its value.
     """
-    design = design_matrix(stairs, transition, current)
+    design = design_matrix(stairs, common, current)
     design = np.concatenate([design, (current * heat)[:, :, None]], axis=2)
     parameters = np.einsum("mcp,mp->mc", np.linalg.pinv(design), stairs.torque)
     mean = mean_over_turn(stairs.rotor_angle, -parameters[:, -1] / parameters[:, 0])
@@ -174,29 +187,32 @@ def _heat_loss(
     return mean.value, mean.u, mean.dof
 
 
-def _transition_doubt(stairs: Stairs, solution: _Solution) -> float:
-    """Return the relative change of the slope when the half nearest to reversals is left out.
+def _lack_of_fit(
+    stairs: Stairs, solution: _Solution, common: Common, weight: Array
+) -> tuple[float, float]:
+    """Return the relative u that lack of fit gives a combination of slopes, and its dof.
 
-    With a transition of friction exactly as in (1) the slope would change only by scatter, which
-    is subtracted.
+    `weight` (m,) combines the staircases. What their residuals have in common from plateau to
+    plateau is correlated along the staircase, as the covariance takes it; s and lag, found from the
+    same plateaus, count among the parameters. Scatter that the slopes state already is taken off.
     """
-    travel = _since_reversal(stairs.setpoint)
-    far = stairs.weight * (travel >= np.median(travel, axis=1)[:, None])
-    inverse = np.linalg.pinv(solution.design * far[:, :, None])
-    part = np.sum(inverse[:, 0] * stairs.torque, axis=1)
-    change = part / solution.slope - 1
-    scatter = float(np.var(change)) / max(len(change) - 1, 1)
-    return math.sqrt(max(0.0, float(np.mean(change)) ** 2 - scatter))
-
-
-def _since_reversal(setpoint: Array) -> Array:
-    """Return the travel of the current since its last reversal or the start, (m, p) A."""
-    steps = np.diff(setpoint, axis=1)
-    travel = np.zeros(setpoint.shape)
-    for j in range(steps.shape[1]):
-        turned = steps[:, j] * steps[:, j - 1] < 0 if j > 0 else np.zeros(len(steps), bool)
-        travel[:, j + 1] = np.abs(steps[:, j]) + np.where(turned, 0.0, travel[:, j])
-    return travel
+    combined = weight @ solution.residual
+    columns = np.mean(solution.design, axis=0).T
+    fitted = np.einsum("mpc,mc->mp", solution.design, solution.parameters)
+    rates = []
+    for name in ("transition", "lag"):
+        value = getattr(common, name)
+        if value is not None:
+            changed = replace(common, **{name: value * RATE_STEP})
+            design = design_matrix(stairs, changed, solution.design[:, :, 0])
+            moved = np.einsum("mpc,mc->mp", design, solution.parameters)
+            rates.append(np.mean(moved - fitted, axis=0))
+    design = np.stack([*columns, *rates], axis=1)
+    used = np.ones(len(combined), dtype=np.bool_)
+    covariance, dof = long_run_covariance(design, combined, independent_samples(combined, used, 1))
+    own = float(np.sum((weight * solution.u) ** 2))
+    u = math.sqrt(max(float(covariance[0, 0]) - own, 0.0)) / float(np.mean(solution.slope))
+    return u, float(dof)
 
 
 def _levels(stairs: Stairs) -> tuple[Array, NDArray[np.int_]]:

@@ -6,10 +6,9 @@ With the shaft clamped by an elastic arm, the gauge torque on plateau j is
 
 k is the torque constant at the staircase's mean temperature T, i the measured current, o a
 constant. z in -1..1 is the state of the shaft's friction: the arm yields very little, in proportion
-to the gauge's torque, so friction does not slide freely but follows dz = (+-1 - z) dx / s while
-current rises or falls (Dahl 1968). x is the travel as a torque: that of the gauge, or k i where the
-arm swings so much that friction hardly holds it back; s is the transition in N m. Without z the
-slope would be too low by up to a part f/s.
+to the gauge's torque, so friction does not slide freely but changes over a transition of s N m,
+along each swing of the arm (`rigtool.experiments.torque_constant.swings`). Without z the slope
+would be too low by up to a part f/s.
 w = integral of i2 R/R20 exp(-t/tau) dt is the heat in the winding (R/R20 for copper), which a
 sensor on the housing does not show, and g the relative loss of torque constant by it; T_j is the
 housing's temperature with the lag of the winding, tau, and c the relative coefficient of the torque
@@ -19,18 +18,29 @@ parameters.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache, partial
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import Plateaus
+from rigtool.experiments.torque_constant.swings import (
+    Courses,
+    friction_state,
+    mean_courses,
+    path,
+    straight_path,
+)
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.minimum import minimum
 
 SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 2.0, 300.0
 """Range in which the winding's thermal time constant tau is searched, s."""
+
+START_TIME_CONSTANT = 30.0
+"""Where the search for tau begins, s."""
 
 COPPER = 3.93e-3
 """Temperature coefficient of a copper winding's resistance at 20 degC, 1/K (IEC 60028)."""
@@ -53,22 +63,27 @@ class Stairs:
     begin: Array
     end: Array
     weight: Array  # 1, or 0 where a staircase has ended
-    travel: Array  # (m, p - 1) x of (1) between plateaus, N m
     rotor_angle: Array  # (m,)
+    courses: Courses
 
-    @property
-    def swinging(self) -> Array:
-        """Travel of an arm that swings from step to step, k |di|, (m, p - 1) N m."""
-        slope = np.ptp(self.torque) / np.ptp(self.current)
-        swing: Array = slope * np.abs(np.diff(self.setpoint, axis=1))
-        return swing
+    def taken(self, every: int) -> Stairs:
+        """Return every so many of the staircases; the courses stay those of all."""
+        values = {n: v[::every] for n, v in vars(self).items() if n != "courses"}
+        kind, scale = self.courses.kind[::every], self.courses.scale[::every]
+        courses = replace(self.courses, kind=kind, scale=scale)
+        return Stairs(**values, courses=courses)
 
 
 @dataclass(frozen=True)
 class Common:
-    """Parameters that all staircases share: s in N m (None without friction), tau in s; misfit."""
+    """Parameters that all staircases share, and the misfit that they leave.
+
+    `transition` is s in N m, None without friction; `lag` that of the arm's swings, s, None where
+    friction follows straight steps; `time_constant` is tau, s.
+    """
 
     transition: float | None
+    lag: float | None
     time_constant: float
     square_misfit: float
     dof: int
@@ -101,8 +116,8 @@ def arrange(plateaus: Plateaus) -> Stairs:
         begin=np.where(weight > 0, begin, end),
         end=end,
         weight=weight,
-        travel=np.maximum(np.sign(steps) * np.diff(torque, axis=1), 0.0),
         rotor_angle=plateaus.rotor_angle[first],
+        courses=mean_courses(setpoint, torque, plateaus.course[place], end - begin),
     )
 
 
@@ -145,81 +160,123 @@ def winding(stairs: Stairs, time_constant: float) -> tuple[Array, Array]:
     return heat, stairs.temperature + lag
 
 
-def friction_state(setpoint: Array, travel: Array, transition: float) -> tuple[Array, Array]:
-    """Return a and b (m, p) of the friction's state z = a + b z0 along staircases.
-
-    `setpoint` (m, p) gives the directions; `travel` (m, p - 1) and `transition` are in N m.
-    """
-    end = np.sign(np.diff(setpoint, axis=1))
-    decay = np.exp(-travel / transition)
-    a, b = np.zeros(setpoint.shape), np.ones(setpoint.shape)
-    for j in range(travel.shape[1]):
-        a[:, j + 1] = end[:, j] + (a[:, j] - end[:, j]) * decay[:, j]
-        b[:, j + 1] = b[:, j] * decay[:, j]
-    return a, b
-
-
-def design_matrix(stairs: Stairs, transition: float | None, current: Array) -> Array:
+def design_matrix(stairs: Stairs, common: Common, current: Array) -> Array:
     """Return the columns of (1) for staircases (m, p): (m, p, 2) without friction, or (m, p, 4)."""
-    return np.stack([current, stairs.weight, *friction_columns(stairs, transition)], axis=2)
+    return np.stack([current, stairs.weight, *friction_columns(stairs, common)], axis=2)
 
 
-def friction_columns(stairs: Stairs, transition: float | None) -> tuple[Array, ...]:
+def friction_columns(stairs: Stairs, common: Common) -> tuple[Array, ...]:
     """Return the columns of (1) for friction, two of (m, p), or none."""
-    if transition is None:
+    if common.transition is None:
         return ()
-    a, b = friction_state(stairs.setpoint, stairs.travel, transition)
+    courses = stairs.courses
+    swings = straight_path(courses) if common.lag is None else path(courses, common.lag)
+    a, b = friction_state(courses.of_each(swings), common.transition)
     return -a * stairs.weight, -b * stairs.weight
 
 
-def fit_common(stairs: Stairs, coefficient: float) -> Common:
-    """Return s and tau by variable projection; `coefficient` is c of (1), 1/K.
+def fit_common(stairs: Stairs, coefficient: float, *, swings: bool) -> Common:
+    """Return what all staircases share, by variable projection; `coefficient` is c of (1), 1/K.
 
-    Of more than `FITTED_STAIRCASES` staircases, that many are used, spread evenly over all.
-
-    An additional column i |i| absorbs the amplifier's ripple at one rotor angle, which would
-    otherwise look like heat. Raises `InsufficientDataError` where the plateaus leave no degrees of
-    freedom.
+    With `swings` friction follows the arm along its swings, else along straight steps. Of more than
+    `FITTED_STAIRCASES` staircases, that many are used, spread evenly over all. An additional column
+    i |i| absorbs the amplifier's ripple at one rotor angle, which would otherwise look like heat.
+    Raises `InsufficientDataError` where the plateaus leave no degrees of freedom.
     """
-    every = -(-len(stairs.setpoint) // FITTED_STAIRCASES)
-    taken = Stairs(**{name: values[::every] for name, values in vars(stairs).items()})
-    count = len(taken.setpoint)
-    dof = int(taken.weight.sum()) - 6 * count
-    if dof < 1:
-        raise InsufficientDataError(
-            f"{int(taken.weight.sum())} plateaus in {count} staircases leave no degree of "
-            "freedom to the fit: use more steps"
-        )
-
-    # A search moves one of s and tau: the columns of the other are kept.
-    friction = lru_cache(maxsize=1)(partial(friction_columns, taken))
-
-    @lru_cache(maxsize=1)
-    def currents(time_constant: float) -> tuple[Array, Array, Array]:
-        # Heat remains from the staircase before, so the heat of all of them counts.
-        heat, warmth = (values[::every] for values in winding(stairs, time_constant))
-        drift = warmth - mean_of(warmth, taken.weight)[:, None]
-        current = taken.current * (1 + coefficient * drift)
-        return current, current * heat, current * np.abs(current)
-
-    def misfit(transition: float | None, time_constant: float) -> float:
-        current, *other = currents(time_constant)
-        columns = [current, taken.weight, *friction(transition), *other]
-        q, _ = np.linalg.qr(np.stack(columns, axis=2))
-        fitted = np.einsum("mpc,mc->mp", q, np.einsum("mpc,mp->mc", q, taken.torque))
-        return float(np.sum((taken.torque - fitted) ** 2))
-
-    span = float(np.ptp(stairs.torque[0]))
-    step = span * float(np.median(np.abs(np.diff(stairs.setpoint[0])))) / np.ptp(stairs.setpoint[0])
-    tau = 30.0
-    for _ in range(2):
-        s = minimum(partial(misfit, time_constant=tau), step / 4, 3 * span)
-        tau = minimum(partial(misfit, s), SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT)
-    with_friction, without = misfit(s, tau), misfit(None, tau)
-    # F test of the friction columns, two a staircase
+    from scipy.optimize import Bounds, minimize
     from scipy.special import fdtrc
 
-    extra = 2 * count
-    ratio = (without - with_friction) / extra / max(with_friction / dof, 1e-300)
+    taken = _Taken(stairs, coefficient)
+    dof = int(taken.stairs.weight.sum()) - 6 * len(taken.stairs.setpoint)
+    if dof < 1:
+        raise InsufficientDataError(
+            f"{int(taken.stairs.weight.sum())} plateaus in {len(taken.stairs.setpoint)} staircases "
+            "leave no degree of freedom to the fit: use more steps"
+        )
+    low, high = _ranges(stairs, swings)
+    begin = _start(taken, low, high)
+
+    # The path has turns that appear and vanish with the lag: a search without derivatives.
+    def square(logarithms: Array) -> float:
+        return float(np.sum(taken.residual(_common(logarithms)) ** 2))
+
+    found = minimize(
+        square,
+        begin,
+        method="Nelder-Mead",
+        bounds=Bounds(low, high),
+        options={"xatol": 2e-3, "fatol": math.inf, "maxfev": 200},
+    )
+    common = replace(_common(found.x), square_misfit=float(found.fun), dof=dof)
+    none = replace(common, transition=None, lag=None)
+    without = float(np.sum(taken.residual(none) ** 2))
+    # F test of the friction columns, two a staircase
+    extra = 2 * len(taken.stairs.setpoint)
+    ratio = (without - common.square_misfit) / extra / max(common.square_misfit / dof, 1e-300)
     shows = fdtrc(extra, dof, max(ratio, 0.0)) < FRICTION_SIGNIFICANCE
-    return Common(s if shows else None, tau, with_friction, dof)
+    return common if shows else replace(none, square_misfit=common.square_misfit)
+
+
+def _ranges(stairs: Stairs, swings: bool) -> tuple[Array, Array]:
+    """Return bounds of the logarithms of tau, s and, with swings, lag."""
+    courses = stairs.courses
+    span = float(np.ptp(courses.torque[0]))
+    step = span * float(np.median(np.abs(np.diff(courses.setpoint[0]))))
+    step /= float(np.ptp(courses.setpoint[0]))
+    low, high = [SHORTEST_TIME_CONSTANT, step / 4], [LONGEST_TIME_CONSTANT, 10 * span]
+    if swings:
+        part = float(np.median(courses.part))
+        low.append(part / 4)
+        high.append(part * courses.course.shape[2] / 4)
+    return np.log(low), np.log(high)
+
+
+def _start(taken: _Taken, low: Array, high: Array) -> Array:
+    """Return where to begin a search: the best s for each of some lags, which go together."""
+    best, begin = math.inf, low
+    for lag in np.linspace(low[2:], high[2:], 7 if len(low) > 2 else 1):
+
+        def square(transition: float, lag: Array = lag) -> float:
+            common = _common(np.array([math.log(START_TIME_CONSTANT), math.log(transition), *lag]))
+            return float(np.sum(taken.residual(common) ** 2))
+
+        transition = minimum(square, math.exp(low[1]), math.exp(high[1]))
+        if (found := square(transition)) < best:
+            best = found
+            begin = np.array([math.log(START_TIME_CONSTANT), math.log(transition), *lag])
+    return begin
+
+
+def _common(logarithms: Array) -> Common:
+    tau, transition, *lag = np.exp(logarithms).tolist()
+    return Common(transition, lag[0] if lag else None, tau, math.nan, 0)
+
+
+class _Taken:
+    """Some of the staircases, and what (1) leaves of them for given common parameters."""
+
+    def __init__(self, stairs: Stairs, coefficient: float) -> None:
+        self._all, self._coefficient = stairs, coefficient
+        self._every = -(-len(stairs.setpoint) // FITTED_STAIRCASES)
+        self.stairs = stairs.taken(self._every)
+        # A search that moves tau alone keeps the columns of friction, and the other way round.
+        self._currents = lru_cache(maxsize=2)(self._currents_for)
+        self._friction = lru_cache(maxsize=2)(
+            lambda s, lag: friction_columns(self.stairs, Common(s, lag, 1.0, 0.0, 0))
+        )
+
+    def _currents_for(self, time_constant: float) -> tuple[Array, Array, Array]:
+        # Heat remains from the staircase before, so the heat of all of them counts.
+        heat, warmth = (values[:: self._every] for values in winding(self._all, time_constant))
+        drift = warmth - mean_of(warmth, self.stairs.weight)[:, None]
+        current = self.stairs.current * (1 + self._coefficient * drift)
+        return current, current * heat, current * np.abs(current)
+
+    def residual(self, common: Common) -> Array:
+        """Return torque minus (1) on all plateaus, (m p,) N m."""
+        current, *other = self._currents(common.time_constant)
+        friction = self._friction(common.transition, common.lag)
+        q, _ = np.linalg.qr(np.stack([current, self.stairs.weight, *friction, *other], axis=2))
+        fitted = np.einsum("mpc,mc->mp", q, np.einsum("mpc,mp->mc", q, self.stairs.torque))
+        residual: Array = (self.stairs.torque - fitted).ravel()
+        return residual

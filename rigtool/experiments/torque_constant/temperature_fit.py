@@ -5,10 +5,9 @@ Each staircase s has a torque constant k_s at a temperature T_s and a rotor angl
     k_s = r_a (k0 + b (T_s - T0))
 
 r_a is the amplifier's ripple, a relative gain that depends on the angle and averages to 1 over a
-turn. Where each angle was measured at several temperatures, it has an r of its own; else r is a
-sum of orders of rotation. k0 and b come from weighted least squares. The thesis's relative
-coefficient is b / k(20 degC). Length of the arm and calibration of the gauge are common to all
-points: they scale the result (GUM 5.2, correlated input quantities) and do not scatter it.
+turn: a sum of orders of rotation as random effects (`rigtool.numerics.angle_effects`). The thesis's
+relative coefficient is b / k(20 degC). Length of the arm and calibration of the gauge are common
+to all points: they scale the result (GUM 5.2, correlated input quantities) and do not scatter it.
 """
 
 from __future__ import annotations
@@ -22,8 +21,9 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import Linearity, Plateaus, amplifier_linearity
 from rigtool.experiments.torque_constant.staircase_fit import Slopes, fit_staircases
+from rigtool.numerics.angle_effects import fit_angle_effects
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.turn_mean import TurnMean, group_angles, mean_over_turn
+from rigtool.numerics.turn_mean import group_angles
 from rigtool.quantity import Quantity
 
 REFERENCE_DEGC = 20.0
@@ -88,9 +88,8 @@ def calibrate(
     common = {
         "arm length": (arm_length_u / arm_length, math.inf),
         "gauge calibration": (gauge_relative_u, math.inf),
-        "ripple over rotor angles": fit.turn,
         "heat in the winding": (slopes.heating_u, slopes.heating_dof),
-        "friction of the shaft": (slopes.friction_u, math.inf),
+        "friction of the shaft": (slopes.friction_u, slopes.friction_dof),
     }
     law = _Law(fit, common)
     temperature, value, scatter = _points(slopes, fit)
@@ -99,13 +98,14 @@ def calibrate(
     middle = (low + high) / 2 if fit.slope_known else fit.temperature
     mean = law.at(middle)
     components = {name: u for name, (u, _) in common.items()}
-    components["scatter"] = fit.value_u / fit.value
+    components["scatter"] = fit.scatter
+    components["ripple over rotor angles"] = fit.turn
     return Calibration(
         torque_constant=_quantity(law.at(REFERENCE_DEGC), "N m/A") if fit.slope_known else None,
         coefficient=_quantity(law.coefficient(), "1/K") if fit.slope_known else None,
         mean=_quantity(mean, "N m/A"),
         constant_error=_constant_error(law, mean, (low, high)) if fit.slope_known else None,
-        ripple=_ripple(slopes.rotor_angle, fit.gain),
+        ripple=Quantity(fit.ripple[0], "1", fit.ripple[1], fit.dof) if fit.angles > 2 else None,
         temperature=temperature,
         value=value,
         u=np.hypot(scatter, common_u * value),
@@ -139,74 +139,42 @@ class _Fit:
     dof: float
     slope_known: bool
     gain: Array  # (m,) r of each staircase
-    turn: tuple[float, float]  # relative uncertainty of the mean over a turn, dof
+    scatter: float  # relative part of value_u from the scatter that the slopes state
+    turn: float  # relative part of value_u from the ripple
+    ripple: tuple[float, float]  # relative standard deviation of r over a turn, its u
     angles: int
 
 
 def _fit_temperature(slopes: Slopes) -> _Fit:
-    """Fit the model at the top of this module by weighted least squares."""
-    angle, index = group_angles(slopes.rotor_angle)
-    total = len(slopes.slope)
-    repeated = 2 * len(angle) <= total
-    ripple = np.eye(len(angle))[index] if repeated else _orders(angle[index])
-    weight = 1 / slopes.u
-    centre = float(np.average(slopes.temperature, weights=weight**2))
+    """Fit the model at the top of this module."""
+    centre = float(np.average(slopes.temperature, weights=slopes.u**-2))
     rise = slopes.temperature - centre
     known = float(np.ptp(slopes.temperature)) > SAME_TEMPERATURE
-    gain = np.ones(total)
-    for _ in range(4):  # linear for given gains; these differ from 1 by little
-        design = np.column_stack([ripple, gain * rise]) if known else ripple
-        inverse = np.linalg.pinv(design * weight[:, None])
-        parameters = inverse @ (slopes.slope * weight)
-        level = parameters[: ripple.shape[1]]
-        turn = (
-            mean_over_turn(angle, level)
-            if repeated
-            else TurnMean(float(level[0]), 0.0, math.inf, 0.0)
-        )
-        gain = ripple @ level / turn.value
-    dof = total - int(np.linalg.matrix_rank(design))
-    residual = (slopes.slope - design @ parameters) * weight
-    # Scatter counts where it exceeds the uncertainties of the points (Birge ratio).
-    scale = max(1.0, float(residual @ residual) / dof) if dof > 0 else 1.0
-    covariance = inverse @ inverse.T * scale
-    # The value as a combination of the parameters: a mean over angles, or the constant order
-    combination = np.zeros(len(parameters))
-    combination[: len(level)] = 1 / len(level) if repeated else np.eye(len(level))[0]
-    value_u = math.sqrt(float(combination @ covariance @ combination))
-    slope_u = math.sqrt(float(covariance[-1, -1])) if known else 0.0
-    between = float(combination @ covariance[:, -1]) if known else 0.0
+    design = np.column_stack([np.ones(len(rise)), rise]) if known else np.ones((len(rise), 1))
+    size = np.ones(len(rise))
+    for _ in range(2):  # the ripple's size follows the slope by little
+        found = fit_angle_effects(design, slopes.slope, slopes.u, slopes.rotor_angle, size=size)
+        value, slope = float(found.parameters[0]), float(found.parameters[1]) if known else 0.0
+        size = 1 + slope / value * rise
+    u = np.sqrt(np.diag(found.covariance))
+    slope_u = math.hypot(float(u[1]), slopes.friction_drift_u * value) if known else 0.0
+    unknown = bool(np.all(np.isnan(slopes.rotor_angle)))
+    scatter = float(u[0]) if unknown else min(float(np.sum(slopes.u**-2)) ** -0.5, float(u[0]))
     return _Fit(
         temperature=centre,
-        value=turn.value,
-        slope=float(parameters[-1]) if known else 0.0,
-        value_u=value_u,
+        value=value,
+        slope=slope,
+        value_u=float(u[0]),
         slope_u=slope_u,
-        correlation=between / (value_u * slope_u) if slope_u > 0 else 0.0,
-        # Scatter from the points has their degrees of freedom; else those of the plateaus.
-        dof=float(dof if scale > 1 else slopes.dof),
+        correlation=float(found.covariance[0, 1]) / (float(u[0]) * slope_u) if known else 0.0,
+        dof=found.dof,
         slope_known=known,
-        gain=gain,
-        turn=(0.0 if math.isnan(turn.u) else float(turn.u / turn.value), turn.dof or math.inf),
-        angles=0 if np.all(np.isnan(slopes.rotor_angle)) else len(angle),
+        gain=1 + found.effect / value,
+        scatter=scatter / value,
+        turn=math.sqrt(float(u[0]) ** 2 - scatter**2) / value,
+        ripple=(found.deviation / value, found.deviation_u / value),
+        angles=0 if unknown else len(group_angles(slopes.rotor_angle)[0]),
     )
-
-
-def _ripple(angle: Array, gain: Array) -> Quantity | None:
-    """Return the standard deviation of r_a over the rotor angles; its u after GUM E.4.3."""
-    index = group_angles(angle)[1]
-    count = int(index.max()) + 1
-    if count < 3:
-        return None
-    std = float(np.std(np.bincount(index, weights=gain) / np.bincount(index), ddof=1))
-    return Quantity(std, "1", std / math.sqrt(2 * (count - 1)), float(count - 1))
-
-
-def _orders(angle: Array) -> Array:
-    """Return 1 and the orders of rotation that angles (m,) resolve, (m, 1 + 2 orders)."""
-    orders = max(0, min(len(angle) // 4, (len(angle) - 4) // 2))
-    phase = np.outer(angle, np.arange(1, orders + 1))
-    return np.column_stack([np.ones(len(angle)), np.cos(phase), np.sin(phase)])
 
 
 class _Law:

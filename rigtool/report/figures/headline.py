@@ -22,9 +22,9 @@ COVERAGE_FACTOR = 2.0
 
 @plot(HEADLINE, "measure-force", "Measured against applied torque", "loads")
 def draw_headline(run: Run, loads: Table) -> Figure:
-    """Mean readings over what was applied, as they are read and corrected, with k = 2 bars.
+    """Mean readings over applied torque, uncorrected and corrected, with k = 2 bars.
 
-    Below, the errors in percent; the band is what the recipe requires.
+    Below, the errors in percent; the band is the recipe's requirement.
     """
     correction = correction_of(run)
     ways = {f"correction {correction}" if correction != "none" else "measured": loads}

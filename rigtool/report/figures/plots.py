@@ -24,7 +24,7 @@ class Plot:
     """One figure: its number and title, and the function that draws it.
 
     The function takes a run of `command` and the `tables` of that run. `implementations` are the
-    ways of learning that the figure shows; empty stands for any.
+    ways of learning that the figure shows; empty means any.
     """
 
     number: int

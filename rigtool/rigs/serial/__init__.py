@@ -1,9 +1,9 @@
 """Rigs at the end of a serial line.
 
-Who does what
+Responsibilities
 -------------
 `line.Line` moves bytes: deadlines, repeated requests, counts, spy file, replay. `rig.SerialRig` is
-what every serial rig shares: limits, permission, operator, instruments, the way out. A drive that
+common to all serial rigs: limits, permission, operator, instruments, switching off. A drive that
 takes set points one by one is a `drive.Drive`, and `hosted.HostedRig` runs motions on it from the
 host. The `target` runs whole motions by itself and has a rig of its own.
 
@@ -14,7 +14,7 @@ A driver is a `drivers.Driver`, found in a module of `drivers.MODULES` or by an 
 
     connect, abilities, configure            nothing moves; `read` at any time from here on
     enable(mode), step, step, ..., halt      once for each motion
-    halt, restore                            always at the end, whatever happened, then the line
+    halt, restore                            always at the end, after errors as well, then the line
                                              is closed; `halt` may come at any time, also twice
 
 Rules:
@@ -23,25 +23,25 @@ Rules:
   one that may not) and count it. Raise `DamagedReply` where a checksum, length or form is wrong,
   return None from `accept` where a line answers an older question. `LineLost` is raised for you.
 - Raise `HardwareError` where the drive refuses or reports an error: value, limit, remedy.
-- Times that enter a sample or a command come from `Line.now()`, never from `time`: so a spy file
-  plays back as it was. Nothing else may call `Line.now()`, nor anything random decide what is sent.
+- Times that enter a sample or a command come from `Line.now()`, never from `time`: a spy file then
+  plays back exactly. Nothing else may call `Line.now()`, and no random number enters a request.
   An instrument has a line of its own beside the drive's, with the same clock and spy file.
 - `step` should be a single exchange where the protocol allows it: that sets the rate.
 - SI at the interface: rad and rad/s of the motor shaft, A, degC. Feed-forward comes as current: a
   drive that takes torque multiplies it by its own torque constant (read from the drive in
   `connect`), so that this current flows.
-- `configure` remembers each value it changes before it changes it; `restore` brings all of them
-  back, and only those; nothing is stored in the drive's flash. Limits are set as low as asked; the
-  watchdog as `watchdog` s. What the drive cannot watch is returned in words.
-- `halt` works from any state and tries by itself more than once; after it no current flows.
+- `configure` remembers each value before changing it; `restore` restores these values and no
+  others; nothing is stored in the drive's flash. Limits are set as low as asked, the watchdog to
+  `watchdog` s. Limits that the drive cannot watch are returned in words.
+- `halt` works from any state and tries more than once by itself; afterwards no current flows.
 
 Emulators and tests
 -------------------
 `emulators/NAME.py` holds a subclass of `emulators.server.Emulator`: bytes in, bytes out, with the
 real device's known faults. `emulators.server.serve(emulator, faults)` puts it on a pseudo-terminal;
-`port` is what a recipe or `Line` opens. `emulators.faults.Fault` names what goes wrong and when:
+a recipe or `Line` opens its `port`. `emulators.faults.Fault` names what goes wrong and when:
 flipped bits, lost, doubled or cut bytes, silence, reset, refusal, a pulled cable, a reply to an
-older question. `emulators.motor.Motor` is a shaft with inertia and friction to put behind it.
+older question. `emulators.motor.EmulatedMotor` is a shaft with inertia and friction.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Readings between two set points: whether current is the same all through a period of the loop.
+"""Readings between two set points: does the current vary within a period of the loop?
 
-A drive that is driven by set points one by one measures where it gets one, always at the same phase
-of the period. Where its loop answers each set point with a step of current, as it does to steps of
-position, that sample is off the mean of the period by an amount that grows with speed and repeats:
-it looks like friction, and no average takes it away. So every few periods the current is read once
-more, at a phase that varies over the rest of the period, and compared with the value interpolated
-between the samples before and after it. The mean difference is missing from the samples; where
-readings leave little of the period, less of it is seen, and the difference comes out larger or, of
-currents that are over sooner than a reading, smaller.
+A drive that gets set points one by one is sampled when it gets one, always at the same phase of the
+period. Where its loop answers each set point with a step of current, as it does to steps of
+position, that sample differs from the mean of the period by an amount that grows with speed and
+repeats: it looks like friction, and averaging does not remove it. Every few periods the current is
+therefore read once more, at a phase that varies over the rest of the period, and compared with the
+value interpolated between the samples before and after it. The mean difference is missing from the
+samples. Where readings fill most of the period, only its rest is covered: the difference is then
+overestimated or, for currents shorter than a reading, underestimated.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ EVERY = 4
 """Periods from one reading in between to the next."""
 
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""Multiples of it, modulo one, fill a period evenly whatever their number."""
+"""Multiples of it, modulo one, fill a period evenly, for any number of them."""
 
 ROOM = 1.5
-"""Readings that have to fit into what is left of a period before another one is taken."""
+"""Readings that must fit into the rest of a period before another one is taken."""
 
 MIN_READINGS = 8
 """Readings at a speed that are needed for a mean with its scatter."""

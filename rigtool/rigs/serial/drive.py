@@ -13,10 +13,10 @@ Mode = Literal["position", "velocity", "current"]
 
 @dataclass(frozen=True)
 class Abilities:
-    """What a drive can do, known once it is connected.
+    """Abilities of a drive, known once it is connected.
 
     `channels` are those of a `Sample` that it fills: some of `current`, `current_setpoint`,
-    `temperature`. Position is always there. `feedforward` says whether a current may be added in
+    `temperature`. Position is always there. `feedforward` states whether a current may be added in
     the modes `position` and `velocity`; `watchdog`, whether it stops by itself when the line falls
     silent. `moves_along`: in mode `position` the set point moves on at its speed until the next one
     comes; otherwise each set point is a step, which shows in the current.
@@ -33,7 +33,7 @@ class Abilities:
 class SetPoint:
     """A set point for a drive: rad and rad/s of the motor shaft, A.
 
-    `current` is the whole in mode `current`, otherwise what is added (feed-forward). A drive that
+    `current` is the whole in mode `current`, otherwise the added part (feed-forward). A drive that
     takes a torque multiplies it by its own torque constant, so that this current flows.
     """
 
@@ -44,7 +44,7 @@ class SetPoint:
 
 @dataclass(frozen=True)
 class Sample:
-    """What a drive measured, at `time` of `Line.now`; NaN for what it does not report.
+    """Values measured by a drive, at `time` of `Line.now`; NaN for missing ones.
 
     rad (unwrapped, on the drive's own zero), rad/s, A, degC of the motor. Signs are such that a
     positive current pushes towards a rising position.
@@ -71,14 +71,14 @@ class Drive(Protocol):
 
     @property
     def abilities(self) -> Abilities:
-        """What the drive can do; known after `connect`."""
+        """Abilities of the drive; known after `connect`."""
         ...
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
-        """Set limits and watchdog [s] in the drive; remember what was there before.
+        """Set limits and watchdog [s] in the drive; remember the previous values.
 
-        Called again after a power cycle: what was there at first is what `restore` brings back.
-        Returns what the drive cannot watch by itself, in words that go on from "the drive", e.g.
+        Called again after a power cycle: `restore` restores the values of the first call.
+        Returns the limits that the drive cannot watch, in words that continue "the drive", e.g.
         "has no limit of speed"; the host watches everything anyway.
         """
         ...
@@ -92,16 +92,16 @@ class Drive(Protocol):
         ...
 
     def read(self) -> Sample:
-        """Measure, whatever state the drive is in; nothing moves."""
+        """Measure, in any state of the drive; nothing moves."""
         ...
 
     def halt(self) -> None:
-        """Stop at once and switch the power stage off, whatever state the drive is in.
+        """Stop at once and switch the power stage off, in any state of the drive.
 
         Called in any state, also twice, also after errors on the line: tries again by itself.
         """
         ...
 
     def restore(self) -> None:
-        """Bring back what `configure` changed; called after `halt`, also when nothing was."""
+        """Restore the settings that `configure` changed, if any; called after `halt`."""
         ...

@@ -43,9 +43,9 @@ REPLAY = "replay"
 
 @dataclass(frozen=True)
 class Driver:
-    """What rigtool needs of a kind of drive; either `make_drive` or `make_rig`.
+    """A kind of drive, as rigtool uses it; either `make_drive` or `make_rig`.
 
-    `probe(line)` returns the identity of what answers, None where it is something else; it only
+    `probe(line)` returns the identity of the device, None for another kind; it only
     asks. `baud_rates` in bit/s has the usual one first, then others that devices may be set to.
     `make_drive(line, recipe)` returns a drive that takes set points from the host, not connected
     yet; `make_rig(recipe, torque_constant, use, operator)` the rig of a device that runs whole

@@ -23,7 +23,7 @@ OVERHEAD = HEAD.size + CRC.size
 
 
 class Frame(NamedTuple):
-    """What a frame carries."""
+    """Contents of a frame."""
 
     kind: int
     sequence: int
@@ -37,7 +37,7 @@ def encode(frame: Frame) -> bytes:
 
 
 def decode(data: bytes) -> Frame:
-    """Return what a frame carries, given without its end; raises `DamagedReply`."""
+    """Return the contents of a frame, given without its end; raises `DamagedReply`."""
     plain = cobs_decode(data)
     if len(plain) < OVERHEAD:
         raise DamagedReply(f"a frame of {len(plain)} bytes is too short: bytes were lost")
@@ -69,7 +69,7 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def cobs_decode(data: bytes) -> bytes:
-    """Return what `cobs_encode` was given; raises `DamagedReply` where that is impossible."""
+    """Decode COBS; raises `DamagedReply` for bytes that `cobs_encode` never returns."""
     codes = []
     position, size = 0, len(data)
     while position < size:
@@ -90,7 +90,7 @@ def cobs_decode(data: bytes) -> bytes:
 
 
 class Splitter:
-    """Cuts what arrives on a line into frames; damaged ones are counted in `damaged`."""
+    """Cuts received bytes into frames; counts damaged ones in `damaged`."""
 
     def __init__(self) -> None:
         self._rest = b""

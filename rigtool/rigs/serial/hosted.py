@@ -1,12 +1,13 @@
 """A rig whose loop is closed in a drive, and whose set points the host sends one by one.
 
 The host's loop has the period `rig.sample_time`; a thread of its own owns the line while a motion
-runs, so that writing files does not disturb it. A tick that comes late is made up for, and each
-sample carries the time at which it was taken; how evenly is in the run's record of the line.
+runs, so that writing files does not disturb it. A late tick is made up for; where the loop falls
+too far behind, ticks are skipped and counted. Each sample carries the time at which it was taken;
+the run's record of the line states how even these times are.
 
-A drive whose set point of position stands still between two of them answers each with a step of
-current. It is made to follow speeds, which the host corrects by the error of position; where
-it takes positions only, `between` measures how that biases the samples.
+A drive whose set point of position stands still between two messages answers each with a step of
+current. Such a drive follows speeds, which the host corrects by the error of position; where it
+takes positions only, `between` measures the bias of the samples.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ class HostedRig(SerialRig):
         self._driver = driver
         self._drive: Drive | None = None
         self._configured = False
-        self._ticks = self._late = 0
+        self._ticks = self._late = self._skipped = 0
         self._between = Between()
         self._longest_gap = self._driven = 0.0
 
@@ -93,7 +94,7 @@ class HostedRig(SerialRig):
         )
 
     def _connect(self) -> str:
-        if self._drive is None:  # after a power cycle it still knows what to restore
+        if self._drive is None:  # after a power cycle it still knows the values to restore
             assert self._driver.make_drive is not None, "a driver makes a drive or a rig"
             self._drive = self._driver.make_drive(self.line, self._recipe)
         identity = self._drive.connect()
@@ -163,6 +164,7 @@ class HostedRig(SerialRig):
             "samples": self._ticks,
             "rate_hz": round(rate, 3),
             "late_samples": self._late,
+            "skipped_samples": self._skipped,
             "longest_gap_s": round(self._longest_gap, 6),
             "steps_in_position": self.steps_in_position,
             "between_set_points": list(self._between.found()),
@@ -179,13 +181,14 @@ class HostedRig(SerialRig):
         self.drive.halt()
 
     def _run(self, task: Task) -> Iterator[Block]:
-        """Drive a task in a thread of its own, and hand on what it measures."""
+        """Drive a task in a thread of its own, and hand on its samples."""
         loop = _Loop(self, task)
         try:
             yield from in_thread(loop.run)
         finally:
             self._ticks += loop.ticks
             self._late += loop.late
+            self._skipped += loop.skipped
             self._longest_gap = max(self._longest_gap, loop.longest_gap)
             self._driven += loop.elapsed
 
@@ -199,7 +202,7 @@ class HostedRig(SerialRig):
 
     @property
     def steps_in_position(self) -> bool:
-        """Whether the drive is sent positions between which it stands still."""
+        """Whether the drive gets positions between which it stands still."""
         return self.mode == "position" and not self.drive.abilities.moves_along
 
 
@@ -210,17 +213,23 @@ class _Loop:
         self._rig, self._task = rig, task
         self._drive, self._line = rig.drive, rig.line
         self._recipe = rig._recipe
-        self._watch = safety.Watch(rig._limits, self._recipe.rig.encoder_counts)
-        self._clock = Clock(rig.line, self._recipe.rig.sample_time, rig._settings.watchdog)
-        self._rows: list[tuple[float, ...]] = []
         self._open_loop = isinstance(task.motion, OpenLoop)
+        counts = self._recipe.rig.encoder_counts
+        self._watch = safety.Watch(rig._limits, counts, closed=not self._open_loop)
+        self._clock = Clock(
+            rig.line,
+            self._recipe.rig.sample_time,
+            rig._settings.watchdog,
+            skips=task.feedforward.signal is None,
+        )
+        self._rows: list[tuple[float, ...]] = []
         self._gain = min(rig._settings.position_gain, CORRECTED / self._recipe.rig.sample_time)
         self._start = self._origin = 0.0
-        self.ticks = self.late = 0
+        self.ticks = self.late = self.skipped = 0
         self.longest_gap = self.elapsed = 0.0
 
     def run(self, put: Callable[[Block], None], stop: threading.Event) -> None:
-        """Run to the end, or until stopped; whatever is wrong, the drive is halted first."""
+        """Run to the end, or until stopped; on any error the drive is halted first."""
         self._put = put
         try:
             self._ticking(stop)
@@ -243,11 +252,15 @@ class _Loop:
         block = max(1, round(BLOCK_TIME / dt / task.record_every)) * task.record_every
         self._start = start = self._line.now()
         probe: Sample | None = None
-        for tick in range(round(motion.duration / dt)):
+        tick, last_tick = 0, round(motion.duration / dt) - 1
+        while tick <= last_tick:
             if stop.is_set():
                 self._drive.halt()
                 return
-            now, lateness = self._clock.wait(start, tick)
+            now, lateness, skipped = self._clock.wait(start, tick)
+            skipped = min(skipped, last_tick - tick)  # the last set point is always sent
+            self.skipped += skipped
+            tick += skipped
             setpoint, parts = self._setpoint(now - start, last)
             sample = self._drive.step(setpoint)
             self._clock.exchanged(now)
@@ -262,6 +275,7 @@ class _Loop:
                 return
             if not self._open_loop:
                 probe = self._probe(tick)
+            tick += 1
 
     def _probe(self, tick: int) -> Sample | None:
         """Read between two set points, now and then, where there is time."""
@@ -292,7 +306,7 @@ class _Loop:
     def _setpoint(
         self, elapsed: float, last: Sample
     ) -> tuple[SetPoint, tuple[float, float, float]]:
-        """Return what to send, and (feed-forward, table, signal current) to record."""
+        """Return the set point to send, and (feed-forward, table, signal current) to record."""
         motion, feedforward = self._task.motion, self._task.feedforward
         if isinstance(motion, OpenLoop):
             time = np.array([min(elapsed, motion.duration)])
@@ -319,7 +333,7 @@ class _Loop:
     def _wanted(self, sample: Sample) -> float:
         """Return the set point of position at the time of a sample, rad.
 
-        What was sent is a little older than the sample.
+        The set point is a little older than the sample.
         """
         if self._open_loop:
             return sample.position
@@ -331,10 +345,11 @@ class _Loop:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
         encoder = sample.position * counts
         model, table, signal = parts
+        wanted = self._wanted(sample)
         self._rows.append(
             (
                 sample.time,
-                self._wanted(sample),
+                wanted,
                 encoder,
                 sample.current_setpoint,
                 sample.current,
@@ -352,6 +367,7 @@ class _Loop:
             {
                 "time": np.array([sample.time]),
                 "encoder": np.array([encoder]),
+                "position_setpoint": np.array([wanted]),
                 "current": np.array([sample.current]),
                 "temperature": np.array([sample.temperature]),
             }
@@ -360,7 +376,7 @@ class _Loop:
             raise HardwareError(problem)
 
     def _hand_on(self) -> None:
-        """Put what was measured, averaged over `record_every`, as a block."""
+        """Put the samples, averaged over `record_every`, as a block."""
         every = self._task.record_every
         rows = len(self._rows) // every
         if rows:

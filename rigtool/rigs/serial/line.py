@@ -2,7 +2,8 @@
 
 Everything that speaks to hardware goes through a `Line`: so every byte can be written to a spy
 file, and a port `replay://FILE` plays such a file back. Errors are `HardwareError`s: `LineTimeout`
-and `DamagedReply` concern one reply, and a request that may be repeated is; `LineLost` is final.
+and `DamagedReply` concern one reply, and a request that may be repeated is; `RequestRefused` is a
+reply as well; `LineLost` is final.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ POLL = 0.01
 """Longest that one read of the port waits, s: deadlines are kept as closely."""
 
 QUIET = 0.02
-"""Silence after which what is left of an older reply has passed, s."""
+"""Silence after which the rest of an older reply has passed, s."""
 
 SNATCHED = 30
 """Times in a row that a port may announce bytes and deliver none."""
@@ -41,16 +42,24 @@ class LineTimeout(HardwareError):
 
 
 class DamagedReply(HardwareError):
-    """What came is not a whole reply to what was asked: checksum, length, sequence or form."""
+    """The received bytes are no valid reply: checksum, length, sequence or form."""
 
 
 class LineLost(HardwareError):
     """The port is gone, or no valid reply comes in spite of retries."""
 
 
+class RequestRefused(HardwareError):
+    """The device refuses a request; `code` is the one that it gives, if any."""
+
+    def __init__(self, message: str, code: int | None = None) -> None:
+        super().__init__(message)
+        self.code = code
+
+
 @dataclass
 class LineCounts:
-    """Counts of what happened on a line, stored in the run file."""
+    """Counts of the events on a line, stored in the run file."""
 
     requests: int = 0
     retries: int = 0
@@ -126,7 +135,7 @@ class Line:
         self._spy = None
 
     def reopen(self, patience: float) -> None:
-        """Open the port anew: a device that was switched off may have taken it away.
+        """Open the port again: it may be lost when a device is switched off.
 
         Tries for `patience` s; raises `HardwareError` where it does not come back.
         """
@@ -165,7 +174,7 @@ class Line:
     def now(self) -> float:
         """Return the time since the line was opened, s, for set points and time stamps.
 
-        Played back from a spy file it is the time as it was then: use it for whatever enters a
+        Played back from a spy file it is the recorded time: use it for every time that enters a
         command or a recording, and for nothing else.
         """
         if isinstance(self._port, Replay):
@@ -198,7 +207,7 @@ class Line:
         self._note(">", data)
 
     def read_some(self, timeout: float | None = None) -> bytes:
-        """Return what has come, at least a byte; empty after the timeout, s."""
+        """Return the received bytes, at least one; empty after the timeout, s."""
         if self._buffer:
             data = bytes(self._buffer)
             self._buffer.clear()
@@ -216,11 +225,11 @@ class Line:
         return self._take(self._buffer.index(end) + len(end))
 
     def give_back(self, data: bytes) -> None:
-        """Put bytes back that belong to what follows."""
+        """Put back bytes that belong to the next reading."""
         self._buffer[:0] = data
 
     def settle(self, quiet: float = QUIET) -> int:
-        """Drop what comes until the line is silent; return and count how many bytes that were."""
+        """Drop bytes until the line is silent; count them and return their number."""
         dropped = len(self._buffer)
         self._buffer.clear()
         limit = time.monotonic() + max(1.0, quiet)
@@ -242,7 +251,7 @@ class Line:
         retries: int | None = None,
         settle: bool = True,
     ) -> T:
-        """Send a request and return what `receive` makes of the reply.
+        """Send a request and return the result of `receive` for the reply.
 
         `receive` reads from this line and raises `LineTimeout` or `DamagedReply` where there is no
         valid reply; then the line is left to settle and the request is repeated, `retries` times,
@@ -281,7 +290,7 @@ class Line:
         timeout: float | None = None,
         retries: int | None = None,
     ) -> T:
-        """Send a request and return what `accept` makes of the line that answers it.
+        """Send a request and return the result of `accept` for the line that answers it.
 
         `accept` gets a line without its end and returns None where that is not the answer to this
         request, e.g. a late one to an older question: the next line is tried until the timeout. It
@@ -322,7 +331,7 @@ class Line:
         return data
 
     def _receive(self, deadline: float) -> bytes:
-        """Return what has come on the port, at least a byte; empty after the deadline."""
+        """Return the bytes received by the port, at least one; empty after the deadline."""
         while True:
             try:
                 data: bytes = self._port.read(max(1, self._port.in_waiting))

@@ -18,7 +18,7 @@ PROBE_TIME = 0.15
 
 @dataclass(frozen=True)
 class Device:
-    """A port and what is known of it: `driver` and `identity` are empty where nothing answers.
+    """A port and its device: `driver` and `identity` are empty where nothing answers.
 
     `problem` is the reason why a port could not be asked.
     """
@@ -31,7 +31,7 @@ class Device:
 
 
 def list_ports() -> list[tuple[str, str]]:
-    """Return the serial ports of this computer, each with what the system calls it."""
+    """Return the serial ports of this computer, each with the system's description."""
     from serial.tools import list_ports
 
     return sorted((item.device, item.description or "") for item in list_ports.comports())
@@ -68,7 +68,7 @@ def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
             except HardwareError as error:
                 if "cannot be opened" in str(error):
                     return Device(port, description, problem=str(error).removeprefix(f"{port}: "))
-                time.sleep(PROBE_TIME / 5)  # what the last question may still bring about
+                time.sleep(PROBE_TIME / 5)  # for late answers to the last question
                 continue
             if identity:
                 return Device(port, description, name, identity)

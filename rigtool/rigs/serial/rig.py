@@ -1,4 +1,4 @@
-"""What all rigs on a serial line share: limits, permission, operator, instruments, safe exit."""
+"""The common part of rigs on a serial line: limits, permission, operator, instruments, exit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rigtool.interrupts import held
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
-from rigtool.rigs.motion import Observe
+from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
@@ -83,7 +83,7 @@ class SerialRig(Rig, ABC):
 
     @abstractmethod
     def _halt(self) -> None:
-        """Stop and switch off, whatever state."""
+        """Stop and switch off, in any state."""
 
     @abstractmethod
     def _restore(self) -> None:
@@ -95,10 +95,10 @@ class SerialRig(Rig, ABC):
 
     @abstractmethod
     def _reason(self, need: str) -> str | None:
-        """Return why a need or channel is not offered by what is on the line, None where it is."""
+        """Return why the device does not offer a need or channel, None where it does."""
 
     def _last_resort(self) -> str:
-        """Return what stops a drive that cannot be reached any more, for the operator."""
+        """Return what stops a drive that is out of reach, for the operator."""
         return f"Its watchdog stops it after {self._settings.watchdog:g} s of silence"
 
     def _set_load(self, load: Load) -> None:
@@ -131,7 +131,7 @@ class SerialRig(Rig, ABC):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Stop, switch off, restore, let go. A failure here is reported, and hides no error."""
+        """Stop, switch off, restore, release. A failure here is reported, and hides no error."""
         problems = []
         with held():
             if self._running is not None:
@@ -141,7 +141,7 @@ class SerialRig(Rig, ABC):
                     act()
                 except HardwareError as failure:
                     problems.append(f"the drive could not be made to {what}: {failure}")
-                    break  # the line is gone: what follows would only wait
+                    break  # the line is lost: further requests would only wait
             for gauge in self._gauges.values():
                 gauge.__exit__(None, None, None)
             if self._line is not None:
@@ -157,7 +157,7 @@ class SerialRig(Rig, ABC):
                 raise HardwareError(text)
             error.add_note(text)
 
-    # -- what is offered
+    # -- abilities
 
     def lacks(self, need: str) -> str | None:
         """Return why a need or channel is not offered; None where it is."""
@@ -190,7 +190,7 @@ class SerialRig(Rig, ABC):
             del self._gauges[name]
 
     def permit(self, plan: str) -> None:
-        """Show what is about to happen, and let the operator agree to it."""
+        """Show the plan and ask the operator for consent."""
         notes = [
             *(f"{name} is read: {gauge.name}" for name, gauge in self._gauges.items()),
             *(f"serial.{name} is left alone: nothing of it is recorded" for name in self._unused),
@@ -249,7 +249,8 @@ class SerialRig(Rig, ABC):
         yield from self._perform(task)
 
     def _perform(self, task: Task) -> Iterator[Block]:
-        watch = safety.Watch(self._limits, self._recipe.rig.encoder_counts)
+        closed = not isinstance(task.motion, OpenLoop)
+        watch = safety.Watch(self._limits, self._recipe.rig.encoder_counts, closed=closed)
         self._running = blocks = self._execute(task)
         complete = False
         try:
@@ -284,7 +285,7 @@ class SerialRig(Rig, ABC):
     def _break_off(self) -> None:
         """End a motion before its end; `__exit__` tries again, and reports errors.
 
-        Whatever thread has the line lets go of it first.
+        The thread that uses the line releases it first.
         """
         with held(), contextlib.suppress(HardwareError):
             if self._running is not None:
@@ -302,7 +303,7 @@ class SerialRig(Rig, ABC):
         return next((problem for problem in problems if problem), None)
 
     def _host_time(self, time: Array) -> Array:
-        """Return what the line's clock said at these times of the bench clock, s."""
+        """Return the time of the line's clock at these times of the bench clock, s."""
         return time
 
     # -- the operator
@@ -324,7 +325,7 @@ class SerialRig(Rig, ABC):
         )
 
     def power_cycle(self) -> None:
-        """Switch the amplifier off and on: it calibrates itself anew."""
+        """Switch the amplifier off and on: it calibrates itself again."""
         self._halt()
         self._operator.done("Switch the amplifier off and on again")
         self._reconnect()
@@ -347,7 +348,7 @@ def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) 
     """Yield the blocks that `work(put, stop)` puts, from a thread of its own.
 
     So nothing that is done with a block disturbs the line. `work` returns soon once `stop` is set:
-    that happens where the caller gives up. What it raises is raised here, after its last block.
+    that happens where the caller gives up. Its errors are raised here, after its last block.
     """
     blocks: queue.Queue[Block | BaseException | None] = queue.Queue()
     stop = threading.Event()
@@ -373,7 +374,7 @@ def in_thread(work: Callable[[Callable[[Block], None], threading.Event], None]) 
 
 
 def describe_load(load: Load, attachment: str) -> str:
-    """Return what the operator has to do for a load, as a request."""
+    """Return the request to the operator for a load."""
     parts = []
     if load.force:
         where = "the grasper" if attachment == "instrument" else "the cord on the pulley"

@@ -29,7 +29,7 @@ SPEED_WINDOWS = 0.01 * 2.0 ** np.arange(7)
 Longer ones judge more closely, shorter ones sooner."""
 
 BLIND = 0.5
-"""Longest time for which a position may be missing, s: nobody would see where the motor goes."""
+"""Longest time for which a position may be missing, s: the motor moves unobserved meanwhile."""
 
 JUMP = 5.0
 """Multiple of the limit of speed beyond which the encoder is doubted as well as the motor."""
@@ -45,9 +45,9 @@ SETTLE_TIME = 0.5
 
 @dataclass(frozen=True)
 class Extremes:
-    """What a task asks for at most, at the samples of the loop.
+    """Largest demands of a task, at the samples of the loop.
 
-    `position` is (lowest, highest) rad, NaN in open loop, where nobody knows it; `current` [A] is
+    `position` is (lowest, highest) rad, NaN in open loop, where it is unknown; `current` [A] is
     the feed-forward's, or the whole in open loop; `speed`, `acceleration` are magnitudes.
     """
 
@@ -72,13 +72,16 @@ class Extremes:
 
 
 def extremes(task: Task, origin: float, sample_time: float, torque_constant: float) -> Extremes:
-    """Evaluate a task at every sample of the loop; `origin` [rad] is where the shaft is."""
+    """Evaluate a task at every sample of the loop; `origin` [rad] is where the shaft is.
+
+    Raises `RecipeError` for a set point of position that jumps.
+    """
     motion = task.motion
-    if isinstance(motion, Observe):  # where somebody else moves it is not known
+    if isinstance(motion, Observe):  # the path of another's motion is not known
         return Extremes(motion.duration, (math.nan, math.nan), 0.0, 0.0, 0.0, math.nan)
     total = max(1, round(motion.duration / sample_time))
     low, high, top_speed, top_acceleration, top_current = math.inf, -math.inf, 0.0, 0.0, 0.0
-    end = origin
+    end, path = origin, _Path(type(motion).__name__, sample_time)
     for first in range(0, total, BLOCK):
         steps = np.arange(first, min(first + BLOCK, total))
         time = (steps.astype(np.float64) + 0.5) * sample_time
@@ -87,6 +90,7 @@ def extremes(task: Task, origin: float, sample_time: float, torque_constant: flo
             continue
         position, speed, acceleration = motion.setpoint(time)
         position = position + (origin if motion.start is None else motion.start)
+        path.follow(time, position, speed, acceleration)
         current = (
             feedforward_torque(task.feedforward, position, speed, acceleration, steps)
             / torque_constant
@@ -99,6 +103,29 @@ def extremes(task: Task, origin: float, sample_time: float, torque_constant: flo
     if isinstance(motion, OpenLoop):
         low = high = math.nan
     return Extremes(motion.duration, (low, high), top_speed, top_acceleration, top_current, end)
+
+
+class _Path:
+    """Set points of a motion, block by block: positions follow from speeds."""
+
+    def __init__(self, name: str, sample_time: float) -> None:
+        self._name, self._dt = name, sample_time
+        self._last = np.empty((4, 0))
+
+    def follow(self, time: Array, position: Array, speed: Array, acceleration: Array) -> None:
+        """Raise `RecipeError` where the position goes further than speed and acceleration say."""
+        signals = np.concatenate([self._last, [time, position, speed, acceleration]], axis=1)
+        self._last = signals[:, -1:]
+        moved = np.abs(np.diff(signals[1]))
+        fastest, hardest = (np.maximum(np.abs(s[1:]), np.abs(s[:-1])) for s in signals[2:])
+        allowed = 2 * (fastest + hardest * self._dt) * self._dt + ROUNDING
+        if (jumps := np.flatnonzero(moved > allowed)).size:
+            at = jumps[0]
+            raise RecipeError(
+                f"the set point of {self._name} jumps by {moved[at]:.3g} rad at "
+                f"{signals[0, at + 1]:.4g} s, where its speed is {fastest[at]:.3g} rad/s: change "
+                "the angles or times of this motion in the recipe"
+            )
 
 
 def feedforward_torque(
@@ -150,18 +177,19 @@ def check(found: Extremes, limits: Limits, what: str = "this motion") -> None:
     if beyond:
         raise RecipeError(
             f"{what} would exceed the limits of the rig: {'; '.join(beyond)}: ask less of the "
-            "rig in the recipe, or raise the limit if it stands that"
+            "rig in the recipe, or raise the limit if it withstands that"
         )
 
 
 class Watch:
-    """Keeps an eye on what a running motion measures.
+    """Watches the signals of a running motion.
 
-    **Speed.** Stamps may be late and jitter. All that is relied on is that a reading was made after
-    the stamp before its own, and no later after its own than that is before it: so it is where the
-    answer is stamped, the middle of question and answer, or the moment itself. What is judged is
-    the slowest motion which that allows, over `SPEED_WINDOWS`, less one count of the encoder.
-    - A motor that keeps to the limit never trips, whatever the jitter.
+    **Speed.** Time stamps may be late and jitter. The only assumption: a reading was made after the
+    previous stamp, and at most as long after its own stamp as the previous stamp is before it. This
+    holds where the stamp is that of the answer, the middle of question and answer, or the moment
+    itself. The limit applies to the slowest motion consistent with this, over `SPEED_WINDOWS`, less
+    one count of the encoder.
+    - A motor within the limit never trips it, with any jitter.
     - Let T be the longest interval between samples. A speed v that lasts for W + 6 T, W one of the
       windows, always trips where v (W - 2 T) > limit (W + 2 T) + 2 counts, counts in rad. At 8 kHz
       and 4000 counts that is 1.06 times the limit and 0.3 rad/s, over 11 ms; at 250 Hz 1.5 times
@@ -169,23 +197,26 @@ class Watch:
       0.44 s.
 
     **Current.** The mean of its magnitude over `WINDOW`, or over two samples that are further apart
-    than that: one noisy sample among many is forgiven, a current that oscillates is not. Beyond the
-    limit by `CURRENT_TOLERANCE` all that time always trips, within it never.
+    than that: a single noisy sample does not trip, an oscillating current does. A current beyond
+    the limit by `CURRENT_TOLERANCE` for all that time always trips, one within it never.
 
-    **Position, temperature.** Each sample. NaN is a sample that is missing, it is left out; where
-    samples come without a position for longer than `BLIND`, that is a problem of its own. One that
-    jumps, since the encoder wrapped around or lost its place, shows as speed, or as a position.
+    **Position, temperature.** Each sample. NaN is a missing sample and is left out; positions that
+    are missing for longer than `BLIND` trip as well. A jump of position, where the encoder wraps
+    around or loses counts, appears as speed or as a position.
+
+    **Following.** Where the loop is `closed`, the distance of position and set point, each sample:
+    a shaft that is blocked, a set point that the drive clamps, a loop that does not hold.
     """
 
-    def __init__(self, limits: Limits, encoder_counts: int) -> None:
-        self._limits = limits
+    def __init__(self, limits: Limits, encoder_counts: int, *, closed: bool = False) -> None:
+        self._limits, self._closed = limits, closed
         self._count = 2 * math.pi / encoder_counts
         self._positions = _Tail(float(SPEED_WINDOWS[-1]))
         self._currents = _Tail(WINDOW)
         self._seen = math.nan
 
     def problem(self, block: Block) -> str | None:
-        """Return what is beyond the limits in the signals that follow those so far, or None."""
+        """Return which limit the next signals exceed, in words, or None."""
         time, encoder = block["time"], block.get("encoder")
         if len(time) == 0:
             return None
@@ -199,7 +230,11 @@ class Watch:
                 if not limits.position[0] <= value <= limits.position[1]:
                     nearest = limits.position[0 if value < limits.position[0] else 1]
                     return _beyond("position", float(value), nearest, "rad")
-            found = self._blind(time, position) or self._fast(time, position)
+            found = (
+                self._blind(time, position)
+                or self._fast(time, position)
+                or self._off(block, position)
+            )
             if found:
                 return found
         current = block.get("current")
@@ -239,6 +274,21 @@ class Watch:
             found += ". So fast a position may also have jumped: see to the encoder"
         return found
 
+    def _off(self, block: Block, position: Array) -> str | None:
+        """Judge how far the shaft is off its set point."""
+        setpoint = block.get("position_setpoint")
+        if not self._closed or setpoint is None or not _any(off := np.abs(position - setpoint)):
+            return None
+        worst = int(np.nanargmax(off))
+        if off[worst] <= self._limits.following_error:
+            return None
+        return (
+            f"the shaft is at {position[worst]:.4g} rad and its set point at {setpoint[worst]:.4g} "
+            f"rad, further apart than serial.limits.following_error = "
+            f"{self._limits.following_error:.4g} rad: the motor was stopped and switched off; see "
+            "whether the shaft is blocked, whether the drive clamps its set point, or tune its loop"
+        )
+
     def _strong(self, time: Array, current: Array) -> str | None:
         """Judge the mean of the current's magnitude."""
         new, time, current = self._currents.follow(time, current)
@@ -255,7 +305,7 @@ class Watch:
 
 
 class _Tail:
-    """The end of a signal, `length` s of it, without what is missing."""
+    """The end of a signal, `length` s of it, without missing samples."""
 
     def __init__(self, length: float) -> None:
         self._length = length
@@ -263,7 +313,7 @@ class _Tail:
         self._values = np.empty(0)
 
     def follow(self, time: Array, values: Array) -> tuple[int, Array, Array]:
-        """Return tail and block (n,), the number of what is old in it, and keep its end."""
+        """Return tail and block (n,), the number of old samples in it, and keep its end."""
         there = np.isfinite(values)
         old = len(self._time)
         time = np.concatenate([self._time, time[there]])

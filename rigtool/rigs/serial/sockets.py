@@ -13,7 +13,7 @@ class Socket:
     """A connection to HOST:PORT; raises OSError or ValueError where there is none."""
 
     in_waiting = 65536
-    """Not known: a read returns what is there, up to this."""
+    """Not known: a read returns the available bytes, up to this number."""
 
     def __init__(self, address: str, timeout: float) -> None:
         host, _, port = address.split("?")[0].rstrip("/").rpartition(":")
@@ -25,7 +25,7 @@ class Socket:
         self._socket.settimeout(1.0)
 
     def read(self, size: int = 1) -> bytes:
-        """Return what is there, at most `size` bytes; empty after the timeout.
+        """Return the available bytes, at most `size`; empty after the timeout.
 
         Raises `ConnectionError` where the other side has closed.
         """

@@ -4,7 +4,7 @@ A spy file is text, a line an event, `seconds kind bytes`: `>` to the device, `<
 that are not printable as `\xNN`; `-` where the host waited and nothing came; `!` where the line was
 lost, and why. `.` is a reading of the clock that went into set points or time stamps: played back,
 host and device see the same times, so a run comes out as it was. Of an instrument beside the drive
-the channel stands before the kind: `0.713 force< 4.285 N\r\n`. All times are of one clock, that
+the channel precedes the kind: `0.713 force< 4.285 N\r\n`. All times are of one clock, that
 begins when the drive's line is opened.
 
 The first line names the driver: `# rigtool spy 2 driver=...`; another line with `#` that of an
@@ -139,7 +139,7 @@ class Replay:
         return self._now
 
     def write(self, data: bytes) -> int:
-        """Compare with what was sent then; what was received then can be read afterwards.
+        """Compare with the recorded request; the recorded answer can be read afterwards.
 
         Raises `HardwareError` where it differs, `RecordEnd` behind the last, and `OSError` where
         the line was lost then.
@@ -147,7 +147,7 @@ class Replay:
         self._said += data
         while self._said:
             while self._events and self._events[0].kind not in ">!":
-                self._events.popleft()  # what arrived then, and was dropped unread
+                self._events.popleft()  # bytes that arrived then, and were dropped unread
             self._raise_if_lost()
             if not self._events:
                 raise RecordEnd(
@@ -169,7 +169,7 @@ class Replay:
         return len(data)
 
     def read(self, size: int = 1) -> bytes:
-        """Return what was received at this point; nothing where nothing was."""
+        """Return the bytes received at this point of the record, if any."""
         self._raise_if_lost()
         if not self.in_waiting:
             if self._events and self._events[0].kind == "-":

@@ -50,5 +50,5 @@ class TableStore(Protocol):
         ...
 
     def store(self, table: DriveTable, before: DriveTable) -> None:
-        """Store a table for good and compare; on any failure bring `before` back."""
+        """Store a table permanently and compare; on any failure restore `before`."""
         ...

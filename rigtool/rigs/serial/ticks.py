@@ -5,38 +5,53 @@ from __future__ import annotations
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.line import Line
 
+FORGIVEN = 0.25
+"""Part of a period by which each tick that comes in time makes up for ticks that were skipped: a
+loop goes on for ever where a fifth of its ticks are skipped, and ends where it is much more."""
+
 
 class Clock:
-    """Waits for ticks of a `period`, late by `patience` at most; both in s."""
+    """Waits for ticks of a `period`, late by `patience` at most; both in s.
 
-    def __init__(self, line: Line, period: float, patience: float) -> None:
+    A tick that comes late is made up for. With `skips`, a loop that is late by half its patience
+    goes on at the tick that is due; a motion whose signal has a sample for each tick cannot.
+    """
+
+    def __init__(self, line: Line, period: float, patience: float, *, skips: bool) -> None:
         self._line, self._period, self._patience = line, period, patience
+        self._skips, self._owed = skips, 0.0
         self._free = self._busy = 0.0
         self._asleep = self._exchanging = 0.0
         self._retries = line.counts.retries
 
-    def wait(self, start: float, tick: int) -> tuple[float, float]:
-        """Wait for a tick counted from `start`; return the time, and how late that is, s.
+    def wait(self, start: float, tick: int) -> tuple[float, float, int]:
+        """Wait for a tick counted from `start`; return the time, how late it is, s, and `skipped`.
 
-        Raises `HardwareError` where that is longer than the drive would wait.
+        Raises `HardwareError` where that is longer than the drive would wait, or where skipped
+        ticks add up to that and are not made up for.
         """
         moment = start + tick * self._period
         self._line.sleep_until(moment)
         now = self._line.now()
         lateness = now - moment
-        if lateness <= self._period:
+        behind = self._skips and lateness > max(self._period, self._patience / 2)
+        skipped = int(lateness / self._period) if behind else 0
+        in_time = lateness <= self._period
+        less = FORGIVEN * self._period if in_time else 0.0
+        self._owed = max(0.0, self._owed + skipped * self._period - less)
+        if in_time and self._owed == 0.0:
             self._asleep = self._exchanging = 0.0
             self._retries = self._line.counts.retries
-        else:
+        elif not in_time:
             self._exchanging += max(0.0, self._busy - self._period)
             self._asleep += now - max(moment, self._free)
         self._busy = 0.0
-        if lateness > self._patience:
-            raise HardwareError(self._problem(lateness, tick))
-        return now, lateness
+        if (late := max(lateness, self._owed)) > self._patience:
+            raise HardwareError(self._problem(late, tick))
+        return now, lateness - skipped * self._period, skipped
 
     def exchanged(self, begun: float) -> None:
-        """Note that what the drive was asked at a time is answered."""
+        """Note that the drive has answered the question of this time."""
         self._free = self._line.now()
         self._busy += self._free - begun
 

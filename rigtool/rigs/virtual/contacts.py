@@ -1,4 +1,4 @@
-"""What touches the output of the virtual rig during a motion: pulses, masses, sines, ramps, tissue.
+"""Contacts at the output of the virtual rig during a motion: pulses, masses, sines, ramps, tissue.
 
 Each contact of the recipe is drawn from a stream of its own, so that adding one changes no other.
 """
@@ -97,7 +97,7 @@ class Outside:
     grip: Grip | None
 
     def at(self, time: Array) -> Array:
-        """Return what acts at these times, (n, 4) as the kernel has it."""
+        """Return the contacts at these times, (n, 4) in the kernel's columns."""
         found = np.zeros((len(time), 4))
         for touch in self.touches:
             if touch.begin <= time[-1] and touch.end > time[0]:

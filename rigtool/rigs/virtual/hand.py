@@ -1,4 +1,4 @@
-"""Free motion of somebody who moves the rig: drawn stretches of pace and pauses.
+"""Free motion by a hand or another controller: drawn stretches of pace and pauses.
 
     x(t) = x0 + a sum_i b_i sin(2 pi f_i tau(t) + phi_i) / sum_i b_i,   d tau / dt = pace
 

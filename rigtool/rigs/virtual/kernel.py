@@ -9,7 +9,7 @@ level follows Stribeck. Pre-sliding, breakaway and reversal come from it. Integr
 semi-implicit Euler at the sample time of the loop; the bristles implicit, which keeps them stable
 at any speed. SI units; temperatures in degC.
 
-What touches the output (grasper, or pulley without an instrument) acts on its equation of motion:
+Contacts at the output (grasper, or pulley without an instrument) enter its equation of motion:
 
     M = L + F + W sin(thg) + k max(0, thg - th0) + c wg + kh (thg - thh) + ch (wg - wh) + I dwg/dt
 
@@ -24,15 +24,15 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.compiled import compiled
 
 Record = Any  # the one element of a STATE or PARAMETERS array, with its fields as attributes
 
 TICK = 16
-"""Samples between updates of what is slow: temperatures, friction noise, drift."""
+"""Samples between updates of slow states: temperatures, friction noise, drift."""
 
 STATE = np.dtype(
     [
@@ -57,7 +57,7 @@ STATE = np.dtype(
             "stroke_load",
         )
     ]
-    # what each direction's last stroke drew: (negative, positive) x (sine, cosine, load)
+    # random numbers of each direction's last stroke: (negative, positive) x (sine, cosine, load)
     + [("drawn", "f8", (2, 3))]
 )
 
@@ -129,21 +129,21 @@ PARAMETERS = np.dtype(
 # Columns of the map by rotor angle, and of the map by grasper angle
 OFFSET_RIPPLE, GAIN_RIPPLE, SATURATION_RIPPLE, COGGING, VISCOUS_MODULATION = range(5)
 
-# Columns of what touches the output, and of each tissue
+# Columns of the contacts at the output, and of each tissue
 FORCE_TORQUE, WEIGHT_MOMENT, HAND_ANGLE, HAND_SPEED = range(4)
 BEGIN, END, TISSUE_ANGLE, TISSUE_STIFFNESS, TISSUE_DAMPING = range(5)
 
-# Columns of what a run returns
+# Columns of the returned array
 ENCODER, CURRENT_SETPOINT, CURRENT, ARM_TORQUE, TEMPERATURE = range(5)
 
 
-@njit(cache=True)
+@compiled
 def _bristle(z: float, speed: float, dt: float, presliding_angle: float) -> float:
     """Deflection of a bristle one step later, implicit in z."""
     return (z + speed * dt / presliding_angle) / (1.0 + abs(speed) * dt / presliding_angle)
 
 
-@njit(cache=True)
+@compiled
 def _stroke(s: Record, p: Record, normals: Array, drawn: int) -> None:
     """Draw the friction of a new stroke; part of the last one's deviation is returned."""
     row = 1 if s.direction > 0 else 0
@@ -161,9 +161,9 @@ def _stroke(s: Record, p: Record, normals: Array, drawn: int) -> None:
             s.stroke_load = p.load_stroke_noise * deviation
 
 
-@njit(cache=True)
+@compiled
 def _tick(s: Record, p: Record, square_current: float, normals: Array, tick: int) -> None:
-    """Advance what is slow by TICK samples: heat, friction noise and drift."""
+    """Advance the slow states by TICK samples: heat, friction noise and drift."""
     dt = p.dt * TICK
     warm = 1.0 + 0.00393 * (s.winding_degc - 20.0)  # resistance of copper with temperature
     flow = (s.winding_degc - s.housing_degc) / p.winding_to_housing
@@ -174,7 +174,7 @@ def _tick(s: Record, p: Record, square_current: float, normals: Array, tick: int
     s.drift = p.drift_decay * s.drift + p.drift_gain * normals[tick, 1]
 
 
-@njit(cache=True)
+@compiled
 def _touched(
     p: Record,
     touch: Array,
@@ -215,7 +215,7 @@ def _touched(
     return after, outside
 
 
-@njit(cache=True)
+@compiled
 def run(
     parameters: NDArray[np.void],
     state: NDArray[np.void],
@@ -240,10 +240,10 @@ def run(
 
     `setpoint` is the position set point [rad] in closed loop, the current [A] in open loop;
     `feedforward` [A] is added in closed loop. `out` (n // record_every, 5) receives means.
-    `touch` (n, 4) holds what touches the output at each sample, `tissues` (k, 5) what it runs
+    `touch` (n, 4) holds the contacts at each sample, `tissues` (k, 5) those that the output runs
     into, `touch_time` [s] the time of the first sample on the clock of both; `reference`
-    (n // record_every,) receives the torque on the output [N m]. Without `touch` (None) nothing
-    does, and the compiled step knows nothing of it.
+    (n // record_every,) receives the torque on the output [N m]. Without `touch` (None) there are
+    no contacts, and they are not part of the compiled step.
     """
     p = parameters[0]
     s = state[0]
@@ -286,7 +286,7 @@ def run(
             target += p.distortion * math.sin(2.0 * math.pi * target / p.distortion_period)
         current += p.current_step * (target - current)
         square_current += current * current
-        # What depends on the rotor's angle
+        # Functions of the rotor's angle
         place = angle * map_scale
         place -= math.floor(place / map_size) * map_size
         cell = min(int(place), map_size - 1)

@@ -1,4 +1,4 @@
-"""What depends on an angle, drawn and tabulated once: ripple, cogging, eccentricity, friction."""
+"""Functions of an angle, drawn and tabulated once: ripple, cogging, eccentricity, friction."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _draw(
 
 
 def rotor_map(virtual: Virtual, amplifier: Amplifier, power_cycle: int) -> Array:
-    """Tabulate what depends on the rotor's angle, (MAP_SIZE + 1, 5), columns as in the kernel.
+    """Tabulate the functions of the rotor's angle, (MAP_SIZE + 1, 5), columns as in the kernel.
 
     The amplifier's calibration is drawn from the seed and the number of the power cycle
     [7.1.3, App. F]; cogging and eccentricity belong to the motor and stay.

@@ -20,15 +20,16 @@ from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, Observe
 from rigtool.rigs.virtual import contacts, hand, kernel
 from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
+from rigtool.rigs.virtual.stability import require_stable
 
 BLOCK = 16384
-"""Samples simulated at a time, about: what fits a processor's cache."""
+"""Approximate number of samples simulated at a time: they fit a processor's cache."""
 
 OBSERVED = ("time", "encoder", "current_setpoint", "current", "temperature", "reference_torque")
 """Channels that can be read without taking part in a motion."""
 
 CONTACTS, HAND = 0xC047AC7, 0x4A4D
-"""Streams of the seed for what is drawn besides the bench's own noise."""
+"""Streams of the seed for random draws other than the bench's own noise."""
 
 GRAVITY = 9.81
 """Of the simulated weights, m/s2: it enters their inertia, and with it every digit of old runs."""
@@ -40,8 +41,9 @@ SETTLE_TIME = 0.5
 class VirtualRig(Rig):
     """A motor with encoder, amplifier and instrument that exist only as equations.
 
-    `torque_constant` is what the controller assumes, N m/A. `stream` names the use (a command), so
-    that each has its own noise from the same seed. Raises `RecipeError` without [virtual].
+    `torque_constant` is the controller's, N m/A. `stream` names the use (a command), so that each
+    has its own noise from the same seed. Raises `RecipeError` without [virtual], or where its
+    values cannot be simulated.
     """
 
     def __init__(self, recipe: Recipe, torque_constant: float, stream: str) -> None:
@@ -67,10 +69,12 @@ class VirtualRig(Rig):
         self._state["direction"] = 1.0
         ambient = self._virtual.thermal.ambient_degc
         self._state["winding_degc"] = self._state["housing_degc"] = ambient
+        for load in (Load(), Load(clamped=True)):
+            require_stable(self._parameters(load)[0])
 
     @property
     def position(self) -> float:
-        """What the encoder shows, rad."""
+        """Angle shown by the encoder, rad."""
         count = 2 * math.pi / self._rig.encoder_counts
         return math.floor(self._state["angle"][0] / count) * count
 
@@ -84,7 +88,7 @@ class VirtualRig(Rig):
         self._sections = np.array(sections)
         self._section_state = np.zeros((len(self._sections), 2))
 
-    # -- what the bench does between recordings
+    # -- the bench between recordings
 
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
@@ -107,7 +111,7 @@ class VirtualRig(Rig):
         self._time += SOAK_TIME
 
     def power_cycle(self) -> None:
-        """Switch the amplifier off and on: it calibrates itself anew."""
+        """Switch the amplifier off and on: it calibrates itself again."""
         self._power_cycle += 1
         self._rotor_map = rotor_map(self._virtual, self._virtual.amplifier, self._power_cycle)
         self._state["current"] = self._state["ripple"] = 0.0
@@ -129,7 +133,7 @@ class VirtualRig(Rig):
         yield from self._run(task)
 
     def _observe(self, task: Task) -> Iterator[Block]:
-        """Let somebody else move, and yield what can be read meanwhile."""
+        """Let a hand or another controller move the rig, and yield the readable signals."""
         rng = np.random.default_rng([self._virtual.seed, self._stream, self._tasks, HAND])
         ratio, duration = self._rig.angle_ratio, task.motion.duration
         motion = hand.draw(self._virtual.hand, ratio, duration, rng)
@@ -218,6 +222,12 @@ class VirtualRig(Rig):
                 float(time[0]),
                 reference,
             )
+            moving = [self._state[0][name] for name in ("angle", "grasper_angle", "winding_degc")]
+            if not np.isfinite(moving).all():
+                raise RecipeError(
+                    "the equations of [virtual] left all bounds while they were simulated: its "
+                    "values are beyond any rig; compare them with recipes/briaire-2006.toml"
+                )
             if closed_loop:
                 self._setpoint = float(signals["position_setpoint"][-1])
             recorded = self._recorded(signals, out, done, every, task.load, rng)
@@ -229,7 +239,7 @@ class VirtualRig(Rig):
                 return
 
     def _outside(self, task: Task, grip: Motion | None, seed: list[int]) -> Outside | None:
-        """Return what acts on the output during a task; None where nothing may."""
+        """Return the contacts on the output during a task; None without any."""
         if not task.touched and grip is None:
             return None
         ratio = self._rig.angle_ratio
@@ -244,7 +254,7 @@ class VirtualRig(Rig):
     def _setpoints(
         self, motion: Motion | OpenLoop, task: Task, time: Array, origin: float
     ) -> dict[str, Array]:
-        """Evaluate what the controller runs through in this block, each (n,)."""
+        """Evaluate the set points and feed-forward of this block, each (n,)."""
         zero = np.zeros(len(time))
         if isinstance(motion, CurrentSteps | CurrentRamp):
             return {
@@ -321,7 +331,7 @@ class VirtualRig(Rig):
         return block
 
     def _parameters(self, load: Load) -> NDArray[np.void]:
-        """Collect what the kernel needs for a task under this load."""
+        """Collect the kernel's parameters for a task under this load."""
         v, rig = self._virtual, self._rig
         motor, amplifier, thermal = v.motor, v.amplifier, v.thermal
         dt, tick = rig.sample_time, rig.sample_time * kernel.TICK

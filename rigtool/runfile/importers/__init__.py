@@ -223,7 +223,9 @@ def _import_map(
     if mapping.map.missing is not None:
         sampled &= values != mapping.map.missing
     if np.count_nonzero(sampled) < 2:
-        raise RunFileError(f"{source}: holds {np.count_nonzero(sampled)} values, needed are 2")
+        raise RunFileError(
+            f"{source}: holds {np.count_nonzero(sampled)} values, at least 2 are needed"
+        )
     position = np.flatnonzero(sampled) * (2 * math.pi / len(values))
     table = Table(
         ("position",),

@@ -26,6 +26,7 @@ from rigtool.runfile.importers.raw import (
     require_size,
     unpacked_limit,
 )
+from rigtool.runfile.storage import open_file
 
 _NAMELESS = ""
 """Name of the array in a .npy file."""
@@ -157,7 +158,7 @@ def _load_hdf5(path: Path) -> dict[str, Any]:
             if not node.is_virtual and node.dtype.kind in "iufb":
                 found[name.replace("/", ".")] = node[()]
 
-    with h5py.File(path, "r", locking="best-effort") as file:
+    with open_file(path, "r") as file:
         file.visititems(take)
     return found
 
@@ -188,7 +189,7 @@ def _matrix(path: Path, arrays: dict[str, Any], variable: str | None) -> Array:
         matrix = matrix[:, None]
     if matrix.ndim != 2:
         raise RunFileError(
-            f"{path}: {name or 'its array'} has {matrix.ndim} dimensions, needed are 2"
+            f"{path}: {name or 'its array'} has {matrix.ndim} dimensions, but must have 2"
         )
     return matrix.T if matrix.shape[0] < matrix.shape[1] else matrix
 
@@ -210,7 +211,7 @@ def _vector(path: Path, name: str, value: Any) -> Array:
     vector = np.squeeze(_numbers(path, name, value))
     if vector.ndim > 1:
         raise RunFileError(
-            f"{path}: {name!r} has shape {vector.shape}, needed is one column: name it as "
+            f"{path}: {name!r} has shape {vector.shape}, but must be one column: name it as "
             "`variable` and give columns by number"
         )
     return np.atleast_1d(vector)

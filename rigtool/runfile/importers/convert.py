@@ -16,6 +16,15 @@ from rigtool.runfile.schema import TIME
 IRREGULAR = 0.01
 """Intervals that differ from the median by more than this part make a time axis irregular."""
 
+PIECES = 100
+"""Of a recording over which ways by position and by speed are compared."""
+
+STRAIGHT = 0.9
+"""Correlation of these ways from which on their ratio has a meaning."""
+
+OTHER_MOTION = 1.5
+"""Ratio of position and speed that no sensor's error explains."""
+
 
 def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[str, Array], Raw]:
     """Return signals by name, `time` first, and the raw columns without bad lines.
@@ -37,12 +46,45 @@ def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[
         raw = raw.without({int(raw.line[index]): "out of the order of time" for index in off})
         time = _time(raw, mapping)
     if len(time) < 2:
-        raise RunFileError(f"{path}: {len(time)} sample, needed are 2 or more: record for longer")
+        raise RunFileError(f"{path}: {len(time)} sample, at least 2 are needed: record for longer")
     signals = {TIME: time}
     for name in mapping.signals:
         if name != TIME:
             signals[name] = _signal(raw, mapping, name)
+    for name, values in signals.items():
+        if not np.isfinite(values).all():
+            raise RunFileError(
+                f"{path}: {name} is beyond the numbers of a computer with this scale and offset: "
+                "correct them in the mapping"
+            )
+    _require_same_motion(path, signals)
     return signals, raw
+
+
+def _require_same_motion(path: Path, signals: dict[str, Array]) -> None:
+    """Raise `RunFileError` where a speed is not the derivative of its position.
+
+    Over `PIECES` of the recording, the way by position x and the way by speed w have the slope
+    sum(x w) / sum(w^2); where they have no straight line in common nothing is concluded.
+    """
+    time = signals[TIME]
+    for name, of in (("position", "speed"), ("position_setpoint", "speed_setpoint")):
+        if name not in signals or of not in signals:
+            continue
+        way = np.diff(time) * (signals[of][1:] + signals[of][:-1]) / 2
+        ends = np.unique(np.linspace(0, len(time) - 1, PIECES + 1).round().astype(int))
+        moved = np.diff(signals[name][ends])
+        expected = np.diff(np.concatenate([[0.0], np.cumsum(way)])[ends])
+        alike = float(moved @ expected)
+        squares = float(expected @ expected)
+        if squares == 0 or alike**2 < STRAIGHT**2 * squares * float(moved @ moved):
+            continue
+        ratio = alike / squares
+        if not 1 / OTHER_MOTION < ratio < OTHER_MOTION:
+            raise RunFileError(
+                f"{path}: {name} moves {ratio:.3g} times as far as {of} states: correct the "
+                "sampling rate, the time, or a unit, scale, sign or counts_per_turn in the mapping"
+            )
 
 
 def _time(raw: Raw, mapping: Mapping) -> Array:
@@ -57,7 +99,8 @@ def _signal(raw: Raw, mapping: Mapping, name: str) -> Array:
         # A step of more than half the range is the counter's overflow.
         turns = np.round(np.diff(values) / signal.wraps_at)
         values = values - signal.wraps_at * np.concatenate([[0.0], np.cumsum(turns)])
-    si: Array = (signal.scale * values + signal.offset) * (signal.sign * mapping.factor(name))
+    with np.errstate(over="ignore"):  # found by `to_si`
+        si: Array = (signal.scale * values + signal.offset) * (signal.sign * mapping.factor(name))
     return si
 
 

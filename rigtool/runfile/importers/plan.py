@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rigtool.errors import RunFileError, UsageError
+from rigtool.escapes import is_text
 from rigtool.runfile.importers.convert import stem
 
 BINARY = (".mat", ".npy", ".npz")
@@ -35,6 +36,8 @@ def plan(
         below = Path(source.resolve().name) if len(folders) > 1 and source.is_dir() else Path()
         for file in _files(source, (*TEXT, *BINARY, *endings)):
             name = below / f"{stem(file)}.h5"
+            if not is_text(str(file)):
+                raise UsageError(f"{file}: its name is not UTF-8: give the file another name")
             if name in taken:
                 raise UsageError(
                     f"{file} and {taken[name]} would both become {output / name}: import them "

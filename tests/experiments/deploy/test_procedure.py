@@ -18,7 +18,7 @@ from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.motor import Motor
+from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.moteus.frames import text_to_drive
 from rigtool.rigs.serial.moteus.link import Link
@@ -151,7 +151,7 @@ def test_a_pulled_cable_leaves_the_stored_table_as_it_was(tables, kt):
         pytest.raises(HardwareError, match="the line is lost") as caught,
     ):
         run_deploy(server.port, tables, kt)
-    assert "could not be brought back" in caught.value.__notes__[0]
+    assert "could not be restored" in caught.value.__notes__[0]
     assert device.stored == before
     assert device.config["motor.cogging_dq_scale"] == 0.0
 
@@ -168,7 +168,10 @@ def line_of(driver="moteus", identity=f"moteus 1, serial {SERIAL}, UART"):
     [
         (line_of(driver="odrive"), "was learned through odrive"),
         (line_of(identity="moteus 1, serial 77, UART"), "serial number 77, on the line is 0000300"),
-        (line_of(identity="moteus 1; its cogging table is on"), "what that left over"),
+        (
+            line_of(identity="moteus 1; its cogging table is on"),
+            "own table was on, and",
+        ),
     ],
 )
 def test_a_table_of_another_drive_is_refused(tables, kt, line, message):
@@ -308,7 +311,7 @@ RIPPLE = (
 )
 
 
-class Cogging(Motor):
+class Cogging(EmulatedMotor):
     """A motor with torque that depends on where its shaft is."""
 
     def _step(self, dt, *what):

@@ -40,7 +40,7 @@ int main(void)
 """
 
 
-def taken(table, u=None, *, unit="N m", quantity="torque", friction=None):
+def taken(table, u=None, *, unit="N m", quantity="torque", friction=None, band_speed=None):
     """Return a learned table as the run file would give it."""
     u = np.full(table.torque.shape, 1e-5) if u is None else u
     return LearnedTable(
@@ -50,6 +50,7 @@ def taken(table, u=None, *, unit="N m", quantity="torque", friction=None):
         unit=unit,
         friction=friction or {},
         band_hz=100.0,
+        band_speed=band_speed,
         origin=(
             "Rig bench; learned on 2026-01-02, rigtool 0.1.0.",
             "File t.h5, content sha256 ab.",
@@ -211,6 +212,10 @@ def test_fourier_coefficients_rebuild_the_map():
     turn = position_map(table, u, 2.0)
     document = json.loads(texts.fourier(taken(table, u), turn, as_json=True)[0])
     assert document["examined"] == int(100 * TURN / 2)
+    # learned at one speed: its orders are those of the map at every other speed
+    at_one = taken(table, u, band_speed=5.0)
+    document_of_one = json.loads(texts.fourier(at_one, turn, as_json=True)[0])
+    assert document_of_one["examined"] == int(100 * TURN / 5)
     angle = turn.start + np.arange(4000) * TURN / 4000
     rebuilt = sum(
         a * np.cos(n * angle + p)

@@ -323,13 +323,6 @@ def test_a_rotor_far_from_its_set_point_is_refused(tmp_path, inputs):
         measured(tmp_path, rig, inputs(recipe))
 
 
-def test_an_angle_outside_the_stroke_is_refused(tmp_path, inputs):
-    recipe = recipe_with(PULLEY, "measure_force.measure_angle=200")
-    rig = KnownRig(recipe, friction=0, stiffness=1, scatter=0.1e-3)
-    with pytest.raises(InsufficientDataError, match="load_000: cycle 0 moves from"):
-        measured(tmp_path, rig, inputs(recipe))
-
-
 def test_two_run_files_are_refused(inputs):
     recipe = recipe_with()
     with pytest.raises(UsageError, match="2 run files"):

@@ -76,8 +76,8 @@ def test_load_friction_is_told_from_the_rest(force):
     ("arguments", "code", "message"),
     [
         (["--kt", "kt.h5"], 2, "--tables"),
-        (["--kt", "kt.h5", "--tables", "kt.h5"], 3, "is a run of calibrate-kt"),
-        (["--kt", "tables.h5", "--tables", "tables.h5"], 3, "is a run of ilc-learn"),
+        (["--kt", "kt.h5", "--tables", "kt.h5"], 3, "was written by calibrate-kt"),
+        (["--kt", "tables.h5", "--tables", "tables.h5"], 3, "was written by ilc-learn"),
         (["--kt", "kt.h5", "--tables", "tables.h5", "--set", PULLEY], 3, "attachment instrument"),
         (
             ["--kt", "kt.h5", "--tables", "tables.h5", "--set", "measure_force.cycles=2"],

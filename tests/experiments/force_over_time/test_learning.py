@@ -7,7 +7,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_over_time.deviations import Deviations, deviations
-from rigtool.experiments.force_over_time.learning import learn_sliding
+from rigtool.experiments.force_over_time.learning import NAMES, learn_sliding
 from rigtool.experiments.force_over_time.model import Kind, Known
 from tests.experiments.force_over_time import known_plant as plant
 from tests.experiments.force_over_time.known_plant import strokes
@@ -29,14 +29,18 @@ def coefficient(model, kind, order=0, quarter=0):
 @pytest.fixture(scope="module")
 def learned():
     records = [strokes(load, speed) for load in LOADS for speed in SPEEDS]
-    return learn_sliding(records, KNOWN, plant.COUNT, CALM)
+    return learn_sliding(records, KNOWN, plant.COUNT, CALM).learned
 
 
 def test_tendon_and_load_friction_are_given_back(learned):
     assert learned.shape.stiffness == pytest.approx(plant.STIFFNESS, rel=0.01)
     carried = np.array([5e-3, 20e-3, 50e-3])
     onset = learned.shape.load_onset
-    found = coefficient(learned, Kind.LOAD_FRICTION) * (np.hypot(carried, onset) - onset)
+    upright = sum(  # at 90 degrees
+        coefficient(learned, Kind.LOAD_FRICTION, order, quarter) * value
+        for order, quarter, value in ((0, 0, 1), (1, 1, 1), (2, 0, -1))
+    )
+    found = upright * (np.hypot(carried, onset) - onset)
     expected = plant.LOAD_FRICTION * (np.hypot(carried, plant.ONSET) - plant.ONSET)
     np.testing.assert_allclose(found, expected, rtol=0.03)
 
@@ -57,6 +61,16 @@ def test_friction_is_given_back_wherever_it_slides(learned):
                 total += value * speed * turned
         expected = plant.COULOMB + plant.VISCOUS * speed
         np.testing.assert_allclose(total, expected, rtol=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.2, 2.0])
+def test_any_stiffness_is_found_from_the_same_begin(monkeypatch, factor):
+    monkeypatch.setattr(plant, "STIFFNESS", factor * plant.STIFFNESS)
+    records = [strokes(load, speed) for load in (0.0, 20e-3, 50e-3) for speed in SPEEDS]
+    found = learn_sliding(records, KNOWN, plant.COUNT, CALM).learned
+    u = np.sqrt(found.covariance[NAMES.index("stiffness"), NAMES.index("stiffness")])
+    assert u < 0.35
+    assert np.log(found.shape.stiffness / plant.STIFFNESS) == pytest.approx(0, abs=max(0.03, 2 * u))
 
 
 def test_what_friction_deviates_is_measured():

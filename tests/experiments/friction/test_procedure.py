@@ -11,6 +11,7 @@ from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
+from rigtool.recipe import override_recipe
 from rigtool.recipe.commands import Stribeck
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt
@@ -216,6 +217,14 @@ def test_a_run_without_any_of_it_is_refused(measured, kt, folder):
     run(STRIBECK, measured[0], again, kt=kt)
     with pytest.raises(RunFileError, match="no recording 'holds'"):
         run(STRIBECK, again, folder / "none.h5", kt=kt)
+
+
+def test_a_saturated_current_is_named_with_its_cause(measured, kt):
+    with open_run(measured[0]) as stored, open_run(kt) as constant:
+        largest = np.abs(stored.recording("holds").read("current_setpoint")).max()
+        recipe = override_recipe(stored.recipe, [f"rig.current_limit={largest}"])
+        with pytest.raises(InsufficientDataError, match=r"holds: .* reaches the limit"):
+            stribeck.analyse([stored], recipe, kt=constant)
 
 
 def test_holds_are_whole_turns_and_long_enough():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rigtool.cli import main
+from rigtool.experiments.force_over_time.motion_states import State
 from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import open_run
@@ -85,6 +86,21 @@ def test_loads_that_were_not_learned_are_measured(measured):
     assert "levels" in tables
 
 
+def test_the_table_of_force_over_time(measured):
+    with open_run(str(measured[0])) as run:
+        force, accuracy = run.table("force"), run.table("force_accuracy")
+        assert set(force.columns) >= {"time", "torque", "u", "low", "high", "state", "reference"}
+        assert "force" not in force.columns  # no arm is known
+        moving = np.isin(force["state"], (State.AGAINST, State.WITH))
+        half = (force["high"] - force["low"])[moving] / 2
+        np.testing.assert_allclose(half, 1.96 * force["u"][moving], rtol=1e-3)
+        assert (force["speed"][force["state"] == State.AGAINST] > 0).all()
+        assert accuracy["coverage_95"].shape == (4, 4)
+        assert run.result("valid_share").value > 0.8
+        for name in ("peak_torque", "mean_torque", "rmse"):
+            assert run.result(name).unit == "N m"
+
+
 def test_a_table_8_of_its_own(measured):
     with open_run(str(measured[0])) as run:
         levels = run.table("levels")
@@ -103,7 +119,7 @@ def test_the_sensor_is_for_judging_only(learned, measured, tmp_path):
     assert "rmse_closing" not in json.loads(found.stdout)["results"]
     with open_run(str(tmp_path / "f.h5")) as without, open_run(str(measured[0])) as judged:
         np.testing.assert_array_equal(
-            without.table("series")["torque"], judged.table("series")["torque"]
+            without.table("force")["torque"], judged.table("force")["torque"]
         )
         assert any("not judged" in note for note in without.notes)
 
@@ -113,8 +129,11 @@ def test_a_model_comes_back_from_its_file(learned, tmp_path):
         model, unit = load_model_from(run)
         assert unit == "A"
         assert model.bandwidth_hz == 5.0
-        assert model.region.reach.shape == (2, 200)
+        assert model.region.highest.shape == (2, 20)
+        assert model.loop.recordings == 6
+        assert np.isfinite(model.loop.mean).any()
         for side in model.sides:
+            assert side.levels.shape == side.factors.shape == (3,)
             assert side.covariance.shape == (len(side.weights), len(side.weights))
 
 
@@ -122,7 +141,8 @@ def test_the_report_shows_it(measured, tmp_path):
     found = rigtool("report", measured[0], "-o", tmp_path / "report")
     assert found.exit_code == 0, found.stderr
     assert "Applied (sensor)" in found.stdout
-    assert len(list((tmp_path / "report" / "figures").glob("*.svg"))) == 3
+    # Hysteresis and errors by level, and what force over time shows of any run
+    assert len(list((tmp_path / "report" / "figures").glob("*.svg"))) == 5
 
 
 def test_learning_needs_a_sensor(tmp_path):
@@ -164,17 +184,62 @@ def test_tables_of_another_rig_are_refused(learned, tmp_path):
     assert "another drive" in found.stderr
 
 
+def test_tables_of_another_mounting_are_refused(learned, tmp_path):
+    runs = instrument(tmp_path, (0.03, 0.05), drift=0.03)  # of the same name, with more friction
+    found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5")
+    assert found.exit_code == 4
+    assert "another instrument or mounting" in found.stderr
+    assert not (tmp_path / "f.h5").exists()
+
+
+def test_two_loads_learn_another_mounting_with_a_prior(learned, tmp_path):
+    new, tables = tmp_path / "new", tmp_path / "t.h5"
+    runs = instrument(new, (0.02, 0.06), drift=0.03)
+    options = ("--implementation", "D", "--prior", learned, "-o", tables, "-q")
+    found = rigtool("ilc-learn", *runs, *options)
+    assert found.exit_code == 0, found.stderr
+    between = instrument(tmp_path / "between", (0.04,), drift=0.03, seconds=20.0)
+    found = rigtool(
+        "measure-force", *between, "--tables", tables, "-o", tmp_path / "f.h5", "--json"
+    )
+    assert found.exit_code == 0, found.stderr
+    results = json.loads(found.stdout)["results"]
+    assert results["rmse_moving"]["value"] < 2e-3
+    assert results["samples"]["value"] > 500
+
+
+def test_a_prior_is_for_imported_runs(learned, tmp_path):
+    recipe = ROOT / "recipes" / "briaire-2006.toml"
+    found = rigtool("ilc-learn", recipe, "--prior", learned, "-o", tmp_path / "t.h5")
+    assert found.exit_code == 2
+    assert "imported runs" in found.stderr
+    found = rigtool(
+        "ilc-learn", recipe, "--prior", learned, "--check", learned, "-o", tmp_path / "t"
+    )
+    assert found.exit_code == 2
+
+
+def test_a_prior_of_another_bandwidth_is_refused(learned, tmp_path):
+    runs = instrument(tmp_path, (0.02, 0.06))
+    setting = ("--set", "measure_force.lowpass_hz=4")
+    options = ("--implementation", "D", "--prior", learned, *setting, "-o", tmp_path / "t.h5")
+    found = rigtool("ilc-learn", *runs, *options)
+    assert found.exit_code == 2
+    assert "lowpass_hz" in found.stderr
+
+
 def test_loads_outside_what_was_learned_have_no_value(learned, tmp_path):
     runs = instrument(tmp_path, (0.05, 0.5))
     found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5", "--json")
     assert found.exit_code == 0, found.stderr
     outside = json.loads(found.stdout)["results"]["samples_outside"]["value"]
     with open_run(str(tmp_path / "f.h5")) as run:
-        series = run.table("series")
-        heavy = np.abs(series["reference"]).max(axis=1) > 0.3
-        closing = (series["speed"] > 1) & heavy[:, None]
-        assert np.isnan(series["torque"][closing]).all()
-        assert outside >= np.count_nonzero(closing) / 2
+        force = run.table("force")
+        closing = (force["speed"] > 1) & (np.abs(force["reference"]) > 0.3)
+        assert closing.sum() > 100
+        assert np.isnan(force["torque"][closing]).all()
+        assert (force["state"][closing] == State.OUTSIDE).all()
+        assert outside >= np.count_nonzero(closing)
 
 
 def test_where_everything_is_outside_nothing_is_written(learned, tmp_path):

@@ -114,7 +114,7 @@ def test_another_pattern_is_no_shift(rig):
     folder, paths, _ = rig
     outcome = check([paths["off_other"]], folder / "map.h5", folder / "check.h5")
     assert not ilc_check.fits(outcome)
-    assert "shifting would not do" in outcome.notes[0]
+    assert "a shift is not enough" in outcome.notes[0]
 
 
 def test_torque_with_a_calibration(rig):

@@ -191,9 +191,14 @@ def test_learning_that_cannot_converge_does_not_even_move(folder, kt):
     assert not output.with_name("refused.h5.part").exists()
 
 
-def test_more_moves_than_were_recorded_are_refused(learned, folder, kt):
-    with pytest.raises(InsufficientDataError, match=r"learn_000: 3 whole moves.* 9 are needed"):
-        run(ILC_LEARN, learned[0], folder / "no.h5", "ilc_learn.moves=9", kt=kt)
+def test_more_moves_than_were_recorded_are_refused(learned, kt):
+    recipe = load_recipe(RECIPE, [*SHORT, "ilc_learn.moves=9"])[0]
+    with (
+        open_run(learned[0]) as stored,
+        open_run(kt) as constant,
+        pytest.raises(InsufficientDataError, match=r"learn_000: 3 whole moves.* 9 are needed"),
+    ):
+        ilc_learn.analyse([stored], recipe, kt=constant)
 
 
 def test_inputs_that_do_not_fit_are_refused(learned, folder, kt, friction):

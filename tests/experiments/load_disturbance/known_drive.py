@@ -1,69 +1,75 @@
-"""Cycles of a load on a drive whose friction, ripple and tendon are formulas of this file."""
+"""Strokes of a load on a drive whose friction, ripple and tendon are formulas of this file."""
 
 import math
 
 import numpy as np
+from scipy import constants
 
-from rigtool.experiments.load_disturbance.cycles import Transmission, loaded_cycles
-from rigtool.experiments.load_disturbance.tendon import Tendon, swing
+from rigtool.experiments.force_over_time.model import Known
+from rigtool.experiments.force_over_time.paths import tendon
+from rigtool.experiments.force_over_time.records import Condition, repeated
 
-DRIVE = Transmission(angle_ratio=0.85, torque_factor=1.18, inertia=2e-5, arm=0.02, bandwidth_hz=5.0)
-CONSTANT = 0.045
-TENDON = Tendon(0.25, 1e-3, 0.8e-3)
-TURN = math.radians(20)
+COUNT = 2 * math.pi / 4000
+CONSTANT, ARM = 0.045, 0.02
+KNOWN = Known(angle_ratio=0.85, torque_factor=1.18, inertia=2e-5)
+STIFFNESS, DAMPING, TIP_FRICTION = 0.25, 1e-3, 0.8e-3
+STEP = 2e-3
 
 
-def cycles(
+def strokes(
     moment,
     speed,
     *,
+    known=True,
     count=8,
     friction=0.1,
-    tendon=TENDON,
+    stiffness=STIFFNESS,
+    damping=DAMPING,
+    tip_friction=TIP_FRICTION,
     scatter=0.0,
     ripple=0.004,
     seed=1,
-    constant=CONSTANT,
     drift=0.0,
 ):
-    """Return cycles of a load, N m, at an output speed in rev/s, 500 samples a second.
+    """Return strokes under a load, N m, at an output speed in rev/s, laid over each other.
 
     Friction is 10 mN m without load, `friction` times the load more; the torque constant varies
-    with the rotor's angle by `ripple`; `scatter` N m is that of each cycle's load.
+    with the rotor's angle by `ripple`; `scatter` N m is that of each cycle's load. The record
+    states its load only where it is `known`.
     """
-    rotor_speed = 2 * math.pi * speed * DRIVE.angle_ratio
-    span = math.pi * DRIVE.angle_ratio
+    rotor_speed = 2 * math.pi * speed * KNOWN.angle_ratio
+    span = math.pi * KNOWN.angle_ratio
     stroke = span / rotor_speed
-    step = 2e-3
-    time = np.arange(0, 2 * stroke * (count + 1.2), step)
-    phase = np.mod(time / stroke, 2.0)
-    setpoint = _rounded(phase) * span
-    period = 2 * stroke
-    whole = np.arange(4096) / 4096 * 2
-    one = _rounded(whole) * span / DRIVE.angle_ratio
-    torque, _ = swing(one, period, tendon, moment, DRIVE.arm)
-    way = np.gradient(one)
+    time = np.arange(0, 2 * stroke * (count + 1.8), STEP)
+    angle = _rounded(np.mod(time / stroke, 2.0)) * span
+    fine = 4096
+    whole = np.arange(fine) / fine * 2
+    inertia = moment * ARM / constants.g + 1e-7
+    torque, _ = tendon(
+        _rounded(whole) * span / KNOWN.angle_ratio,
+        2 * stroke / fine,
+        stiffness,
+        damping,
+        inertia,
+        tip_friction,
+        0.01,
+        moment,
+        True,
+    )
+    way = np.gradient(_rounded(whole))
     direction = np.tanh(way / np.abs(way).max() * 20)
-    added = friction * np.hypot(torque, 2e-3) - friction * 2e-3
+    added = friction * (np.hypot(torque, 2e-3) - 2e-3)
     at_output = torque + direction * (10e-3 + drift + added)
     phases = np.append(whole, 2.0)
-    output = np.interp(phase, phases, np.append(at_output, at_output[0]))
-    number = np.floor(time / period).astype(int)
-    deviation = scatter * np.random.default_rng(seed).standard_normal(number.max() + 1)
-    output = output + deviation[number]
-    gain = 1 + ripple * np.sin(setpoint + 0.5) + ripple * np.cos(2 * setpoint)
-    acceleration = np.gradient(np.gradient(setpoint, step), step)
-    current = (output / DRIVE.torque_factor / gain + DRIVE.inertia * acceleration) / constant
-    return loaded_cycles(
-        time,
-        setpoint,
-        setpoint,
-        current,
-        transmission=DRIVE,
-        speed=rotor_speed,
-        torque_constant=constant,
-        moves=count,
-    )
+    output = np.interp(np.mod(time / stroke, 2.0), phases, np.append(at_output, at_output[0]))
+    number = np.floor(time / stroke / 2).astype(int)
+    output += (scatter * np.random.default_rng(seed).standard_normal(number.max() + 1))[number]
+    gain = 1 + ripple * np.sin(angle + 0.5) + ripple * np.cos(2 * angle)
+    acceleration = np.gradient(np.gradient(angle, STEP), STEP)
+    current = (output / KNOWN.torque_factor / gain + KNOWN.inertia * acceleration) / CONSTANT
+    stated = moment if known else 0.0
+    under = Condition(CONSTANT, stated, stated * ARM / constants.g, COUNT)
+    return repeated(np.floor(angle / COUNT), current, angle, STEP, under)
 
 
 def _rounded(phase):

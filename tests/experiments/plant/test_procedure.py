@@ -17,7 +17,7 @@ from rigtool.experiments.plant.procedure_excitation import (
 )
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.quantity import Quantity
-from rigtool.recipe import load_recipe
+from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import RunWriter, open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_results
 
@@ -194,9 +194,11 @@ def test_data_that_do_not_carry_a_plant_are_refused(folder, kt, overrides, messa
         ("identify_plant.settle_time=5", "no whole period of 2000 samples"),
     ],
 )
-def test_other_settings_than_recorded_are_refused(pulley, folder, kt, override, message):
-    with pytest.raises(InsufficientDataError, match=message):
-        run(IDENTIFY_PLANT, pulley[0], folder / "no.h5", override, kt=kt)
+def test_other_settings_than_recorded_are_refused(pulley, kt, override, message):
+    with open_run(pulley[0]) as stored, open_run(kt) as constant:
+        recipe = override_recipe(stored.recipe, [override])
+        with pytest.raises(InsufficientDataError, match=message):
+            identify_plant.analyse([stored], recipe, kt=constant)
 
 
 def test_another_commands_run_is_refused(pulley, folder, kt):

@@ -103,7 +103,7 @@ def test_sources_that_do_not_go_together(turns, tmp_path):
     with pytest.raises(UsageError, match=r"encoder_counts 4096.*one rig"):
         analyse([*paths, *other], tmp_path / "r.h5")
     analyse(paths, tmp_path / "ripple.h5")
-    with pytest.raises(RunFileError, match="is a run of fft-ripple"):
+    with pytest.raises(RunFileError, match="was written by fft-ripple"):
         analyse([paths[0], tmp_path / "ripple.h5"], tmp_path / "r.h5")
     assert not (tmp_path / "r.h5").exists()
 

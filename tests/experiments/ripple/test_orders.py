@@ -135,7 +135,7 @@ def test_noise_alone_has_no_repeatable_part_and_no_strongest_order():
     expected = 2 / np.sqrt(20 * 256)
     assert np.sqrt(np.mean(found.noise_floor**2)) == pytest.approx(expected, rel=0.1, abs=0)
     assert np.sqrt(np.mean(found.amplitude**2)) == pytest.approx(expected, rel=0.25, abs=0)
-    with pytest.raises(InsufficientDataError, match="no order stands out"):
+    with pytest.raises(InsufficientDataError, match="no order exceeds it"):
         spectrum(remove_offset(waveforms[:3]), 4).strongest()
 
 

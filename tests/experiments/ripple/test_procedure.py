@@ -6,6 +6,7 @@ import pytest
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
+from rigtool.recipe import override_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt
 
@@ -135,10 +136,19 @@ def test_without_power_cycles_nothing_is_compared(folder, kt):
     assert any("nothing to compare" in note for note in outcome.notes)
 
 
-def test_too_short_a_recording_is_refused(measured, folder, kt):
-    with pytest.raises(InsufficientDataError, match=r"speed_000: 4 whole revolutions.* 9 are"):
-        run(FFT_RIPPLE, measured[0], folder / "no.h5", "fft_ripple.revolutions=9", kt=kt)
-    assert not (folder / "no.h5").exists()
+def test_too_short_a_recording_is_refused(measured, kt):
+    with open_run(measured[0]) as stored, open_run(kt) as constant:
+        recipe = override_recipe(stored.recipe, ["fft_ripple.revolutions=9"])
+        with pytest.raises(InsufficientDataError, match=r"speed_000: 4 whole revol.* 9 are"):
+            fft_ripple.analyse([stored], recipe, kt=constant)
+
+
+def test_a_saturated_current_is_named_with_its_cause(measured, kt):
+    with open_run(measured[0]) as stored, open_run(kt) as constant:
+        largest = np.median(np.abs(stored.recording("torque_001").read("current_setpoint")))
+        recipe = override_recipe(stored.recipe, [f"rig.current_limit={largest}"])
+        with pytest.raises(InsufficientDataError, match=r"torque_001: .* reaches the limit"):
+            fft_ripple.analyse([stored], recipe, kt=constant)
 
 
 def test_inputs_that_do_not_fit_are_refused(measured, kt):

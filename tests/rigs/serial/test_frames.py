@@ -25,8 +25,12 @@ def hexadecimal(pattern):
 
 
 def test_vectors_of_the_document():
-    assert encode(Frame(link.Kind.HELLO, 1, b"\1")) == hexadecimal(r"on the line `([^`]+)`")
-    assert cobs_encode(hexadecimal(r"Of `([^`]+)` it makes")) == hexadecimal(r"it makes `([^`]+)`")
+    assert encode(Frame(link.FrameKind.HELLO, 1, b"\1")) == hexadecimal(
+        r"the line carries `([^`]+)`"
+    )
+    assert cobs_encode(hexadecimal(r"`([^`]+)` is encoded as")) == hexadecimal(
+        r"is encoded as `([^`]+)`"
+    )
     assert binascii.crc_hqx(b"123456789", 0) == 0x31C3
 
 
@@ -147,5 +151,5 @@ def test_channels_by_bit_are_those_of_the_document():
         assert link.channels_of(1 << int(bit)) == (name,)
         assert link.sample_type(1 << int(bit))[name] == np.dtype(kind)
     kinds = re.findall(r"^\| (\d+) \| ([A-Z_]+) \|", DOCUMENT, re.MULTILINE)
-    assert {name: int(kind) for kind, name in kinds} == {k.name: int(k) for k in link.Kind}
+    assert {name: int(kind) for kind, name in kinds} == {k.name: int(k) for k in link.FrameKind}
     assert struct.calcsize("<BIHHIdIH") == 27

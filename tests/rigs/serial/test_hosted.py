@@ -119,6 +119,7 @@ def test_late_samples_carry_their_time_and_are_counted():
         got = perform(rig, SHORT)
         facts = json.loads(rig.report())
     assert facts["late_samples"] >= 3
+    assert facts["skipped_samples"] == 0
     assert facts["longest_gap_s"] > 0.03
     assert np.diff(got["time"]).max() == pytest.approx(facts["longest_gap_s"], abs=1e-5)
 

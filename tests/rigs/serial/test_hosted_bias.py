@@ -14,7 +14,7 @@ from rigtool.experiments.friction.holds import find_holds, pool
 from rigtool.experiments.friction.procedure import hold_profile
 from rigtool.experiments.friction.stribeck_fit import fit_direction
 from rigtool.recipe.commands import Stribeck
-from rigtool.rigs import Task
+from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
@@ -179,3 +179,30 @@ def test_a_loop_that_is_late_says_that_the_line_is_slow(world):
         with pytest.raises(HardwareError, match=rf"late after \d+ .*{SLOW_LINE} \d+ ms more than"):
             list(running)
     assert device.mode is None
+
+
+def test_a_busy_computer_skips_set_points_and_the_motion_ends_in_time(world):
+    """Stalls are more in all than the watchdog's time, and the line leaves no time to make up."""
+    world.stalls = {0.5 + n: 0.1 for n in range(6)}
+    _, rig = emulated(world, "toy", 0.004, delay=1.8e-3)
+    with rig:
+        got = perform(rig, Task(SpeedProfile((0.0, 1.0, 6.0, 7.0), (0.0, 1.0, 1.0, 0.0))))
+        facts = json.loads(rig.report())
+    assert 30 < facts["skipped_samples"] < 6 * 26
+    assert len(got["time"]) + facts["skipped_samples"] == 1750
+    assert got["time"][-1] - got["time"][0] == pytest.approx(7.0, abs=0.02)
+    assert facts["longest_gap_s"] == pytest.approx(0.1, abs=0.02)
+    wanted = np.interp(got["time"] - got["time"][0], [0, 1, 6, 7], [0, 0.5, 5.5, 6.0])
+    assert np.abs(got["position_setpoint"] - got["position_setpoint"][0] - wanted).max() < 0.2
+
+
+def test_a_signal_with_a_sample_for_each_tick_skips_none(world):
+    world.stalls = {0.5: 0.1}
+    _, rig = emulated(world, "toy", 0.004)
+    excited = Feedforward(signal=np.zeros(250))
+    with rig:
+        got = perform(rig, Task(SpeedProfile((0.0, 1.0, 2.0), (0.0, 1.0, 0.0)), excited))
+        facts = json.loads(rig.report())
+    assert facts["skipped_samples"] == 0
+    assert len(got["time"]) == 500
+    assert facts["late_samples"] > 10

@@ -49,6 +49,34 @@ def test_extremes_in_open_loop():
     assert extremes(CurrentSteps((0.0, 0.4, -0.7), 0.1)).current == 0.7
 
 
+def test_a_set_point_that_jumps_is_found_whatever_the_motion():
+    """Turn angles that overlap once made strokes that jump back at each reversal."""
+    with pytest.raises(RecipeError, match=r"set point of Triangle jumps by .* rad at"):
+        extremes(Triangle(0.0, 1.0, 4.0, 0.8, cycles=2))
+
+    class Jumping(Move):
+        def setpoint(self, time):
+            position, speed, acceleration = super().setpoint(time)
+            return position + 0.1 * (time > 9.0), speed, acceleration  # in the second block
+
+    with pytest.raises(RecipeError, match=r"jumps by 0\.1 rad at 9 s"):
+        extremes(Jumping(1.0, 10.0))
+
+
+@given(
+    speed=st.floats(0.01, 500),
+    turn=st.floats(1e-3, 0.49),
+    high=st.floats(0.01, 20),
+    counts=st.lists(st.floats(-500, 500), min_size=1, max_size=5),
+)
+def test_set_points_that_follow_from_their_speeds_do_not_jump(speed, turn, high, counts):
+    motion = Triangle(0.0, high, speed, turn * high, cycles=1)
+    if motion.duration < 20:
+        extremes(motion)
+    times = tuple(0.05 * n for n in range(len(counts) + 2))
+    extremes(SpeedProfile(times, (0.0, *counts, 0.0)))
+
+
 def test_observing_asks_for_nothing():
     found = extremes(Observe(30.0))
     assert (found.duration, found.speed, found.current) == (30.0, 0.0, 0.0)
@@ -138,6 +166,26 @@ def test_watch_sees_what_is_beyond_and_only_that(pieces):
     assert "temperature reached 5" in watched(signals(temperature=20 + time * 100), pieces)
     assert watched(signals(encoder=np.full(400, -0.9 * count)), pieces) is None
     assert "position reached -1.2" in watched(signals(encoder=np.full(400, -1.2 * count)), pieces)
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_watch_sees_a_shaft_that_does_not_follow(closed):
+    time = np.arange(400) * 1e-3
+    count = 4000 / (2 * math.pi)
+    block = signals(encoder=np.floor(3 * time * count)) | {"position_setpoint": 3 * time}
+    stuck = signals() | {"position_setpoint": 3 * time}
+    limits = LIMITS.model_copy(update={"following_error": 0.5})
+
+    def found(what):
+        return safety.Watch(limits, 4000, closed=closed).problem(what)
+
+    assert found(block) is None
+    if closed:
+        assert "following_error = 0.5 rad" in found(stuck)
+        assert "set point at" in found(stuck)
+    else:  # an open loop has no set point of position
+        assert found(stuck) is None
+    assert found({name: values[:160] for name, values in stuck.items()}) is None
 
 
 def test_watch_forgives_a_single_noisy_sample_and_missing_ones():

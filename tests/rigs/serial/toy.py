@@ -10,7 +10,7 @@ import time
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.drive import Abilities, Sample, SetPoint
 from rigtool.rigs.serial.drivers import Driver
-from rigtool.rigs.serial.emulators.motor import Motor
+from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.line import DamagedReply
 
@@ -32,7 +32,7 @@ def sealed(text):
 
 class ToyEmulator(Emulator):
     def __init__(self, watchdog_works=True):
-        self.motor = Motor()
+        self.motor = EmulatedMotor()
         self.log = []
         self.watchdog_works = watchdog_works
         self.reset()

@@ -107,7 +107,7 @@ class Pickled:
     [
         ({"t": columns()[0], "q": columns()[1]}, "no column 'i', only t, q"),
         ({**named(), "i": columns()[2][:-1]}, "differ in length"),
-        ({**named(), "i": np.array(columns())}, "needed is one column"),
+        ({**named(), "i": np.array(columns())}, "must be one column"),
         ({**named(), "i": columns()[2] + 1j}, "not real numbers"),
         ({**named(), "i": np.array(["x"] * len(columns()[0]))}, "not real numbers"),
         ({**named(), "i": np.array([Pickled()])}, "is damaged, or no file"),

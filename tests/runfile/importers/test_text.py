@@ -175,7 +175,7 @@ def test_one_wrong_time_costs_one_line(tmp_path):
         (b"", "is empty"),
         (b"% nothing\n", "holds no line of numbers"),
         (b"1,2\n3,4\n", "no column 3, only 2 columns"),
-        (b"1,2,3\n", "needed are 2 or more"),
+        (b"1,2,3\n", "at least 2 are needed"),
         (b"\x1f\x8b\x08garbage", "damaged gzip"),
         (b"\x00\xff" * 50, "has no column 2"),
     ],

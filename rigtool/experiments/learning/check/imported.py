@@ -1,4 +1,4 @@
-"""`ilc-learn --check` on imported runs: what would a learned map have removed, and is it shifted?
+"""`ilc-learn --check` on imported runs: the part a learned map would have removed, and its shift.
 
 The runs were recorded without the map. Their torque is compared with the map order by order: what
 would have been left with the map added, by which angle the map would have to be shifted, and by
@@ -78,7 +78,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """A run against a map, orders 1..m: `shown` by the run, `mapped` by the map, and `left`."""
+    """A run against a map, orders 1..m: those of run, map, and remainder `left`."""
 
     shown: Spectrum
     mapped: Orders
@@ -94,7 +94,7 @@ class _Compared:
 
     @property
     def shifted(self) -> bool:
-        """Whether it is the same map, turned."""
+        """Whether it is the same map, shifted."""
         certain = abs(self.match.shift) > SIGNIFICANT_SHIFT * self.match.shift_u
         return not self.fits and certain and self.match.best_correlation**2 >= SAME_MAP_VARIANCE
 
@@ -104,7 +104,7 @@ class _Compared:
         return float(np.sum(self.left.amplitude**2) / np.sum(self.shown.amplitude**2))
 
     def results(self, unit: str, name: str) -> dict[str, Quantity]:
-        """Return what the map would have removed, in all and by order, and how it lies."""
+        """Return the part that the map would have removed, in all and by order, and its shift."""
         (before, before_u), (after, after_u) = _rms(self.shown), _rms(self.left)
         ratio = after / before
         ratio_u = math.hypot(after_u / before, ratio * before_u / before)
@@ -140,7 +140,7 @@ class _Compared:
     def table(self, unit: str) -> Table:
         """Return all orders."""
         removed, u = reduction(self.shown, self.left)
-        floor = "amplitude that scatter alone would show"
+        floor = "amplitude due to scatter alone"
         return Table(
             ("order",),
             {
@@ -154,11 +154,11 @@ class _Compared:
                 "removed_u": Column(u, "1", "standard uncertainty"),
             },
             "remaining",
-            "what a learned map would have removed, by order of rotation",
+            "part that a learned map would have removed, by order of rotation",
         )
 
     def waveforms(self, learned: LearnedTable) -> Table:
-        """Return run, map and what is left around the turn."""
+        """Return run, map and remainder around the turn."""
         angle = cell_centres(POSITIONS)
         order = np.arange(1, len(self.mapped) + 1)
         mapped = np.real(np.exp(1j * np.multiply.outer(angle, order)) @ self.mapped)
@@ -175,7 +175,7 @@ class _Compared:
         )
 
     def notes(self, group: RepeatedRuns) -> tuple[str, ...]:
-        """State in words whether the map still fits, and what changed."""
+        """State in words whether the map still fits, and its changes."""
         match, removed = self.match, 1 - math.sqrt(self.left_part)
         turns, runs = (
             f"{n} {w}{'s' * (n > 1)}" for n, w in ((len(group.torque), "turn"), (group.runs, "run"))
@@ -188,16 +188,16 @@ class _Compared:
             left = math.sqrt(max(0.0, 1 - match.best_correlation**2))
             verdict = (
                 f"the table does not fit: it is the same map, shifted by {degrees:.2f} +- {u:.2f} "
-                f"deg; shifting it by that would do, and leave {left:.1%}: look for what is not "
+                f"deg; shifting it by that is enough, and leaves {left:.1%}: find what is not "
                 "tied to the rotor, such as another index or another motor nearby"
             )
         else:
             verdict = (
-                f"the table does not fit, and shifting would not do: correlation "
+                f"the table does not fit, and a shift is not enough: correlation "
                 f"{match.correlation:.3f} as it is, {match.best_correlation:.3f} at best, shifted "
                 f"by {degrees:.1f} deg: learn again"
             )
-        return (head + verdict, "the map was not switched on: what it would leave is computed")
+        return (head + verdict, "the map was not switched on: the remainder is computed")
 
 
 def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable) -> _Compared:
@@ -205,8 +205,8 @@ def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable) -> _Comp
     mapped = _orders_of(learned, group.speed)
     order = np.arange(1, mapped.size + 1)
     cells = np.exp(1j * np.multiply.outer(cell_centres(POSITIONS), order))
-    # A cell has the mean over its width. Where a turn left cells out, what is left is bridged, not
-    # what is there: it is smaller.
+    # A cell has the mean over its width. Where a turn left cells out, the remainder is bridged, not
+    # measured: it is smaller.
     expected = np.real(cells @ (mapped * np.sinc(order / POSITIONS)))
     remaining, _ = fill(torque - expected)
     means = remaining.mean(axis=1)

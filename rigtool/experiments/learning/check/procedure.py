@@ -1,8 +1,8 @@
 """`ilc-learn --check`: does a learned table still fit the rig, and if not, what changed?
 
-The moves that the table was learned from are made again, at two of its speeds and fewer of them,
-with the table off: so they show the whole disturbance as it is now, wherever it has gone. A stored
-run of `ilc-learn` or of a check does as well.
+The rig repeats the moves that the table was learned from, at two of its speeds and fewer of them,
+with the table off: they show the whole present disturbance. A stored run of `ilc-learn` or of a
+check may take their place.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ MOVES = 6
 """Moves, or turns, that are recorded at each speed, unless `--set` changes it."""
 
 TURNING = ("A", "B")
-"""Implementations that turn: A at one speed and in one direction. Others are checked by C's moves.
+"""Implementations with whole turns: A at one speed, in one direction. C's moves check the others.
 """
 
 
@@ -67,7 +67,7 @@ def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> C
         }
     else:
         settings = {
-            "rig.attachment": "pulley",  # nothing else turns round and round
+            "rig.attachment": "pulley",  # no other recording turns continuously
             "ilc_learn.implementation": "A" if _one_speed(tables) else "B",
             "ilc_learn.turning.speeds_rev_per_s": [float(v) / (2 * math.pi) for v in chosen],
             "ilc_learn.turning.low_speeds_rev_per_s": [],
@@ -83,7 +83,7 @@ def _one_speed(tables: Run) -> bool:
 
 
 def _filters(recipe: Recipe, plant: Run | None, tables: Run) -> Learning:
-    """Return the filters that the table was learned with: those of A let less pass."""
+    """Return the filters that the table was learned with: those of A have a lower cut-off."""
     filters = design_filters(recipe, plant)
     if _one_speed(tables) and tables.recipe is not None:
         return one_speed.narrowed(filters, tables.recipe)
@@ -91,7 +91,7 @@ def _filters(recipe: Recipe, plant: Run | None, tables: Run) -> Learning:
 
 
 def fits(outcome: Outcome) -> bool:
-    """Return whether the table fits; if not, the first note states what changed."""
+    """Return whether the table fits; if not, the first note states the change."""
     return outcome.results[FITS].value == 1
 
 

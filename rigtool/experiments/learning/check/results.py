@@ -1,4 +1,4 @@
-"""What `ilc-learn --check` reports of a table's health: numbers, waveforms, and words."""
+"""Results of `ilc-learn --check` on a table's health: numbers, waveforms, and words."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
 NO_PATTERN = "the table holds no pattern above its noise"
-BOUND = "what exceeds the scatter of the mean; compare with non_repeatable_rms"
+BOUND = "the part above the scatter of the mean; compare with non_repeatable_rms"
 
 
 def outcome_of(
@@ -61,18 +61,18 @@ def _results(found: TableHealth, counts: int, dof: float) -> dict[str, Quantity]
 
 
 def verdict(found: TableHealth, counts: int) -> str:
-    """State in words whether the table fits, what changed, and whether a shift would mend it."""
+    """State in words whether the table fits, its changes, and whether a shift would correct it."""
     limit = f"a single move scatters by {found.limit * 1e3:.2g} mN m rms"
     off = f"the table is off by {found.mismatch * 1e3:.2g} mN m rms"
     if found.fits:
-        return f"the table fits: {limit}, {off} beyond what scatter explains"
+        return f"the table fits: {limit}, {off} beyond the scatter"
     changes = [*_pattern(found, counts), *_means(found)]
-    changed = "; ".join(changes) or "a little of everything changed"
+    changed = "; ".join(changes) or "several parts changed slightly"
     remedy = ""
-    if not found.shift_would_do:
-        remedy = "; shifting it would not do: learn again"
+    if not found.shift_is_enough:
+        remedy = "; a shift is not enough: learn again"
     elif found.friction_changed or found.offset_changed:
-        remedy = "; shifting alone would not do: learn again"
+        remedy = "; a shift alone is not enough: learn again"
     return f"the table does not fit, {off} while {limit}: {changed}{remedy}"
 
 
@@ -80,12 +80,12 @@ def _pattern(found: TableHealth, counts: int) -> list[str]:
     """State how the pattern changed; nothing where it still fits."""
     if found.pattern_fits:
         return []
-    if found.scale_would_do and found.scale is not None:
-        return [f"the pattern is where it was, {found.scale.value:.3g} times as large"]
-    if found.shift_would_do and found.shift is not None:
+    if found.scale_is_enough and found.scale is not None:
+        return [f"the pattern is at the same position, {found.scale.value:.3g} times as large"]
+    if found.shift_is_enough and found.shift is not None:
         return [_shifted(found.shift, found.shifted, counts)]
     if found.even >= found.odd:
-        what = "what does not depend on the direction has another shape, as after a power cycle"
+        what = "the part independent of direction has another shape, as after a power cycle"
         what += " of the amplifier"
     else:
         what = "friction depends on the position in another way"
@@ -105,7 +105,7 @@ def _shifted(shift: Change, left: float, counts: int) -> str:
     return (
         f"it is the same pattern, shifted by {'half a turn, ' if half else ''}{degrees:.2f} +- "
         f"{u:.2f} deg ({steps:.0f} +- {steps_u:.0f} counts), as after another index; shifting the "
-        f"table by that would do, and leave {rest}"
+        f"table by that is enough, and leaves {rest}"
     )
 
 
@@ -143,7 +143,7 @@ def _by_speed(rows: Sequence[Row], position: Array, learned: LearnedTable) -> Ta
             ),
         },
         "mismatch_rms",
-        "what the table is off by, scatter of the mean included",
+        "error of the table, scatter of the mean included",
     )
 
 

@@ -1,11 +1,11 @@
-"""Does a learned table still fit the rig? What changed, and would shifting it do?
+"""Does a learned table still fit the rig? If not, what changed, and is a shift enough?
 
 The torque learned at one speed in both directions, and the torque now, are separated into the part
 that has the sign of the speed (friction) and the part that has not (cogging, amplifier's ripple):
 
     even = (T(+v) + T(-v))/2,   odd = (T(+v) - T(-v))/2,   each without its mean over the position
 
-    now(p) = scale * learned(p - shift) + what neither explains
+    now(p) = scale * learned(p - shift) + remainder
 
 Shift and scale are common to all parts, by least squares: all shifts are tried in steps of an
 entry, the best one is refined. Means are reported separately: the mean of odd is friction, that of
@@ -44,7 +44,7 @@ ALIKE = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One parity at one speed: learned (n,) and what each move shows now (m, n), N m.
+    """One parity at one speed: learned (n,) and each present move (m, n), N m.
 
     `learned_u` (n,) is the standard uncertainty of the learned part. `odd` has the sign of the
     speed; where one direction alone is there, everything counts as `even`.
@@ -78,7 +78,7 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class TableHealth:
-    """What became of a table; torques in N m, angles in rad.
+    """Changes since a table was learned; torques in N m, angles in rad.
 
     `shift` is where the learned pattern is now against where it was, looked for up to `reach`, and
     `scale` its factor there; both None where the table holds no pattern above its noise. On a
@@ -115,23 +115,23 @@ class TableHealth:
 
     @property
     def pattern_fits(self) -> bool:
-        """Whether what varies with position still fits, means aside."""
+        """Whether the part that varies with position still fits, without means."""
         return self.shape <= self.limit
 
     @property
-    def shift_would_do(self) -> bool:
+    def shift_is_enough(self) -> bool:
         """Whether the pattern is the same but shifted, which only a whole turn shows."""
-        if self.pattern_fits or self.scale_would_do or self.shift is None:
+        if self.pattern_fits or self.scale_is_enough or self.shift is None:
             return False
         return self.whole_turn and self._explains(self.shifted)
 
     @property
-    def scale_would_do(self) -> bool:
+    def scale_is_enough(self) -> bool:
         """Whether the pattern is the same one where it was, larger or smaller."""
         return not self.pattern_fits and self.scale is not None and self._explains(self.scaled)
 
     def _explains(self, left: float) -> bool:
-        """Return whether a change that leaves this rms explains the pattern now."""
+        """Return whether a change that leaves this rms explains the present pattern."""
         return left <= min(self.limit, math.sqrt(1 - ALIKE) * self.pattern)
 
     @property
@@ -162,7 +162,7 @@ def parts(table: LookupTable, u: Array, rows: Sequence[Row], position: Array) ->
     by_speed: dict[float, dict[bool, Part]] = {}
     for row in rows:
         if len(row.moves) < 2:
-            raise InsufficientDataError("one move has no scatter: record at least 2")
+            raise InsufficientDataError("a single move has no scatter: record at least 2")
         at = (position, np.full(position.size, row.speed))
         if not table.covers(*at).all():
             raise InsufficientDataError(
@@ -200,7 +200,7 @@ def judge_table(parts: Sequence[Part], position: Array, period: float | None) ->
     """
     speeds = len({part.speed for part in parts})
     count = min(len(part.moves) for part in parts)
-    # (parts, n) and (moves, parts, n): what was learned, what is there, what each move adds.
+    # (parts, n) and (moves, parts, n): the learned pattern, the present one, the part of each move.
     learned = np.stack([part.learned for part in parts])
     now = np.stack([part.now for part in parts])
     moves = np.stack([part.moves[:count] - part.moves[:count].mean(axis=0) for part in parts], 1)
@@ -212,7 +212,7 @@ def judge_table(parts: Sequence[Part], position: Array, period: float | None) ->
     if limit >= held:
         raise InsufficientDataError(
             f"a single move scatters by {limit:.3g} N m rms, the table holds {held:.3g} N m: "
-            "they do not resolve it; look for what disturbs the moves, or learn again"
+            "they do not resolve it; find the disturbance of the moves, or learn again"
         )
     # The table's own noise, in the proportion of the moves'.
     wider = math.sqrt(noise.sum() / max(means.sum(), np.finfo(float).tiny))
@@ -266,7 +266,7 @@ def judge_table(parts: Sequence[Part], position: Array, period: float | None) ->
 class _Fit:
     """Shift, rad, and scale; patterns (parts, w) and moves (moves, parts, w) where both are known.
 
-    `learned` is shifted, not scaled. `each` (moves, 2) is what each move adds to scale and shift,
+    `learned` is shifted, not scaled. `each` (moves, 2) is the part of each move in scale and shift,
     `misfit_u` (2,) is their standard uncertainty by the remaining difference of the patterns.
     """
 
@@ -305,7 +305,7 @@ def _fit(
         # scale*learned(p - shift - d) = scale*turned + scale*d*slope
         inverse = np.linalg.pinv(np.column_stack([turned.ravel(), slope.ravel()]))
         scale, moved = inverse @ there.ravel()
-        # No leaps from one summit to the next.
+        # No jumps from one maximum to the next.
         shift += float(np.clip(moved / scale, -step, step)) if scale > 0 else 0.0
     inverse[1] /= scale
     each = varying.reshape(len(moves), -1) @ inverse.T
@@ -362,7 +362,7 @@ def _nearest(leftovers: Array, periodic: bool) -> int:
     shifts = np.where(shifts > size // 2, shifts - size, shifts) if periodic else shifts - size // 2
     good = np.flatnonzero(leftovers <= leftovers.min() + EQUALLY_GOOD)
     first = good[np.argmin(np.abs(shifts[good]))]
-    # Down to the bottom of its own valley.
+    # Down to the minimum of its own valley.
     while True:
         around = [
             (first + k) % size if periodic else min(max(first + k, 0), size - 1) for k in (0, -1, 1)

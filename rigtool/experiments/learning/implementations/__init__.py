@@ -1,1 +1,1 @@
-"""The ways to learn: one module an implementation of section 7.2.4, and what they share."""
+"""The ways to learn: a module for each implementation of section 7.2.4, and their common parts."""

@@ -1,9 +1,9 @@
 """Implementation A: one map by position, learned at one low speed [7.2.4.2, Fig. 42-48].
 
 The bare motor turns at one speed and in one direction; friction is fed forward by its model, and
-the map holds only what varies with position. Played at another speed its orders pass at another
-frequency: Q cuts off where the fastest turns bring them to the bandwidth of the loop. Amplitude and
-phase tables by speed are found from runs at other speeds.
+the map holds only the part that varies with position. At another speed the orders of the map have
+another frequency: Q cuts off where the fastest turns bring them to the bandwidth of the loop.
+Amplitude and phase tables by speed are found from runs at other speeds.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from rigtool.experiments.learning.implementations.skeleton import TaughtTable
 from rigtool.experiments.learning.procedure_design import FilterDesign
 from rigtool.experiments.learning.rows import Amplitudes, Row
 from rigtool.experiments.learning.speed_tuning import Tuning, tune, written_out
+from rigtool.experiments.learning.stored_table import LEARNING_CUTOFF
 from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -71,8 +72,8 @@ class OneSpeed(BareMotor[TaughtMap]):
         """Raise `UsageError` without friction."""
         if friction is None:
             raise UsageError(
-                "implementation A learns what varies with position and leaves friction to its "
-                "model: give --friction, a run of stribeck"
+                "implementation A learns the part that varies with position and leaves friction to "
+                "its model: give --friction, a run of stribeck"
             )
 
     @property
@@ -81,13 +82,13 @@ class OneSpeed(BareMotor[TaughtMap]):
         return narrowed(self.filters, self.recipe)
 
     def learn(self, runs: Sequence[Sequence[Recording]], slower: Sequence[Recording]) -> TaughtMap:
-        """Return the map that all runs so far teach, as a table that does not depend on speed."""
+        """Return the map learned from all runs so far, as a table that does not depend on speed."""
         counts, learning = self.recipe.rig.encoder_counts, self.learning
         cut = [[_ripple(item) for item in self.turned(run)] for run in runs]
         history = [self.judge(run, updates) for updates, run in enumerate(cut)]
         last, variance = last_update(history, learning.factor)
         updated = learned_by(cut[last][0], learning, counts, first=last == 0)
-        # The scatter of single turns, as wide as what several updates carry.
+        # The scatter of single turns, enlarged to that of several updates.
         mean = repeatable_row(updated, variance).mean
         row = Row(updated.speed, mean + np.sqrt(variance) * (updated.moves - updated.mean))
         table = untuned(row, self.recipe)
@@ -98,12 +99,12 @@ class OneSpeed(BareMotor[TaughtMap]):
         """Find amplitude and phase at the other speeds, within the band of the map."""
         counts, learning, learned = self.recipe.rig.encoder_counts, self.learning, taught.row
         turned = self.turned(others)
-        fastest = max(abs(item.speed) for item in turned)
         rows = []
         for item in turned:
-            # The same orders at each speed: Q moves with the speed of turning, as far as it may.
+            # The same orders at each speed: Q moves with the speed of turning, to the bandwidth of
+            # the loop at the fastest one (`narrowed`).
             cutoff = learning.cutoff_hz * max(1.0, abs(item.speed / learned.speed))
-            wide = replace(learning, cutoff_hz=min(cutoff, learning.cutoff_hz * fastest))
+            wide = replace(learning, cutoff_hz=cutoff)
             rows.append(learned_by(_ripple(item), wide, counts, first=True))
         tuning = tune(learned, rows)
         table, u = written_out(turn_angles(counts), learned, tuning)
@@ -138,7 +139,7 @@ class OneSpeed(BareMotor[TaughtMap]):
         why = "follows from the loop's model and the recipe's speeds"
         return {
             "loop_bandwidth": Quantity(bandwidth(self.filters.learning), "Hz", reason=why),
-            "learning_cutoff": Quantity(self.learning.cutoff_hz, "Hz", reason=why),
+            LEARNING_CUTOFF: Quantity(self.learning.cutoff_hz, "Hz", reason=why),
         }
 
     def learned_tables(self, taught: TaughtMap) -> dict[str, Table]:
@@ -156,7 +157,7 @@ class OneSpeed(BareMotor[TaughtMap]):
                     "shift": Column(t.shift, "rad", "added to the position"),
                     "shift_u": Column(t.shift_u, "rad", "standard uncertainty"),
                     "correlation": Column(
-                        t.correlation, "1", "of the turned map with what repeats at this speed"
+                        t.correlation, "1", "of the shifted map with the repeatable part"
                     ),
                 },
                 "amplitude",
@@ -186,8 +187,8 @@ class OneSpeed(BareMotor[TaughtMap]):
         if zero.size:
             listed = ", ".join(f"{speed:.3g}" for speed in zero)
             notes.append(
-                f"nothing like the map repeats above chance at {listed} rev/s: the table is zero "
-                "there"
+                f"nothing similar to the map repeats above the noise at {listed} rev/s: the table "
+                "is zero there"
             )
         return notes
 
@@ -230,7 +231,7 @@ def untuned(learned: Row, recipe: Recipe) -> LookupTable:
 
 
 def _ripple(item: Turned) -> Turned:
-    """Take the mean off each turn: it is friction, which A does not learn."""
+    """Subtract the mean of each turn: it is friction, which A does not learn."""
     signal = item.cycles.signal - item.cycles.signal.mean(axis=1, keepdims=True)
     return replace(
         item,

@@ -3,7 +3,7 @@
 The bare motor turns steadily at each speed, in either direction; one learning update of the mean
 turn makes a row, Coulomb and viscous friction as functions of position included. Below the lowest
 of these speeds its rows are scaled by an amplitude table that is found from slower runs [Fig. 53].
-Orders that do not repeat above chance are not learned.
+Orders that do not exceed the noise are not learned.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
         return speeds
 
     def learned_tables(self, taught: TaughtSpeeds) -> dict[str, Table]:
-        """Return no more than the table."""
+        """Return no results beside the table."""
         return {}
 
     def learned_notes(self, taught: TaughtSpeeds) -> list[str]:
@@ -108,7 +108,7 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
         zero = table.speed[~table.torque.any(axis=1)] / TURN
         if zero.size:
             listed = ", ".join(f"{speed:.3g}" for speed in zero)
-            notes.append(f"nothing repeats above chance at {listed} rev/s: the table is zero there")
+            notes.append(f"nothing exceeds the noise at {listed} rev/s: the table is zero there")
         return notes
 
 

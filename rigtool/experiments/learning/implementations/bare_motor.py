@@ -1,4 +1,4 @@
-"""The bare motor, turning steadily and sweeping: what implementations A and B have in common."""
+"""The bare motor, turning steadily and sweeping: the common part of implementations A and B."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rigtool.experiments.learning.implementations import signals as common
 from rigtool.experiments.learning.implementations.runs import iterations_table
 from rigtool.experiments.learning.implementations.skeleton import (
     Implementation,
-    Report,
+    LearningReport,
     TaughtTable,
 )
 from rigtool.experiments.learning.implementations.validation import (
@@ -105,7 +105,7 @@ def _steady(recipe: Recipe, name: str, speed: float) -> RecordingSpec:
             "speed": (TURN * speed, "rad/s"),
             "revolutions": (float(turns), "1"),
             "steady_from": (start, "s"),
-            # a little more, as samples do not end where turns do
+            # with a margin, since samples do not end where turns do
             "steady_until": (start + (turns + 0.05) / abs(speed), "s"),
         },
         recipe.ilc_learn.turning.record_every,
@@ -130,7 +130,7 @@ def sweep_specs(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
 
 
 def task(spec: RecordingSpec, fed: Feedforward) -> Task:
-    """Return what to do for a recording: run up, turn steadily or sweep, and stop."""
+    """Return the motion of a recording: run up, turn steadily or sweep, and stop."""
     speed, begin, end = (spec.conditions[k][0] for k in ("speed", "steady_from", "steady_until"))
     run_up = abs(speed) / ACCELERATION
     if spec.name.startswith("sweep_"):
@@ -186,7 +186,7 @@ def _steady_part(recording: Recording, time: Array) -> slice:
 
 
 def learned_by(item: Turned, learning: Learning, positions: int, *, first: bool = False) -> Row:
-    """Return what an update learns by angle; in the `first` run nothing was fed forward."""
+    """Return the torque that an update learns by angle; the `first` run has no feed-forward."""
     before = 0.0 if first else item.cycles.before
     return learned_row(item.turns, item.speed, learning, positions, before)
 
@@ -237,7 +237,7 @@ class BareMotor(Implementation[T]):
     BARE_MOTOR = True
     LEARNED_FROM: ClassVar[str] = "controller torque"
 
-    # -- what an implementation states
+    # -- given by each implementation
 
     @abstractmethod
     def before(self, taught: T, first: Sequence[Recording]) -> list[Turned]:
@@ -245,11 +245,11 @@ class BareMotor(Implementation[T]):
 
     @abstractmethod
     def learned_tables(self, taught: T) -> dict[str, Table]:
-        """Return what is reported of the learning beside the table itself."""
+        """Return the results of the learning beside the table itself."""
 
     @abstractmethod
     def learned_speeds(self, taught: T) -> Collection[float]:
-        """Return the speeds of which the table holds what was learned there, rad/s."""
+        """Return the speeds at which the table was learned, rad/s."""
 
     @abstractmethod
     def learned_notes(self, taught: T) -> list[str]:
@@ -267,10 +267,10 @@ class BareMotor(Implementation[T]):
         """Return which turns with the table on continue the history of the learning runs."""
         return after
 
-    # -- what both do
+    # -- common to both
 
     def task(self, spec: RecordingSpec, fed: Feedforward) -> Task:
-        """Return what the rig does for a recording with this fed forward."""
+        """Return the task of a recording with this feed-forward."""
         return task(spec, fed)
 
     def fed(self, taught: T) -> Feedforward:
@@ -293,8 +293,10 @@ class BareMotor(Implementation[T]):
         """Judge a learning run: all its speeds together."""
         return learning_run([item.cycles for item in found], self.learning, updates)
 
-    def report(self, run: Run, taught: T, recorded: Sequence[Sequence[Recording]]) -> Report:
-        """Report the table, and what remained with it switched on."""
+    def report(
+        self, run: Run, taught: T, recorded: Sequence[Sequence[Recording]]
+    ) -> LearningReport:
+        """Report the table, and the remaining disturbance with it on."""
         filters, history = self.filters.learning, taught.history
         after = self.turned(common.found(run, "validate"))
         counts = self.recipe.rig.encoder_counts
@@ -305,7 +307,7 @@ class BareMotor(Implementation[T]):
         swept = self._sweep(run)
         sweep = Outcome({}) if swept is None else swept.outcome()
         table = taught.table
-        return Report(
+        return LearningReport(
             {
                 **remains.results(),
                 **period_results(table),

@@ -1,8 +1,8 @@
 """Implementation C, 'limited rotation angle' [7.2.4.2, Fig. 55, 56].
 
 At each speed the rig moves to and fro, one learning update makes two rows of the table, low speeds
-give the amplitude table. Then the same moves are made with the table switched on, and what remains
-is reported.
+give the amplitude table. Then the rig repeats the moves with the table switched on, and the
+remaining disturbance is reported.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rigtool.experiments.learning.implementations.runs import (
 )
 from rigtool.experiments.learning.implementations.skeleton import (
     Implementation,
-    Report,
+    LearningReport,
     TaughtTable,
 )
 from rigtool.experiments.learning.implementations.validation import (
@@ -78,7 +78,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
         }
 
     def task(self, spec: RecordingSpec, fed: Feedforward) -> Task:
-        """Return the moves of a recording with this fed forward."""
+        """Return the moves of a recording with this feed-forward."""
         return Task(motion(self.recipe, spec), fed)
 
     def fed(self, taught: TaughtMoves) -> Feedforward:
@@ -117,8 +117,8 @@ class LimitedAngle(Implementation[TaughtMoves]):
 
     def report(
         self, run: Run, taught: TaughtMoves, recorded: Sequence[Sequence[Recording]]
-    ) -> Report:
-        """Report the table, and what remained with it switched on."""
+    ) -> LearningReport:
+        """Report the table, and the remaining disturbance with it on."""
         remaining = self._remaining(taught, common.found(run, "validate"))
         between = steady_outcome(self._validated(run, remaining))
         repeated: dict[str, Table] = {}
@@ -126,7 +126,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
             repeated["iterations"] = iterations_table(taught.history, "N m", "controller torque")
         table = taught.table
         low, high = math.degrees(table.position[0]), math.degrees(table.position[-1])
-        return Report(
+        return LearningReport(
             {**remaining.results(), **between.results},
             {
                 **tables_of(table, taught.u, taught.amplitudes),
@@ -236,7 +236,7 @@ def rows(
     learning: Learning,
     position: Array,
 ) -> list[Row]:
-    """Return what one update learns from a recording at these positions, falling moves first."""
+    """Return the torque that one update learns at these positions, falling moves first."""
     moves, _ = _moves(recording, recipe, torque_constant, recipe.ilc_learn.moves)
     return learned_rows(moves, recording.condition("speed"), learning, position)
 
@@ -256,7 +256,7 @@ def positions(recipe: Recipe, end_angle: float) -> Array:
 def _moves(
     recording: Recording, recipe: Recipe, torque_constant: float, moves: int
 ) -> tuple[Moves, Array]:
-    """Cut a recording into moves of the controller's torque; return what the table added, too."""
+    """Cut a recording into moves of the controller's torque, and of the table's."""
     found = common.signals(recording, recipe)
     with naming(recording):
         cut = cut_moves(found.time, found.setpoint, torque_constant * found.controller, moves)
@@ -273,7 +273,7 @@ def require_feedforward(
     """
     setpoint, current = recording.read("position_setpoint"), recording.read("feedforward_current")
     used = positions(recipe, recipe.ilc_learn.end_angle)
-    # At constant speed there is no acceleration; what is fed forward is friction.
+    # At constant speed there is no acceleration; only friction is fed forward.
     straight = (setpoint[1:] > used[0]) & (setpoint[1:] < used[-1]) & (np.diff(setpoint) > 0)
     recorded = torque_constant * float(np.mean(current[1:][straight])) if straight.any() else 0.0
     speed = recording.condition("speed")

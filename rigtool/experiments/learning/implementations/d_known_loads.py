@@ -1,43 +1,39 @@
 """`ilc-learn --implementation D`: the table of implementation C, and torque as a third input [9].
 
 First C learns by position and speed. Then known loads are lifted and lowered at several speeds,
-each speed beginning and ending without load; from these the disturbance of a load is learned
-(`experiments.load_disturbance.model`): friction that grows with load, stiffness of the tendon,
-ripple by current. A short motion without load explores what strokes do not show: rest and reversals
-anywhere. From all of them the model of motor and instrument is learned that reads torque over time
-(`experiments.force_over_time.model`). All go into one run file: the table is fed forward while
-moving, disturbance and model convert the motor's torque into a load.
+each speed beginning and ending without load. A short motion without load explores what strokes do
+not show: rest and reversals anywhere. From all of them one model of motor, friction and tendon is
+learned (`experiments.force_over_time.model`). The disturbance of a load by speed, position and
+torque is a table of it (`experiments.load_disturbance.sliding`). All go into one run file: the
+table of C is fed forward while moving, the model converts the motor's torque into a load.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
-from rigtool.experiments.controller_torque import loop_signals, naming
 from rigtool.experiments.force_over_time import stored
-from rigtool.experiments.force_over_time.procedure_learning import exploring, learn_force
+from rigtool.experiments.force_over_time.procedure_learning import (
+    CHANNELS,
+    LearnedForce,
+    exploring,
+    learn_force,
+)
+from rigtool.experiments.force_over_time.records import Record
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
-from rigtool.experiments.load_disturbance.cycles import LoadedCycles
-from rigtool.experiments.load_disturbance.fit import fit_disturbance, refit_disturbance
-from rigtool.experiments.load_disturbance.model import Disturbance, LoadedPair
-from rigtool.experiments.load_disturbance.reading import read_load
-from rigtool.experiments.load_disturbance.stored import (
-    Grid,
-    grid_of,
-    grid_tables,
-    model_tables,
-    tendon_results,
-)
-from rigtool.experiments.load_disturbance.stored_recordings import CHANNELS, cycles_of
-from rigtool.experiments.load_disturbance.tendon import Tendon
+from rigtool.experiments.load_disturbance.reading import LoadedPair, read_loads
+from rigtool.experiments.load_disturbance.sliding import Grid, grid_of
+from rigtool.experiments.load_disturbance.stored import grid_tables
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import channels, record
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
@@ -49,6 +45,9 @@ LOADED = "known"
 
 EXPLORED = "explore"
 """First part of the name of the recording that explores."""
+
+ANGLE_STEP_DEG, POINTS_OF_LOAD = 5.0, 13
+"""Of the tables of the disturbance."""
 
 
 def _loaded(recipe: Recipe) -> list[RecordingSpec]:
@@ -78,14 +77,14 @@ class KnownLoads(LimitedAngle):
 
     @classmethod
     def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
-        """List what implementation C records, the known loads at each speed, the exploration."""
+        """List the recordings of implementation C, the known loads by speed, the exploration."""
         return (*super().recordings(recipe), *_loaded(recipe), _explored())
 
     def require(self, recipe: Recipe, friction: Run | None) -> None:
         """Raise `RecipeError` without the instrument."""
         if recipe.rig.attachment != "instrument":
             raise RecipeError(
-                "implementation D learns what an instrument does to a load; rig.attachment is "
+                "implementation D learns the effects of an instrument on a load; rig.attachment is "
                 f"{recipe.rig.attachment}: attach the instrument, or learn with implementation C"
             )
 
@@ -112,56 +111,88 @@ class KnownLoads(LimitedAngle):
     def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
         """Learn the table from its moves, and the disturbance from the known loads.
 
-        Raises `InsufficientDataError` where the loads do not carry it.
+        Raises `InsufficientDataError` where the loads do not determine it.
         """
         table = super().analyse(runs, recipe, **inputs)
-        pairs, moments = _pairs(runs[0], recipe, inputs["kt"])
-        disturbance = fit_disturbance(pairs, moments)
-        loads = _loads_outcome(runs[0], recipe, disturbance, pairs, moments)
-        force = _learn_force(runs[0], recipe, inputs["kt"], disturbance.tendon)
+        run = runs[0]
+        learned = _learn_force(run, recipe, inputs["kt"])
+        loads = _known_loads(run, recipe, learned.strokes)
+        found = _loads_outcome(run, recipe, learned, loads)
         return Outcome(
-            {**table.results, **loads.results, **force.results},
-            {**table.tables, **loads.tables, **force.tables},
-            (*table.notes, *loads.notes, *force.notes),
+            {**table.results, **found.results, **stored.model_results(learned.model)},
+            {**table.tables, **found.tables, **stored.model_tables(learned.model)},
+            (*table.notes, *found.notes),
         )
 
 
-def _learn_force(run: Run, recipe: Recipe, kt: Run, tendon: Tendon) -> Outcome:
+def _learn_force(run: Run, recipe: Recipe, kt: Run) -> LearnedForce:
     explored = run.recordings_named(f"{EXPLORED}_")
-    if not explored:
-        note = "no recording explores rest and reversals: force over time needs tables learned anew"
-        return Outcome({}, {}, (note,))
-    moves = [r for kind in ("learn", "low") for r in run.recordings_named(f"{kind}_")]
     strokes = run.recordings_named(f"{LOADED}_")
-    model = learn_force(strokes, moves, explored[0], recipe, kt, tendon)
-    return Outcome(stored.model_results(model), stored.model_tables(model))
+    forces = {r.condition("force") for r in strokes} - {0.0}
+    if len(forces) < 2 or not explored:
+        raise RunFileError(
+            f"{run.path}: holds {len(forces)} known loads and {len(explored)} recordings that "
+            "explore rest and reversals, 2 loads and one exploration are needed: give the run file "
+            "in which ilc-learn --implementation D recorded its signals, or learn again"
+        )
+    moves = [r for kind in ("learn", "low") for r in run.recordings_named(f"{kind}_")]
+    return learn_force(strokes, moves, explored[0], recipe, kt)
 
 
-def _loads_outcome(
-    run: Run,
-    recipe: Recipe,
-    disturbance: Disturbance,
-    pairs: list[LoadedPair],
-    moments: list[float],
-) -> Outcome:
-    grid = grid_of(disturbance, pairs, recipe)
+@dataclass(frozen=True, eq=False)
+class _KnownLoads:
+    """Pairs of a load and the same motion without it, with motor `speed` rad/s and `moment` N m of
+    each (n,), and the speeds of all strokes in the order of their recordings."""
+
+    pairs: list[LoadedPair]
+    speed: Array
+    moment: Array
+
+
+def _known_loads(run: Run, recipe: Recipe, strokes: dict[str, Record]) -> _KnownLoads:
+    """Return each load beside the same motion without."""
+    by_speed: dict[float, list[Recording]] = {}
+    for recording in run.recordings_named(f"{LOADED}_"):
+        by_speed.setdefault(recording.condition("speed"), []).append(recording)
+    arm, found = recipe.rig.load_arm, []
+    for speed, group in by_speed.items():
+        unloaded = tuple(strokes[r.name] for r in group if r.condition("force") == 0)
+        loaded = [r for r in group if r.condition("force") > 0]
+        if loaded and not unloaded:
+            raise RunFileError(
+                f"{run.path}: nothing was recorded without load at {speed:.4g} rad/s: learn again"
+            )
+        for r in loaded:
+            pair = LoadedPair(strokes[r.name], unloaded, arm)
+            found.append((pair, speed, r.condition("force") * arm))
+    pairs, speeds, moments = zip(*found, strict=True)
+    return _KnownLoads(list(pairs), np.array(speeds), np.array(moments))
+
+
+def _loads_outcome(run: Run, recipe: Recipe, learned: LearnedForce, loads: _KnownLoads) -> Outcome:
+    settings, model = recipe.measure_force, learned.model.learned
+    turn, largest = settings.turn_angle, float(loads.moment.max())
+    speeds = np.unique(loads.speed)
+    grid = grid_of(
+        model,
+        speeds.tolist(),
+        np.radians(np.arange(turn, settings.angle - turn + ANGLE_STEP_DEG / 2, ANGLE_STEP_DEG)),
+        np.linspace(0, largest, POINTS_OF_LOAD),
+        float(np.mean([record.torque_constant for record in learned.strokes.values()])),
+    )
     return Outcome(
         {
-            **_tendon_results(disturbance, pairs, moments),
+            **_tendon_results(learned, loads),
             "load_friction_coefficient": _friction_coefficient(grid, recipe),
             "learned_torque": Quantity(
-                disturbance.torque, "N m", reason="a bound of what was learned, not measured"
+                largest, "N m", reason="a bound of what was learned, not measured"
             ),
             "learned_temperature": Quantity(
                 _temperature(run), "degC", reason="how well the sensor is calibrated is not known"
             ),
         },
-        {
-            **grid_tables(grid, recipe),
-            **model_tables(disturbance),
-            "left_out": _left_out(disturbance, pairs, moments, recipe),
-        },
-        _notes(disturbance, pairs, recipe),
+        {**grid_tables(grid, recipe), "left_out": _left_out(learned, loads, recipe)},
+        _notes(largest, speeds, recipe),
     )
 
 
@@ -169,38 +200,6 @@ def _temperature(run: Run) -> float:
     """Return the motor's mean temperature while the loads were lifted, degC."""
     recorded = run.recordings_named(f"{LOADED}_")
     return float(np.mean([np.mean(recording.read("temperature")) for recording in recorded]))
-
-
-def _pairs(run: Run, recipe: Recipe, kt: Run) -> tuple[list[LoadedPair], list[float]]:
-    """Return each load beside the same motion without, and its moment, N m."""
-    recorded = run.recordings_named(f"{LOADED}_")
-    by_speed: dict[float, list[Recording]] = {}
-    for recording in recorded:
-        by_speed.setdefault(recording.condition("speed"), []).append(recording)
-    pairs, moments = [], []
-    margin = math.radians(recipe.measure_force.turn_angle)
-    for speed, group in by_speed.items():
-        cycles = {r.name: _cycles(r, recipe, kt, speed) for r in group}
-        unloaded = [cycles[r.name] for r in group if r.condition("force") == 0]
-        loaded = [r for r in group if r.condition("force") > 0]
-        if loaded and not unloaded:
-            raise RunFileError(
-                f"{run.path}: nothing was recorded without load at {speed:.4g} rad/s: learn again"
-            )
-        pairs += [LoadedPair.of(cycles[r.name], unloaded, margin) for r in loaded]
-        moments += [r.condition("force") * recipe.rig.load_arm for r in loaded]
-    if len(set(moments)) < 2:
-        raise RunFileError(
-            f"{run.path}: holds {len(set(moments))} known loads, 2 are needed: give the run file "
-            "in which ilc-learn --implementation D recorded its signals"
-        )
-    return pairs, moments
-
-
-def _cycles(recording: Recording, recipe: Recipe, kt: Run, speed: float) -> LoadedCycles:
-    with naming(recording):
-        signals = loop_signals(recording, recipe)
-    return cycles_of(recording, signals, recipe, kt, speed)
 
 
 def _friction_coefficient(grid: Grid, recipe: Recipe) -> Quantity:
@@ -214,65 +213,65 @@ def _friction_coefficient(grid: Grid, recipe: Recipe) -> Quantity:
     return Quantity(friction / load, "1", u / load)
 
 
-def _tendon_results(
-    disturbance: Disturbance, pairs: list[LoadedPair], moments: list[float]
-) -> dict[str, Quantity]:
+def _tendon_results(learned: LearnedForce, loads: _KnownLoads) -> dict[str, Quantity]:
     """Return the tendon's parameters, its stiffness also by the slowest and fastest speed alone.
 
     The slowest shows it by the shift of the peak, the fastest by how the load swings.
     """
-    results, speeds = tendon_results(disturbance), disturbance.speeds
+    whole = stored.model_results(learned.model)
+    results = {
+        "tendon_stiffness": whole[f"{stored.PREFIX}stiffness"],
+        "tendon_damping": whole[f"{stored.PREFIX}damping"],
+        "tip_friction": whole[f"{stored.PREFIX}tip_friction"],
+    }
+    speeds, sliding = np.unique(loads.speed), learned.sliding
     if len(speeds) > 1:
         for name, speed in (("shift", speeds[0]), ("resonance", speeds[-1])):
-            own = [i for i, each in enumerate(pairs) if each.loaded.speed == speed]
-            alone = fit_disturbance([pairs[i] for i in own], [moments[i] for i in own])
-            results[f"tendon_stiffness_{name}"] = tendon_results(alone)["tendon_stiffness"]
+            own = [p for p, v in zip(loads.pairs, loads.speed, strict=True) if v == speed]
+            used = [record for pair in own for record in (pair.loaded, *pair.unloaded)]
+            alone = sliding.learned_from(
+                [any(r is u for u in used) for r in sliding.problem.records]
+            )
+            stiffness = stored.shape_results(alone)[f"{stored.PREFIX}stiffness"]
+            results[f"tendon_stiffness_{name}"] = stiffness
     return results
 
 
-def _left_out(
-    disturbance: Disturbance,
-    pairs: list[LoadedPair],
-    moments: list[float],
-    recipe: Recipe,
-) -> Table:
+def _left_out(learned: LearnedForce, loads: _KnownLoads, recipe: Recipe) -> Table:
     """Read each load with what was learned from the other loads, at all speeds."""
-    loads, speeds = sorted(set(moments)), disturbance.speeds
-    angle = math.radians(recipe.measure_force.measure_angle)
-    error, u = np.full((2, len(speeds), len(loads)), math.nan)
-    for column, moment in enumerate(loads):
-        others = [i for i, m in enumerate(moments) if m != moment]
-        less = refit_disturbance(
-            disturbance, [pairs[i] for i in others], [moments[i] for i in others]
-        )
-        for pair, there in zip(pairs, moments, strict=True):
-            if there != moment:
-                continue
-            row = speeds.index(pair.loaded.speed)
-            try:
-                found = read_load(less, pair, angle)
-            except InsufficientDataError:
+    settings, sliding = recipe.measure_force, learned.sliding
+    moments, speeds = np.unique(loads.moment), np.unique(loads.speed)
+    largest, angle = float(moments[-1]), math.radians(settings.measure_angle)
+    error, u = np.full((2, len(speeds), len(moments)), math.nan)
+    for column, moment in enumerate(moments):
+        less = sliding.learned_from([r.moment != moment for r in sliding.problem.records])
+        for row, speed in enumerate(speeds):
+            (pair,) = (
+                loads.pairs[i]
+                for i in np.flatnonzero((loads.speed == speed) & (loads.moment == moment))
+            )
+            (found,) = read_loads(less, [pair], largest, angle, settings.lowpass_hz)
+            if isinstance(found, InsufficientDataError):
                 continue
             error[row, column] = 100 * (found.moment / moment - 1)
             u[row, column] = 100 * found.u / moment
     return Table(
         ("speed", "load"),
         {
-            "speed": Column(np.array(speeds), "rad/s", "of the motor shaft"),
-            "load": Column(np.array(loads), "N m", "moment of the known load at 90 deg"),
+            "speed": Column(speeds, "rad/s", "of the motor shaft"),
+            "load": Column(moments, "N m", "moment of the known load at 90 deg"),
             "error_percent": Column(error, "%", "of the load; NaN where it could not be read"),
             "u": Column(u, "%", "standard uncertainty that the reading states"),
         },
         "error_percent",
-        "each known load read with a disturbance learned from the other loads; the largest one is "
+        "each known load read with a model learned from the other loads; the largest one is "
         "extrapolated",
     )
 
 
-def _notes(disturbance: Disturbance, pairs: list[LoadedPair], recipe: Recipe) -> tuple[str, ...]:
-    ratio = 2 * math.pi * recipe.rig.angle_ratio
-    slow, fast = disturbance.speeds[0] / ratio, disturbance.speeds[-1] / ratio
+def _notes(largest: float, speeds: Array, recipe: Recipe) -> tuple[str, ...]:
+    slow, fast = speeds[[0, -1]] / (2 * math.pi * recipe.rig.angle_ratio)
     return (
-        f"loads were learned up to {disturbance.torque * 1e3:.4g} mN m from {slow:.3g} to "
+        f"loads were learned up to {largest * 1e3:.4g} mN m from {slow:.3g} to "
         f"{fast:.3g} rev/s: measure-force corrects those within this range and reports others",
     )

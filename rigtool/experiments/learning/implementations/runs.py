@@ -53,16 +53,16 @@ def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Ta
         ("iteration",),
         {
             "iteration": Column(np.arange(float(len(history))), "1", "updates made before"),
-            "rms": column(lambda run: run.rms, "of what repeats"),
+            "rms": column(lambda run: run.rms, "of the repeatable part"),
             "rms_u": column(lambda run: run.rms_u, "standard uncertainty"),
-            "peak": column(lambda run: run.peak, "of what repeats"),
+            "peak": column(lambda run: run.peak, "of the repeatable part"),
             "peak_u": column(lambda run: run.peak_u, "standard uncertainty"),
             "non_repeatable_rms": column(
                 lambda run: run.scatter, "scatter of a single cycle: no learning can remove it"
             ),
             "ratio": column(
                 lambda run: run.ratio,
-                "power that another update would change over what chance explains",
+                "power that another update would change over that explained by noise",
                 "1",
             ),
             "limit": column(
@@ -77,7 +77,7 @@ def iterations_table(history: Sequence[LearningRun], unit: str, what: str) -> Ta
 def iterations_notes(
     history: Sequence[LearningRun], scale: float, unit: str, most: int
 ) -> tuple[str, ...]:
-    """State why learning ended, and what is left; `scale` converts the signal's unit to `unit`."""
+    """State why learning ended, and the remainder; `scale` converts the signal's unit to `unit`."""
     learned = len(history) > 1 and history[-1].finished
     rest = f"{history[-1].scatter * scale:.3g} {unit} rms in a single cycle"
     if history[0].finished:
@@ -85,12 +85,12 @@ def iterations_notes(
     if learned:
         return (
             f"learning ended after {len(history) - 1} updates: another one would change no more "
-            f"than chance does; what is left, {rest}, does not repeat",
+            f"than noise does; the remainder, {rest}, does not repeat",
         )
     if most == 1:
         return ()
     return (
         f"after {len(history) - 1} of at most {most} learning runs another update would still "
-        f"change {history[-1].ratio:.3g} times what chance explains; what does not repeat is "
+        f"change {history[-1].ratio:.3g} times what noise explains; the non-repeatable part is "
         f"{rest}",
     )

@@ -1,4 +1,4 @@
-"""What all implementations share: signals of healthy recordings, names of recordings."""
+"""Common to all implementations: signals of healthy recordings, names of recordings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
 REMEDY = "lower the speed, or raise ilc_learn.turn_angle"
-"""What to do where the controller saturates while it learns."""
+"""Remedy where the controller saturates during learning."""
 
 
 def signals(recording: Recording, recipe: Recipe) -> LoopSignals:
@@ -59,5 +59,5 @@ def found(run: Run, kind: str) -> list[Recording]:
 
 
 def filled(run: Run, kind: str) -> list[Recording]:
-    """Return the recordings of a kind that hold samples: what was planned need not be made."""
+    """Return the recordings of a kind that hold samples; planned ones may be empty."""
     return [recording for recording in run.recordings_named(f"{kind}_") if recording.size]

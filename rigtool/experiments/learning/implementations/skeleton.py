@@ -1,9 +1,9 @@
-"""What all implementations of `ilc-learn` do alike; each one states the rest in its methods.
+"""The common part of all implementations of `ilc-learn`; each adds the rest in its methods.
 
-A first run is recorded without anything learned. Each further run is recorded with what the runs so
-far have taught, until nothing is left to learn or all runs are made [Fig. 44]. Then the moves are
-repeated with the final table, or signal, switched on. The analysis of a stored run learns from its
-recordings in the same order.
+A first run is recorded without a table. Each further run is recorded with the table learned so far,
+until nothing is left to learn or all runs are made [Fig. 44]. Then the moves are repeated with the
+final table, or signal, switched on. The analysis of a stored run learns from its recordings in the
+same order.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter, Table
 
 
 class Taught(Protocol):
-    """What learning runs teach."""
+    """Table or torque that results from learning runs."""
 
     @property
     def history(self) -> Sequence[LearningRun]:
@@ -58,10 +58,10 @@ class TaughtTable:
 
 
 @dataclass(frozen=True)
-class Report:
-    """What an implementation reports of a run.
+class LearningReport:
+    """Results and notes of an implementation on a run.
 
-    Notes are about what was `learned`, what was found with it switched on, and at other speeds.
+    Notes are about the `learned` table, about motion with it switched on, and at other speeds.
     """
 
     results: Mapping[str, Quantity]
@@ -81,7 +81,7 @@ class Implementation(ABC, Generic[T]):
     """Whether the shaft turns round and round, which no instrument can follow."""
 
     RIG_NEED: ClassVar[str] = "table"
-    """What a rig has to offer to play what is learned."""
+    """Abilities that a rig needs to apply the learned torque."""
 
     UNIT: ClassVar[str] = "mN m"
     """A thousandth of the unit of the signal that is learned from."""
@@ -102,7 +102,7 @@ class Implementation(ABC, Generic[T]):
         self.friction = friction_results(friction)
         self.plain = feedforward(recipe.rig.nominal_inertia, self.friction)
 
-    # -- what an implementation states
+    # -- given by each implementation
 
     @staticmethod
     @abstractmethod
@@ -111,28 +111,30 @@ class Implementation(ABC, Generic[T]):
 
     @abstractmethod
     def task(self, spec: RecordingSpec, fed: Feedforward) -> Task:
-        """Return what the rig does for a recording with this fed forward."""
+        """Return the task of a recording with this feed-forward."""
 
     @abstractmethod
     def learn(self, runs: Sequence[Sequence[Recording]], slower: Sequence[Recording]) -> T:
-        """Return what all runs so far teach, with recordings at `low` speeds where there are."""
+        """Return the table from all runs so far, and from recordings at `low` speeds, if any."""
 
     @abstractmethod
     def fed(self, taught: T) -> Feedforward:
-        """Return the feed-forward with what was learned switched on."""
+        """Return the feed-forward with the learned table switched on."""
 
     @abstractmethod
-    def report(self, run: Run, taught: T, recorded: Sequence[Sequence[Recording]]) -> Report:
-        """Report what was learned and what remained with it switched on."""
+    def report(
+        self, run: Run, taught: T, recorded: Sequence[Sequence[Recording]]
+    ) -> LearningReport:
+        """Report the learned table and the remainder with it switched on."""
 
     def require(self, recipe: Recipe, friction: Run | None) -> None:
-        """Raise an error where this implementation cannot learn from what is given."""
+        """Raise an error where this implementation cannot learn from recipe and inputs."""
 
     def require_friction_fed(self, recording: Recording) -> None:
         """Raise `RunFileError` unless the friction that is given was fed forward."""
 
     def finish(self, taught: T, others: Sequence[Recording]) -> T:
-        """Return what was taught, tuned by recordings at other speeds where there are any."""
+        """Return the table, tuned by recordings at other speeds, if any."""
         return taught
 
     def swept(self, taught: T) -> Feedforward:
@@ -144,7 +146,7 @@ class Implementation(ABC, Generic[T]):
         """The filters that are learned with."""
         return self.filters.learning
 
-    # -- what all do
+    # -- common to all
 
     @classmethod
     def recordings(cls, recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -153,12 +155,12 @@ class Implementation(ABC, Generic[T]):
 
     @classmethod
     def measure(cls, rig: Rig, recipe: Recipe, recorder: RunWriter, **inputs: Any) -> None:
-        """Learn run by run, and record what remains with what was learned switched on."""
+        """Learn run by run, and record the remainder with the learned table switched on."""
         cls(recipe, **inputs)._measure(rig, recorder)
 
     @classmethod
     def analyse(cls, runs: Sequence[Run], recipe: Recipe, **inputs: Any) -> Outcome:
-        """Learn from stored recordings, and report what remained.
+        """Learn from stored recordings, and report the remainder.
 
         Raises `UsageError` for several runs, `InsufficientDataError` where the recordings do not
         carry a result.

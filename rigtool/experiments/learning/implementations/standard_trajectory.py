@@ -27,7 +27,7 @@ from rigtool.experiments.learning.implementations.runs import (
     last_update,
     runs_at_most,
 )
-from rigtool.experiments.learning.implementations.skeleton import Implementation, Report
+from rigtool.experiments.learning.implementations.skeleton import Implementation, LearningReport
 from rigtool.experiments.learning.stored_table import TRAJECTORY
 from rigtool.experiments.procedure import channels
 from rigtool.numerics.arrays import Array
@@ -102,8 +102,8 @@ class RepeatedMove(Implementation[TaughtSignal]):
 
     def report(
         self, run: Run, taught: TaughtSignal, recorded: Sequence[Sequence[Recording]]
-    ) -> Report:
-        """Report what error remained, run by run."""
+    ) -> LearningReport:
+        """Report the remaining error, run by run."""
         final = self._cut(common.found(run, "validate")[0])
         history, first = taught.history, taught.history[0]
         check = _judge(final, self.learning, len(history))
@@ -112,7 +112,7 @@ class RepeatedMove(Implementation[TaughtSignal]):
         ratio = check.rms / first.rms
         relative = math.hypot(check.rms_u / check.rms, first.rms_u / first.rms)
         dof = float(len(final.error) - 1)
-        return Report(
+        return LearningReport(
             {
                 "error_peak": Quantity(check.peak, "rad", check.peak_u, dof),
                 "error_rms": Quantity(check.rms, "rad", check.rms_u, dof),
@@ -122,7 +122,7 @@ class RepeatedMove(Implementation[TaughtSignal]):
                 TRAJECTORY: _trajectory(taught, final, self.recipe, self.learning),
                 "iterations": iterations_table(history, "rad", "error"),
             },
-            ("learned by time: what was learned holds for this one move only",),
+            ("learned by time: the table is valid for this one move only",),
         )
 
     def _cut(self, recording: Recording) -> _Moves:
@@ -150,7 +150,7 @@ def _judge(run: _Moves, learning: Learning, updates: int) -> LearningRun:
 
 
 def _centred(error: Array) -> Array:
-    """Take the mean off: half a count of the encoder, and what the integrator sees to."""
+    """Subtract the mean: half a count of the encoder, and the part that the integrator controls."""
     centred: Array = error - error.mean()
     return centred
 

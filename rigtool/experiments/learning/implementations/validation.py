@@ -17,7 +17,7 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
 LEVEL = 0.01
-"""Probability that chance alone makes a table look worse than none at any of the speeds."""
+"""Probability that noise alone makes a table look worse than none at any of the speeds."""
 
 BIN = 0.25 * 2 * math.pi
 """Width of the bins of speed of a sweep, rad/s."""
@@ -44,7 +44,7 @@ class Steady:
 
 
 def steady_outcome(found: Sequence[Steady]) -> Outcome:
-    """Report what remains by speed, and whether it is anywhere more than without the table."""
+    """Report the remainder by speed, and whether it exceeds that without the table anywhere."""
     if not found:
         return Outcome({})
     ordered = sorted(found, key=lambda item: item.after.speed)
@@ -144,7 +144,7 @@ class Sweep:
     """A sweep of speed, table off and on: signals (n,) on one time, s, rad/s and N m.
 
     `torque` is the controller's by variant, within the band of Q: `off`, `plain` (without
-    amplitude and phase tables), `on`; `table` is what the table added when it was `on`.
+    amplitude and phase tables), `on`; `table` is the torque that the table added when `on`.
     """
 
     time: Array
@@ -154,7 +154,7 @@ class Sweep:
     notes: tuple[str, ...] = field(default=())
 
     def outcome(self) -> Outcome:
-        """Report what remains over the whole sweep, by speed, and along it."""
+        """Report the remainder over the whole sweep, by speed, and along it."""
         by_speed = self._by_speed()
         tables = {"sweep_by_speed": by_speed, "sweep": self._signals()}
         return Outcome(self._results(by_speed), tables, self.notes)
@@ -165,7 +165,7 @@ class Sweep:
         The level is the geometric mean of the rms in all bins: where few bins are large, it shows
         what remains in all others.
         """
-        reason = "one sweep; contains what does not repeat"
+        reason = "one sweep; contains the non-repeatable part"
         results = {}
         for variant, torque in self.torque.items():
             rms = float(np.sqrt(np.mean(torque**2)))
@@ -204,7 +204,7 @@ class Sweep:
                     variant: Column(torque[::every], "N m", _VARIANTS[variant])
                     for variant, torque in self.torque.items()
                 },
-                "table": Column(self.table[::every], "N m", "what the table added when it was on"),
+                "table": Column(self.table[::every], "N m", "torque of the table when it was on"),
             },
             "on",
             "controller torque while the speed sweeps from end to end, within the band of Q",

@@ -1,4 +1,4 @@
-"""What goes wrong on a line, at will: for tests, and to try out a bench before it bites.
+"""Faults of a line, on demand: for tests, and to rehearse a bench.
 
 A `Fault` acts on the bytes that the device sends or gets. Numbers of writes count from 0, those of
 the device, or with `towards="device"` those of the host.
@@ -13,27 +13,27 @@ from typing import Literal
 
 import numpy as np
 
-Kind = Literal["flip", "lose", "double", "cut", "silence", "late", "pull", "reset", "refuse"]
+FaultKind = Literal["flip", "lose", "double", "cut", "silence", "late", "pull", "reset", "refuse"]
 
 
 class Pulled(Exception):
-    """The cable is out: the server closes its side and ends."""
+    """The cable is pulled: the server closes its side and ends."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong.
+    """A fault of the line or the device.
 
     flip, lose, double: bits or bytes, each byte with this `probability`, or one of write number
         `at`: number `byte` of it (of a short write counted on from its start), or the middle one.
     cut: of write `at` only the first half arrives.
     silence: from write `at`, for `duration` s, nothing arrives.
     late: write `at` arrives together with, and before, the next one.
-    pull, reset, refuse: at write `at` the cable is pulled; the device restarts; it refuses what
-        it is asked from then on, for `count` requests.
+    pull, reset, refuse: at write `at` the cable is pulled; the device restarts; it refuses the
+        next `count` requests.
     """
 
-    kind: Kind
+    kind: FaultKind
     at: int = 0
     probability: float = 0.0
     duration: float = float("inf")
@@ -57,7 +57,7 @@ class Faults:
         self._held = b""
 
     def apply(self, data: bytes) -> bytes:
-        """Return what arrives of a write; raises `Pulled` where nothing ever will again."""
+        """Return the bytes of a write that arrive; raises `Pulled` once the cable is pulled."""
         if not data:
             return data
         number, self._write = self._write, self._write + 1

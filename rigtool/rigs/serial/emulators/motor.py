@@ -11,11 +11,11 @@ STEP = 2e-4
 
 
 @dataclass
-class Motor:
+class EmulatedMotor:
     """J dw/dt = Kt i - load - fc sign(w) - fv w; SI units. Current follows, up to its limit.
 
     `gain_position` (rad/s)/rad and `gain_speed` A/(rad/s) close the drive's loops. `load` N m is
-    that of a weight, which somebody holds while the power stage is off.
+    that of a weight, which is held by hand while the power stage is off.
     """
 
     inertia: float = 1.5e-5
@@ -43,8 +43,8 @@ class Motor:
     ) -> None:
         """Turn until now under a set point: `mode` position, velocity, current, or None for off.
 
-        In position and velocity mode `current` [A] is added to what the loops ask. `moving`: the
-        set point came to `position` at `speed`, instead of having been there all the time.
+        In position and velocity mode `current` [A] is added to the demand of the loops. `moving`:
+        the set point has moved to `position` at `speed`, instead of being there all the time.
         """
         now = time.monotonic()
         span, self._then = now - self._then, now

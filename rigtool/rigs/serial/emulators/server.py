@@ -40,25 +40,25 @@ class Emulator:
     """Whether `idle` has work to do at once."""
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes from the host and return what is answered."""
+        """Take bytes from the host and return the answer."""
         raise NotImplementedError
 
     def idle(self) -> bytes:
-        """Return what is sent without being asked; called every `TICK` s at least.
+        """Return bytes sent without a request; called every `TICK` s at least.
 
         Here watchdogs run out and motors turn.
         """
         return b""
 
     def reset(self) -> None:
-        """Restart, as after a loss of power; what was set is forgotten."""
+        """Restart, as after a loss of power; settings are lost."""
 
     def refuse(self, count: int) -> None:
         """Refuse the next `count` requests, as the device would with an error of its own."""
 
 
 class Server:
-    """Serves an emulator; `port` is what the host opens. End it with `stop`."""
+    """Serves an emulator; the host opens `port`. End it with `stop`."""
 
     def __init__(self, emulator: Emulator, faults: tuple[Fault, ...] = ()) -> None:
         self.emulator = emulator
@@ -123,7 +123,7 @@ class Server:
         return True
 
     def _send(self) -> None:
-        """Send what waits. What nobody takes for a while is lost, as on a real line."""
+        """Send waiting bytes. Bytes that nobody reads for a while are lost, as on a real line."""
         now = time.monotonic()
         sent = self._write(self._waiting) if self._waiting else 0
         del self._waiting[:sent]

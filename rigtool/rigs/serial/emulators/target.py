@@ -17,14 +17,14 @@ from rigtool.rigs.serial.emulators.target_log import TargetLog
 from rigtool.rigs.serial.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.safety import Watch
 from rigtool.rigs.serial.target import link
-from rigtool.rigs.serial.target.link import Ability, Kind, Refusal, Slot, State
+from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, State
 from rigtool.rigs.virtual import VirtualRig
 
 NAME = "rigtool target emulator"
 
 
 MISTAKES = (RigtoolError, ValueError, ArithmeticError, struct.error)
-"""What values that cannot be lead to, wherever they are used."""
+"""Errors that impossible values cause, wherever they are used."""
 
 
 class _Refused(Exception):
@@ -69,7 +69,7 @@ class TargetEmulator(Emulator):
     # -- as a device
 
     def reset(self) -> None:
-        """Restart: the session, what went up and the log are forgotten."""
+        """Restart: the session, the objects and the log are lost."""
         self._boot += 1
         self._splitter = Splitter()
         self._answered = (0, b"")
@@ -94,7 +94,7 @@ class TargetEmulator(Emulator):
         self._refusals = count
 
     def receive(self, data: bytes) -> bytes:
-        """Answer the requests in what arrived."""
+        """Answer the requests in the received bytes."""
         return b"".join(self._answer(frame) for frame in self._splitter.feed(data))
 
     def idle(self) -> bytes:
@@ -117,17 +117,17 @@ class TargetEmulator(Emulator):
     def _answer(self, frame: Frame) -> bytes:
         self._fed = time.monotonic()
         number, answer = self._answered
-        if number == frame.sequence and frame.kind != Kind.HELLO:
+        if number == frame.sequence and frame.kind != FrameKind.HELLO:
             return answer  # done already, or refused already
         try:
-            kind = Kind(frame.kind)
+            kind = FrameKind(frame.kind)
         except ValueError:
             return self._refusal(frame, f"request {frame.kind} is not known", Refusal.BAD_VALUE)
         try:
             if self._refusals:
                 self._refusals -= 1
                 raise _Refused("the drive reports undervoltage", Refusal.FAULT)
-            if kind is not Kind.HELLO and not self._session:
+            if kind is not FrameKind.HELLO and not self._session:
                 raise _Refused("the target was switched on or reset", Refusal.NO_SESSION)
             payload = self._handlers()[kind](frame.payload)
         except _Refused as error:
@@ -144,23 +144,23 @@ class TargetEmulator(Emulator):
         self._answered = (frame.sequence, answer)
         return answer
 
-    def _handlers(self) -> dict[Kind, Callable[[bytes], bytes]]:
+    def _handlers(self) -> dict[FrameKind, Callable[[bytes], bytes]]:
         return {
-            Kind.HELLO: self._hello,
-            Kind.BEGIN: self._begin,
-            Kind.CHUNK: self._chunk,
-            Kind.COMMIT: self._commit,
-            Kind.ARM: self._arm,
-            Kind.START: self._start,
-            Kind.STATUS: self._status,
-            Kind.READ: self._read,
-            Kind.DIGEST: self._digest,
-            Kind.STOP: self._stop,
-            Kind.MOVE: self._move_by,
-            Kind.CLAMP: lambda payload: self._bench(payload, "clamp"),
-            Kind.SOAK: lambda payload: self._bench(payload, "soak"),
-            Kind.POWER_CYCLE: self._power_cycle,
-            Kind.BYE: self._bye,
+            FrameKind.HELLO: self._hello,
+            FrameKind.BEGIN: self._begin,
+            FrameKind.CHUNK: self._chunk,
+            FrameKind.COMMIT: self._commit,
+            FrameKind.ARM: self._arm,
+            FrameKind.START: self._start,
+            FrameKind.STATUS: self._status,
+            FrameKind.READ: self._read,
+            FrameKind.DIGEST: self._digest,
+            FrameKind.STOP: self._stop,
+            FrameKind.MOVE: self._move_by,
+            FrameKind.CLAMP: lambda payload: self._bench(payload, "clamp"),
+            FrameKind.SOAK: lambda payload: self._bench(payload, "soak"),
+            FrameKind.POWER_CYCLE: self._power_cycle,
+            FrameKind.BYE: self._bye,
         }
 
     def _hello(self, payload: bytes) -> bytes:
@@ -193,7 +193,7 @@ class TargetEmulator(Emulator):
         slot, offset = link.CHUNK.unpack_from(payload)
         data, whole = payload[link.CHUNK.size :], self._growing.get(Slot(slot))
         if whole is None or offset + len(data) > len(whole):
-            raise _Refused(f"CHUNK at {offset} of slot {slot} does not fit what BEGIN said")
+            raise _Refused(f"CHUNK at {offset} of slot {slot} does not fit the size of BEGIN")
         whole[offset : offset + len(data)] = data
         return b""
 
@@ -394,7 +394,7 @@ class TargetEmulator(Emulator):
         return done
 
     def _proceed(self) -> None:
-        """Advance; what cannot be computed trips."""
+        """Advance; a value that cannot be computed trips."""
         try:
             self._advance()
         except MISTAKES as error:

@@ -9,7 +9,7 @@ from rigtool.rigs.serial.frames import Frame, encode
 from rigtool.rigs.serial.target import link
 
 STREAMED = 64
-"""Samples in a streamed frame at most: what a small target keeps for it."""
+"""Samples in a streamed frame at most: a small target has memory for so many."""
 
 AT_ONCE = 4
 """Frames at most that are streamed before the line is looked at again: answers come between."""
@@ -33,7 +33,7 @@ class TargetLog:
         return self.first + len(self._data) // max(1, self.sample.itemsize)
 
     def behind(self, visible: int) -> bool:
-        """Say whether there is more to stream, up to sample `visible`."""
+        """Return whether there is more to stream, up to sample `visible`."""
         return self._streams and self._sent < visible
 
     def add(self, block: Block) -> None:
@@ -49,7 +49,7 @@ class TargetLog:
         return bytes(self._data[begin : begin + count * self.sample.itemsize])
 
     def frames(self, visible: int) -> bytes:
-        """Return the next frames with what was recorded, up to sample `visible`."""
+        """Return the next frames of recorded samples, up to sample `visible`."""
         if not self._streams:
             return b""
         out: list[bytes] = []

@@ -74,7 +74,7 @@ class OperatorGauge(Gauge):
         self._value = self._settings.scale * reading + self._settings.offset
 
     def at(self, moments: Array) -> Array:
-        """Return what was read, for each moment."""
+        """Return the reading at each moment."""
         return np.full(len(moments), self._value)
 
     def report(self) -> dict[str, Any]:
@@ -93,7 +93,7 @@ MODULES = {
 }
 """Modules by name: each has BAUD_RATE and `make_reader(line, channel)`, see `readings.Reader`.
 
-`probe(line)` returns the identity of what answers, None for another device; in this order.
+`probe(line)` returns the identity of the instrument, None for another device; in this order.
 """
 
 BY_CHARACTER = ("mecmesin", "sauter")

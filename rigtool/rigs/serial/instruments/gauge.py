@@ -28,7 +28,7 @@ SLOW = ("temperature",)
 WAIT = 0.5
 """Longest wait for the readings that follow a moment and show whether one is a spike, s.
 
-What is found depends on when readings came, not on when somebody asks: so a record plays back as
+Results depend on the times of the readings, not on those of the queries: a record plays back as
 it was.
 """
 
@@ -147,10 +147,10 @@ class LineGauge:
     def _name(self) -> str:
         return f"serial.{self._channel} ({self._settings.driver} on {self._settings.port})"
 
-    # -- what a rig asks for
+    # -- the rig's interface
 
     def begin(self, moment: float) -> None:
-        """Forget what was read long before a recording begins at `moment`, s.
+        """Discard readings from long before a recording begins at `moment`, s.
 
         Raises `HardwareError` where the instrument is lost by then.
         """

@@ -2,7 +2,7 @@
 
 S is stable, D still moving (counted, and used: a step of current moves it, and the time of settling
 is left out afterwards), + and - above and below its range, I not possible now. A scale shows the
-mass that weighs as much: the standard gravity makes it a force. Source: manuals of CKE, KIB, FS.
+mass, converted into force by standard gravity. Source: manuals of CKE, KIB, FS.
 """
 
 from __future__ import annotations
@@ -79,5 +79,5 @@ def probe(line: Line) -> str | None:
         text = reply.decode("latin-1").strip()
         return _describe(text) if _IDENTITY.fullmatch(text) else None
 
-    # The first end of line ends what another question has left in the instrument.
+    # The first end of line ends the rest of an earlier question in the instrument.
     return line.ask(b"\r\nI4\r\n", accept)

@@ -68,7 +68,7 @@ class Mark10(Polled):
         if not knows:
             self._request = b"?\r"
         self._form.learn(self.read)
-        return "Mark-10 force gauge" + ("" if knows else ", asked for what it displays")
+        return "Mark-10 force gauge" + ("" if knows else ", read from its display")
 
     def read(self) -> Reading:
         """Return the next reading; raises `HardwareError` where the gauge refuses."""
@@ -82,7 +82,7 @@ def probe(line: Line) -> str | None:
     """Return the identity of the Mark-10 gauge that answers, None for another device."""
 
     def take() -> str | None:
-        # The first CR ends what another question has left in the gauge.
+        # The first CR ends the rest of an earlier question in the gauge.
         while (text := as_text(next_line(line, line.timeout))) == UNKNOWN:
             pass
         found = _REPLY.fullmatch(text)

@@ -1,6 +1,6 @@
-"""Whatever sends one number a line by itself: loggers of load cells (HX711), of Pt100 (MAX31865).
+"""Devices that send a number a line by themselves: loggers of load cells (HX711), Pt100 (MAX31865).
 
-A unit may stand behind the number; without one it is that of the channel. Words like nan, OL or
+A unit may follow the number; without one it is that of the channel. Words like nan, OL or
 fault are counted, and are no value. The first line is left out: it may have begun earlier.
 """
 
@@ -86,7 +86,7 @@ make_reader = NumberLines
 
 
 def probe(line: Line) -> str | None:
-    """Return what comes by itself on the line, None where it is no number."""
+    """Return the text that comes without a request, None where it is no number."""
     next_line(line, LISTENING)
     text = next_line(line, LISTENING)
     found = _LINE.fullmatch(as_text(text))

@@ -1,4 +1,4 @@
-"""What instruments send: numbers, units, and words in place of a number.
+"""Texts from instruments: numbers, units, and words in place of a number.
 
 A line that differs from the protocol raises `DamagedReply`; it never becomes a number.
 """
@@ -50,7 +50,7 @@ TEMPERATURES = {
     "degf": (5 / 9, -160 / 9),
     "°f": (5 / 9, -160 / 9),
 }
-"""Factor and what is added to get degC."""
+"""Factor and offset to degC."""
 
 NUMBER = re.compile(r"[+-]?[0-9]{1,12}(\.[0-9]{0,12})?([eE][+-]?[0-9]{1,3})?")
 LONGEST = 80
@@ -83,7 +83,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Reading:
-    """A value in the unit of the channel; `flag` names what is wrong with it.
+    """A value in the unit of the channel; `flag` names its fault.
 
     Only an unstable reading has a value all the same.
     """
@@ -143,7 +143,7 @@ def number(text: str) -> float:
 
 
 def flag_of(text: str) -> str | None:
-    """Return the flag that a word in place of a number stands for, None for any other word."""
+    """Return the flag of a word in place of a number, None for any other word."""
     return _WORDS.get(text.strip().lower())
 
 
@@ -156,7 +156,7 @@ def as_text(line: bytes) -> str:
 
 
 def next_line(line: Line, timeout: float) -> bytes:
-    """Return what comes up to an end of line, CR, LF or both, without it; never an empty one.
+    """Return the next line, without its CR, LF or both; never an empty one.
 
     Raises `LineTimeout` where it does not come within `timeout`, s, and `DamagedReply` where it is
     too long.
@@ -201,7 +201,7 @@ class Polled:
         return 0.0
 
     def ask(self, request: bytes, take: Callable[[bytes], T]) -> T:
-        """Return what `take` makes of the line that answers; see `Line.exchange` for errors."""
+        """Return the result of `take` for the line that answers; see `Line.exchange` for errors."""
         attempts = 0
 
         def receive() -> T:
@@ -213,13 +213,13 @@ class Polled:
                     answer = next_line(self._line, QUIET)
             return take(answer)
 
-        self._line.settle(0.0)  # what is left of an older answer
+        self._line.settle(0.0)  # the rest of an older answer
         return self._line.exchange(request, receive)
 
     def agreed(self, request: bytes) -> str | None:
-        """Return what is answered twice in a row, None where there is silence.
+        """Return the answer that came twice in a row, None after silence.
 
-        For what decides about all readings, e.g. their unit: a damaged answer may look like
+        For settings that affect all readings, e.g. the unit: a damaged answer may look like
         another one. Raises `HardwareError` where no two agree.
         """
         answers = [self.ask_if_known(request)]

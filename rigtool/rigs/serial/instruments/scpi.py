@@ -1,9 +1,9 @@
-"""SCPI multimeters and thermometers (`READ?`), Hart 1502A and its kin (`FETC?`, `t: 25.587 C`).
+"""SCPI multimeters and thermometers (`READ?`); Hart 1502A and others (`FETC?`, `t: 25.587 C`).
 
 Temperature comes in the unit that the instrument reports (`UNIT:TEMP?`), in the one behind the
-number, or else in degC. Force and deflection come as volts or whatever it measures: the
-recipe's scale and offset make N and m of them. Values of 9.9e37 and beyond are overload (IEEE
-488.2, SCPI). Sources: manuals of Fluke 1521, 1522 and 1529, Keysight B2961A.
+number, or else in degC. Force and deflection come as volts or ohms: the recipe's scale and offset
+convert them into N and m. Values of 9.9e37 and beyond are overload (IEEE 488.2, SCPI). Sources:
+manuals of Fluke 1521, 1522 and 1529, Keysight B2961A.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Scpi(Polled):
         if self._channel == "temperature" and identity:
             self._require_temperature()
         self.timeout = SLOW
-        # `READ?` measures anew; where an instrument knows only `FETC?`, it measures by itself.
+        # `READ?` starts a measurement; an instrument with `FETC?` only measures by itself.
         known = (b"READ?\n", b"FETC?\n") if identity else (b"FETC?\n", b"READ?\n")
         self._request = known[0 if self.ask_if_known(known[0], retries=0) else 1]
         self._form.learn(self.read)
@@ -117,5 +117,5 @@ def probe(line: Line) -> str | None:
         text = as_text(reply)
         return text if text.count(",") >= 2 else None
 
-    # The first end of line ends what another question has left in the instrument.
+    # The first end of line ends the rest of an earlier question in the instrument.
     return line.ask(b"\n*IDN?\n", accept)

@@ -1,4 +1,4 @@
-"""What all maxon drives share: repeated samples, restored settings, switching off."""
+"""The common part of maxon drives: repeated samples, restored settings, switching off."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ NO_WATCHDOG = (
 class MaxonDrive(ABC, Generic[Place]):
     """A drive that answers several requests a sample; positions come in quad counts.
 
-    `Place` is what names a setting.
+    `Place` names a setting.
     """
 
     def __init__(self, line: Line, encoder_counts: int) -> None:
@@ -89,11 +89,11 @@ class MaxonDrive(ABC, Generic[Place]):
         return sample
 
     def read(self) -> Sample:
-        """Measure, whatever state the drive is in."""
+        """Measure, in any state of the drive."""
         return self._undisturbed(self._confirm)[0]
 
     def _undisturbed(self, then: Callable[[], None]) -> tuple[Sample, int]:
-        """Measure, do what follows, and do both again where anything had to be repeated.
+        """Measure, call `then`, and do both again where anything had to be repeated.
 
         Answers do not name their question: a late one would be taken for the next. `then` notices
         it, since its answer is of another kind.
@@ -116,7 +116,7 @@ class MaxonDrive(ABC, Generic[Place]):
         problem: HardwareError | None = None
         for _ in range(HALT_ATTEMPTS):
             try:
-                self.line.settle()  # what comes late answers older questions
+                self.line.settle()  # late answers belong to older questions
                 if self._switch_off():
                     if self.guard is not None:
                         self.guard.rest()
@@ -127,7 +127,7 @@ class MaxonDrive(ABC, Generic[Place]):
         raise HardwareError(f"{self.line.port}: the drive was not switched off ({problem})")
 
     def restore(self) -> None:
-        """Bring back what was changed, the last first; what is refused is tried again.
+        """Restore the changed settings, the last first; try refused ones again.
 
         Raises `HardwareError` where it is refused each time, `LineLost` where nothing answers.
         """

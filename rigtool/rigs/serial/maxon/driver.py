@@ -33,7 +33,7 @@ SILENCE, SHORTEST_SILENCE = 2.0, 1.0
 gives up first, and switching on takes a while."""
 
 FACTORY_NODE = 1
-"""Address that an EPOS is delivered with; `serial.node` = 0 stands for it."""
+"""Address that an EPOS is delivered with; `serial.node` = 0 means this one."""
 
 
 def probe(line: Line) -> str | None:
@@ -48,7 +48,7 @@ def probe(line: Line) -> str | None:
 
 
 def make_drive(line: Line, recipe: Recipe) -> Drive:
-    """Return the driver of what answers on a line; raises `HardwareError` where nothing does.
+    """Return the driver of the device on a line; raises `HardwareError` where nothing does.
 
     Raises `RecipeError` for a recipe without an emergency stop.
     """
@@ -69,7 +69,7 @@ def make_drive(line: Line, recipe: Recipe) -> Drive:
 
 
 def drive_on(line: Line, node: int, encoder_counts: int) -> DesDrive | EposDrive:
-    """Return the driver of what answers on a line; raises `HardwareError` where nothing does."""
+    """Return the driver of the device on a line; raises `HardwareError` where nothing does."""
     found, counts = _find(line, node), encoder_counts
     if found is None:
         raise HardwareError(
@@ -84,7 +84,7 @@ def drive_on(line: Line, node: int, encoder_counts: int) -> DesDrive | EposDrive
 
 
 def _find(line: Line, node: int) -> Objects | LockStepFrames | None:
-    """Ask twice what is there: another question may have left half a frame behind."""
+    """Ask twice for the device: an earlier question may have left an incomplete frame."""
     for attempt in range(2):
         if attempt:
             line.pause(SPARE * FRAME_TIMEOUT)

@@ -26,7 +26,7 @@ READY, ENABLED = 0x21, 0x27
 OPERATING, FAULT = 0x04, 0x08
 
 RPM_UNIT = 0xB44700
-"""Turns a minute, in the lower 24 bit of the unit of speed; above them stands a power of ten."""
+"""Turns a minute, in the lower 24 bit of the unit of speed; above them is a power of ten."""
 
 NOMINAL_TOLERANCE = 0.02
 """Part by which rated torque over torque constant may differ from the nominal current."""
@@ -36,7 +36,7 @@ FRAME_TIMEOUT = 0.05
 
 
 class EposDrive(MaxonDrive[Entry]):
-    """What EPOS4 and EPOS2 have in common."""
+    """The common part of EPOS4 and EPOS2."""
 
     family: str
     modes: ClassVar[dict[Mode, int]]
@@ -189,7 +189,7 @@ class EposDrive(MaxonDrive[Entry]):
         return True
 
     def _tighten(self, entry: Entry, value: int, choose: Callable[[int, int], int]) -> None:
-        """Set an object to the tighter of a value and what it was at first."""
+        """Set an object to the tighter of a value and its original value."""
         self._remember(entry)
         name = f"{entry.name} ({entry.index:04X}:{entry.sub:02X})"
         self._change(entry, choose(self._before[entry], value), name)

@@ -46,7 +46,7 @@ def dle_frame(opcode: int, data: bytes) -> bytes:
 
 
 def lock_step_frame(opcode: int, data: bytes) -> bytes:
-    """Return what follows the op code: length - 1, data, CRC."""
+    """Return the bytes after the op code: length - 1, data, CRC."""
     length = bytes([len(data) // 2 - 1])
     return length + data + crc(bytes([opcode]) + length, data)
 
@@ -135,7 +135,7 @@ class LockStepFrames:
         return answer
 
     def complete(self, opcode: int, data: bytes, reply: int | None) -> bytes:
-        """Send what follows an op code that was acknowledged, and return the answer."""
+        """Send the bytes after an acknowledged op code, and return the answer."""
         self.line.write(lock_step_frame(opcode, data))
         self._acknowledged("the data")
         return b"" if reply is None else self._receive(reply)

@@ -10,6 +10,7 @@ import struct
 from dataclasses import dataclass
 
 from rigtool.errors import HardwareError
+from rigtool.rigs.serial.line import RequestRefused
 from rigtool.rigs.serial.maxon.frames import Frames
 
 DOES_NOT_EXIST = frozenset({0x06020000, 0x06090011})
@@ -27,14 +28,6 @@ ERRORS = {
     0x0F00FFB9: "wrong node: see serial.node",
     0x0F00FFC0: "the device is in NMT state stopped",
 }
-
-
-class Refused(HardwareError):
-    """The drive answered a request with an error code."""
-
-    def __init__(self, message: str, code: int) -> None:
-        super().__init__(message)
-        self.code = code
 
 
 @dataclass(frozen=True)
@@ -124,7 +117,7 @@ EPOS2_ACCESS = Access(read=0x10, write=0x11, node_first=False)
 
 
 class Objects:
-    """The objects of one node. Raises `Refused` where the drive answers with an error."""
+    """The objects of one node. Raises `RequestRefused` where the drive answers with an error."""
 
     def __init__(self, frames: Frames, access: Access, node: int) -> None:
         self.frames = frames
@@ -139,7 +132,7 @@ class Objects:
         return entry.unpack(answer[4:])
 
     def write(self, entry: Entry, value: int) -> None:
-        """Set a value; what is repeated does no harm."""
+        """Set a value; repeating it does no harm."""
         data = self._access.address(self._node, entry) + entry.pack(value)
         self._check(self.frames.command(self._access.write, data, 4), entry, f"set to {value}")
 
@@ -147,7 +140,7 @@ class Objects:
         """Return a value, None where this drive has no such object."""
         try:
             return self.read(entry)
-        except Refused as refused:
+        except RequestRefused as refused:
             if refused.code in DOES_NOT_EXIST:
                 return None
             raise
@@ -155,7 +148,7 @@ class Objects:
     def _check(self, answer: bytes, entry: Entry, what: str) -> None:
         code = int.from_bytes(answer[:4], "little")
         if code:
-            raise Refused(
+            raise RequestRefused(
                 f"{self.frames.line.port}: the drive refuses that its {entry.name} "
                 f"({entry.index:04X}:{entry.sub:02X}) be {what}: error {code:#010x} "
                 f"({ERRORS.get(code, 'see its manual')})",

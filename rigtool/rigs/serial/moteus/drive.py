@@ -57,13 +57,16 @@ ASSUMED_CONSTANT = 0.1
 LARGEST_BOUND = 32768.0
 """Revolutions beyond which the firmware takes no bound of position."""
 
+ROUNDED = 1e-6
+"""Turns that a bound may differ by its text of six decimals."""
+
 STARTING = 2.0
 """Longest time in which a drive has to be ready after it is switched on, s."""
 
 SLACK = 0.005
-"""What an answer may take beyond twice the shortest time that one took, s; host busy, or retries.
+"""Time of an answer beyond twice the shortest one, s: the host is busy, or it was repeated.
 
-Less would ask twice each time on a busy computer, which is no help to it.
+With less, each sample would be asked for twice on a busy computer, which adds to its load.
 """
 
 FAULTS = {
@@ -74,7 +77,7 @@ FAULTS = {
     36: "motor not calibrated: run moteus_tool --calibrate",
     37: "PWM cycle overrun",
     38: "over temperature",
-    39: "outside servopos.position_min and position_max",
+    39: "switched on outside servopos.position_min and position_max",
     40: "under voltage",
     41: "settings were changed while it ran",
     42: "no valid commutation encoder",
@@ -97,8 +100,8 @@ def read_identity(link: Link) -> str:
 
 
 @dataclass(frozen=True)
-class Motor:
-    """What the drive knows of its motor.
+class MotorSettings:
+    """The drive's settings of its motor.
 
     `torque_constant` is that of the motor shaft in N m/A; `ratio` is output turns per turn of the
     motor: all registers are of the output; `table_scale` [A] is that of its cogging table.
@@ -117,7 +120,7 @@ class Moteus:
     def __init__(self, line: Line, node: int) -> None:
         self.line = line
         self.link = Link(line, node)
-        self._motor: Motor | None = None
+        self._motor: MotorSettings | None = None
         self._limits: Limits | None = None
         self._watchdog = math.nan
         self._before: dict[str, str] = {}
@@ -142,7 +145,7 @@ class Moteus:
         table = f"; its cogging table is on, scale {motor.table_scale:g} A"
         return f"{identity}, {wire}{table if motor.table_scale else ''}"
 
-    def _read_motor(self) -> Motor:
+    def _read_motor(self) -> MotorSettings:
         number = self.link.number
         if number("motor.poles") == 0:
             raise HardwareError("the drive has no calibrated motor: run moteus_tool --calibrate")
@@ -158,7 +161,7 @@ class Moteus:
                 f"motor_position.rotor_to_output_ratio is {ratio:g}: must be above 0"
             )
         kv = number("motor.Kv")
-        return Motor(
+        return MotorSettings(
             torque_constant=TORQUE_FACTOR / kv if kv else ASSUMED_CONSTANT,
             ratio=ratio,
             has_thermometer=number("servo.enable_motor_temperature") != 0,
@@ -167,14 +170,14 @@ class Moteus:
         )
 
     @property
-    def motor(self) -> Motor:
-        """What the drive knows of its motor, read by `connect`."""
+    def motor(self) -> MotorSettings:
+        """The drive's settings of its motor, read by `connect`."""
         assert self._motor is not None, "connect first"
         return self._motor
 
     @property
     def abilities(self) -> Abilities:
-        """What it can do."""
+        """Abilities of the drive."""
         channels = {"current", "current_setpoint"}
         if self.motor.has_thermometer:
             channels.add("temperature")
@@ -184,7 +187,7 @@ class Moteus:
     # -- settings
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
-        """Set limits, watchdog, and what happens when it runs out: the power stage goes off.
+        """Set limits and watchdog; when that expires, the power stage switches off.
 
         Raises `HardwareError` for a limit up to which the drive's torque is not known.
         """
@@ -210,15 +213,30 @@ class Moteus:
         return gaps
 
     def _set_bounds(self, limits: Limits) -> list[str]:
-        gaps = []
+        """Set the bounds of position; raise `HardwareError` where the drive has narrower ones.
+
+        The drive clamps set points at its bounds, so that a motion would end there without a fault.
+        """
+        gaps, narrow, bounds = [], [], {}
         names = ("servopos.position_min", "servopos.position_max")
         for name, angle, inner in zip(names, limits.position, (max, min), strict=True):
             bound = angle / TURN * self.motor.ratio
+            before = float(self._remember(name))
+            if not math.isnan(before) and abs(inner(bound, before) - bound) > ROUNDED:
+                angle_before = before / self.motor.ratio * TURN
+                narrow.append(f"{name} is {before:g} turns, {angle_before:.4g} rad")
             if abs(bound) > LARGEST_BOUND:
                 gaps.append(f"takes no bound of position as far as {angle:g} rad")
-                continue
-            before = float(self._remember(name))
-            self._change(name, f"{bound if math.isnan(before) else inner(bound, before):.9g}")
+            else:
+                bounds[name] = bound
+        if narrow:
+            raise HardwareError(
+                f"{' and '.join(narrow)}: the drive clamps set points there, within serial.limits."
+                f"position = [{limits.position[0]:g}, {limits.position[1]:g}] rad: narrow the "
+                "limits of the recipe, or widen the drive's (conf set ... nan, conf write)"
+            )
+        for name, bound in bounds.items():
+            self._change(name, f"{bound:.9g}")
         return gaps
 
     def _lower(self, name: str, limit: float) -> None:
@@ -227,7 +245,7 @@ class Moteus:
         self._change(name, f"{limit if math.isnan(before) else min(limit, before):.9g}")
 
     def _remember(self, name: str) -> str:
-        """Return what a setting was before it was changed."""
+        """Return the original value of a setting."""
         if name not in self._before:
             self._before[name] = self.link.get(name)
         return self._before[name]
@@ -239,7 +257,7 @@ class Moteus:
     def restore(self) -> None:
         """Bring back all settings that were changed, the last one first."""
         if self._before:
-            self.link.flush()  # answers to what was interrupted
+            self.link.flush()  # answers to an interrupted request
         for name in reversed(list(self._before)):
             self.link.set(name, self._before[name])
             del self._before[name]
@@ -306,7 +324,7 @@ class Moteus:
         )
 
     def _measure(self, command: bytes, *, running: bool) -> Sample:
-        """Measure; again where the answer came so late that nobody knows when it was measured."""
+        """Measure; again where a late answer leaves the time of the sample uncertain."""
         state, asked, answered = self._ask(command)
         if answered - asked > 2 * self._fastest + SLACK:
             state, asked, answered = self._ask(b"")
@@ -343,7 +361,7 @@ class Moteus:
         if state[MODE] == TIMED_OUT:
             raise HardwareError(
                 f"moteus {self.link.node} stopped: its watchdog received nothing for "
-                f"{self._watchdog:g} s; raise serial.watchdog, or find what holds up the line"
+                f"{self._watchdog:g} s; raise serial.watchdog, or find what delays the line"
             )
         raise HardwareError(
             f"moteus {self.link.node} is switched off, mode {state[MODE]:g}: it was reset, or "
@@ -355,7 +373,7 @@ class Moteus:
         for last in (False, False, True):
             try:
                 state = self.link.query(STOP + frames.read(MODE), (MODE,))
-                # What is read is the state before the stop came into force.
+                # The answer holds the state before the stop.
                 state = self.link.query(STOP + frames.read(MODE), (MODE,))
             except HardwareError:
                 if last:

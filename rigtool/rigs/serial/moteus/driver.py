@@ -14,7 +14,7 @@ from rigtool.rigs.serial.moteus.table import MoteusTable
 from rigtool.rigs.serial.table_store import TableStore
 
 USUAL_NODE = 1
-"""Address that a drive leaves the factory with; 0, the default of the recipe, stands for it."""
+"""Address that a drive leaves the factory with; 0, the default of the recipe, means this one."""
 
 PROBED_NODES = range(1, 5)
 

@@ -205,7 +205,7 @@ class Subframes:
 def registers_of(frame: bytes) -> Mapping[int, float]:
     """Return the registers of a reply by number.
 
-    Raises `BadFrame` for what is no reply, `RegisterError` where the drive refuses one.
+    Raises `BadFrame` for other bytes, `RegisterError` where the drive refuses one.
     """
     found: dict[int, float] = {}
     parts = Subframes(frame)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
+from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout, RequestRefused
 from rigtool.rigs.serial.moteus import frames
 
 T = TypeVar("T")
@@ -29,10 +29,6 @@ POLL = 0.002
 
 TEXT_TIMEOUT = 0.5
 """Longest wait for the answer to a line of text, s."""
-
-
-class Refused(HardwareError):
-    """The drive refuses a request."""
 
 
 class Link:
@@ -70,14 +66,14 @@ class Link:
     ) -> Mapping[int, float]:
         """Send subframes and return the registers of the reply; `expected` have to be there.
 
-        Raises `Refused` where the drive refuses a register.
+        Raises `RequestRefused` where the drive refuses a register.
         """
 
         def understand(reply: bytes) -> Mapping[int, float]:
             try:
                 found = frames.registers_of(reply)
             except frames.RegisterError as error:
-                raise Refused(f"moteus {self.node} refuses: {error}") from None
+                raise RequestRefused(f"moteus {self.node} refuses: {error}") from None
             if missing := [register for register in expected if register not in found]:
                 raise frames.BadFrame(f"register 0x{missing[0]:03x} is not in the reply")
             return found
@@ -97,7 +93,7 @@ class Link:
         *,
         retries: int | None = None,
     ) -> T:
-        """Send a frame and return what `understand` makes of the reply; without it wait for OK."""
+        """Send a frame; return the result of `understand` for the reply, without it wait for OK."""
         request, source = self._request(frame, reply=understand is not None)
 
         def receive() -> T:
@@ -133,7 +129,7 @@ class Link:
     # -- text
 
     def get(self, name: str) -> str:
-        """Return a setting as the drive prints it; raises `Refused` for one it does not know."""
+        """Return a setting as the drive prints it; raises `RequestRefused` for an unknown one."""
         return self._talk(f"conf get {name}", lambda answer: answer != "OK")
 
     def number(self, name: str) -> float:
@@ -175,13 +171,13 @@ class Link:
             try:
                 self._exchange(frames.text_to_drive(data), retries=0)
                 answer = self._answer()
-            except Refused:
+            except RequestRefused:
                 raise
             except (LineTimeout, DamagedReply, LineLost) as error:
                 problem = error
                 continue
             if answer.startswith("ERR"):
-                raise Refused(f"moteus {self.node} refuses {text!r}: {answer}")
+                raise RequestRefused(f"moteus {self.node} refuses {text!r}: {answer}")
             if fits(answer):
                 return answer
             problem = DamagedReply(f"{answer!r} does not answer {text!r}")

@@ -21,7 +21,7 @@ SCALE = "motor.cogging_dq_scale"
 CODE = "motor.cogging_dq_comp."
 
 HOMED, ENCODER = 0x00C, 0x050
-"""What position 0 means; position of the first encoder, two registers an encoder."""
+"""Source of position 0; position of the first encoder, two registers an encoder."""
 
 READINGS = 32
 """Readings of position and encoder at standstill."""
@@ -48,7 +48,7 @@ class MoteusTable:
         state = self.link.query(frames.read(MODE) + frames.read(HOMED), (MODE, HOMED))
         if state[MODE] not in (STOPPED, TIMED_OUT):
             raise HardwareError(
-                f"{identity}: is switched on, mode {state[MODE]:g}: stop what turns it; a "
+                f"{identity}: is switched on, mode {state[MODE]:g}: stop its other program; a "
                 "table is stored at standstill"
             )
         if state[HOMED] == 0:
@@ -85,7 +85,7 @@ class MoteusTable:
         return DriveTable(np.array(codes, dtype=np.int64), self.link.number(SCALE))
 
     def store(self, table: DriveTable, before: DriveTable) -> None:
-        """Set, compare, write to flash, load from there, compare; on failure bring back."""
+        """Set, compare, write to flash, load from there, compare; on failure restore."""
         try:
             self._set(table, before)
             self._require(table)
@@ -97,7 +97,7 @@ class MoteusTable:
             raise
 
     def _set(self, table: DriveTable, before: DriveTable | None) -> None:
-        """Set what differs, with the table switched off meanwhile."""
+        """Set the differing codes, with the table switched off meanwhile."""
         self.link.set(SCALE, "0")
         for i, code in enumerate(table.codes.tolist()):
             if before is None or code != before.codes[i]:
@@ -121,7 +121,7 @@ class MoteusTable:
             raise HardwareError(f"read back, {SCALE} is {found.scale:g} instead of {table.scale:g}")
 
     def _bring_back(self, before: DriveTable) -> str:
-        """Store what was there; return what became of it."""
+        """Store the old table again; return the outcome in words."""
         try:
             self.link.line.settle()
             self.link.flush()
@@ -130,7 +130,7 @@ class MoteusTable:
             self._require(before)
         except HardwareError as failure:
             return (
-                f"the table that was there could not be brought back: {failure}. Set {SCALE} to 0 "
+                f"the old table could not be restored: {failure}. Set {SCALE} to 0 "
                 "(moteus_tool, tview) before the drive is used"
             )
         return "the table that was there is back"

@@ -1,12 +1,12 @@
 """ODrive over its ASCII protocol, firmware 0.5 and 0.6: USB, or a UART of 460800 bit/s and more.
 
-A set point, its echo and what is measured are one exchange.
+A set point, its echo and the measured values are one exchange.
 
-While a motion goes on the drive follows speeds (`v`), which the host corrects by what is left of
-the position, with the drive's own gain; at rest the drive holds the position itself (`p`). Followed
-by positions, the shaft would meet a step of speed times period each time, and the current measured
-there would be off by more than friction is: docs/bench-odrive.md has figures. The drive's filter
-(POS_FILTER) smooths such steps, but throws the feed-forward of torque away.
+During a motion the drive follows speeds (`v`), which the host corrects by the error of position
+times the drive's own gain; at rest the drive holds the position itself (`p`). With positions as set
+points, each would be a step of speed times period, and the error of the current measured there
+would exceed friction: docs/bench-odrive.md has figures. The drive's filter (POS_FILTER) smooths
+such steps, but discards the feed-forward of torque.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rigtool.rigs.serial.odrive.text import (
     BUFFERED,
     DIALECT_05,
     Dialect,
-    Talk,
+    OdriveProtocol,
     agrees,
     identify,
     number,
@@ -66,7 +66,7 @@ class ODrive:
 
     def __init__(self, line: Line, axis: int, period: float) -> None:
         self._line, self._axis, self._period = line, axis, period
-        self._talk = Talk(line)
+        self._protocol = OdriveProtocol(line)
         self._dialect: Dialect
         self._torque_constant = math.nan
         self._direction = 1.0
@@ -78,19 +78,19 @@ class ODrive:
         self._last = Sample(0.0, 0.0)
         self._mode: Mode = "position"
         self._control_mode = 0
-        self._settings = Settings(self._talk, f"axis{axis}.")
+        self._settings = Settings(self._protocol, f"axis{axis}.")
 
     # -- identity
 
     def connect(self) -> str:
-        """Identify it and read what it is set to; nothing changes.
+        """Identify the drive and read its settings; nothing changes.
 
         Raises `HardwareError` for an axis it does not have, a motor whose current it does not
         measure, or an error that its owner has to look at.
         """
         identity = identify(self._line)
         self._dialect = identity.dialect
-        self._talk.at_once = BUFFERED <= identity.firmware < (0, 6, 0)
+        self._protocol.at_once = BUFFERED <= identity.firmware < (0, 6, 0)
         self._require_no_fault()
         if self._number(self._dialect.motor_type) == GIMBAL:
             raise HardwareError(
@@ -103,7 +103,7 @@ class ODrive:
                 "set it in the drive to that of the motor"
             )
         self._gain = min(self._number("controller.config.pos_gain"), CORRECTED / self._period)
-        found = self._talk.get_first(*map(self._name, self._dialect.direction))
+        found = self._protocol.get_first(*map(self._name, self._dialect.direction))
         if found is None and self._dialect is DIALECT_05:
             raise HardwareError(
                 f"axis {self._axis} does not report its direction: update its firmware"
@@ -126,7 +126,7 @@ class ODrive:
     def _find_thermistor(self) -> None:
         self._thermistor = None
         for name in self._dialect.thermistor:
-            found = self._talk.get_first(self._name(f"{name}.config.enabled"))
+            found = self._protocol.get_first(self._name(f"{name}.config.enabled"))
             if found and number(found[1]) == 1:
                 self._thermistor = name
 
@@ -179,7 +179,7 @@ class ODrive:
         return ["has no limit of position"]
 
     def restore(self) -> None:
-        """Bring back what `configure` changed."""
+        """Restore the settings that `configure` changed."""
         _persist(lambda: self._settings.restore(f"u {self._axis}"))
 
     # -- states
@@ -192,13 +192,13 @@ class ODrive:
         """
         if self._state() == CLOSED_LOOP:
             if mode == self._mode:
-                self._talk.ask([self._state_question], _first, commands=[f"u {self._axis}"])
+                self._protocol.ask([self._state_question], _first, commands=[f"u {self._axis}"])
                 return
             self.halt()
         self._mode, self._control_mode = mode, CONTROL_MODES[mode]
         self._require_no_fault()
         self._settings.require()
-        self._talk.put(self._name(CONTROL_MODE), str(self._control_mode))
+        self._protocol.put(self._name(CONTROL_MODE), str(self._control_mode))
         self._rest(self.read().position)
         for _ in range(ATTEMPTS):
             self._start_watchdog()
@@ -214,8 +214,8 @@ class ODrive:
     def _start_watchdog(self) -> None:
         """Turn it on; that it ran out before is cleared."""
         clear = ["sc"] if any(self._errors().values()) else []
-        yes = as_said(self._talk.get(self._name(WATCHDOG)), 1)
-        self._talk.put(self._name(WATCHDOG), yes, commands=[*clear, f"u {self._axis}"])
+        yes = as_said(self._protocol.get(self._name(WATCHDOG)), 1)
+        self._protocol.put(self._name(WATCHDOG), yes, commands=[*clear, f"u {self._axis}"])
 
     def halt(self) -> None:
         """Make it idle; then turn the watchdog off and leave no set point behind.
@@ -229,16 +229,16 @@ class ODrive:
             raise HardwareError(
                 f"axis {self._axis} does not become idle ({self._describe_errors()}): switch it off"
             )
-        now = self._talk.get(self._name(WATCHDOG))
-        self._talk.put(self._name(WATCHDOG), as_said(now, 0))
+        now = self._protocol.get(self._name(WATCHDOG))
+        self._protocol.put(self._name(WATCHDOG), as_said(now, 0))
         self._rest(None)
 
     def _rest(self, position: float | None) -> None:
         """Set all inputs to standing still, here."""
         for name in ("input_vel", "input_torque"):
-            self._talk.put(self._name(f"controller.{name}"), "0")
+            self._protocol.put(self._name(f"controller.{name}"), "0")
         if position is not None:
-            self._talk.put(self._name("controller.input_pos"), f"{position / TURN:.7f}")
+            self._protocol.put(self._name("controller.input_pos"), f"{position / TURN:.7f}")
 
     def _reach(self, state: int) -> bool:
         """Request a state until it is reached; return whether it was. Feeds the watchdog."""
@@ -247,9 +247,9 @@ class ODrive:
             if self._state() == state:
                 return True
             wanted = f"w {self._name('requested_state')} {state}"
-            self._talk.ask([self._state_question], _first, commands=[feed, wanted])
+            self._protocol.ask([self._state_question], _first, commands=[feed, wanted])
             for _ in range(POLLS):
-                if self._talk.ask([self._state_question], _state, commands=[feed]) == state:
+                if self._protocol.ask([self._state_question], _state, commands=[feed]) == state:
                     return True
                 self._line.pause(POLL)
         return False
@@ -259,7 +259,7 @@ class ODrive:
         return f"r {self._name('current_state')}"
 
     def _state(self) -> int:
-        return self._talk.ask([self._state_question], _state)
+        return self._protocol.ask([self._state_question], _state)
 
     # -- set points and samples
 
@@ -321,7 +321,7 @@ class ODrive:
             return now, _numbers(measured), _state(replies[-1:])
 
         start, retries = self._line.now(), self._line.counts.retries
-        end, numbers, state = self._talk.ask(questions, understand, commands=commands)
+        end, numbers, state = self._protocol.ask(questions, understand, commands=commands)
         if self._line.counts.retries == retries:
             self._trip = end - start
         if commands and state != CLOSED_LOOP:
@@ -348,7 +348,7 @@ class ODrive:
 
     def _moment(self, end: float, questions: int) -> float:
         """Return when position and current were measured, s: between the first two answers."""
-        return end - self._trip * (0.5 if self._talk.at_once else 1 - 1 / questions)
+        return end - self._trip * (0.5 if self._protocol.at_once else 1 - 1 / questions)
 
     # -- names
 
@@ -356,7 +356,7 @@ class ODrive:
         return f"axis{self._axis}.{name}"
 
     def _number(self, name: str) -> float:
-        return self._talk.ask([f"r {self._name(name)}"], lambda replies: number(replies[0]))
+        return self._protocol.ask([f"r {self._name(name)}"], lambda replies: number(replies[0]))
 
 
 def _persist(act: Callable[[], None]) -> None:

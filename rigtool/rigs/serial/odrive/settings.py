@@ -1,30 +1,30 @@
-"""Settings of an axis: changed while it is used, watched, and brought back."""
+"""Settings of an axis: changed during a session, watched, and restored."""
 
 from __future__ import annotations
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.odrive.text import Talk, agrees, number
+from rigtool.rigs.serial.odrive.text import OdriveProtocol, agrees, number
 
 
 class Settings:
     """Properties below `prefix` that are not as their owner left them.
 
     A value is written only where it differs, since the drive reports no more than 9 characters of
-    what was there. What was there at first is what comes back, also after the drive was reset.
+    the original one. The original values are restored, also after a reset of the drive.
     """
 
-    def __init__(self, talk: Talk, prefix: str) -> None:
-        self._talk, self._prefix = talk, prefix
+    def __init__(self, protocol: OdriveProtocol, prefix: str) -> None:
+        self._protocol, self._prefix = protocol, prefix
         self._before: dict[str, str] = {}
         self._ours: dict[str, str] = {}
 
     def begin(self) -> None:
-        """Forget what was set, as the drive may have: what was there before stays known."""
+        """Forget the changes, which a reset may have undone; keep the original values."""
         self._ours.clear()
 
     def remember(self, name: str) -> str:
         """Return a value, which may change from now on and comes back in the end."""
-        now = self._talk.get(self._prefix + name)
+        now = self._protocol.get(self._prefix + name)
         self._before.setdefault(name, now)
         return now
 
@@ -48,7 +48,7 @@ class Settings:
     def require(self) -> None:
         """Raise `HardwareError` where something is no longer as it was set."""
         for name, text in self._ours.items():
-            now = self._talk.get(self._prefix + name)
+            now = self._protocol.get(self._prefix + name)
             if not agrees(now, number(text)):
                 raise HardwareError(
                     f"{self._prefix}{name} is {now}, not {text} as it was set: the drive was reset "
@@ -56,17 +56,17 @@ class Settings:
                 )
 
     def restore(self, feed: str) -> None:
-        """Bring back what was there, the last change first.
+        """Restore the original values, the last change first.
 
         `feed` feeds the watchdog: its owner's may start to count.
         """
         for name, text in reversed(self._before.items()):
-            if not agrees(self._talk.get(self._prefix + name), number(text)):
-                self._talk.put(self._prefix + name, text, commands=[feed])
+            if not agrees(self._protocol.get(self._prefix + name), number(text)):
+                self._protocol.put(self._prefix + name, text, commands=[feed])
         self._before.clear()
 
     def _put(self, name: str, text: str) -> None:
-        self._talk.put(self._prefix + name, text)
+        self._protocol.put(self._prefix + name, text)
         self._ours[name] = text
 
 

@@ -1,7 +1,7 @@
-"""The ASCII protocol of ODrive: lines with checksums, properties by name, what firmwares call them.
+"""The ASCII protocol of ODrive: lines with checksums, properties by name, for each firmware.
 
 A line is `text *C` with C the XOR of all bytes before the asterisk, in decimal. A request with a
-wrong checksum is ignored in silence, and most commands have no reply at all: so whatever matters is
+wrong checksum is ignored in silence, and most commands have no reply at all: important values are
 read back in the same exchange. Sources: `ascii_protocol.cpp`, `controller.cpp`, `axis.cpp` and
 `motor.cpp` of firmware 0.5; for 0.6, whose source is not public, the maker's manual and programs of
 others: see docs/bench-odrive.md.
@@ -17,12 +17,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
+from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout, RequestRefused
 
 T = TypeVar("T")
 
 LONGEST = 64
-"""Bytes of a reply at most: the firmware cuts what is longer."""
+"""Bytes of a reply at most: the firmware cuts longer ones."""
 
 OLDEST = (0, 5, 1)
 """Firmware since which positions are in turns and feed-forward in N m."""
@@ -73,17 +73,13 @@ AXIS_ERRORS_06 = {
 }
 
 
-class Refused(HardwareError):
-    """The drive refuses a request."""
-
-
-class Missing(Refused):
+class Missing(RequestRefused):
     """This firmware has no such property."""
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """What a firmware calls things, below `axisN.`; several names where versions differ."""
+    """Names of properties in a firmware, below `axisN.`; several where versions differ."""
 
     current_limit: str
     torque_constant: str
@@ -128,7 +124,7 @@ DIALECT_06 = Dialect(
 
 @dataclass(frozen=True)
 class Identity:
-    """What answers to `i`."""
+    """The device that answers to `i`."""
 
     hardware: str
     firmware: tuple[int, int, int]
@@ -140,7 +136,7 @@ class Identity:
 
     @property
     def dialect(self) -> Dialect:
-        """What this firmware calls things."""
+        """Names of properties in this firmware."""
         return DIALECT_05 if self.firmware < (0, 6, 0) else DIALECT_06
 
 
@@ -180,7 +176,7 @@ def agrees(text: str, value: float) -> bool:
     return read == value or abs(read - value) <= cut + 2e-7 * abs(value)
 
 
-class Talk:
+class OdriveProtocol:
     """Questions and answers on a line.
 
     `at_once` asks all questions of an exchange in one write; otherwise each waits for the answer
@@ -197,11 +193,11 @@ class Talk:
         *,
         commands: Sequence[str] = (),
     ) -> T:
-        """Send commands, which have no reply, then questions; return what is understood.
+        """Send commands, which have no reply, then questions; return the result of `understand`.
 
         A reply does not name its question: an unexpected number of words, bytes left over, or a
         `DamagedReply` of `understand` repeats the whole exchange.
-        Raises `Refused` where the drive does, `Missing` for a property that it does not have.
+        Raises `RequestRefused` where the drive refuses, `Missing` for an unknown property.
         """
         first = list(questions) if self.at_once else [questions[0]]
         rest = list(questions[len(first) :])
@@ -232,7 +228,7 @@ class Talk:
     def put(self, name: str, text: str, *, commands: Sequence[str] = ()) -> None:
         """Write a property, and read it back until it is there; `commands` go first.
 
-        Raises `Refused` where there is none, `LineLost` where it stays a `DamagedReply`.
+        Raises `RequestRefused` where there is none, `LineLost` where it stays a `DamagedReply`.
         """
 
         def understand(replies: list[str]) -> None:
@@ -256,10 +252,10 @@ class Talk:
         texts = [unseal(line) for line in lines]
         for number, text in enumerate(texts):
             if text.startswith(REFUSALS):  # perhaps a command before, which has no reply otherwise
-                kind = Missing if text.startswith("invalid property") else Refused
+                kind = Missing if text.startswith("invalid property") else RequestRefused
                 asked = questions[min(number, len(questions) - 1)]
                 where = "; a board with one axis has node 0" if "axis1." in asked else ""
-                raise kind(f"the ODrive refuses {asked!r}, or what went with it: {text}{where}")
+                raise kind(f"the ODrive refuses {asked!r}, or a command with it: {text}{where}")
         if rest or len(lines) > len(questions):
             raise DamagedReply("more came than was asked for")
         for question, text in zip(questions, texts, strict=True):

@@ -21,14 +21,13 @@ from rigtool.recipe import Recipe
 from rigtool.rigs.base import CHANNELS, Block, Load, Task
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drivers import Driver
-from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.line import Line, RequestRefused
 from rigtool.rigs.serial.rig import SerialRig, in_thread
 from rigtool.rigs.serial.safety import Watch, slow_move
-from rigtool.rigs.serial.target import link
-from rigtool.rigs.serial.target import talk as target_talk
-from rigtool.rigs.serial.target.link import Ability, Kind, Refusal, Slot, State, Status
+from rigtool.rigs.serial.target import link, protocol
+from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, State, Status
 from rigtool.rigs.serial.target.log import Log
-from rigtool.rigs.serial.target.talk import Refused, Talk
+from rigtool.rigs.serial.target.protocol import TargetProtocol
 
 BAUD_RATE = 115200
 
@@ -61,13 +60,13 @@ def probe(line: Line) -> str | None:
 
     A HELLO ends the session of another host; ports are opened exclusively, so there is no other.
     """
-    return _describe(Talk(line, timeout=line.timeout, retries=1).hello())
+    return _describe(TargetProtocol(line, timeout=line.timeout, retries=1).hello())
 
 
 class TargetRig(SerialRig):
     """The rig behind a target."""
 
-    _talk: Talk
+    _protocol: TargetProtocol
     _hello: link.Hello
 
     def __init__(
@@ -76,7 +75,7 @@ class TargetRig(SerialRig):
         super().__init__(recipe, torque_constant, use, operator)
         self.streams = self._settings.log == "stream"
         self._in_session = False
-        self._up: dict[Slot, bytes] = {}  # what the target has
+        self._up: dict[Slot, bytes] = {}  # objects in the target
         self._arrived: list[tuple[int, bytes]] = []  # streamed, and not yet in a log
         self._logs: list[Log] = []
         self._damaged_segments = self._damaged_frames = 0
@@ -92,11 +91,11 @@ class TargetRig(SerialRig):
 
     def _connect(self) -> str:
         if self._in_session:
-            self._damaged_frames += self._talk.damaged
+            self._damaged_frames += self._protocol.damaged
         self._up.clear()
-        self._talk = Talk(self.line)
-        self._talk.samples = lambda first, data: self._arrived.append((first, data))
-        self._hello = hello = self._talk.hello()
+        self._protocol = TargetProtocol(self.line)
+        self._protocol.samples = lambda first, data: self._arrived.append((first, data))
+        self._hello = hello = self._protocol.hello()
         self._in_session = True
         self._require_match(hello)
         self._chunk = hello.max_payload - link.CHUNK.size
@@ -134,11 +133,11 @@ class TargetRig(SerialRig):
 
     def _halt(self) -> None:
         if self._in_session:
-            self._talk.call(Kind.STOP)
+            self._protocol.call(FrameKind.STOP)
 
     def _restore(self) -> None:
         if self._in_session:
-            self._talk.call(Kind.BYE)
+            self._protocol.call(FrameKind.BYE)
             self._in_session = False
 
     def _position(self) -> float:
@@ -159,7 +158,7 @@ class TargetRig(SerialRig):
 
     def _facts(self) -> dict[str, int]:
         return {
-            "damaged_frames": self._damaged_frames + self._talk.damaged,
+            "damaged_frames": self._damaged_frames + self._protocol.damaged,
             "missing_samples": sum(log.missing for log in self._logs),
             "samples_read_again": sum(log.read_again for log in self._logs),
             "damaged_segments": self._damaged_segments + sum(log.damaged for log in self._logs),
@@ -170,26 +169,26 @@ class TargetRig(SerialRig):
     def clamp(self, angle: float) -> None:
         """Clamp the arm with the shaft at this angle, rad."""
         if Ability.CLAMP in self._hello.abilities:
-            self._call(Kind.CLAMP, link.NUMBER.pack(angle))
+            self._call(FrameKind.CLAMP, link.NUMBER.pack(angle))
         else:
             super().clamp(angle)
 
     def soak(self, temperature_degc: float) -> None:
         """Wait until the motor has this temperature throughout, degC."""
         if Ability.SOAK in self._hello.abilities:
-            self._call(Kind.SOAK, link.NUMBER.pack(temperature_degc))
+            self._call(FrameKind.SOAK, link.NUMBER.pack(temperature_degc))
         else:
             super().soak(temperature_degc)
 
     def power_cycle(self) -> None:
-        """Switch the amplifier off and on: it calibrates itself anew."""
+        """Switch the amplifier off and on: it calibrates itself again."""
         if Ability.POWER_CYCLE in self._hello.abilities:
-            self._call(Kind.POWER_CYCLE)
+            self._call(FrameKind.POWER_CYCLE)
         else:
             super().power_cycle()
 
     def _host_time(self, time: Array) -> Array:
-        """Return what the line's clock said at these times of the target's, s."""
+        """Return the time of the line's clock at these times of the target's, s."""
         return self._clock_offset + time
 
     def _set_load(self, load: Load) -> None:
@@ -201,7 +200,7 @@ class TargetRig(SerialRig):
     def move_by(self, angle: float) -> None:
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
         self._require_permission(Task(slow_move(angle, self._limits)))
-        self._call(Kind.MOVE, link.NUMBER.pack(angle))
+        self._call(FrameKind.MOVE, link.NUMBER.pack(angle))
         self._require_done(self._await_end(PATIENCE))
 
     # -- motions
@@ -218,16 +217,16 @@ class TargetRig(SerialRig):
             raise RecipeError('the target cannot stream: set serial.log = "memory"')
         mask = self._hello.channels & link.recorded_under(task.load)
         stop = math.nan if task.stop_angle is None else task.stop_angle
-        self._call(Kind.ARM, link.ARM.pack(task.record_every, stop, mask, streams))
+        self._call(FrameKind.ARM, link.ARM.pack(task.record_every, stop, mask, streams))
         keeps = Ability.KEEPS_LOG in self._hello.abilities
         period = self._recipe.rig.sample_time * task.record_every
         log = Log(link.sample_type(mask), period, self if keeps else None)
         self._logs.append(log)
         self._arrived.clear()
         # A request that goes astray has to be repeated before the watchdog bites.
-        self._talk.timeout = min(target_talk.TIMEOUT, self._settings.watchdog / 3)
-        self._talk.streaming = streams
-        self._call(Kind.START)
+        self._protocol.timeout = min(protocol.TIMEOUT, self._settings.watchdog / 3)
+        self._protocol.streaming = streams
+        self._call(FrameKind.START)
         before, status, after = self.line.now(), self._status(), self.line.now()
         self._clock_offset = (before + after) / 2 - status.time
         patience = task.motion.duration + PATIENCE
@@ -235,12 +234,12 @@ class TargetRig(SerialRig):
             yield from in_thread(functools.partial(self._follow, log, patience))
             return
         status = self._await_end(patience)
-        self._talk.timeout = target_talk.TIMEOUT
+        self._protocol.timeout = protocol.TIMEOUT
         yield from log.fetch(status.samples)
         self._require_done(status)
 
     def _await_end(self, patience: float) -> Status:
-        """Ask for the state until a motion is over; stop it where it does what it must not."""
+        """Ask for the state until a motion is over; stop it beyond a limit."""
         until = self.line.now() + patience
         watch = Watch(self._limits, self._recipe.rig.encoder_counts)
         while True:
@@ -258,13 +257,13 @@ class TargetRig(SerialRig):
             "current": np.array([status.current]),
             "temperature": np.array([status.temperature]),
         }
-        if self.watcher is not None and not self._talk.streaming:
+        if self.watcher is not None and not self._protocol.streaming:
             self.watcher(measured)
         problem = watch.problem(measured)
         if problem is None and self.line.now() > until:
             problem = f"{self.line.port}: the motion did not end in time: it was stopped"
         if problem:
-            self._call(Kind.STOP)
+            self._call(FrameKind.STOP)
             raise HardwareError(problem)
 
     def _require_done(self, status: Status) -> None:
@@ -281,7 +280,7 @@ class TargetRig(SerialRig):
         until, asked = line.now() + patience, -math.inf
         status: Status | None = None
         while not stop.is_set() and (status is None or status.state is State.RUNNING):
-            self._talk.listen(POLL)
+            self._protocol.listen(POLL)
             for first, data in self._arrived:
                 log.take(first, data)
             self._arrived.clear()
@@ -293,7 +292,7 @@ class TargetRig(SerialRig):
                 asked = line.now()
                 if status.state is State.RUNNING:
                     self._watch_over(status, watch, until)
-        self._talk.timeout, self._talk.streaming = target_talk.TIMEOUT, False
+        self._protocol.timeout, self._protocol.streaming = protocol.TIMEOUT, False
         if status is None or stop.is_set():
             return
         for first, data in self._arrived:
@@ -310,14 +309,14 @@ class TargetRig(SerialRig):
 
     # -- on the line
 
-    def _call(self, kind: Kind, payload: bytes = b"") -> bytes:
-        return self._talk.call(kind, payload)
+    def _call(self, kind: FrameKind, payload: bytes = b"") -> bytes:
+        return self._protocol.call(kind, payload)
 
     def _status(self) -> Status:
-        status = Status.unpack(self._call(Kind.STATUS))
+        status = Status.unpack(self._call(FrameKind.STATUS))
         if status.boot != self._hello.boot:
             raise HardwareError(
-                f"{self.line.port}: the target was reset in the middle; what it had measured is "
+                f"{self.line.port}: the target was reset in the middle; its measured samples are "
                 "lost: find out why it restarted"
             )
         return status
@@ -328,15 +327,15 @@ class TargetRig(SerialRig):
             return
         self._up.pop(slot, None)
         for attempt in range(UPLOADS):
-            self._call(Kind.BEGIN, link.BEGIN.pack(slot, len(data)))
+            self._call(FrameKind.BEGIN, link.BEGIN.pack(slot, len(data)))
             offset = 0
             while offset < len(data):
                 piece = data[offset : offset + self._chunk]
-                self._adapting(Kind.CHUNK, link.CHUNK.pack(slot, offset) + piece)
+                self._adapting(FrameKind.CHUNK, link.CHUNK.pack(slot, offset) + piece)
                 offset += len(piece)
             try:
-                self._call(Kind.COMMIT, link.COMMIT.pack(slot, len(data), zlib.crc32(data)))
-            except Refused as error:
+                self._call(FrameKind.COMMIT, link.COMMIT.pack(slot, len(data), zlib.crc32(data)))
+            except RequestRefused as error:
                 if error.code != Refusal.BAD_CRC or attempt == UPLOADS - 1:
                     raise
                 continue
@@ -352,7 +351,7 @@ class TargetRig(SerialRig):
             parts, at = [], first
             while at < first + count:
                 number = min(max(1, self._chunk // size), first + count - at)
-                reply = self._adapting(Kind.READ, link.READ.pack(at, number))
+                reply = self._adapting(FrameKind.READ, link.READ.pack(at, number))
                 parts.append(reply[link.FIRST.size :])
                 at += number
             data = b"".join(parts)
@@ -361,15 +360,15 @@ class TargetRig(SerialRig):
             self._damaged_segments += 1
         raise HardwareError(
             f"{self.line.port}: samples {first} to {first + count} came with a wrong CRC-32 "
-            f"{UPLOADS} times: the line damages what it carries"
+            f"{UPLOADS} times: the line damages data"
         )
 
     def matches(self, first: int, count: int, data: bytes) -> bool:
         """Return whether these are the samples in the target's log, by their CRC-32."""
-        reply = self._call(Kind.DIGEST, link.DIGEST.pack(first, count))
+        reply = self._call(FrameKind.DIGEST, link.DIGEST.pack(first, count))
         return reply == link.CRC32.pack(zlib.crc32(data))
 
-    def _adapting(self, kind: Kind, payload: bytes) -> bytes:
+    def _adapting(self, kind: FrameKind, payload: bytes) -> bytes:
         """Send a request that moves many bytes; smaller pieces follow where it had to be repeated.
 
         Long frames are hit by disturbances more often than short ones.

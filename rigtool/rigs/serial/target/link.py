@@ -37,7 +37,7 @@ SAMPLES = 0x7E
 """Kinds of frames beside requests: reply to one (added to its kind), refusal, streamed samples."""
 
 
-class Kind(enum.IntEnum):
+class FrameKind(enum.IntEnum):
     """Requests of the host."""
 
     HELLO = 1
@@ -71,7 +71,7 @@ class Slot(enum.IntEnum):
 
 
 class State(enum.IntEnum):
-    """What a target is doing."""
+    """States of a target."""
 
     OFF = 0
     ARMED = 1
@@ -91,7 +91,7 @@ class Refusal(enum.IntEnum):
 
 
 class Ability(enum.IntFlag):
-    """What a target can do beside running motions from its memory."""
+    """Abilities of a target beside running motions from its memory."""
 
     OPEN_LOOP = 1
     FEEDFORWARD = 2
@@ -151,7 +151,7 @@ class Hello:
 
 @dataclass(frozen=True)
 class Status:
-    """What a target is doing; `samples` recorded since START, `time` of the bench clock, s."""
+    """State of a target; `samples` recorded since START, `time` of the bench clock, s."""
 
     boot: int
     state: State
@@ -370,7 +370,7 @@ def floats(*values: float) -> bytes:
 
 
 def read_floats(data: bytes) -> Array:
-    """Return what `floats` was given."""
+    """Return the numbers that `floats` packed."""
     return _numbers(data)
 
 
@@ -391,5 +391,5 @@ def _unpack(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
 
 
 def stop_angle(value: float) -> float | None:
-    """Return the stop angle of ARM: NaN stands for none."""
+    """Return the stop angle of ARM: NaN means none."""
     return None if math.isnan(value) else value

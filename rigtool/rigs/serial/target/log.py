@@ -31,7 +31,7 @@ class Memory(Protocol):
 class Log:
     """Samples in order, handed on as blocks; `period` is the time between two, s.
 
-    Without a `memory` the target forgets what it has streamed: gaps become NaN, and are counted in
+    Without a `memory` the target discards streamed samples: gaps become NaN, and are counted in
     `missing`. With one they are read, counted in `read_again`; `damaged` counts segments whose
     CRC-32 was wrong.
     """
@@ -53,7 +53,7 @@ class Log:
             yield self._block(self._memory.read_log(first, number, self._sample.itemsize))
 
     def take(self, first: int, data: bytes) -> None:
-        """Add streamed samples; what is missing before them is filled."""
+        """Add streamed samples; fill the gap before them."""
         if first > self._here:
             self._fill(first)
         self._data += data[(self._here - first) * self._sample.itemsize :]
@@ -73,7 +73,7 @@ class Log:
         return block
 
     def rest(self, count: int) -> Iterator[Block]:
-        """Yield what is left when a motion is over that has made `count` samples."""
+        """Yield the rest when a motion of `count` samples is over."""
         if count > self._here:
             self._fill(count)
         yield from self.complete()
@@ -96,7 +96,7 @@ class Log:
         return self._block(data)
 
     def _fill(self, end: int) -> None:
-        """Read what was not streamed up to sample `end`, or put NaN."""
+        """Read the missing samples up to sample `end`, or put NaN."""
         begin = self._here
         if self._memory is not None:
             self._data += self._memory.read_log(begin, end - begin, self._sample.itemsize)

@@ -83,7 +83,7 @@ def test_a_power_cycle_is_another_pattern(turned, folder, kt):
     verdict = outcome.notes[0]
     assert not ilc_check.fits(outcome)
     assert "another shape, as after a power cycle" in verdict
-    assert "shifting it would not do" in verdict
+    assert "a shift is not enough" in verdict
     assert "friction has changed" not in verdict
     difference = outcome.results["shape_difference"]
     assert difference.value > 3 * difference.u
@@ -143,7 +143,7 @@ def test_a_slip_of_the_index_is_told_with_its_counts(turned, unchanged, kt, coun
     verdict, found = outcome.notes[0], outcome.results["table_shift_counts"]
     assert not ilc_check.fits(outcome)
     assert "the same pattern, shifted by" in verdict
-    assert "shifting the table by that would do" in verdict
+    assert "shifting the table by that is enough" in verdict
     assert ("half a turn" in verdict) == (counts == 2000)
     assert "friction has changed" not in verdict
     assert abs(math.remainder(found.value - counts, 4000)) < 4 * found.u
@@ -230,9 +230,9 @@ def test_what_cannot_be_compared_is_refused(turned, moved, folder, kt):
         check(other, folder, kt, PULLEY)
     with pytest.raises(RunFileError, match="rig briaire-2006, the recipe has another"):
         check(tables, folder, kt, "rig.name=another")
-    with pytest.raises(RunFileError, match="is a run of calibrate-kt"):
+    with pytest.raises(RunFileError, match="was written by calibrate-kt"):
         check(kt, folder, kt)
-    with pytest.raises(RunFileError, match="needed is one of ilc-check or ilc-learn"):
+    with pytest.raises(RunFileError, match="a run of ilc-check or ilc-learn is needed"):
         check(tables, folder, kt, source=kt)
     with pytest.raises(UsageError, match="--kt is missing"):
         run(ILC_CHECK, RECIPE, folder / "no.h5", PULLEY, tables=tables)

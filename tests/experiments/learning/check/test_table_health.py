@@ -85,7 +85,7 @@ def test_an_unchanged_rig_fits(seed, part):
     assert found.pattern_fits
     assert not found.friction_changed
     assert not found.offset_changed
-    assert not found.shift_would_do
+    assert not found.shift_is_enough
     assert abs(found.shift.value) < 5 * found.shift.u
     assert abs(found.scale.value - 1) < 5 * found.scale.u
     assert found.limit == pytest.approx(1e-4, rel=0.4, abs=0)
@@ -97,8 +97,8 @@ def test_a_shifted_pattern_is_told_by_its_shift(seed, shift):
     table, u = learned(seed)
     found = checked(table, u, now(table, seed, shift=shift))
     assert not found.fits
-    assert found.shift_would_do
-    assert not found.scale_would_do
+    assert found.shift_is_enough
+    assert not found.scale_is_enough
     off = math.remainder(found.shift.value - shift, TURN)
     assert abs(off) < 5 * found.shift.u
     assert found.shift.u < 0.03
@@ -143,8 +143,8 @@ def test_another_pattern_is_neither_shift_nor_scale(seed, part):
     found = checked(table, u, now(table, seed, other=seed + 1))
     assert not found.fits
     assert not found.pattern_fits
-    assert not found.shift_would_do
-    assert not found.scale_would_do
+    assert not found.shift_is_enough
+    assert not found.scale_is_enough
     if table.period is not None:
         assert found.unexplained.certain
     assert found.even > found.odd
@@ -154,8 +154,8 @@ def test_a_larger_pattern_is_told_by_its_scale():
     table, u = learned()
     found = checked(table, u, now(table, scale=1.4))
     assert not found.fits
-    assert found.scale_would_do
-    assert not found.shift_would_do
+    assert found.scale_is_enough
+    assert not found.shift_is_enough
     assert found.scale.value == pytest.approx(1.4, rel=0, abs=5 * found.scale.u)
 
 
@@ -166,7 +166,7 @@ def test_a_range_does_not_tell_a_shift_for_certain():
         found = checked(table, u, now(table, shift=shift))
         assert not found.fits
         assert not found.whole_turn
-        assert not found.shift_would_do
+        assert not found.shift_is_enough
     assert found.reach == pytest.approx(TURN / 8, rel=0.02, abs=0)
 
 
@@ -192,7 +192,7 @@ def test_a_table_without_pattern_has_no_shift():
     assert found.shift is None
     assert found.scale is None
     assert not found.fits
-    assert not found.shift_would_do
+    assert not found.shift_is_enough
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -13,12 +13,7 @@ from rigtool.experiments.force.results import COLUMNS, LoadRow
 from rigtool.experiments.force.results_corrected import load_outcome
 from rigtool.experiments.force_over_time.stored import model_from, model_results
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
-from rigtool.experiments.load_disturbance.stored import (
-    COVARIANCE,
-    TERMS,
-    disturbance_from,
-    load_friction,
-)
+from rigtool.experiments.load_disturbance.stored import disturbance_from, rising_load
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run
 
@@ -223,18 +218,32 @@ def test_known_loads_need_an_instrument(tmp_path, rig):
         run(ILC_LEARN, RECIPE, tmp_path / "d.h5", *D, "rig.attachment=pulley", kt=KT)
 
 
-def test_the_disturbance_is_read_back_as_it_was_stored(rig):
+def test_what_a_rising_reading_holds_besides_a_load(rig):
     with open_run(rig.tables) as stored:
-        found = disturbance_from(stored)
-        assert found.tendon.stiffness == rig.learned.results["tendon_stiffness"].value
-        np.testing.assert_array_equal(found.coefficient, stored.table(TERMS)["coefficient"])
-        assert found.covariance.shape == (3 + len(found.terms),) * 2
-        u = np.sqrt(np.diag(stored.table(COVARIANCE)["covariance"])[3:])
-        np.testing.assert_allclose(u, stored.table(TERMS)["u"], rtol=1e-9)
+        disturbance = disturbance_from(stored, stored.recipe)
+        assert disturbance.torque == pytest.approx(0.06, rel=1e-9)
         ratio = 2 * math.pi * 0.85
-        friction, u = load_friction(
-            stored, ratio * 1.0, math.pi / 2 * 0.85, np.array([0.0, 0.03, 0.06])
+        assert disturbance.speeds == pytest.approx((ratio, 2 * ratio), rel=1e-9)
+        load = np.array([0.0, 0.03, 0.06])
+        slow = stored.recipe.model_copy(
+            update={
+                "measure_force": stored.recipe.measure_force.model_copy(
+                    update={"speed_rev_per_s": 1.0}
+                )
+            }
         )
-        assert friction[0] == pytest.approx(0, abs=0.1e-3)
-        assert 2 * friction[1] == pytest.approx(friction[2], rel=0.15)
-        assert (u[1:] < 0.1 * friction[1:]).all()
+        found = rising_load(stored, slow, disturbance.model, load)
+    friction = found.friction
+    assert friction[0] == pytest.approx(0, abs=0.1e-3)
+    assert 2 * friction[1] == pytest.approx(friction[2], rel=0.15)
+    assert (found.u[1:] < 0.1 * friction[1:]).all()
+    # The tendon's stretch turns the grasper by 60 / 130 rad: 1 - cos of it is taken off
+    np.testing.assert_allclose(found.remains[2], -0.06 * 0.116, atol=1.5e-3)
+
+
+def test_a_recording_that_explores_is_needed(rig):
+    with open_run(rig.tables) as stored, open_run(KT) as kt:
+        kept = {n: r for n, r in stored.recordings.items() if n != "explore_000"}
+        stored.recordings = kept
+        with pytest.raises(RunFileError, match="0 recordings that explore"):
+            ILC_LEARN.analyse([stored], stored.recipe, kt=kt)

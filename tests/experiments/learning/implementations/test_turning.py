@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.learning import procedure as ilc_learn
 from rigtool.experiments.learning.implementations import a_one_speed as one_speed
 from rigtool.experiments.learning.implementations import standard_trajectory as trajectory
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.stored_table import lookup_table_from, require_same_rig
-from rigtool.recipe import load_recipe
+from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt, write_results
 
@@ -230,11 +231,17 @@ def test_recordings_that_do_not_fit_are_refused(learned, folder, kt, friction):
     output = folder / "no.h5"
     with pytest.raises(RunFileError, match="friction of 0 mN m was fed forward"):
         run(ILC_LEARN, path, output, kt=kt, friction=friction)
-    with pytest.raises(InsufficientDataError, match=r"learn_000: 20.* turns .* 30 are needed"):
-        run(ILC_LEARN, path, output, "ilc_learn.turning.revolutions=30", kt=kt)
-    with pytest.raises(RunFileError, match="has no recording tune_000"):
-        run(ILC_LEARN, path, output, using("A"), kt=kt, friction=write_zero_friction(folder))
     assert not output.exists()
+    with open_run(path) as stored, open_run(kt) as constant:
+        more = override_recipe(stored.recipe, ["ilc_learn.turning.revolutions=30"])
+        with pytest.raises(InsufficientDataError, match=r"learn_000: 20.* turns .* 30 are needed"):
+            ilc_learn.analyse([stored], more, kt=constant)
+        other = override_recipe(stored.recipe, [using("A")])
+        with (
+            open_run(write_zero_friction(folder)) as zero,
+            pytest.raises(RunFileError, match="has no recording tune_000"),
+        ):
+            ilc_learn.analyse([stored], other, kt=constant, friction=zero)
 
 
 def write_zero_friction(folder):

@@ -10,7 +10,7 @@ import math
 import struct
 import time
 
-from rigtool.rigs.serial.emulators.motor import Motor
+from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.maxon.frames import (
     ANSWER,
@@ -42,7 +42,7 @@ class Device(Emulator):
     """A motor behind a drive: `mode` None where the power stage is off; `log` what happened."""
 
     def __init__(self) -> None:
-        self.motor = Motor()
+        self.motor = EmulatedMotor()
         self.log: list[str] = []
         self.reset()
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 
-from rigtool.rigs.serial.emulators.motor import Motor
+from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.moteus import frames
 
@@ -65,7 +65,7 @@ class MoteusEmulator(Emulator):
     ) -> None:
         self.node, self.uart = node, uart
         self.encoder, self.sign, self.home = encoder, sign, home
-        self.motor = Motor()
+        self.motor = EmulatedMotor()
         self.temperature = 25.0
         self.log: list[str] = []
         self.loses_writes = False
@@ -290,7 +290,12 @@ class MoteusEmulator(Emulator):
 
     def _target(self, now: float) -> tuple[float, float]:
         speed = self.command[0x21]
-        return self.command[0x20] + speed * (now - self.since), speed
+        target = self.command[0x20] + speed * (now - self.since)
+        # beyond its bounds the firmware clamps the set point, and stays in position mode
+        for name, inner in (("servopos.position_min", max), ("servopos.position_max", min)):
+            if not math.isnan(bound := self.config[name]) and inner(target, bound) != target:
+                target, speed = bound, 0.0
+        return target, speed
 
     def _torque_constant(self) -> float:
         return self.motor.torque_constant / self.config["motor_position.rotor_to_output_ratio"]

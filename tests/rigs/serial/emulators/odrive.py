@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigtool.rigs.serial.emulators.motor import Motor
+from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.odrive.text import DIALECT_05, DIALECT_06, checksum
 
@@ -45,7 +45,7 @@ class ODriveEmulator(Emulator):
     ) -> None:
         self.firmware, self._words = firmware, words
         self.dialect = DIALECT_05 if firmware < (0, 6, 0) else DIALECT_06
-        self.motor = Motor()
+        self.motor = EmulatedMotor()
         self.saved: dict[str, Value] = {
             self.dialect.current_limit: 30.0,
             self.dialect.torque_constant: 0.045,

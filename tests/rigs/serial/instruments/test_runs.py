@@ -23,7 +23,7 @@ from rigtool.rigs.motion import CurrentSteps
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import drivers
 from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.motor import Motor
+from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.runfile import RunWriter, open_run
 from tests.rigs.serial import toy
@@ -38,7 +38,7 @@ RADIUS = 0.014
 """Of the pulley on which loads hang, m."""
 
 
-class Loaded(Motor):
+class Loaded(EmulatedMotor):
     """A motor that is clamped where it takes currents."""
 
     def _step(self, dt, mode, position, speed, current):

@@ -364,10 +364,39 @@ def test_limit_that_is_passed_stops_the_drive_and_keeps_the_samples():
 
 
 def test_limits_that_the_drive_has_already_are_not_raised():
-    device = MoteusEmulator(servo__max_current_A=3.0, servopos__position_min=-2.0)
-    with serve(device) as server, moteus_rig(server.port):
+    device = MoteusEmulator(servo__max_current_A=3.0, servopos__position_min=-2e4)
+    with serve(device) as server, moteus_rig(server.port) as rig:
         assert device.config["servo.max_current_A"] == 3.0
-        assert device.config["servopos.position_min"] == -2.0
+        lowest = rig._limits.position[0] / (2 * math.pi)
+        assert device.config["servopos.position_min"] == pytest.approx(lowest, rel=1e-6)
+    assert_off_and_as_before(device)
+
+
+def test_bounds_at_which_the_drive_clamps_set_points_are_refused():
+    """The firmware's own, 0.01 turns either way: the shaft would stand still without a fault."""
+    device = MoteusEmulator(servopos__position_min=-0.01, servopos__position_max=0.01)
+    with serve(device) as server:
+        message = r"position_min is -0.01 turns, -0.06283 rad and .*position_max.*clamps set points"
+        with pytest.raises(HardwareError, match=message), moteus_rig(server.port):
+            pass
+    assert_off_and_as_before(device)
+    assert device.config["servopos.position_min"] == -0.01
+
+
+def test_a_shaft_that_does_not_follow_stops_the_drive():
+    device = MoteusEmulator()
+    device.motor.coulomb = 1.0  # blocked: the limit of current makes 0.45 N m
+    got = []
+    with (
+        serve(device) as server,
+        moteus_rig(server.port, "serial.limits.following_error=0.4") as rig,
+    ):
+        with pytest.raises(
+            HardwareError, match=r"following_error = 0.4 rad: the motor was stopped"
+        ):
+            got.extend(rig.perform(Task(SpeedProfile((0.0, 0.1, 2.0), (0.0, 4.0, 4.0)))))
+        assert device.mode == 0
+    assert 1 <= sum(len(block["time"]) for block in got) < 100
     assert_off_and_as_before(device)
 
 

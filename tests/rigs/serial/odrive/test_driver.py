@@ -20,9 +20,9 @@ from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import HostedRig
-from rigtool.rigs.serial.line import DamagedReply, Line, LineLost
+from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, RequestRefused
 from rigtool.rigs.serial.odrive import driver as odrive
-from rigtool.rigs.serial.odrive.text import Refused, Talk, agrees, checksum, seal, unseal
+from rigtool.rigs.serial.odrive.text import OdriveProtocol, agrees, checksum, seal, unseal
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
 from tests.rigs.serial.emulators.odrive import CLOSED_LOOP, IDLE, ODriveEmulator
@@ -186,7 +186,7 @@ def test_what_cannot_be_driven_is_refused(change, message):
 
 def test_axis_that_it_does_not_have_is_refused():
     remedy = "invalid property; a board with one axis has node 0"
-    with serve(ODriveEmulator()) as server, pytest.raises(Refused, match=remedy):
+    with serve(ODriveEmulator()) as server, pytest.raises(RequestRefused, match=remedy):
         odrive_rig(server.port, "serial.node=1").__enter__()
 
 
@@ -542,10 +542,10 @@ def test_a_property_that_never_takes_a_value_is_an_error():
 
     with serve(Stubborn()) as server, Line(server.port, timeout=0.1) as line:
         with pytest.raises(LineLost, match=r"input_vel is 0.000000 after 1"):
-            Talk(line).put("axis0.controller.input_vel", "1")
+            OdriveProtocol(line).put("axis0.controller.input_vel", "1")
         start = time.monotonic()
-        with pytest.raises(Refused):
-            Talk(line).get("axis0.nothing")
+        with pytest.raises(RequestRefused):
+            OdriveProtocol(line).get("axis0.nothing")
         assert time.monotonic() - start < 0.1  # a refusal is not asked again
 
 

@@ -13,7 +13,7 @@ from rigtool.rigs.motion import Move, Triangle
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.target import link
-from rigtool.rigs.serial.target.link import Kind, Refusal, Slot, State
+from rigtool.rigs.serial.target.link import FrameKind, Refusal, Slot, State
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver import virtual
 
@@ -45,12 +45,12 @@ class Host:
         return Refusal(reply.payload[0]), reply.payload[1:].decode()
 
     def put(self, slot, data):
-        self.ask(Kind.BEGIN, link.BEGIN.pack(slot, len(data)))
-        self.ask(Kind.CHUNK, link.CHUNK.pack(slot, 0) + data)
-        self.ask(Kind.COMMIT, link.COMMIT.pack(slot, len(data), zlib.crc32(data)))
+        self.ask(FrameKind.BEGIN, link.BEGIN.pack(slot, len(data)))
+        self.ask(FrameKind.CHUNK, link.CHUNK.pack(slot, 0) + data)
+        self.ask(FrameKind.COMMIT, link.COMMIT.pack(slot, len(data), zlib.crc32(data)))
 
     def set_up(self, motion):
-        self.ask(Kind.HELLO, b"\1")
+        self.ask(FrameKind.HELLO, b"\1")
         setup = link.RigSetup(0.0454, 125e-6, 4000, 10.0, False, "test")
         self.put(Slot.RIG, setup.pack())
         self.put(Slot.LIMITS, link.pack_limits(LIMITS, 5.0))
@@ -59,12 +59,12 @@ class Host:
         self.put(Slot.FEEDFORWARD, link.pack_feedforward(Feedforward(1e-5)))
 
     def run(self):
-        self.ask(Kind.START)
+        self.ask(FrameKind.START)
         while self.status().state is State.RUNNING:
             self.device.idle()
 
     def status(self):
-        return link.Status.unpack(self.ask(Kind.STATUS))
+        return link.Status.unpack(self.ask(FrameKind.STATUS))
 
 
 @pytest.fixture
@@ -79,25 +79,25 @@ def arm(every=1, stop=np.nan, mask=0b11111, streams=0):
 
 def test_a_session(host):
     host.set_up(Move(0.5, 0.1))
-    samples, size = link.ARMED.unpack(host.ask(Kind.ARM, arm()))
+    samples, size = link.ARMED.unpack(host.ask(FrameKind.ARM, arm()))
     assert (samples, size) == (800, 8 * 3 + 4 * 2)
     host.run()
     status = host.status()
     assert (status.state, status.samples) == (State.DONE, 800)
-    data = host.ask(Kind.READ, link.READ.pack(790, 10))[4:]
+    data = host.ask(FrameKind.READ, link.READ.pack(790, 10))[4:]
     rows = np.frombuffer(data, link.sample_type(0b11111))
     assert rows["position_setpoint"][-1] == pytest.approx(0.5, abs=1e-3)
-    host.ask(Kind.BYE)
-    assert host.refused(Kind.STATUS)[0] is Refusal.NO_SESSION
+    host.ask(FrameKind.BYE)
+    assert host.refused(FrameKind.STATUS)[0] is Refusal.NO_SESSION
 
 
 def test_a_request_sent_twice_is_done_once(host):
     host.set_up(Move(0.5, 0.1))
-    host.ask(Kind.MOVE, link.floats(0.2))
+    host.ask(FrameKind.MOVE, link.floats(0.2))
     host.device.idle()
     before = host.status().position
-    first = host.send(Kind.MOVE, link.floats(0.2))
-    again = host.send(Kind.MOVE, link.floats(0.2), sequence=host.sequence)
+    first = host.send(FrameKind.MOVE, link.floats(0.2))
+    again = host.send(FrameKind.MOVE, link.floats(0.2), sequence=host.sequence)
     assert first == again
     host.device.idle()
     assert host.status().position - before == pytest.approx(0.2, abs=0.01)
@@ -106,17 +106,17 @@ def test_a_request_sent_twice_is_done_once(host):
 @pytest.mark.parametrize(
     ("kind", "payload", "code", "message"),
     [
-        (Kind.START, b"", Refusal.NOT_NOW, "START without ARM"),
-        (Kind.ARM, arm(every=0), Refusal.NOT_NOW, "every 0th sample"),
-        (Kind.ARM, arm(mask=0), Refusal.NOT_NOW, "not recorded"),
-        (Kind.ARM, b"short", Refusal.BAD_VALUE, "ARM"),
-        (Kind.READ, link.READ.pack(0, 5), Refusal.NOT_NOW, "not in the log"),
-        (Kind.MOVE, link.floats(float("nan")), Refusal.BAD_VALUE, "not finite"),
-        (Kind.MOVE, link.floats(1e300), Refusal.NOT_NOW, "beyond -100000 to 100000 rad"),
-        (Kind.CHUNK, link.CHUNK.pack(5, 0) + b"x", Refusal.NOT_NOW, "does not fit"),
-        (Kind.BEGIN, link.BEGIN.pack(5, 2**32 - 1), Refusal.BAD_VALUE, "no memory"),
-        (Kind.BEGIN, link.BEGIN.pack(99, 5), Refusal.BAD_VALUE, "99"),
-        (Kind.COMMIT, link.COMMIT.pack(5, 8, 1), Refusal.BAD_CRC, "CRC-32"),
+        (FrameKind.START, b"", Refusal.NOT_NOW, "START without ARM"),
+        (FrameKind.ARM, arm(every=0), Refusal.NOT_NOW, "every 0th sample"),
+        (FrameKind.ARM, arm(mask=0), Refusal.NOT_NOW, "not recorded"),
+        (FrameKind.ARM, b"short", Refusal.BAD_VALUE, "ARM"),
+        (FrameKind.READ, link.READ.pack(0, 5), Refusal.NOT_NOW, "not in the log"),
+        (FrameKind.MOVE, link.floats(float("nan")), Refusal.BAD_VALUE, "not finite"),
+        (FrameKind.MOVE, link.floats(1e300), Refusal.NOT_NOW, "beyond -100000 to 100000 rad"),
+        (FrameKind.CHUNK, link.CHUNK.pack(5, 0) + b"x", Refusal.NOT_NOW, "does not fit"),
+        (FrameKind.BEGIN, link.BEGIN.pack(5, 2**32 - 1), Refusal.BAD_VALUE, "no memory"),
+        (FrameKind.BEGIN, link.BEGIN.pack(99, 5), Refusal.BAD_VALUE, "99"),
+        (FrameKind.COMMIT, link.COMMIT.pack(5, 8, 1), Refusal.BAD_CRC, "CRC-32"),
         (77, b"", Refusal.BAD_VALUE, "request 77 is not known"),
     ],
 )
@@ -129,26 +129,26 @@ def test_refusals_say_why(host, kind, payload, code, message):
 
 def test_motions_that_cannot_be_are_refused_or_trip(host):
     host.set_up(Triangle(0.0, 1.0, 0.0, 0.1, 1))  # speed zero
-    assert host.refused(Kind.ARM, arm())[0] is Refusal.BAD_VALUE
+    assert host.refused(FrameKind.ARM, arm())[0] is Refusal.BAD_VALUE
 
 
 def test_another_host_may_begin_with_the_number_that_was_last(host):
     host.set_up(Move(0.5, 0.1))
-    reply = host.send(Kind.HELLO, b"\1", sequence=host.sequence)
-    assert reply.kind == Kind.HELLO | link.REPLY
-    assert host.refused(Kind.ARM, arm())[1].startswith("ARM before RIG, LIMITS")
+    reply = host.send(FrameKind.HELLO, b"\1", sequence=host.sequence)
+    assert reply.kind == FrameKind.HELLO | link.REPLY
+    assert host.refused(FrameKind.ARM, arm())[1].startswith("ARM before RIG, LIMITS")
 
 
 def test_hello_in_the_middle_stops_and_forgets(host):
     host.set_up(Move(0.5, 10.0))
-    host.ask(Kind.ARM, arm())
-    host.ask(Kind.START)
+    host.ask(FrameKind.ARM, arm())
+    host.ask(FrameKind.START)
     host.device.idle()
-    boot = link.Hello.unpack(host.ask(Kind.HELLO, b"\1")).boot
+    boot = link.Hello.unpack(host.ask(FrameKind.HELLO, b"\1")).boot
     status = host.status()
     assert (status.state, status.samples, status.boot) == (State.OFF, 0, boot)
     host.device.reset()
-    assert link.Hello.unpack(host.ask(Kind.HELLO, b"\1")).boot != boot
+    assert link.Hello.unpack(host.ask(FrameKind.HELLO, b"\1")).boot != boot
 
 
 @settings(max_examples=80, deadline=None)
@@ -173,11 +173,11 @@ def test_whatever_object_comes_up_is_taken_or_refused(slot, data):
     EMULATOR.reset()
     host = Host(EMULATOR)
     host.set_up(Move(0.1, 0.01))
-    host.ask(Kind.BEGIN, link.BEGIN.pack(slot, len(data)))
-    host.ask(Kind.CHUNK, link.CHUNK.pack(slot, 0) + data)
-    host.send(Kind.COMMIT, link.COMMIT.pack(slot, len(data), zlib.crc32(data)))
-    reply = host.send(Kind.ARM, arm())
-    if reply.kind == Kind.ARM | link.REPLY and struct.unpack("<IH", reply.payload)[0] < 10000:
-        host.ask(Kind.START)
+    host.ask(FrameKind.BEGIN, link.BEGIN.pack(slot, len(data)))
+    host.ask(FrameKind.CHUNK, link.CHUNK.pack(slot, 0) + data)
+    host.send(FrameKind.COMMIT, link.COMMIT.pack(slot, len(data), zlib.crc32(data)))
+    reply = host.send(FrameKind.ARM, arm())
+    if reply.kind == FrameKind.ARM | link.REPLY and struct.unpack("<IH", reply.payload)[0] < 10000:
+        host.ask(FrameKind.START)
         for _ in range(20):
             EMULATOR.idle()

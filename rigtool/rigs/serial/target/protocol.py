@@ -6,28 +6,19 @@ import math
 import time
 from collections.abc import Callable, Iterator
 
-from rigtool.errors import HardwareError
 from rigtool.rigs.serial.frames import END, Frame, Splitter, encode
-from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
+from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout, RequestRefused
 from rigtool.rigs.serial.target import link
-from rigtool.rigs.serial.target.link import Kind, Refusal
+from rigtool.rigs.serial.target.link import FrameKind, Refusal
 
 TIMEOUT = 0.5
 """Longest wait for a reply, s."""
 
 RETRIES = 8
-"""Times that a request is sent again; as much oftener as `Talk.timeout` is shortened later."""
+"""Repeats of a request; more in proportion where `TargetProtocol.timeout` is shortened later."""
 
 
-class Refused(HardwareError):
-    """The target refuses a request; `code` is one of `Refusal`."""
-
-    def __init__(self, text: str, code: int) -> None:
-        super().__init__(text)
-        self.code = code
-
-
-class Talk:
+class TargetProtocol:
     """Requests and replies on a line; streamed samples that come between go to `samples`."""
 
     def __init__(self, line: Line, *, timeout: float | None = None, retries: int = RETRIES) -> None:
@@ -42,14 +33,14 @@ class Talk:
 
     def hello(self) -> link.Hello:
         """Begin a session."""
-        self._line.write(END)  # whatever half a frame was left there ends here
-        return link.Hello.unpack(self.call(Kind.HELLO, bytes([link.VERSION])))
+        self._line.write(END)  # ends an incomplete frame that may be on the line
+        return link.Hello.unpack(self.call(FrameKind.HELLO, bytes([link.VERSION])))
 
-    def call(self, kind: Kind, payload: bytes = b"") -> bytes:
+    def call(self, kind: FrameKind, payload: bytes = b"") -> bytes:
         """Send a request and return the payload of its reply.
 
         A request goes out again with the same sequence number until it is answered: the target does
-        it once. Raises `HardwareError` with the target's reason where it refuses; what a
+        it once. Raises `RequestRefused` with the target's reason where it refuses; what a
         `LineTimeout` or a `DamagedReply` spoils is repeated.
         """
         self._sequence = self._sequence % 0xFFFF + 1
@@ -101,12 +92,12 @@ class Talk:
         while self._waiting:
             yield self._waiting.pop(0)
 
-    def _refused(self, payload: bytes) -> Refused:
+    def _refused(self, payload: bytes) -> RequestRefused:
         text = payload[1:].decode("utf-8", "replace")
         code = payload[0] if payload else 0
         if code == Refusal.NO_SESSION:
-            text += "; what it had measured is lost: find out why it restarted"
-        return Refused(f"{self._line.port}: the target refuses: {text}", code)
+            text += "; its measured samples are lost: find out why it restarted"
+        return RequestRefused(f"{self._line.port}: the target refuses: {text}", code)
 
     @property
     def damaged(self) -> int:

@@ -1,0 +1,94 @@
+"""Whether runs are of the instrument and mounting that a load model was learned on.
+
+At one place x of the stroke, the torque of strokes in positive and in negative direction differs by
+d(x), which the learned loads do by themselves. Friction or tendons of another instrument open or
+close this loop, by one amount or differently along the stroke. With mean m(x) of d over the
+recordings that were learned, each as measured when it was left out,
+
+    offset o = mean over x of d - m,   shape s(x) = d - m - o,
+    T = max(|o| / S_o, root of the mean over x of (s / S_s)^2)
+
+with standard deviations S over those recordings. T is about 1 for them; Student's t with their
+number less one states how far it may be.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.imported_load.region import CELLS, cells_of
+from rigtool.numerics.arrays import Array, Mask
+
+FEWEST_ROWS = 3
+"""Rows that a mean in a cell is of."""
+
+FEWEST_CELLS = 3
+"""Cells with both directions, below which a loop is not compared."""
+
+DOUBTED, REFUSED = 0.95, 0.99
+"""Two-sided levels of confidence: beyond the first u grows, beyond the second nothing is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Of so many recordings, without unit: `mean` of the loop in each cell of the stroke and
+    standard deviation of its `shape` (c,), NaN where unknown, and that of its `offset`."""
+
+    mean: Array
+    shape: Array
+    offset: float
+    recordings: int
+
+    def misfit(self, place: Array, rising: Mask, torque: Array) -> float:
+        """Return T of rows (n,) of one recording; NaN where too few cells have both directions."""
+        apart = _loop(place, rising, torque) - self.mean
+        apart = np.where(self.shape > 0, apart, np.nan)
+        if np.isfinite(apart).sum() < FEWEST_CELLS or not self.offset > 0:
+            return math.nan
+        offset = float(np.nanmean(apart))
+        shape = float(np.sqrt(np.nanmean(((apart - offset) / self.shape) ** 2)))
+        return max(abs(offset) / self.offset, shape)
+
+    def limit(self, confidence: float) -> float:
+        """Return the T beyond which a recording is not one of those learned."""
+        from scipy.stats import t
+
+        return float(t.ppf((1 + confidence) / 2, max(self.recordings - 1, 1)))
+
+
+def learn_loop(place: Array, rising: Mask, torque: Array, recording: NDArray) -> Loop:
+    """Return the loop of recordings, from torques (n,) as measured when each was left out."""
+    numbers = [recording == n for n in np.unique(recording)]
+    found = np.array([_loop(place[own], rising[own], torque[own]) for own in numbers])
+    mean = _over_recordings(found, 0)
+    apart = found - mean
+    offset = np.array(
+        [np.mean(row[np.isfinite(row)]) if np.isfinite(row).any() else np.nan for row in apart]
+    )
+    shape = np.sqrt(_over_recordings((apart - offset[:, None]) ** 2, 1))
+    spread = math.sqrt(float(_over_recordings(offset[:, None] ** 2, 1)[0]))
+    return Loop(mean, shape, spread, len(found))
+
+
+def _over_recordings(values: Array, taken: int) -> Array:
+    """Return the sum of values (r, c) over their number less `taken`, NaN where that is zero."""
+    known = np.isfinite(values)
+    count = np.maximum(known.sum(axis=0) - taken, 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found: Array = np.where(known, values, 0.0).sum(axis=0) / count
+    return np.where(count > 0, found, np.nan)
+
+
+def _loop(place: Array, rising: Mask, torque: Array) -> Array:
+    """Return the difference of the directions in each cell (c,), NaN where one is missing."""
+    cell, known = cells_of(place), np.isfinite(torque)
+    means = []
+    for rows in (known & rising, known & ~rising):
+        count = np.bincount(cell[rows], minlength=CELLS)
+        total = np.bincount(cell[rows], weights=torque[rows], minlength=CELLS)
+        means.append(np.where(count >= FEWEST_ROWS, total / np.maximum(count, 1), np.nan))
+    return means[0] - means[1]

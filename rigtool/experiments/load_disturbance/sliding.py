@@ -1,0 +1,141 @@
+"""What a load adds to the motor's torque while it slides evenly: by angle, direction and load.
+
+At a constant speed every part of the model (`experiments.force_over_time.model`) is a function of
+the angle: bristles are bent to one side, and what lags has followed. With a torque s on the tendon
+
+    added = n (sum of coefficient (function(s) - function(s0))),   s0 = t z_t,   a = b / r - s / k
+
+changes the friction that grows with s, that of the output angle a, and the current, with which
+ripple grows; the current that follows from all of it is found by iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rigtool.experiments.force_over_time.learning import NAMES, STEP, Learned, moved
+from rigtool.experiments.force_over_time.model import Shape, State, functions
+from rigtool.experiments.force_over_time.records import Record
+from rigtool.numerics.arrays import Array
+
+SEEN = ("stribeck_speed", "ripple_time", "stiffness", "load_onset")
+"""Of a shape, what even sliding under a given load depends on."""
+
+ROUNDS = 3
+"""Times that the current of a point, which its own disturbance changes, is computed anew."""
+
+POINTS = 150
+"""Of the way over all angles, with the way before them on which what lags follows."""
+
+FOLLOWED = 6.0
+"""Times of the ripple's lag that this takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sliding(Record):
+    """A motion at constant `rate`, rad/s of the rotor."""
+
+    rate: float
+
+    @property
+    def speed(self) -> Array:
+        """Speed of the rotor (n,), rad/s."""
+        return np.full(self.angle.size, self.rate)
+
+    @property
+    def acceleration(self) -> Array:
+        """None (n,), rad/s2."""
+        return np.zeros(self.angle.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The disturbance on a grid.
+
+    `angle` (a,) rad of the output, `load` (l,) N m that the tendon carries, by motor speed, rad/s:
+    `torque` and `u` (a, l) of either direction (positive and negative speeds), and of `friction`
+    and `friction_u` (positive speeds), half of what differs between them.
+    """
+
+    angle: Array
+    load: Array
+    torque: dict[float, Array]
+    u: dict[float, Array]
+    friction: dict[float, Array]
+    friction_u: dict[float, Array]
+
+
+def grid_of(
+    model: Learned, speeds: Sequence[float], angle: Array, load: Array, torque_constant: float
+) -> Grid:
+    """Return the disturbance at motor speeds, rad/s, output angles (a,) rad and loads (l,) N m."""
+    grid = Grid(angle, load, {}, {}, {}, {})
+
+    def valued(by: Array, value: Array) -> tuple[Array, Array]:
+        variance = np.sum(by * np.tensordot(model.covariance, by, axes=1), axis=0)
+        return value, np.sqrt(np.maximum(variance, 0.0))
+
+    for speed in speeds:
+        (up, up_by), (down, down_by) = (
+            disturbance(model, angle, load, side * speed, torque_constant) for side in (1.0, -1.0)
+        )
+        grid.torque[speed], grid.u[speed] = valued(up_by, up)
+        grid.torque[-speed], grid.u[-speed] = valued(down_by, down)
+        half = valued((up_by - down_by) / 2, (up - down) / 2)
+        grid.friction[speed], grid.friction_u[speed] = half
+    return grid
+
+
+def disturbance(
+    model: Learned, angle: Array, load: Array, speed: float, torque_constant: float
+) -> tuple[Array, Array]:
+    """Return what loads (l,) N m add besides themselves at output angles (a,) rad: (a, l), N m.
+
+    At the output, at a motor speed, rad/s, with its sign; and the derivatives (p, a, l) by the
+    logarithms of the model's shape and by its coefficients.
+    """
+    found = [_sliding(model, angle, value, speed, torque_constant) for value in load.tolist()]
+    tip = float(np.sign(speed)) * model.shape.tip_friction
+    rest, rest_by = _sliding(model, angle, tip, speed, torque_constant)
+    added = np.stack([torque - rest for torque, _ in found], axis=-1)
+    by = np.stack([own - rest_by for _, own in found], axis=-1)
+    return added, by
+
+
+def _sliding(
+    model: Learned, angle: Array, carried: float, speed: float, torque_constant: float
+) -> tuple[Array, Array]:
+    """Return all torque besides the one carried at angles (a,), N m at the output, and derivatives
+    (p, a)."""
+    shape, known = model.shape, model.known
+    side, factor = float(np.sign(speed)), known.torque_factor
+    before = FOLLOWED * shape.ripple_time * abs(speed)
+    ends = np.array([angle.min(), angle.max()])[:: int(side)] * known.angle_ratio
+    path = np.linspace(ends[0] - side * before, ends[1], POINTS)
+    interval = abs(path[1] - path[0]) / abs(speed)
+    none, empty = np.zeros(POINTS, dtype=bool), np.empty((0, 0))
+    at_one_side, everywhere = np.full(POINTS, side), np.full(POINTS, carried)
+
+    def state(shape: Shape, record: Record) -> State:
+        output = path / known.angle_ratio - carried / shape.stiffness
+        return State(record, shape, known, at_one_side, at_one_side, everywhere, output)
+
+    values = np.zeros((len(model.terms), POINTS))
+    for _ in range(ROUNDS):
+        torque = carried / factor + model.coefficient @ values
+        current = torque / torque_constant - known.offset
+        record = Sliding(interval, path, current, none, torque_constant, 0.0, 0.0, 0, empty, speed)
+        values = functions(model.terms, state(shape, record))
+    by_shape = np.zeros((len(NAMES), POINTS))
+    for number, name in enumerate(NAMES):
+        if name in SEEN:
+            there = state(moved(shape, STEP * np.eye(len(NAMES))[number]), record)
+            by_shape[number] = model.coefficient @ (functions(model.terms, there) - values) / STEP
+    rows = factor * np.vstack([model.coefficient @ values, by_shape, values])
+    order = np.argsort(path)
+    points = angle * known.angle_ratio
+    found = np.stack([np.interp(points, path[order], row[order]) for row in rows])
+    return found[0], found[1:]

@@ -1,0 +1,132 @@
+"""Mistakes in a recipe or mapping, all at once: where each is, and what is expected there."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+EXPECTED = {
+    "float_type": "must be a number",
+    "float_parsing": "must be a number",
+    "finite_number": "must be a finite number",
+    "int_type": "must be a whole number",
+    "int_parsing": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "bool_type": "must be true or false",
+    "bool_parsing": "must be true or false",
+    "string_type": "must be a text",
+    "model_type": "must be a table of keys",
+    "dict_type": "must be a table of keys",
+    "list_type": "must be a list",
+    "tuple_type": "must be a list",
+    "literal_error": "must be {expected}",
+    "greater_than": "must be above {gt:g}",
+    "greater_than_equal": "must be at least {ge:g}",
+    "less_than": "must be below {lt:g}",
+    "less_than_equal": "must be at most {le:g}",
+    "too_short": "needs {min_length} values at least",
+    "too_long": "takes {max_length} values at most",
+    "union_tag_not_found": "needs a key {discriminator}",
+    "union_tag_invalid": "has the {discriminator} '{tag}', must be one of {expected_tags}",
+}
+"""What is expected, by the type of pydantic's error; fields are those of its context."""
+
+WITHOUT_VALUE = ("missing", "extra_forbidden", "union_tag_not_found", "union_tag_invalid")
+"""Errors that show the value themselves, or have none."""
+
+LONGEST_VALUE = 60
+"""Characters of a value in a message."""
+
+
+def described(
+    error: ValidationError,
+    model: type[BaseModel],
+    text: str,
+    name: str,
+    kind: str,
+    overrides: Sequence[str],
+) -> str:
+    """Return all mistakes in a TOML `text` with their lines; `kind` is recipe or mapping.
+
+    `model` is what the text was read as, `overrides` are the `key=value` of `--set`.
+    """
+    lines = _line_numbers(text)
+    set_keys = {override.partition("=")[0].strip() for override in overrides}
+    mistakes = []
+    for item in error.errors():
+        path = tuple(part for part in item["loc"] if isinstance(part, str))
+        # tables contradict each other: the mistake concerns the whole recipe
+        dotted = ".".join(str(part) for part in item["loc"]) if path else kind
+        where = f"{name}, --set" if ".".join(path) in set_keys else _where(name, path, lines)
+        mistakes.append(f"{where}: {dotted}: {_message(item, model)}")
+    count = len(mistakes)
+    head = f"{name}: {count} mistake{'s' if count > 1 else ''} in the {kind}"
+    return "\n  ".join([head, *mistakes])
+
+
+def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
+    if item["type"] == "missing":
+        return "is missing; add it"
+    if item["type"] == "extra_forbidden":
+        key, known = str(item["loc"][-1]), set(_keys_at(model, item["loc"][:-1]))
+        close = difflib.get_close_matches(key, known, 1)
+        remedy = f"did you mean {close[0]}?" if close else "remove it or correct its spelling"
+        return f"is not a key that this table knows; {remedy}"
+    message = item["msg"].removeprefix("Value error, ")
+    if item["type"] in EXPECTED:
+        message = EXPECTED[item["type"]].format(**item.get("ctx", {}))
+    if item["type"] in WITHOUT_VALUE or isinstance(item["input"], dict):
+        return message
+    value = repr(item["input"])
+    shown = value if len(value) <= LONGEST_VALUE else f"{value[:LONGEST_VALUE]}..."
+    return f"{message}, got {shown}"
+
+
+def _keys_at(model: type[BaseModel], place: Sequence[int | str]) -> Iterator[str]:
+    """Yield the keys of the tables that may stand at a place."""
+    models = [model]
+    for part in place:
+        if isinstance(part, str):
+            fields = [m.model_fields[part] for m in models if part in m.model_fields]
+            if fields:  # else the tag of a table in a list
+                models = [found for field in fields for found in _models_in(field.annotation)]
+    for found in models:
+        yield from found.model_fields
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the tables within an annotation: its own, or those that a union or list holds."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _models_in(argument)
+
+
+def _where(name: str, path: tuple[str, ...], lines: dict[tuple[str, ...], int]) -> str:
+    # A missing key has no line: name the line of the closest table around it.
+    while path and path not in lines:
+        path = path[:-1]
+    return f"{name}:{lines[path]}" if path in lines else name
+
+
+_TABLE = re.compile(r"^\s*\[\[?\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"^\s*([A-Za-z0-9_.\-\"']+)\s*=")
+
+
+def _line_numbers(text: str) -> dict[tuple[str, ...], int]:
+    """Map each table and key of a TOML text to its line, counted from 1."""
+    found: dict[tuple[str, ...], int] = {}
+    table: tuple[str, ...] = ()
+    for number, line in enumerate(text.splitlines(), start=1):
+        if match := _TABLE.match(line):
+            table = tuple(part.strip().strip("\"'") for part in match[1].split("."))
+            found.setdefault(table, number)
+        elif match := _KEY.match(line):
+            path = (*table, *(part.strip("\"'") for part in match[1].split(".")))
+            found.setdefault(path, number)
+    return found

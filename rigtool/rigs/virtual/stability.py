@@ -1,0 +1,83 @@
+"""Whether the steps of the simulation are small enough for its springs, dampers and heat flows.
+
+Speeds are stepped by what positions and speeds were, positions by the new speeds (semi-implicit
+Euler, Hairer, Lubich and Wanner, Geometric Numerical Integration, 2006, section I.1.2):
+
+    v' = v - h M^-1 (K x + D v),   x' = x + h v'
+
+A spring k between masses whose reciprocal sum is 1/m, with a damper c, is stable where
+
+    h^2 k / m + 2 h c / m < 4
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rigtool.errors import RecipeError
+from rigtool.numerics.arrays import Array
+from rigtool.rigs.virtual.kernel import TICK
+
+ROUNDING = 1e-6
+"""By which the largest eigenvalue of a free, stable motion may differ from 1."""
+
+
+def require_stable(p: Any) -> None:
+    """Raise `RecipeError` where the steps are too long for these parameters of the kernel."""
+    h = float(p["dt"])
+    if p["instrument"]:
+        tendon = 1 / float(p["angle_ratio"] * p["torque_factor"] * p["inertia"])
+        tendon += 1 / float(p["grasper_inertia"])
+        _require_spring("virtual.instrument", p["stiffness"], p["damping"], tendon, h)
+    if p["clamped"]:
+        arm = 1 / float(p["inertia"])
+        _require_spring("virtual.arm", p["arm_stiffness"], p["arm_damping"], arm, h)
+    _require_steps(_moving(p, h), "viscous friction and damping", h)
+    _require_steps(_heat(p, h * TICK), "thermal resistances and capacities", h)
+
+
+def _require_spring(name: str, k: float, c: float, mobility: float, h: float) -> None:
+    if h**2 * k * mobility + 2 * h * c * mobility < 4:
+        return
+    highest = max(0.0, (4 / mobility - 2 * h * c) / h**2)
+    raise RecipeError(
+        f"{name}.stiffness {k:g} N m/rad with damping {c:g} N m s/rad is beyond what can be "
+        f"simulated at rig.sample_time {h:g} s with these inertias, {highest:.3g} N m/rad: lower "
+        "either, or sample faster"
+    )
+
+
+def _require_steps(step: Array, what: str, h: float) -> None:
+    largest = float(np.abs(np.linalg.eigvals(step)).max())
+    if largest > 1 + ROUNDING:
+        raise RecipeError(
+            f"virtual: {what} cannot be simulated at rig.sample_time {h:g} s: what they move "
+            f"grows {largest:.3g} times a step; correct these values, or sample faster"
+        )
+
+
+def _moving(p: Any, h: float) -> Array:
+    """Return the step of shaft and grasper, (4, 4), for (angles, speeds)."""
+    n, factor = float(p["angle_ratio"]), float(p["torque_factor"])
+    k, c = (float(p[name]) if p["instrument"] else 0.0 for name in ("stiffness", "damping"))
+    coupled = np.array([[1 / (n * factor), -1 / factor], [-1 / n, 1.0]])
+    stiffness, damping = k * coupled, c * coupled
+    damping[0, 0] += p["viscous"] + (p["housing_viscous"] if p["instrument"] else 0.0)
+    if p["clamped"]:
+        stiffness[0, 0] += p["arm_stiffness"]
+        damping[0, 0] += p["arm_damping"]
+    inverse = np.diag([1 / float(p["inertia"]), 1 / float(p["grasper_inertia"])])
+    pull, drag = inverse @ stiffness, inverse @ damping
+    one = np.eye(2)
+    return np.block([[one - h**2 * pull, h * (one - h * drag)], [-h * pull, one - h * drag]])
+
+
+def _heat(p: Any, h: float) -> Array:
+    """Return the step of the temperatures of winding and housing, (2, 2)."""
+    flow, loss = 1 / float(p["winding_to_housing"]), 1 / float(p["housing_to_ambient"])
+    winding, housing = h / float(p["winding_capacity"]), h / float(p["housing_capacity"])
+    return np.array(
+        [[1 - winding * flow, winding * flow], [housing * flow, 1 - housing * (flow + loss)]]
+    )

@@ -1,0 +1,129 @@
+"""Loads on a drive whose tendon, friction and ripple are known are read with what was learned."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_over_time.deviations import Deviations
+from rigtool.experiments.force_over_time.learning import NAMES, Learned, learn_sliding
+from rigtool.experiments.force_over_time.model import Kind, Shape, Term
+from rigtool.experiments.load_disturbance.reading import LoadedPair, dead_band, read_loads
+from tests.experiments.load_disturbance.known_drive import (
+    ARM,
+    COUNT,
+    KNOWN,
+    STIFFNESS,
+    TIP_FRICTION,
+    strokes,
+)
+
+SPEEDS = (0.5, 1.5)
+LOADS = (0.002, 0.01, 0.03, 0.06)
+SCATTER = 0.1e-3
+LARGEST, ANGLE, BANDWIDTH = 0.06, math.pi / 2, 5.0
+CALM = Deviations(1e-4, 1e-3, 1e-5, 0.1)
+
+
+@pytest.fixture(scope="module")
+def unloaded():
+    return {speed: (strokes(0.0, speed, scatter=SCATTER, seed=90),) for speed in SPEEDS}
+
+
+@pytest.fixture(scope="module")
+def sliding(unloaded):
+    pairs = [(speed, load) for speed in SPEEDS for load in LOADS]
+    records = [
+        strokes(load, speed, scatter=SCATTER, seed=n) for n, (speed, load) in enumerate(pairs)
+    ]
+    records += [record for each in unloaded.values() for record in each]
+    return learn_sliding(records, KNOWN, COUNT, CALM)
+
+
+def compared(unloaded, load, speed=0.5, **changes):
+    own = {"scatter": SCATTER, "seed": 33, "known": False, **changes}
+    return LoadedPair(strokes(load, speed, **own), unloaded[speed], ARM)
+
+
+def read(model, pair):
+    (found,) = read_loads(model, [pair], LARGEST, ANGLE, BANDWIDTH)
+    return found
+
+
+def test_the_tendon_comes_back(sliding):
+    shape = sliding.learned.shape
+    assert shape.stiffness == pytest.approx(STIFFNESS, rel=0.02)
+    assert shape.tip_friction == pytest.approx(TIP_FRICTION, abs=0.6e-3)
+
+
+@pytest.mark.parametrize("speed", SPEEDS)
+@pytest.mark.parametrize("load", [0.005, 0.02, 0.05])
+def test_loads_between_the_learned_ones_are_read(sliding, unloaded, load, speed):
+    found = read(sliding.learned, compared(unloaded, load, speed))
+    assert found.moment == pytest.approx(load, abs=max(0.005 * load, 3 * found.u))
+    assert found.at_angle.mean() == pytest.approx(load, rel=0.03, abs=0.1e-3)
+    assert found.cycles.std(ddof=1) == pytest.approx(SCATTER, rel=1)
+
+
+def test_what_the_record_states_of_its_load_informs_nothing(sliding, unloaded):
+    stated, hidden = (
+        read(sliding.learned, compared(unloaded, 0.02, known=known)) for known in (True, False)
+    )
+    assert stated.moment == hidden.moment
+
+
+def test_the_dead_band_is_half_of_what_lifting_and_lowering_differ_by(sliding, unloaded):
+    found = dead_band(sliding.learned, compared(unloaded, 0.05), ANGLE, BANDWIDTH)
+    # 10 mN m without load, a tenth of the load beyond the onset, the joint's own
+    assert found.half == pytest.approx(10e-3 + 0.1 * 48e-3 + 0.8e-3, rel=0.1)
+    assert found.middle == pytest.approx(0.05, rel=0.05)
+
+
+def test_a_friction_level_that_drifts_moves_no_reading(sliding, unloaded):
+    still, drifted = (
+        read(sliding.learned, compared(unloaded, 0.02, drift=drift)) for drift in (0.0, 1e-3)
+    )
+    assert drifted.moment == pytest.approx(still.moment, rel=3e-3)
+
+
+def test_a_load_left_out_of_the_learning_is_read(sliding, unloaded):
+    less = sliding.learned_from([record.moment != 0.03 for record in sliding.problem.records])
+    found = read(less, compared(unloaded, 0.03))
+    assert found.moment == pytest.approx(0.03, rel=0.01)
+    own = NAMES.index("stiffness")
+    assert less.covariance[own, own] > sliding.learned.covariance[own, own]
+
+
+@pytest.mark.parametrize("load", [0.001, 0.01, 0.03, 0.04, 0.05, 0.06])
+def test_a_load_that_swings_near_its_resonance_is_found(load):
+    """At 50 mN m a search from the mean torque alone ends at 14 mN m, which fits less well."""
+    soft = {"stiffness": 0.1, "damping": 4e-4, "tip_friction": 1e-9}
+    drive = {"friction": 0.0, "ripple": 0.0, "scatter": 0.02e-3, **soft}
+    shape = Shape(1e-3, 1e-2, 1e-2, 0.1, 0.01, grasper_inertia=1e-7, load_onset=1e-3, **soft)
+    terms = (Term(Kind.HOUSING, 1.0),)
+    count = len(NAMES) + len(terms)
+    plain = Learned(terms, shape, KNOWN, np.full(1, 8.5e-3), np.zeros((count, count)), np.ones(2))
+    pair = LoadedPair(strokes(load, 1.8, **drive), (strokes(0.0, 1.8, **drive),), ARM)
+    assert read(plain, pair).moment == pytest.approx(load, rel=0.03, abs=0.05e-3)
+
+
+def test_a_load_far_beyond_the_learned_ones_is_refused(sliding, unloaded):
+    found = read(sliding.learned, compared(unloaded, 0.6, stiffness=50.0, damping=1e-2))
+    assert isinstance(found, InsufficientDataError)
+    assert "no load up to 3 times the largest learned one, 60 mN m" in str(found)
+
+
+def test_the_sum_of_components_is_u(sliding, unloaded):
+    found = read(sliding.learned, compared(unloaded, 0.03))
+    assert found.u == pytest.approx(math.hypot(*found.components.values()), rel=1e-9, abs=0)
+    assert set(found.components) == {"scatter", "zero", "disturbance", "misfit"}
+
+
+def test_recordings_of_other_lengths_are_compared_at_the_same_points(sliding, unloaded):
+    """A clock that is a little off makes a period longer by a row."""
+    zero = strokes(0.0, 0.5 / 1.004, scatter=SCATTER, seed=90)
+    pair = compared(unloaded, 0.03)
+    assert zero.count != pair.loaded.count
+    found = read(sliding.learned, LoadedPair(pair.loaded, (zero,), ARM))
+    assert found.moment == pytest.approx(0.03, rel=0.01)

@@ -1,0 +1,51 @@
+"""The path of an arm that swings after each step, and friction along it."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from rigtool.experiments.torque_constant.swings import (
+    friction_state,
+    mean_courses,
+    path,
+    swings_seen,
+)
+
+PARTS = 96
+
+
+def swinging(size: float):
+    """Return courses of one staircase whose arm overshoots each step by `size` of it."""
+    torque = np.array([[0.0, 1.0, 2.0, 1.0, 0.0]])
+    time = (np.arange(PARTS) + 0.5) / PARTS
+    swing = size * np.exp(-12 * time) * -np.cos(2 * np.pi * 6 * time)
+    step = np.diff(torque, axis=1, prepend=0.0)
+    course = torque[:, :, None] + step[:, :, None] * swing
+    return mean_courses(torque, torque, course, np.ones(torque.shape))
+
+
+def test_the_path_leads_from_plateau_to_plateau_by_its_turns():
+    courses = swinging(0.8)
+    swings = path(courses, 1e-6)
+    assert swings_seen(courses)
+    assert_allclose(np.sum(swings, axis=0)[0, 1:], np.diff(courses.torque[0]), atol=1e-12)
+    # The first turn of exp(-12 t) cos(12 pi t) is half a period after the step.
+    course = courses.course[0, 1]
+    assert_allclose(swings[0, 0, 1], course.max(), rtol=1e-9)
+    assert_allclose(swings[0, 0, 1] + swings[1, 0, 1], course[course.argmax() :].min(), rtol=1e-9)
+
+
+def test_an_arm_that_does_not_swing_goes_straight():
+    courses = swinging(0.0)
+    assert not swings_seen(courses)
+    assert_allclose(np.abs(path(courses, 1e-6)).sum(axis=0)[0, 1:], 1.0, rtol=1e-9)
+
+
+def test_friction_follows_each_swing():
+    # Dahl's law along one swing up by x and one down by y has this closed form.
+    x, y, s = 1.3, 0.4, 0.7
+    swings = np.zeros((2, 1, 2))
+    swings[:, 0, 1] = x, -y
+    a, b = friction_state(swings, s)
+    up = 1 - np.exp(-x / s)
+    assert_allclose(a[0, 1], -1 + (up + 1) * np.exp(-y / s), rtol=1e-12)
+    assert_allclose(b[0, 1], np.exp(-(x + y) / s), rtol=1e-12)

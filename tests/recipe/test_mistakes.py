@@ -1,0 +1,67 @@
+"""Mistakes in a recipe: what is expected, in words of its own, with what was meant."""
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigtool.errors import RecipeError
+from rigtool.recipe import parse_recipe
+
+TEXT = (Path(__file__).parents[2] / "recipes" / "briaire-2006.toml").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("rig.arm=3", "rig.arm: must be a table of keys, got 3"),
+        ("calibrate_kt.rotor_postions=3", "did you mean rotor_positions?"),
+        ("calibrate_kt.nothing_like_it=3", "remove it or correct its spelling"),
+        ('virtual.contact=[{kind="pulze",at=[0]}]', "has the 'kind' 'pulze', must be one of"),
+        ("virtual.contact=[{at=[0]}]", "needs a key 'kind'"),
+        ('virtual.contact=[{kind="pulse",at=[0],forse=[1,2]}]', "did you mean force?"),
+        ("rig.sample_time=-1", "must be above 0, got -1"),
+        ("rig.encoder_counts=4.5", "must be a whole number, got 4.5"),
+        ("rig.attachment=pully", "must be 'pulley' or 'instrument', got 'pully'"),
+        ("stribeck.hold_speeds=[1]", "needs 3 values at least, got [1]"),
+        ("measure_force.zero=maybe", "must be true or false, got 'maybe'"),
+        ("rig.name=3", "must be a text, got 3"),
+    ],
+)
+def test_what_is_expected_is_said_in_words_of_the_recipe(override, message):
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(TEXT, "r.toml", [override])
+    assert message in str(caught.value)
+    assert "Input should" not in str(caught.value)
+
+
+def test_a_long_value_is_cut():
+    with pytest.raises(RecipeError) as caught:
+        parse_recipe(TEXT, "r.toml", [f"rig.encoder_counts={'x' * 5000}"])
+    assert len(str(caught.value)) < 300
+
+
+@given(
+    st.sampled_from(["rig.sample_time", "stribeck", "rig.arm.length", "virtual.motor", "rig.name"]),
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text("ab{}%", max_size=5),
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("ab"), inner),
+        max_leaves=5,
+    ),
+)
+def test_any_value_gives_a_recipe_or_a_message(key, value):
+    from rigtool.recipe.load import Recipe, parse_toml, validate
+
+    data = parse_toml(TEXT, "r.toml")
+    *tables, last = key.split(".")
+    target = data
+    for table in tables:
+        target = target[table]
+    target[last] = value
+    found = None
+    try:
+        validate(Recipe, data, TEXT, "r.toml", "recipe")
+    except RecipeError as error:
+        found = str(error)
+    assert found is None or "Input should" not in found

@@ -1,0 +1,258 @@
+"""README.md and the pages for beginners: every command line runs as written, in its order.
+
+The lines go through a shell, which expands them; a stand-in for `rigtool` notes what it was called
+with. rigtool then runs each call, with settings of `make fixtures` added where it measures, so that
+minutes become seconds.
+"""
+
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from glob import glob
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rigtool
+from rigtool.cli import main
+from tests.fixtures.make import SHORT
+
+ROOT = Path(__file__).parents[1]
+BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+LOADS = (
+    "ilc_learn.speeds_rev_per_s=[2]",
+    "ilc_learn.low_speeds_rev_per_s=[]",
+    "ilc_learn.moves=3",
+    "ilc_learn.loads.forces=[0.5, 3]",
+    "ilc_learn.loads.speeds_rev_per_s=[1, 2]",
+    "ilc_learn.loads.cycles=6",
+)
+SHORTER = {
+    "calibrate-kt": SHORT["kt"],
+    "stribeck": SHORT["friction"],
+    "fft-ripple": SHORT["ripple"],
+    "identify-plant": SHORT["plant"][1:],
+    "ilc-learn": SHORT["tables"],
+    "ilc-learn --implementation A": SHORT["turning"][:-1],
+    "ilc-learn --implementation B": SHORT["turning"][:-1],
+    "ilc-learn --implementation D": LOADS,
+    "measure-force": SHORT["force"],
+    "measure-force --correction full": SHORT["force"],
+}
+"""Settings by command, with the option that decides what it measures."""
+
+CALLED = """#!{python}
+import json, sys
+with open({log!r}, "a") as log:
+    log.write(json.dumps(sys.argv[1:]) + "\\n")
+"""
+
+
+def blocks(page):
+    return BLOCK.findall((ROOT / page).read_text(encoding="utf-8"))
+
+
+def section(page, heading):
+    """Return the blocks under one heading of a page."""
+    text = (ROOT / page).read_text(encoding="utf-8").partition(f"\n## {heading}\n")[2]
+    assert text, f"{page} has no section {heading!r}"
+    return BLOCK.findall(text.partition("\n## ")[0])
+
+
+def calls(lines, folder):
+    """Run lines in a shell; return the arguments of each call of rigtool."""
+    programs, log = folder / "programs", folder / "calls"
+    programs.mkdir()
+    log.touch()
+    (programs / "rigtool").write_text(CALLED.format(python=sys.executable, log=str(log)))
+    (programs / "rigtool").chmod(0o755)
+    path = f"{programs}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-euc", lines],
+        cwd=folder,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", ""), lines
+    return [json.loads(line) for line in log.read_text().splitlines()]
+
+
+def run(arguments, capsys):
+    """Call rigtool as the line does; return exit code and output."""
+    name, *words = [found for word in arguments for found in (sorted(glob(word)) or [word])]
+    measures = any(word.endswith(".toml") for word in words[:1])
+    chosen = [key for key in SHORTER if set(key.split()) <= set(arguments)] if measures else []
+    settings = SHORTER[max(chosen, key=len)] if chosen else ()
+    if "--record" in words:
+        words[words.index("--record") + 1] = "3"
+        settings = ()
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as caught:
+            main([name, *words, *(part for one in settings for part in ("--set", one))])
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    found = capsys.readouterr()
+    assert caught.value.code == 0, (arguments, found.err)
+    return found
+
+
+def run_all(lines, folder, capsys):
+    """Run every line; return the output by what was typed after `rigtool`."""
+    return {" ".join(one): run(one, capsys) for one in calls(lines, folder)}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    shutil.copytree(ROOT / "recipes", tmp_path / "recipes")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_chain_of_the_readme_runs(folder, capsys):
+    chain = blocks("README.md")[1]
+    printed = run_all(chain, folder, capsys)
+    assert len(printed) == 8
+    assert (folder / "build" / "report" / "index.html").is_file()
+    text = printed["report build/*.h5 -o build/report"].out
+    assert "Table 8" in text
+    assert "Table 9" in text
+
+
+def test_what_the_readme_learns_and_corrects_beyond_the_chain_runs(folder, capsys):
+    chain, *others = blocks("README.md")[1:]
+    (folder / "build").mkdir()
+    for name in ("kt", "friction"):
+        shutil.copy(ROOT / "tests" / "fixtures" / f"{name}.h5", folder / "build")
+    lines = "\n".join([chain.splitlines()[0], *others])
+    assert len(run_all(lines, folder, capsys)) == 5
+
+
+def test_every_target_of_make_in_the_readme_exists():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    targets = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)[0]
+    named = set(re.findall(r"`?make ([a-z-]+)", text))
+    assert len(named) >= 6
+    assert named <= set(targets.split())
+
+
+def test_the_exit_codes_of_the_readme_are_those_of_the_help(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = shown.partition("Exit codes: ")[2].partition("Options:")[0]
+    assert re.findall(r"^\| (\d+) \|", text, re.MULTILINE) == re.findall(r"(\d+) [a-z]", shown)
+
+
+def test_the_start_page_runs(folder, capsys):
+    lines = "\n".join(
+        block
+        for name in ("Measure", "Change something")
+        for block in section("docs/start.md", name)
+    )
+    printed = run_all(lines, folder, capsys)
+    assert len(printed) == 10
+    assert "torque_constant " in printed["calibrate-kt rig.toml -o kt.h5"].out
+    assert json.loads(printed["info kt.h5 --json"].out)
+    assert printed["diff kt.h5 again.h5"].err == "no difference\n"
+    assert (folder / "report" / "index.html").is_file()
+
+
+def test_the_start_page_analyses_a_table_of_numbers(folder, capsys):
+    (folder / "recorded").mkdir()
+    random, time = np.random.default_rng(1), np.arange(0, 4000, 10.0)
+    for rpm in (-400, -200, -100, 100, 200, 400):
+        current = (2e-3 * np.sign(rpm) + 5e-5 * rpm * np.pi / 30) / 0.0458
+        rows = (time, np.full(len(time), rpm), current + random.normal(0, 2e-4, len(time)))
+        np.savetxt(
+            folder / "recorded" / f"at{rpm}.csv",
+            np.column_stack(rows),
+            delimiter=",",
+            header="t,n,i",
+            comments="",
+        )
+    (lines,) = section("docs/start.md", "Analyse your own data")
+    printed = run_all(lines, folder, capsys)
+    assert len(printed) == 3
+    with rigtool.open(folder / "friction.h5") as friction:
+        coulomb = friction.results["coulomb_friction"]
+        assert coulomb.value == pytest.approx(2e-3, abs=3 * coulomb.u)
+        assert coulomb.u < 1e-4
+    assert (folder / "report-friction" / "index.html").is_file()
+
+
+@pytest.mark.real_time
+def test_the_start_page_installs(tmp_path):
+    checkout = tmp_path / "checkout"
+    for name in ("rigtool", "recipes", "README.md", "LICENSE", "pyproject.toml", "setup.py"):
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+        checkout.mkdir(exist_ok=True)
+        copy(ROOT / name, checkout / name)
+    (lines,) = section("docs/start.md", "Install")
+    # Dependencies and setuptools are those of the tests: nothing is downloaded.
+    lines = lines.replace("pip install .", "pip install -q --no-deps --no-build-isolation .")
+    assert "--no-deps" in lines
+    site = Path(np.__file__).parents[1]
+    done = subprocess.run(
+        ["bash", "-euc", f"PATH={Path(sys.executable).parent}:$PATH\n{lines}command -v rigtool"],
+        cwd=checkout,
+        env={**os.environ, "PYTHONPATH": str(site), "PIP_DISABLE_PIP_VERSION_CHECK": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    version, program = done.stdout.splitlines()[-2:]
+    assert rigtool.__version__ in version
+    assert program == str(checkout / ".venv" / "bin" / "rigtool")
+
+
+@pytest.mark.real_time
+def test_the_session_without_hardware_runs(folder):
+    """The emulator in one shell, the lines in another; consent is typed at a terminal."""
+    emulator, lines = section("docs/bench.md", "A first session without hardware")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    assert "7077" in emulator
+    assert "7077" in lines
+    environment = {
+        **os.environ,
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+    }
+    master, terminal = os.openpty()
+    server = subprocess.Popen(
+        ["bash", "-euc", f"exec {emulator.replace('7077', port)}"],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert server.stdout.readline() == f"socket://127.0.0.1:{port}\n"
+        os.write(master, b"y\n")
+        done = subprocess.run(
+            ["bash", "-euc", lines.replace("7077", port)],
+            cwd=folder,
+            env=environment,
+            stdin=terminal,
+            capture_output=True,
+            text=True,
+        )
+    finally:
+        server.terminate()
+        server.wait()
+        server.stdout.close()
+        os.close(master)
+        os.close(terminal)
+    assert done.returncode == 0, done.stderr
+    assert "target: rigtool target emulator" in done.stdout
+    assert done.stderr.endswith("no difference\n")
