@@ -102,7 +102,7 @@ def trial(torque: Array, deviation: Array, states: States, step_time: float) -> 
     motion[states == State.STILL] = Motion.STILL
     motion[_lately(states == State.OUTSIDE, window)] = -1
     motion[: round(SETTLING / step_time)] = -1
-    level: Single = np.asarray(smooth / deviation, dtype=np.float32)
+    level: Single = np.divide(smooth, deviation, dtype=np.float32)
     return Trial(smooth, jump, level, motion, step_time)
 
 

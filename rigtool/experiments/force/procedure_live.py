@@ -98,8 +98,8 @@ class LiveForce:
         self._steps += count
         chosen = number % self._every == 0
         states = sensed.states[chosen]
-        u = sensed.estimate.deviation[chosen] * self._factors[states]
-        torque = np.where(states == State.OUTSIDE, np.nan, sensed.estimate.passed[chosen])
+        u = sensed.deviation[chosen] * self._factors[states]
+        torque = np.where(states == State.OUTSIDE, np.nan, sensed.torque[chosen])
         u = np.where(states == State.OUTSIDE, np.nan, u)
         half = COVERAGE_FACTOR * u
         time = self._began + step_time * (number[chosen] + 1.0)
