@@ -19,18 +19,18 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import serial
-from rigtool.rigs.operator import Operator
 
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.rigs import Task, open_rig
 from rigtool.rigs.motion import SpeedProfile
+from rigtool.rigs.operator import Operator
 
 ROOT = Path(__file__).parents[1]
 RECIPE = ROOT / "recipes" / "briaire-2006.toml"
 RIGTOOL = str(Path(sys.executable).with_name("rigtool"))
 FOUR = "position_setpoint,encoder,current_setpoint,current"
 SHORT, WHOLE = 15.0, 600.0
-"""Times of streaming, s: by `make bench`, by default."""
+"""Times of streaming, s: by `make bench`, and by default."""
 
 FRAME = 64
 """Samples of a frame, as the emulator sends them, for the plain stream."""
