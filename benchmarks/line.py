@@ -19,18 +19,18 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import serial
-from rigtool.rigs.bench import Bench, Operator
 
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.rigs import Task, open_rig
 from rigtool.rigs.motion import SpeedProfile
+from rigtool.rigs.operator import Operator
 
 ROOT = Path(__file__).parents[1]
 RECIPE = ROOT / "recipes" / "briaire-2006.toml"
 RIGTOOL = str(Path(sys.executable).with_name("rigtool"))
 FOUR = "position_setpoint,encoder,current_setpoint,current"
 SHORT, WHOLE = 15.0, 600.0
-"""Times of streaming, s: by `make bench`, and where nothing else is said."""
+"""Times of streaming, s: by `make bench`, and by default."""
 
 FRAME = 64
 """Samples of a frame, as the emulator sends them, for the plain stream."""
@@ -84,8 +84,8 @@ def recipe(port: str, log: str) -> Recipe:
 def run(port: str, log: str, seconds: float) -> tuple[int, float, float, dict[str, float]]:
     """Return samples, time on the wall and of the processor, s, and the report of the line."""
     task = Task(SpeedProfile((0.0, 1.0, seconds - 1.0, seconds), (0.0, 3.0, 3.0, 0.0)))
-    bench = Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
-    with open_rig(recipe(port, log), 0.0454, "bench", bench) as rig:
+    operator = Operator(say=lambda text: None, present=False, yes=True)
+    with open_rig(recipe(port, log), 0.0454, "bench", operator) as rig:
         blocks = rig.perform(task)
         samples = 0
         wall, processor = time.perf_counter(), time.process_time()
@@ -110,8 +110,8 @@ def streaming(seconds: float, *options: str) -> dict[str, float]:
 def download(seconds: float = 60.0) -> float:
     """Return the rate at which a log comes out of a target's memory, MB/s."""
     with emulator() as port:
-        bench = Bench(yes=True, operator=Operator(say=lambda text: None, present=False))
-        with open_rig(recipe(port, "memory"), 0.0454, "bench", bench) as rig:
+        operator = Operator(say=lambda text: None, present=False, yes=True)
+        with open_rig(recipe(port, "memory"), 0.0454, "bench", operator) as rig:
             blocks = rig.perform(
                 Task(SpeedProfile((0.0, 1.0, seconds - 1.0, seconds), (0.0, 3.0, 3.0, 0.0)))
             )

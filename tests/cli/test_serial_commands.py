@@ -16,7 +16,7 @@ from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
-from rigtool.rigs.serial.target.link import State
+from rigtool.rigs.serial.target.link import TargetState
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
 from tests.rigs.serial.recipes import RECIPE, overrides
@@ -184,14 +184,14 @@ def test_however_it_ends_the_motor_is_off_and_signals_are_kept(tmp_path, capsys,
             [str(part) for part in line], stderr=subprocess.PIPE, text=True, cwd=tmp_path
         ) as process:
             try:
-                wait_until(lambda: emulated.state is State.RUNNING)
+                wait_until(lambda: emulated.state is TargetState.RUNNING)
                 # a kill leaves whole chunks only
                 time.sleep(2.2 if number == signal.SIGKILL else 0.8)
                 os.kill(process.pid, number)
                 err = process.communicate(timeout=60)[1]
             finally:
                 process.kill()
-        wait_until(lambda: emulated.state in (State.OFF, State.TRIPPED))
+        wait_until(lambda: emulated.state in (TargetState.OFF, TargetState.TRIPPED))
         if number == signal.SIGKILL:
             assert "watchdog" in emulated.text
         else:

@@ -16,7 +16,7 @@ from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.line import LineLost
 from rigtool.rigs.serial.target import protocol
-from rigtool.rigs.serial.target.link import State
+from rigtool.rigs.serial.target.link import TargetState
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver import KT, assert_same, blocks_of, target_rig, virtual
 
@@ -56,7 +56,7 @@ def test_run_is_complete_and_correct_after_retries(name, log, expected):
         facts = json.loads(rig.report())
     assert facts["retries"] > 0
     assert facts["missing_samples"] == 0
-    assert device.state is State.OFF
+    assert device.state is TargetState.OFF
     assert server.error is None
 
 
@@ -77,7 +77,7 @@ def test_reset_in_the_middle_is_noticed(log):
     error = failing(device, Fault("reset", at=30), log=log)
     assert "reset" in str(error)
     assert "lost" in str(error)
-    assert device.state is State.OFF
+    assert device.state is TargetState.OFF
 
 
 @pytest.mark.parametrize("log", ["memory", "stream"])
@@ -116,7 +116,7 @@ def test_drive_that_refuses_says_why():
     device = TargetEmulator(virtual())
     error = failing(device, Fault("refuse", at=12))
     assert "undervoltage" in str(error)
-    assert device.state is State.OFF
+    assert device.state is TargetState.OFF
 
 
 def test_line_that_damages_everything_is_given_up(monkeypatch):
@@ -132,9 +132,9 @@ def test_silent_host_stops_the_motor():
         rig = target_rig(server.port, "serial.watchdog=0.2", "serial.log=stream").__enter__()
         running = rig.perform(motion)
         assert len(next(running)["time"]) == 4000
-        assert device.state is State.RUNNING
+        assert device.state is TargetState.RUNNING
         rig.line.close()  # as if the program had been killed
-        wait_until(lambda: device.state is State.TRIPPED)
+        wait_until(lambda: device.state is TargetState.TRIPPED)
         assert "watchdog" in device.text
         with pytest.raises(LineLost):
             list(running)
@@ -152,7 +152,7 @@ def test_limit_that_is_passed_while_running_trips_and_keeps_the_log():
         with pytest.raises(HardwareError, match=r"speed reached .* limit of 20 rad/s"):
             got.extend(rig.perform(task))
         assert sum(len(block["time"]) for block in got) > 50
-    assert device.state in (State.OFF, State.TRIPPED)
+    assert device.state in (TargetState.OFF, TargetState.TRIPPED)
 
 
 def test_motion_beyond_the_limits_is_never_sent():
@@ -162,7 +162,7 @@ def test_motion_beyond_the_limits_is_never_sent():
             blocks_of(rig, MOTION)
         with pytest.raises(RecipeError, match="would last 1e"):
             rig.move_by(2e5)
-        assert device.state is State.OFF
+        assert device.state is TargetState.OFF
 
 
 def test_samples_that_are_gone_are_nan_and_counted(expected):
