@@ -110,7 +110,7 @@ def test_a_refusal_in_the_middle_brings_the_old_table_back(tables, kt):
         pytest.raises(HardwareError, match="refuses 'conf set") as caught,
     ):
         run_deploy(server.port, tables, kt)
-    assert "the table that was there is back" in caught.value.__notes__
+    assert "the old table is restored" in caught.value.__notes__
     assert device.config == device.stored == before
     assert "motor.cogging_dq_scale 0" in device.log  # it was off meanwhile
 
@@ -139,7 +139,7 @@ def test_ctrl_c_in_the_middle_brings_the_old_table_back(tables, kt, monkeypatch)
     monkeypatch.setattr(Link, "set", interrupted)
     with serve(device) as server, pytest.raises(KeyboardInterrupt) as caught:
         run_deploy(server.port, tables, kt)
-    assert caught.value.__notes__ == ["the table that was there is back"]
+    assert caught.value.__notes__ == ["the old table is restored"]
     assert device.config == device.stored == before
 
 
