@@ -29,12 +29,17 @@ BAND = 10.0
 SECTIONS = butter(2, BAND, fs=1 / (STEP * PLANT.sample_time), output="sos")
 
 
-def simulated(seconds, seed=1):
-    """Move the plant by a controller to and fro with rests, while a torque comes and goes."""
+def pulses(time):
+    """Return a torque that comes and goes, N m."""
+    return 0.03 * np.clip(np.minimum((time % 3.1 - 1) / 0.05, (2.2 - time % 3.1) / 0.05), 0, 1)
+
+
+def simulated(seconds, seed=1, acting=pulses):
+    """Move the plant by a controller to and fro with rests, while a torque acts."""
     rng = np.random.default_rng(seed)
     count, dt = round(seconds / PLANT.sample_time), PLANT.sample_time
     time = np.arange(count) * dt
-    torque = 0.03 * np.clip(np.minimum((time % 3.1 - 1) / 0.05, (2.2 - time % 3.1) / 0.05), 0, 1)
+    torque = acting(time)
     pace = np.where(time % 4 < 3, 1.0, 0.0)
     wanted = 0.8 * np.sin(2.0 * np.cumsum(pace) * dt)
     x, record = np.zeros(STATES), as_record(PLANT)[0]
@@ -93,6 +98,20 @@ def test_torque_is_found_and_its_uncertainty_holds(recording):
     angle = causal.states[used, ANGLE]
     inside = signals.low[STEP::STEP][: len(truth)][used]
     assert np.mean((angle > inside - 0.2 * WIDTH) & (angle < inside + 1.2 * WIDTH)) > 0.999
+
+
+def test_the_amplitude_of_a_sine_at_the_bandwidth_is_right():
+    signals, truth, _ = simulated(8.0, acting=lambda t: 0.02 + 0.01 * np.sin(2 * np.pi * BAND * t))
+    causal = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
+    torque, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    step_time = STEP * PLANT.sample_time
+    sections = butter(2, BAND, fs=1 / step_time, output="sos")
+    used = slice(1000, 7000)  # whole periods, after the start
+    wave = np.exp(-2j * np.pi * BAND * step_time * np.arange(len(truth)))[used]
+    for found, true in ((causal.passed, sosfilt(sections, truth)), (torque, truth)):
+        gain = np.mean(found[used] * wave) / np.mean(true[used] * wave)
+        assert abs(gain) == pytest.approx(1.0, abs=0.05)
+        assert abs(np.angle(gain, deg=True)) < 5.0
 
 
 def test_smoothing_is_better_and_does_not_depend_on_its_pieces(recording, monkeypatch):

@@ -112,7 +112,10 @@ class KnownLoads(LimitedAngle):
             load = Load(force=spec.conditions["force"][0])
             task = Task(motion, plain, load, record_every=spec.record_every)
             record(rig, task, recorder, spec.name)
+        low = rig.position
         for number, spec in enumerate(_explored(recipe)):
+            if number:
+                rig.move_by(low - rig.position)
             load = Load(force=spec.conditions["force"][0])
             record(rig, Task(exploring(recipe, number), plain, load), recorder, spec.name)
 
