@@ -126,7 +126,7 @@ def test_streamed_samples_are_handed_on_at_once_and_recorded_as_they_were():
         assert rig.streams
         rig.watcher = watch
         got = blocks_of(rig, Task(SpeedProfile((0.0, 0.5, 2.0), (0.0, 3.0, 3.0))))
-    assert max(late) < 20e-3  # of emulated time, at 8 kHz
+    assert max(late) < 12e-3  # of emulated time; what takes 8 ms together stays within 20 ms
     for name, values in got.items():
         np.testing.assert_array_equal(np.concatenate([block[name] for block in seen]), values)
 
