@@ -89,6 +89,9 @@ enum {
     RS_ORDER = 2 /* of the low-pass */
 };
 
+/* Of the ripple that a power-up draws: waves, and the states of what learns it, torque first. */
+enum { RS_WAVES = 12, RS_PARTS = RS_WAVES + 1 };
+
 /* Columns of the rotor's map. */
 enum { RS_COGGING, RS_RIPPLE, RS_GAIN, RS_SQUARE, RS_VISCOUS, RS_COLUMNS };
 
@@ -111,6 +114,9 @@ struct rs_model {
     rs_real torque_start, bristle_start, speed_start;
     rs_real quiet_walk, slow_walk, step_walk, walk[RS_MOVING];
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
+    /* ripple of another power-up: experiments/force/power_up.py has the equations */
+    rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES];
+    rs_real row_noise, row_walk, row_reversal, row_contact, row_gate, row_certain;
     /* states */
     rs_real sliding, speed_limit, torque_limit, current_limit, cold, warm;
     int32_t lowest, highest; /* counts */
@@ -136,6 +142,11 @@ struct rigtool_sensor {
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
     int begun, samples;
+    /* ripple of this power-up, covariance U diag(d) U' again; the row that is filled, torque first */
+    rs_real waves[RS_WAVES], row[RS_PARTS], ripples[RS_PARTS];
+    rs_real ripple_u[RS_PARTS][RS_PARTS], ripple_d[RS_PARTS], ripple_q[RS_ORDER];
+    rs_real plain, plain_variance, other; /* without it; logarithm of the likelihoods' ratio */
+    int row_steps, row_slid;
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
@@ -657,6 +668,132 @@ static inline void rs_update(struct rigtool_sensor *s)
         s->slow_left = RS_BUSY_STEPS;
 }
 
+/* -- ripple that the amplifier draws at a power-up --------------------------------------------- */
+
+/* Waves of the rotor's angle, lagging: cosine and sine of each order. */
+static inline void rs_wave(struct rigtool_sensor *s)
+{
+    int32_t within = s->encoder % rs_model.turn;
+    rs_real angle = ((rs_real)within + (rs_real)0.5) * (RS_TURN / (rs_real)rs_model.turn);
+    const rs_real cosine = RS_MATH(cos)(angle), sine = RS_MATH(sin)(angle);
+    rs_real c = 1, z = 0;
+    int j;
+    for (j = 0; j < RS_WAVES; j += 2) {
+        const rs_real before = c;
+        c = c * cosine - z * sine;
+        z = z * cosine + before * sine;
+        s->waves[j] += (1 - rs_model.wave_kept) * (c - s->waves[j]);
+        s->waves[j + 1] += (1 - rs_model.wave_kept) * (z - s->waves[j + 1]);
+    }
+}
+
+/* Take in a row that slides, under both hypotheses. */
+static inline void rs_take(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real noise = m->row_noise;
+    rs_real error = s->row[0] - s->ripples[0], plain = s->row[0] - s->plain, own, variance, sum;
+    rs_real by[RS_PARTS], part[RS_PARTS], column[RS_PARTS];
+    int attempt, i, j;
+    for (j = 1; j < RS_PARTS; j++)
+        error -= s->row[j] * s->ripples[j];
+    s->row[0] = 1;
+    for (attempt = 0; ; attempt++) {
+        variance = noise;
+        own = s->plain_variance + noise;
+        for (j = 0; j < RS_PARTS; j++) {
+            by[j] = s->row[j];
+            for (i = 0; i < j; i++)
+                by[j] += s->ripple_u[i][j] * s->row[i];
+            part[j] = s->ripple_d[j] * by[j];
+            variance += part[j] * by[j];
+        }
+        if (attempt || error * error < m->row_gate * variance || plain * plain < m->row_gate * own)
+            break;
+        s->ripple_d[0] += m->row_contact;
+        s->plain_variance += m->row_contact;
+    }
+    s->other += (rs_real)0.5 * (plain * plain / own - error * error / variance
+                                + RS_MATH(log)(own / variance));
+    if (s->other > m->row_certain)
+        s->other = m->row_certain;
+    if (s->other < -m->row_certain)
+        s->other = -m->row_certain;
+    sum = noise;
+    for (j = 0; j < RS_PARTS; j++) {
+        const rs_real gain = -by[j] / sum, whole = sum + part[j] * by[j];
+        for (i = 0; i < j; i++) {
+            const rs_real old = s->ripple_u[i][j];
+            s->ripple_u[i][j] = old + gain * column[i];
+            column[i] += old * part[j];
+        }
+        column[j] = part[j];
+        s->ripple_d[j] *= sum / whole;
+        sum = whole;
+    }
+    for (j = 0; j < RS_PARTS; j++)
+        s->ripples[j] += column[j] * (error / variance);
+    s->plain += s->plain_variance / own * plain;
+    s->plain_variance *= noise / own;
+}
+
+/* Add a step to the row; a whole row is taken in where all of it slides. */
+static inline void rs_row(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real share = (rs_real)1 / RS_ROW_STEPS;
+    const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
+    rs_real walk = m->row_walk;
+    int j;
+    s->row[0] += s->x[RS_TORQUE] * share;
+    for (j = 0; j < RS_WAVES; j++)
+        s->row[j + 1] += m->torque_factor * s->waves[j] * share;
+    s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
+    if (++s->row_steps < RS_ROW_STEPS)
+        return;
+    if (s->row_slid < RS_ROW_STEPS)
+        walk += m->row_reversal; /* friction may be off by a stroke's own */
+    s->ripple_d[0] += walk;
+    s->plain_variance += walk;
+    if (s->row_slid == RS_ROW_STEPS)
+        rs_take(s);
+    for (j = 0; j < RS_PARTS; j++)
+        s->row[j] = 0;
+    s->row_steps = s->row_slid = 0;
+}
+
+/* What ripple adds to the torque behind the low-pass; *variance receives its variance. */
+static inline rs_real rs_rippled(struct rigtool_sensor *s, rs_real *variance)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real *c = m->low_pass[RS_ORDER];
+    rs_real power, weight, mean = 0, spread, ripple, q[RS_ORDER];
+    int i, j;
+    rs_wave(s);
+    rs_row(s);
+    power = rs_exp(-RS_MATH(fabs)(s->other));
+    weight = (s->other < 0 ? power : (rs_real)1) / (1 + power);
+    spread = rs_square(m->wave_gain * s->x[RS_TORQUE]);
+    for (j = 0; j < RS_WAVES; j++) {
+        rs_real by = s->waves[j];
+        for (i = 0; i < j; i++)
+            by += s->ripple_u[i + 1][j + 1] * s->waves[i];
+        spread += rs_square(m->torque_factor * by) * s->ripple_d[j + 1];
+        mean += m->torque_factor * s->waves[j] * s->ripples[j + 1];
+    }
+    *variance = weight * (spread + (1 - weight) * mean * mean);
+    ripple = c[RS_ORDER] * weight * mean;
+    for (i = 0; i < RS_ORDER; i++) {
+        ripple += c[i] * s->ripple_q[i];
+        q[i] = m->low_pass[i][RS_ORDER] * weight * mean;
+        for (j = 0; j < RS_ORDER; j++)
+            q[i] += m->low_pass[i][j] * s->ripple_q[j];
+    }
+    for (i = 0; i < RS_ORDER; i++)
+        s->ripple_q[i] = q[i];
+    return ripple;
+}
+
 /* -- states and the reading -------------------------------------------------------------------- */
 
 /* For how many steps the encoder has passed one edge at most, this one included. */
@@ -713,7 +850,7 @@ static inline enum rigtool_sensor_state rs_state(struct rigtool_sensor *s, rs_re
 static inline int rs_read(struct rigtool_sensor *s)
 {
     const rs_real *c = rs_model.low_pass[RS_ORDER], d = c[RS_ORDER];
-    rs_real torque = d * s->x[RS_TORQUE], variance = d * d * rs_variance(s, RS_TORQUE), half;
+    rs_real torque = d * s->x[RS_TORQUE], variance = d * d * rs_variance(s, RS_TORQUE), half, other;
     struct rigtool_sensor_reading *now = &s->reading;
     int i, j;
     for (i = 0; i < RS_ORDER; i++) {
@@ -722,6 +859,8 @@ static inline int rs_read(struct rigtool_sensor *s)
         for (j = 0; j < RS_ORDER; j++)
             variance += c[i] * s->own[i][j] * c[j];
     }
+    torque -= rs_rippled(s, &other);
+    variance = (variance > 0 ? variance : 0) + other;
     if (!isfinite(torque) || !isfinite(variance))
         return 0;
     now->fresh = 1;
@@ -731,7 +870,7 @@ static inline int rs_read(struct rigtool_sensor *s)
         return 1;
     }
     now->torque = torque;
-    now->u = rs_model.factor[now->state] * RS_MATH(sqrt)(variance > 0 ? variance : 0);
+    now->u = rs_model.factor[now->state] * RS_MATH(sqrt)(variance);
     half = rs_model.coverage * now->u;
     now->low = torque - half;
     now->high = torque + half;
@@ -771,6 +910,11 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->d[RS_SINE] = s->d[RS_COSINE] = rs_square(m->stroke);
     s->d[RS_LOAD] = rs_square(m->load_stroke);
     s->direction = 1;
+    for (i = 0; i < RS_PARTS; i++) {
+        s->ripples[i] = i ? m->wave_mean[i - 1] : 0;
+        s->ripple_d[i] = i ? m->wave_variance[i - 1] : m->row_contact;
+    }
+    s->plain_variance = m->row_contact;
     s->still_up = s->still_down = RS_STILL_STEPS;
     rs_ahead(s);
     s->begun = 1;

@@ -15,6 +15,7 @@ from importlib.resources import files
 import numpy as np
 
 from rigtool.experiments.deploy.c_header import comment
+from rigtool.experiments.force import power_up
 from rigtool.experiments.force.sensor import AT_THE_LIMIT, Instrument
 from rigtool.experiments.force_over_time import kalman, motion_states, passed
 from rigtool.experiments.force_over_time.drive import VISCOUS
@@ -61,10 +62,12 @@ def sensor_header(
         "LIMIT_STEPS": _within(motion_states.LIMIT_TIME, grid.step_time),
         "SPEED_STEPS": _within(motion_states.SPEED_TIME, grid.step_time) - 1,
         "BUSY_STEPS": _lasting(model.uncertainty.busy_time, grid.step_time),
+        "ROW_STEPS": power_up.row_steps(grid.step_time),
         "ROTOR_CELLS": len(model.drive.rotor_map) - 1,
         "HOUSING_CELLS": len(plant.friction_map) - 1,
     }
-    numbers = {**_drive(instrument), **_filter(instrument), **_states(instrument)}
+    numbers = {**_drive(instrument), **_filter(instrument), **_ripple(instrument)}
+    numbers |= _states(instrument)
     numbers |= _reading(instrument, factors, coverage_factor)
     for name, value in numbers.items():
         if not isinstance(value, str) and not np.isfinite(value).all():
@@ -153,6 +156,27 @@ def _filter(instrument: Instrument) -> dict[str, Number]:
         "step_threshold": kalman.STEP_THRESHOLD,
         "slow_threshold": kalman.SLOW_THRESHOLD,
         "least_variance": kalman.LEAST_VARIANCE,
+    }
+
+
+def _ripple(instrument: Instrument) -> dict[str, Number]:
+    model, step_time = instrument.model, instrument.grid.step_time
+    own, gain = power_up.learned_ripple(model)
+    amplitude = np.repeat(np.hypot(own[::2], own[1::2]), 2)
+    uncertainty = model.uncertainty
+    size = model.plant(step_time).torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
+    row_time = power_up.row_steps(step_time) * step_time
+    return {
+        "wave_kept": math.exp(-step_time / model.learned.shape.ripple_time),
+        "wave_gain": gain,
+        "wave_mean": -own,
+        "wave_variance": amplitude**2 / 2,
+        "row_noise": (power_up.NOISE * size) ** 2,
+        "row_walk": (power_up.WALK * size) ** 2 * row_time,
+        "row_reversal": (power_up.AFTER_REVERSAL * size) ** 2 * row_time / power_up.ROW_TIME,
+        "row_contact": (power_up.CONTACT * size) ** 2,
+        "row_gate": power_up.GATE**2,
+        "row_certain": power_up.CERTAIN,
     }
 
 

@@ -74,11 +74,12 @@ class PowerUp:
     """
 
     def __init__(self, model: ForceModel, step_time: float, bandwidth_hz: float) -> None:
-        own, gain = _learned(model)  # ripple that grows with the current is in the variance alone
+        # ripple that grows with the current is in the variance alone
+        own, gain = learned_ripple(model)
         amplitude = np.repeat(np.hypot(own[::2], own[1::2]), 2)
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
         factor = model.plant(step_time).torque_factor
-        steps = max(1, round(ROW_TIME / step_time))
+        steps = row_steps(step_time)
         lag = 1 - math.exp(-step_time / model.learned.shape.ripple_time)
         self._parameters = np.array(
             [(lag, factor, gain, steps, steps * step_time, factor * size)], dtype=PARAMETERS
@@ -123,7 +124,12 @@ class PowerUp:
         return found[:, 0], found[:, 1]
 
 
-def _learned(model: ForceModel) -> tuple[Array, float]:
+def row_steps(step_time: float) -> int:
+    """Return the steps of a row."""
+    return max(1, round(ROW_TIME / step_time))
+
+
+def learned_ripple(model: ForceModel) -> tuple[Array, float]:
     """Return the ripple of the learned power-up, cosine and sine of each order N m, as it is at
     low speed, and its root mean square per torque."""
     own, gain = np.zeros(2 * len(RIPPLE_ORDERS)), 0.0

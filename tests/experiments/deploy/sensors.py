@@ -5,12 +5,15 @@ import math
 import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 
 from rigtool.experiments.force.sensor import Instrument, Sensor
 from rigtool.experiments.force_over_time.drive import Drive
 from rigtool.experiments.force_over_time.kalman import Uncertainty
+from rigtool.experiments.force_over_time.model import Kind, Term
 from rigtool.experiments.force_over_time.motion_states import Reach
 from rigtool.experiments.force_over_time.plant import (
     ANGLE,
@@ -45,6 +48,13 @@ ROTOR = np.stack(
 
 
 DRIVE = Drive(ROTOR, 0.05, 2e-3)
+RIPPLE = {1: 5e-4, 2: 3e-4, 3: 1e-4, 6: 2e-4}
+LEARNED = SimpleNamespace(
+    terms=[Term(Kind.RIPPLE, 1e-3, order, order % 2) for order in RIPPLE],
+    coefficient=np.array(list(RIPPLE.values())),
+    shape=SimpleNamespace(ripple_time=0.05),
+)
+"""Of the terms, those of the ripple that a power-up draws."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +62,7 @@ class Model:
     """What a sensor takes of a learned model."""
 
     drive: Drive = DRIVE
+    learned: ClassVar = LEARNED
     uncertainty: Uncertainty = UNCERTAINTY
 
     def plant(self, sample_time: float) -> Plant:
@@ -132,7 +143,7 @@ class CSensor:
 def expected(own, samples, factors):
     """Return what the sensor in Python reads, as `CSensor.add` does."""
     found = Sensor(own, context=False).add(samples)
-    torque, u = found.estimate.passed, found.estimate.deviation * factors[found.states]
+    torque, u = found.torque, found.deviation * factors[found.states]
     readings = np.stack([torque, u, torque - 1.96 * u, torque + 1.96 * u, found.states], axis=1)
     readings[found.states == 0, :4] = np.nan
     return readings
