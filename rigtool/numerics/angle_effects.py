@@ -28,11 +28,17 @@ EXCESS = np.geomspace(1.0, 300.0, 14)
 EXCESS_POWER = 1.0
 """The prior of a factor falls with this power of it, beside being even in its logarithm."""
 
+FEWEST_DOF = 3.0
+"""Fewest degrees of freedom that are stated: with fewer, a standard deviation does not exist."""
+
 ONE_SIGMA = 0.6827
 """Probability within one standard deviation of a normal distribution."""
 
-DRAWS = 1000
-"""Draws from the posterior for the deviation over a turn."""
+REACH = 5.0
+"""Largest standard deviation of an order that is considered, in units of the scatter."""
+
+NEGLIGIBLE = 1e-4
+"""Probability below which a hypothesis adds nothing to the effect."""
 
 AMPLITUDES = 24
 """Number of standard deviations of an order that are considered."""
@@ -43,17 +49,19 @@ class AngleEffects:
     """Parameters (p,), their covariance (p, p) and degrees of freedom; of the angle's effect.
 
     An interval is the standard uncertainty times the quantile of Student's t: both match the
-    posterior distribution at 68 % and 95 % for the first parameter. `effect` (n,) is what the angle
-    adds to each value, without h; `deviation` the standard deviation of the effect over a turn, and
-    `deviation_u` its standard uncertainty.
+    posterior distribution at 68 % and 95 %. `effect` (n,) is what the angle adds to each value,
+    without h; `deviation` the standard deviation of the effect over a turn, `deviation_u` its
+    standard uncertainty with `deviation_dof`; `amplitudes` (2 K,) are c_k and s_k in sequence.
     """
 
     parameters: Array
     covariance: Array
-    dof: float
+    dof: Array
     effect: Array
     deviation: float
     deviation_u: float
+    deviation_dof: float
+    amplitudes: Array
 
 
 def fit_angle_effects(
@@ -75,7 +83,7 @@ def fit_angle_effects(
     # Amplitudes of interest are near the scatter that X leaves.
     rest = value - design @ np.linalg.lstsq(x, y, rcond=None)[0]
     spread = max(float(np.sqrt(np.mean(rest**2))), float(np.min(u)))
-    amplitude = spread * np.geomspace(1 / 30, 10, AMPLITUDES)
+    amplitude = spread * np.geomspace(1 / 30, REACH, AMPLITUDES)
     parts = [_given(x, y, z[:, : 2 * order], amplitude) for order in highest]
     weight = np.concatenate([part[0] for part in parts])
     mean = np.concatenate([part[1] for part in parts])
@@ -85,9 +93,19 @@ def fit_angle_effects(
     parameters = probable @ mean
     off = mean - parameters
     covariance = np.einsum("h,hij->ij", probable, within + off[:, :, None] * off[:, None, :])
-    covariance, dof = _as_student(covariance, probable, off, within)
-    effect, deviation, deviation_u = _effect(x, y, z, probable, amplitude, highest)
-    return AngleEffects(parameters, covariance, dof, waves @ effect, deviation, deviation_u)
+    stated = [
+        _as_student(probable, mean[:, k], np.sqrt(within[:, k, k])) for k in range(len(parameters))
+    ]
+    scale = np.array([u for _, u, _ in stated]) / np.sqrt(np.diag(covariance))
+    amplitudes, deviation = _effect(x, y, z, probable, amplitude, highest)
+    return AngleEffects(
+        parameters,
+        covariance * np.outer(scale, scale),
+        np.array([dof for *_, dof in stated]),
+        waves @ amplitudes,
+        *deviation,
+        amplitudes,
+    )
 
 
 def _given(x: Array, y: Array, z: Array, amplitude: Array) -> tuple[Array, Array, Array]:
@@ -110,30 +128,33 @@ def _given(x: Array, y: Array, z: Array, amplitude: Array) -> tuple[Array, Array
     return probability + prior.ravel(), mean, within
 
 
-def _as_student(
-    covariance: Array, probable: Array, off: Array, within: Array
-) -> tuple[Array, float]:
-    """Return covariance and degrees of freedom whose Student's t has the mixture's intervals."""
-    from scipy.optimize import brentq
-    from scipy.special import ndtr, stdtrit
+def _quantiles(probable: Array, mean: Array, std: Array, parts: tuple[float, ...]) -> Array:
+    """Return quantiles of a mixture of normal distributions, each (h,)."""
+    from scipy.special import ndtr
 
-    def half_width(index: int, part: float) -> float:
-        std = np.sqrt(within[:, index, index])
+    low, high = (
+        np.full(len(parts), (mean - 9 * std).min()),
+        np.full(len(parts), np.max(mean + 9 * std)),
+    )
+    for _ in range(60):
+        middle = (low + high) / 2
+        below = probable @ ndtr((middle - mean[:, None]) / std[:, None]) < parts
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    quantiles: Array = (low + high) / 2
+    return quantiles
 
-        def beyond(width: float) -> float:
-            inside = ndtr((width - off[:, index]) / std) - ndtr((-width - off[:, index]) / std)
-            return float(probable @ inside) - part
 
-        return float(brentq(beyond, 0.0, 50 * math.sqrt(covariance[index, index])))
+def _as_student(probable: Array, mean: Array, std: Array) -> tuple[float, float, float]:
+    """Return median, u and dof of Student's t with the mixture's intervals of 68 and 95 %."""
+    from scipy.special import stdtrit
 
-    degrees = np.geomspace(1, 1e4, 400)
-    ratios = stdtrit(degrees, 0.975) / stdtrit(degrees, 0.5 + ONE_SIGMA / 2)
-    wide = [half_width(index, 0.95) for index in range(len(covariance))]
-    ratio = max(w / half_width(index, ONE_SIGMA) for index, w in enumerate(wide))
-    dof = float(np.interp(-ratio, -ratios, degrees))
-    u = np.array(wide) / stdtrit(dof, 0.975)
-    scale = u / np.sqrt(np.diag(covariance))
-    return covariance * np.outer(scale, scale), dof
+    half = ONE_SIGMA / 2
+    parts = (0.025, 0.5 - half, 0.5, 0.5 + half, 0.975)
+    q = _quantiles(probable, mean, std, parts)
+    degrees = np.geomspace(FEWEST_DOF, 1e4, 400)
+    ratios = stdtrit(degrees, 0.975) / stdtrit(degrees, 0.5 + half)
+    dof = float(np.interp(-(q[4] - q[0]) / (q[3] - q[1]), -ratios, degrees))
+    return float(q[2]), float((q[4] - q[0]) / 2 / stdtrit(dof, 0.975)), dof
 
 
 def _effect(
@@ -143,28 +164,31 @@ def _effect(
     probable: Array,
     amplitude: Array,
     highest: tuple[int, ...],
-) -> tuple[Array, float, float]:
-    """Return the mean amplitudes of the orders (2 K,), and the deviation over a turn with its u."""
+) -> tuple[Array, tuple[float, float, float]]:
+    """Return the mean amplitudes of the orders (2 K,); the deviation over a turn, its u and dof.
+
+    The square of the deviation is half the sum of squared amplitudes, whose mean and variance are
+    known for normal amplitudes.
+    """
     count, dim = z.shape[1], x.shape[1]
     every = np.concatenate([x, z], axis=1)
-    rng = np.random.default_rng(0)
-    chosen, times = np.unique(rng.choice(len(probable), DRAWS, p=probable), return_counts=True)
-    drawn = []
-    for number, repeat in zip(chosen.tolist(), times.tolist(), strict=True):
+    effect = np.zeros(count)
+    shown = np.flatnonzero(probable > NEGLIGIBLE)
+    weight = probable[shown] / probable[shown].sum()
+    deviation, std = np.zeros(len(shown)), np.zeros(len(shown))
+    for index, number in enumerate(shown.tolist()):
         place, case = divmod(number, len(amplitude) * len(EXCESS))
-        order = highest[place]
         size, excess = amplitude[case // len(EXCESS)], EXCESS[case % len(EXCESS)]
+        order = highest[place]
         used = dim + 2 * order
         precision = every[:, :used].T @ every[:, :used] / excess**2
-        precision[range(dim, used), range(dim, used)] += 1 / size**2
-        inverse = np.linalg.inv(precision)
-        mean = inverse @ (every[:, :used].T @ y) / excess**2
-        draws = np.zeros((repeat, count))
-        draws[:, : used - dim] = rng.multivariate_normal(
-            mean, inverse, size=repeat, method="eigh", check_valid="ignore"
-        )[:, dim:]
-        drawn.append(draws)
-    amplitudes = np.concatenate(drawn)
-    deviation = np.sqrt(np.sum(amplitudes**2, axis=1) / 2)
-    low, high = np.quantile(deviation, [0.5 - ONE_SIGMA / 2, 0.5 + ONE_SIGMA / 2])
-    return amplitudes.mean(axis=0), float(np.median(deviation)), float(high - low) / 2
+        precision[range(dim, used), range(dim, used)] += size**-2.0
+        covariance = np.linalg.inv(precision)
+        mean = (covariance @ (every[:, :used].T @ y) / excess**2)[dim:]
+        covariance = covariance[dim:, dim:]
+        effect[: used - dim] += weight[index] * mean
+        square = float(mean @ mean + np.trace(covariance)) / 2
+        spread = float(np.sum(covariance**2) / 2 + mean @ covariance @ mean)
+        deviation[index] = math.sqrt(square)
+        std[index] = math.sqrt(spread) / (2 * deviation[index]) if square > 0 else 0.0
+    return effect, _as_student(weight, deviation, np.maximum(std, 1e-9 * deviation.max() + 1e-300))

@@ -70,6 +70,12 @@ class ForceArm(Section):
     gauge_relative_u: float = Field(
         3e-4, ge=0, le=1, description="relative standard uncertainty of the gauge's calibration"
     )
+    gauge_resolution: float = Field(
+        0.0, ge=0, description="step of its readings, N; a coarser one that they show counts"
+    )
+    gauge_linearity: float = Field(
+        0.0, ge=0, description="largest deviation from a straight line, of the highest force"
+    )
 
 
 class MotorSuspension(Section):

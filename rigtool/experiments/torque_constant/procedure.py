@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -65,18 +64,15 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter) -> None:
 def clamping_angles(settings: CalibrateKt) -> Array:
     """Return the angles of the arm at each temperature, (temperatures, positions) rad.
 
-    Together they divide the turn equally, so that they resolve as many orders of the amplifier's
-    ripple as they can. In time they go round by about the golden section of a turn: those of one
-    temperature spread over the turn, but not evenly, since an order that is a multiple of their
-    number would then pass for a change with temperature.
+    Each temperature has angles at equal distance. The lowest has those of the highest, the second
+    that of the second highest and so on, so that no order of the amplifier's ripple can pass for a
+    change with temperature; the others lie between them, to resolve more orders.
     """
     temperatures, positions = len(settings.temperatures_degc), settings.rotor_positions
-    count = temperatures * positions
-    golden = (math.sqrt(5) - 1) / 2 * count
-    steps = [step for step in range(1, count + 1) if math.gcd(step, count) == 1]
-    step = min(steps, key=lambda step: abs(step - golden))
-    places = np.arange(count) * step % count
-    angles: Array = (2 * np.pi * places / count).reshape(temperatures, positions)
+    place = np.argsort(np.argsort(settings.temperatures_degc, kind="stable"))
+    place = np.minimum(place, temperatures - 1 - place)
+    shift = place[:, None] / ((temperatures + 1) // 2)
+    angles: Array = 2 * np.pi * (np.arange(positions) + shift) / positions
     return angles
 
 
@@ -96,6 +92,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
         arm_length=arm.length,
         arm_length_u=arm.length_u,
         gauge_relative_u=arm.gauge_relative_u,
+        gauge_linearity=arm.gauge_linearity,
         reference_range_degc=settings.reference_range_degc,
     )
     return Outcome(_results(found), _tables(found), _notes(found, recipe))
@@ -112,6 +109,7 @@ def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
         rotor_angle=recording.read("rotor_angle") if recording.has("rotor_angle") else None,
         arm_length=recipe.rig.arm.length,
         settle_time=recipe.calibrate_kt.settle_time,
+        gauge_resolution=recipe.rig.arm.gauge_resolution,
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, require_signals
 
 LEVEL_TOLERANCE = 1e-3
@@ -32,7 +32,8 @@ class Plateaus:
     `current_setpoint` and `current` in A, `torque` in N m, `temperature` in degC, `rotor_angle` in
     rad (NaN where unknown), `begin` and `end` in s; `staircase` numbers the staircases from 0.
     `course` (n, COURSE) in N m is the torque over the whole stretch, its settling included, as
-    means over equal parts of its time.
+    means over equal parts of its time. `resolution` in N m is that of the gauge's readings, `noise`
+    in N m the scatter of a reading from one to the next, `readings` their number in the stretch.
     """
 
     current_setpoint: Array
@@ -44,6 +45,9 @@ class Plateaus:
     end: Array
     staircase: NDArray[np.int64]
     course: Array
+    resolution: Array
+    noise: Array
+    readings: Array
 
 
 def find_plateaus(
@@ -56,11 +60,13 @@ def find_plateaus(
     rotor_angle: ArrayLike | None,
     arm_length: float,
     settle_time: float,
+    gauge_resolution: float = 0.0,
 ) -> Plateaus:
     """Find the plateaus of all staircases in a recording, from the set point itself.
 
     All signals (n,) in SI units, temperature in degC; `arm_length` in m; the first `settle_time`
-    seconds of each plateau are left out. A gap in time or another rotor angle starts a new
+    seconds of each plateau are left out. The gauge resolves `gauge_resolution` in N, or more
+    coarsely where its readings show it. A gap in time or another rotor angle starts a new
     staircase. Raises `InsufficientDataError` where the set point is no staircase.
     """
     t, setpoint, measured, newton, degc = require_signals(
@@ -110,7 +116,31 @@ def find_plateaus(
         end=t[ends][keep] + sample,
         staircase=np.unique(staircase, return_inverse=True)[1].astype(np.int64),
         course=_course(newton, starts[keep], ends[keep] + 1) * arm_length,
+        resolution=np.full(keep.sum(), max(gauge_resolution, _resolution(newton)) * arm_length),
+        noise=_noise(newton, number, settled)[keep] * arm_length,
+        readings=np.bincount(number)[keep].astype(np.float64),
     )
+
+
+def _resolution(readings: Array) -> float:
+    """Return the smallest difference of two readings: the step in which an instrument reads."""
+    difference = np.diff(np.unique(readings))
+    real = difference > 1e-7 * np.ptp(readings)  # more than rounding of the numbers
+    return float(difference[real].min()) if real.any() else 0.0
+
+
+def _noise(values: Array, number: NDArray[np.int64], settled: Mask) -> Array:
+    """Return the standard deviation of noise in the settled values of each stretch, (stretches,).
+
+    Second differences contain the noise and little of a swing (J. von Neumann et al., Ann. Math.
+    Statist. 12, 153, 1941, for first differences).
+    """
+    second = np.diff(values, 2)
+    within = settled[:-2] & (number[:-2] == number[2:])
+    square = np.bincount(number[1:-1], weights=second**2 * within, minlength=number[-1] + 1)
+    count = np.bincount(number[1:-1], weights=within, minlength=number[-1] + 1)
+    noise: Array = np.sqrt(square / np.maximum(count, 1) / 6)
+    return noise
 
 
 def _course(values: Array, start: NDArray[np.int64], stop: NDArray[np.int64]) -> Array:

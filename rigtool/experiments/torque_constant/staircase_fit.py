@@ -6,23 +6,22 @@ The model is equation (1) of `rigtool.experiments.torque_constant.staircase_mode
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.hypotheses import weigh_hypotheses
 from rigtool.experiments.torque_constant.staircase import LEVEL_TOLERANCE, Plateaus
 from rigtool.experiments.torque_constant.staircase_model import (
     Common,
     Stairs,
     arrange,
-    design_matrix,
-    fit_common,
+    friction_columns,
     mean_of,
     winding,
 )
-from rigtool.experiments.torque_constant.swings import swings_seen
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.numerics.turn_mean import mean_over_turn
@@ -33,11 +32,11 @@ MISFIT_LIMIT = 5e-3
 SLOPE_LIMIT = 0.25
 """Largest relative change of a straight line's slope by friction and heat."""
 
-RATE_STEP = 1.03
-"""Factor by which a parameter moves for the rate at which the model follows it."""
+PHASES = 12
+"""Places of the gauge's zero within one of its steps that are tried."""
 
-REJECTION_CHI2 = 10.8
-"""Chi square with one degree of freedom that scatter alone exceeds with probability 0.001."""
+FEWEST_STEPS, CLEAR_STEPS = 10, 40
+"""Steps of the gauge in the span of the torque: fewest, and enough to show friction."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +47,10 @@ class Slopes:
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `friction_u` the relative standard
-    uncertainty from the model of friction with `friction_dof`, `friction_drift_u` in 1/K that of a
-    relative change of the slopes with temperature. `transition` is s of (1) in N m (None where no
+    uncertainty from the model of friction with `friction_dof`, `friction_share` the
+    relative part by which friction changes a straight line's slope; `resolution_u` that from the
+    resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
+    `transition` is s of (1) in N m (None where no
     friction shows), `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in
     N m: torque minus the straight line, mean over staircases; `hysteresis` in N m: falling minus
     rising in the middle of the span, `hysteresis_u` its standard uncertainty with `hysteresis_dof`.
@@ -65,7 +66,9 @@ class Slopes:
     heating_dof: float
     friction_u: float
     friction_dof: float
-    friction_drift_u: float
+    friction_share: float
+    resolution_u: float
+    trend_u: float
     transition: float | None
     time_constant: float
     level: Array
@@ -83,27 +86,23 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
     staircase does not rise and fall, or where torque does not follow current.
     """
     stairs = arrange(plateaus)
-    # A gauge that shows no swings may be too slow for them: then straight steps are possible too.
-    kinds = (True,) if swings_seen(stairs.courses) else (True, False)
-    commons = [fit_common(stairs, coefficient, swings=swings) for swings in kinds]
-    commons.sort(key=lambda common: common.square_misfit)
-    common = commons[0]
-    solution = _solve(stairs, common, coefficient)
-    weight = np.full(len(solution.slope), 1 / len(solution.slope))
-    friction_u, friction_dof = _lack_of_fit(stairs, solution, common, weight)
-    rise = solution.temperature - solution.temperature.mean()
-    spread = max(float(rise @ rise), 1e-300)
-    drift_u = _lack_of_fit(stairs, solution, common, rise / spread)[0]
-    for other in commons[1:]:
-        worse = other.square_misfit / max(common.square_misfit, 1e-300) - 1
-        if worse * common.dof < REJECTION_CHI2:
-            change = float(np.mean(_solve(stairs, other, coefficient).slope / solution.slope - 1))
-            friction_u = math.hypot(friction_u, change / math.sqrt(3))
+    _require_resolution(stairs)
+    rise = mean_of(stairs.temperature, stairs.weight)
+    rise = rise - rise.mean()
+    trend = rise / max(float(rise @ rise), 1e-300)
+    average = np.full(len(rise), 1 / len(rise))
+    hypotheses = weigh_hypotheses(stairs, coefficient, trend)
+    stairs = hypotheses.stairs
+    solution = _solve(stairs, hypotheses.best, coefficient, rise)
+    constant = float(np.mean(solution.slope)) + hypotheses.shift
+    share = abs(_straight_slope(stairs) / constant - 1 + solution.heating)
+    u, dof = _lack_of_fit(stairs, solution, average)
+    trend_u, _ = _lack_of_fit(stairs, solution, trend)
     _require_straight(stairs, solution)
     level, rising, falling = _branches(stairs, solution.off_line)
     hysteresis, hysteresis_u, hysteresis_dof = _hysteresis(stairs, solution.off_line)
     return Slopes(
-        slope=solution.slope,
+        slope=solution.slope + hypotheses.shift,
         u=solution.u,
         dof=solution.dof,
         temperature=solution.temperature,
@@ -111,11 +110,13 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
-        friction_u=friction_u,
-        friction_dof=friction_dof,
-        friction_drift_u=drift_u,
-        transition=common.transition,
-        time_constant=common.time_constant,
+        friction_u=math.hypot(u, hypotheses.spread) / constant,
+        friction_dof=dof,
+        friction_share=share,
+        resolution_u=_rounding(stairs, solution, average) / constant,
+        trend_u=math.hypot(trend_u, hypotheses.drift, _rounding(stairs, solution, trend)),
+        transition=hypotheses.best.transition,
+        time_constant=hypotheses.best.time_constant,
         level=level,
         rising=rising,
         falling=falling,
@@ -136,83 +137,135 @@ class _Solution:
     heating: float
     heating_u: float
     heating_dof: float
-    design: Array
-    parameters: Array
-    residual: Array
+    fit: _LeastSquares
     off_line: Array
 
 
-def _solve(stairs: Stairs, common: Common, coefficient: float) -> _Solution:
-    """Solve (1), linear in all that is left, for every staircase."""
+def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _Solution:
+    """Solve (1), linear in all that is left, for all staircases.
+
+    Each has a slope, a zero and a state of the friction at its beginning of its own; what a
+    step leaves behind and friction are common to all; friction may change with the temperature,
+    `rise` (m,) in K.
+    """
     heat, warmth = winding(stairs, common.time_constant)
     temperature = mean_of(warmth, stairs.weight)
-    current = stairs.current * (1 + coefficient * (warmth - temperature[:, None]))
-    loss, loss_u, loss_dof = _heat_loss(stairs, common, current, heat)
-    design = design_matrix(stairs, common, current * (1 - loss * heat))
-    inverse = np.linalg.pinv(design)
-    parameters = np.einsum("mcp,mp->mc", inverse, stairs.torque)
-    residual = stairs.torque - np.einsum("mpc,mc->mp", design, parameters)
-    dof = int(stairs.weight.sum()) - parameters.size
-    sigma = math.sqrt(float(np.sum(residual**2)) / dof)
-    share = float(np.mean(np.sum(inverse[:, 0] * current * heat, axis=1)))
-    straight = np.einsum("mpc,mc->mp", design[:, :, :2], parameters[:, :2])
+    # What a kelvin takes from the constant is the same at all temperatures, not its relative part.
+    size = (1 + coefficient * rise)[:, None]
+    current = stairs.current * (1 + coefficient / size * (warmth - temperature[:, None]))
+    friction = friction_columns(stairs, common)
+    own = [stairs.weight, *friction[1:]]
+    shared = [stairs.last_step, *friction[:1], *(rise[:, None] * a for a in friction[:1])]
+    warmed = _LeastSquares(stairs.torque, [current, current * heat / size, *own], shared)
+    loss, loss_u, loss_dof = _heat_loss(stairs.rotor_angle, warmed.own)
+    current = current * (1 - loss * heat / size)
+    fit = _LeastSquares(stairs.torque, [current, *own], shared)
+    dof = int(stairs.weight.sum()) - fit.parameters
+    sigma = math.sqrt(float(np.sum(fit.residual**2)) / dof)
+    share = float(np.mean(np.sum(fit.inverse[:, 0] * current * heat / size, axis=1)))
     return _Solution(
-        slope=parameters[:, 0],
-        u=sigma * np.sqrt(np.sum(inverse[:, 0] ** 2, axis=1)),
+        slope=fit.own[:, 0],
+        u=sigma * np.sqrt(np.sum(fit.inverse[:, 0] ** 2, axis=1)),
         dof=dof,
         temperature=temperature,
         heating=loss * share,
         heating_u=loss_u * share,
         heating_dof=loss_dof,
-        design=design,
-        parameters=parameters,
-        residual=residual,
-        off_line=stairs.torque - straight,
+        fit=fit,
+        off_line=stairs.torque - current * fit.own[:, :1] - stairs.weight * fit.own[:, 1:2],
     )
 
 
-def _heat_loss(
-    stairs: Stairs, common: Common, current: Array, heat: Array
-) -> tuple[float, float, float]:
+class _LeastSquares:
+    """Torque (m, p) as columns of each staircase, and shared ones with a coefficient for all."""
+
+    def __init__(self, torque: Array, own: list[Array], shared: list[Array]) -> None:
+        self.design = np.mean(np.stack([*own, *shared[:2]], axis=2), axis=0)
+        columns, common = np.stack(own, axis=2), np.stack(shared, axis=2)
+        self.inverse = np.linalg.pinv(columns)  # (m, c, p)
+        self._shared, self._free = common, common - columns @ (self.inverse @ common)
+        flat = self._free.reshape(-1, common.shape[2])
+        self._normal = np.linalg.pinv(flat.T @ flat, hermitian=True)
+        rest = torque - common @ (self._normal @ (flat.T @ torque.ravel()))
+        self.own = np.einsum("mcp,mp->mc", self.inverse, rest)
+        self.residual = rest - np.einsum("mpc,mc->mp", columns, self.own)
+        self.parameters = self.own.size + common.shape[2]
+
+    def response(self, weight: Array) -> Array:
+        """Return what each torque (m, p) adds to the sum of slopes weighted by (m,)."""
+        direct = weight[:, None] * self.inverse[:, 0]
+        through = self._normal @ np.einsum("mp,mpc->c", direct, self._shared)
+        response: Array = direct - self._free @ through
+        return response
+
+
+def _heat_loss(rotor_angle: Array, own: Array) -> tuple[float, float, float]:
     """Return g of (1), its standard uncertainty, 1/(A2 s), and degrees of freedom.
 
-    At a single rotor angle its uncertainty is unknown, and taken as large as its value.
+    `own` (m, c) begins with k and k g of each staircase. At a single rotor angle the uncertainty is
+    unknown, and taken as large as the value.
     """
-    design = design_matrix(stairs, common, current)
-    design = np.concatenate([design, (current * heat)[:, :, None]], axis=2)
-    parameters = np.einsum("mcp,mp->mc", np.linalg.pinv(design), stairs.torque)
-    mean = mean_over_turn(stairs.rotor_angle, -parameters[:, -1] / parameters[:, 0])
+    mean = mean_over_turn(rotor_angle, -own[:, 1] / own[:, 0])
     if mean.dof == 0:
         return mean.value, abs(mean.value), math.inf
     return mean.value, mean.u, mean.dof
 
 
-def _lack_of_fit(
-    stairs: Stairs, solution: _Solution, common: Common, weight: Array
-) -> tuple[float, float]:
-    """Return the relative u that lack of fit gives a combination of slopes, and its dof.
+def _lack_of_fit(stairs: Stairs, solution: _Solution, weight: Array) -> tuple[float, float]:
+    """Return the u that lack of fit gives a combination of slopes, N m/A, and its dof.
 
     `weight` (m,) combines the staircases. What their residuals have in common from plateau to
-    plateau is correlated along the staircase, as the covariance takes it; s and lag, found from the
-    same plateaus, count among the parameters. Scatter that the slopes state already is taken off.
+    plateau is correlated along the staircase, as the covariance takes it. What scatter of each
+    staircase and resolution of the gauge explain is taken off: it is stated on its own.
     """
-    combined = weight @ solution.residual
-    columns = np.mean(solution.design, axis=0).T
-    fitted = np.einsum("mpc,mc->mp", solution.design, solution.parameters)
-    rates = []
-    for name in ("transition", "lag"):
-        value = getattr(common, name)
-        if value is not None:
-            changed = replace(common, **{name: value * RATE_STEP})
-            design = design_matrix(stairs, changed, solution.design[:, :, 0])
-            moved = np.einsum("mpc,mc->mp", design, solution.parameters)
-            rates.append(np.mean(moved - fitted, axis=0))
-    design = np.stack([*columns, *rates], axis=1)
-    used = np.ones(len(combined), dtype=np.bool_)
-    covariance, dof = long_run_covariance(design, combined, independent_samples(combined, used, 1))
-    own = float(np.sum((weight * solution.u) ** 2))
-    u = math.sqrt(max(float(covariance[0, 0]) - own, 0.0)) / float(np.mean(solution.slope))
-    return u, float(dof)
+    fit = solution.fit
+    combined = weight @ fit.residual
+    used = np.mean(stairs.weight, axis=0) > 0
+    independent = independent_samples(combined, used, 1)
+    covariance, dof = long_run_covariance(fit.design, combined, independent)
+    own = float(np.sum((weight * solution.u) ** 2)) + _rounding(stairs, solution, weight) ** 2
+    return math.sqrt(max(float(covariance[0, 0]) - own, 0.0)), float(dof)
+
+
+def _rounding(stairs: Stairs, solution: _Solution, weight: Array) -> float:
+    """Return the u that the gauge's resolution gives a combination of slopes, N m/A.
+
+    Readings are rounded alike wherever the torque is the same, so that their errors do not average
+    out as scatter does. The fitted torque is rounded with its zero at `PHASES` places within one
+    step of the gauge, and the error of the combination taken from the readings' errors. Noise of
+    standard deviation sigma before rounding leaves a mean error of
+
+        sum over k of (-1)^k q/(pi k) sin(2 pi k x/q) exp(-2 (pi k sigma/q)^2)
+
+    (B. Widrow, I. Kollar, Quantization Noise, 2008, section 9.4).
+    """
+    q = stairs.resolution
+    if q == 0:
+        return 0.0
+    # The scatter of rounded readings of little noise is sigma q/sqrt(pi); of much, sigma2 + q2/12.
+    square = stairs.noise**2
+    little = square < q**2 / 6
+    sigma = math.sqrt(math.pi) * square / q if little else math.sqrt(square - q**2 / 12)
+    fitted, response = stairs.torque - solution.fit.residual, solution.fit.response(weight)
+    errors = []
+    for phase in np.arange(PHASES) / PHASES:
+        error = np.zeros(fitted.shape)
+        for k in range(1, 6):
+            left = math.exp(-2 * (math.pi * k * sigma / q) ** 2)
+            error += (-1) ** k * left / k * np.sin(2 * np.pi * k * (fitted / q + phase))
+        errors.append(float(np.sum(response * error)) * q / math.pi)
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _require_resolution(stairs: Stairs) -> None:
+    """Raise where the gauge is too coarse for the torque of a staircase."""
+    span = float(np.ptp(stairs.torque))
+    if stairs.resolution * FEWEST_STEPS > span:
+        raise InsufficientDataError(
+            f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, the "
+            f"staircase has {span * 1e3:.3g} mN m: fewer than {FEWEST_STEPS} steps; take a finer "
+            "gauge, a longer arm or a higher current_max"
+        )
 
 
 def _levels(stairs: Stairs) -> tuple[Array, NDArray[np.int_]]:
@@ -234,26 +287,25 @@ def _by_level(level: NDArray[np.int_], values: Array, weight: Array) -> tuple[Ar
 
 def _require_straight(stairs: Stairs, solution: _Solution) -> None:
     """Raise where torque, without friction and heat, is no straight line of current."""
-    straight = np.polyfit(stairs.current[stairs.weight > 0], stairs.torque[stairs.weight > 0], 1)
-    if straight[0] < 0:
+    straight = _straight_slope(stairs)
+    if straight < 0:
         raise InsufficientDataError(
-            f"torque changes by {straight[0]:.3g} N m/A with current: reverse the sign of the "
+            f"torque changes by {straight:.3g} N m/A with current: reverse the sign of the "
             "gauge or of the current, so that positive current gives positive force"
         )
-    change = abs(float(np.mean(solution.slope)) / straight[0] - 1)
+    change = abs(float(np.mean(solution.slope)) / straight - 1)
     if change > SLOPE_LIMIT:
         raise InsufficientDataError(
-            f"torque follows current by {straight[0]:.3g} N m/A on the whole, but by "
+            f"torque follows current by {straight:.3g} N m/A on the whole, but by "
             f"{np.mean(solution.slope):.3g} N m/A once friction and heat are taken out; they may "
-            f"change it by {SLOPE_LIMIT:.0%}: torque is not linear in current; look for an end "
-            "stop or a saturated gauge, or raise current_max"
+            f"change it by {SLOPE_LIMIT:.0%}: {_too_much(stairs)}"
         )
-    residual = solution.residual
+    residual = solution.fit.residual
     current, level = _levels(stairs)
     mean, count = _by_level(level, residual, stairs.weight)
     square, _ = _by_level(level, residual**2, stairs.weight)
     u = np.sqrt(np.maximum(square - mean**2, 0) / np.maximum(count - 1, 1))
-    limit = MISFIT_LIMIT * float(np.ptp(stairs.torque))
+    limit = max(MISFIT_LIMIT * float(np.ptp(stairs.torque)), stairs.resolution)
     worst = int(np.argmax(np.abs(mean)))
     if abs(mean[worst]) > max(limit, 4 * u[worst]):
         raise InsufficientDataError(
@@ -261,6 +313,27 @@ def _require_straight(stairs: Stairs, solution: _Solution) -> None:
             f"through all currents, limit {limit * 1e3:.3g} mN m: gauge, amplifier or motor is not "
             "linear there; lower current_max or look for an end stop"
         )
+
+
+def _too_much(stairs: Stairs) -> str:
+    """Return why friction and heat may seem to change a slope by too much, and the remedy."""
+    span = float(np.ptp(stairs.torque))
+    if stairs.resolution * CLEAR_STEPS > span:
+        return (
+            f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, too "
+            f"coarse to tell friction from torque in a staircase of {span * 1e3:.3g} mN m; take a "
+            "finer gauge, a longer arm or a higher current_max"
+        )
+    return (
+        "torque is not linear in current; look for an end stop or a saturated gauge, or raise "
+        "current_max"
+    )
+
+
+def _straight_slope(stairs: Stairs) -> float:
+    """Return the slope of one straight line through all plateaus, N m/A."""
+    used = stairs.weight > 0
+    return float(np.polyfit(stairs.current[used], stairs.torque[used], 1)[0])
 
 
 def _branches(stairs: Stairs, off_line: Array) -> tuple[Array, Array, Array]:

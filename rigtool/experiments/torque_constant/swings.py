@@ -11,7 +11,7 @@ where x is the elastic torque of the arm.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,12 @@ from rigtool.numerics.arrays import Array
 
 TURNS = 12
 """Largest number of turns of the arm that count after one step."""
+
+LARGEST_DAMPING = 0.6
+"""Damping ratio of an arm each of whose swings is a tenth of the one before."""
+
+FEWEST_FOR_RATE = 6
+"""Fewest staircases of a kind that show how courses change with the size of the torque."""
 
 NOISE = 6.0
 """Turns count beyond this many standard deviations of the noise, whose own range is about 5."""
@@ -32,7 +38,8 @@ class Courses:
     `torque` (g, p) in N m is that of the settled plateaus, `course` (g, p, c) over the whole of
     each, `part` (g, p) the time between two values of the course, s; `noise` (g,) in N m the
     standard deviation of one; `kind` (m,) the kind of each staircase, and `scale` (m,) its torque
-    relative to the mean of its kind.
+    relative to the mean of its kind. `torque_rate` and `course_rate` are the changes of torque and
+    course with that scale: where friction holds the arm back, swings change more than torque does.
     """
 
     setpoint: Array
@@ -42,74 +49,136 @@ class Courses:
     noise: Array
     kind: NDArray[np.int64]
     scale: Array
+    torque_rate: Array
+    course_rate: Array
 
-    def of_each(self, swings: Array) -> Array:
-        """Return the path (n, m, p) of each staircase from that of its kind, (n, g, p)."""
-        scaled: Array = swings[:, self.kind] * self.scale[:, None]
-        return scaled
+    def of_each(self) -> tuple[Array, Array]:
+        """Return torque (m, p) and course (m, p, c) of each staircase without its own noise."""
+        size = (self.scale - 1)[:, None]
+        torque = self.torque[self.kind] + size * self.torque_rate[self.kind]
+        return torque, self.course[self.kind] + size[:, :, None] * self.course_rate[self.kind]
+
+    def less(self, residual: Array) -> Courses:
+        """Return the courses without what a model leaves (g, p) of their torques, N m."""
+        torque, course = self.torque - residual, self.course - residual[:, :, None]
+        return replace(self, torque=torque, course=course)
 
 
-def mean_courses(setpoint: Array, torque: Array, course: Array, duration: Array) -> Courses:
-    """Average set points (m, p), torques, courses (m, p, c) and durations over equal staircases."""
+def mean_courses(
+    setpoint: Array, torque: Array, course: Array, duration: Array, noise: float
+) -> Courses:
+    """Average set points (m, p), torques, courses (m, p, c) and durations over equal staircases.
+
+    `noise` in N m is the standard deviation of one value of a course.
+    """
     step = 2e-3 * max(float(np.ptp(setpoint)), 1e-12)
     kind = np.unique(np.round(setpoint / step), axis=0, return_inverse=True)[1].reshape(-1)
-    settled = course[:, :, -(course.shape[2] // 3) :]
-    ripple = settled - settled.mean(axis=2, keepdims=True)
     kinds = [kind == number for number in range(int(kind.max()) + 1)]
 
     def mean(values: Array) -> Array:
         return np.stack([values[those].mean(axis=0) for those in kinds])
 
-    noise = [
-        math.sqrt(float(np.mean(ripple[those] ** 2)) / np.count_nonzero(those)) for those in kinds
-    ]
-    part = mean(duration) / course.shape[2]
     rise, of_kind = (values - values.mean(axis=1)[:, None] for values in (torque, mean(torque)))
     scale = np.sum(rise * of_kind[kind], axis=1) / np.sum(of_kind**2, axis=1)[kind]
+    swing = course - torque[:, :, None]
+    smooth, torque_rate, swing_rate, left = [], [], [], []
+    for those in kinds:
+        average, left_here = without_noise(
+            swing[those].mean(axis=0), noise / math.sqrt(those.sum())
+        )
+        smooth.append(average)
+        left.append(left_here)
+        torque_rate.append(torque[those].mean(axis=0))
+        swing_rate.append(average)
+        size = scale[those] - 1
+        power = float(size @ size)
+        if len(size) >= FEWEST_FOR_RATE and power > 0:
+            torque_rate[-1] = np.tensordot(size, torque[those], 1) / power
+            rate = np.tensordot(size, swing[those], 1) / power
+            swing_rate[-1] = without_noise(rate, noise / math.sqrt(power))[0]
+    courses = mean(torque)
     return Courses(
         setpoint=mean(setpoint),
-        torque=mean(torque),
-        course=mean(course),
-        part=part,
-        noise=np.array(noise),
+        torque=courses,
+        course=courses[:, :, None] + np.stack(smooth),
+        part=mean(duration) / course.shape[2],
+        noise=np.array(left),
         kind=kind.astype(np.int64),
         scale=scale,
+        torque_rate=np.stack(torque_rate),
+        course_rate=np.stack(torque_rate)[:, :, None] + np.stack(swing_rate),
     )
 
 
-def swings_seen(courses: Courses) -> bool:
-    """Return whether the gauge shows the arm swing after most steps."""
-    swings = path(courses, float(np.min(courses.part)) / 20)
-    return bool(np.mean(swings[2, :, 1:] != 0) > 0.5)
+def without_noise(values: Array, noise: float) -> tuple[Array, float]:
+    """Return a matrix (p, c) without most of its noise, and the standard deviation of what is left.
 
-
-def path(courses: Courses, lag: float) -> Array:
-    """Return the path to each plateau, (TURNS + 2, g, p) N m: its swings, signed, in sequence.
-
-    `lag` is that of (1), s. The path to the first plateau is empty.
+    All steps swing in few ways, so few singular values stand out of those of noise; the others are
+    dropped (M. Gavish, D. L. Donoho, IEEE Trans. Inf. Theory 60, 5040, 2014, equation 3).
     """
-    before, after = courses.torque[:, :-1], courses.torque[:, 1:]
-    follow = -np.expm1(-courses.part[:, 1:] / lag)
-    threshold = NOISE * courses.noise[:, None] * np.sqrt(follow / (2 - follow))
-    swings = np.zeros((TURNS + 2, *courses.torque.shape))
+    rows, columns = values.shape
+    ratio = min(rows, columns) / max(rows, columns)
+    root = ratio + 1 + math.sqrt(ratio**2 + 14 * ratio + 1)
+    limit = math.sqrt(2 * (ratio + 1) + 8 * ratio / root) * math.sqrt(max(rows, columns)) * noise
+    left, size, right = np.linalg.svd(values, full_matrices=False)
+    kept = size > limit
+    part = kept.sum() * (rows + columns) / (rows * columns)
+    return (left * (size * kept)) @ right, noise * math.sqrt(min(float(part), 1.0))
+
+
+def longest_lag(courses: Courses) -> float | None:
+    """Return the longest lag of (1) that is plausible, s; None where most steps show no swing.
+
+    An arm of natural frequency w and damping ratio d has the lag 2 d/w; what swings at all has less
+    than `LARGEST_DAMPING`. Friction that holds the arm back makes it swing faster: the slowest
+    steps are the arm's own.
+    """
+    fastest = float(np.min(courses.part)) / 20
+    swings, when = _turns(courses, courses.torque, courses.course, fastest)
+    seen = swings[2] != 0
+    if np.mean(seen[:, 1:]) <= 0.5:
+        return None
+    half_period = float(np.quantile(((when[1] - when[0]) * courses.part)[seen], 0.9))
+    return 2 * LARGEST_DAMPING * half_period / math.pi
+
+
+def path(courses: Courses, torque: Array, course: Array, lag: float) -> Array:
+    """Return the path to each plateau, (TURNS + 2, n, p) N m: its swings, signed, in sequence.
+
+    `torque` (n, p) and `course` (n, p, c) are those of all kinds, or of all staircases. `lag` is
+    that of (1), s. The path to the first plateau is empty.
+    """
+    return _turns(courses, torque, course, lag)[0]
+
+
+def _turns(courses: Courses, torque: Array, course: Array, lag: float) -> tuple[Array, Array]:
+    """Return the path, and in which part of the course (TURNS, n, p) each turn showed."""
+    own = len(torque) != len(courses.torque)
+    kind = courses.kind if own else np.arange(len(torque))
+    before, after = torque[:, :-1], torque[:, 1:]
+    follow = -np.expm1(-courses.part[kind, 1:] / lag)
+    threshold = NOISE * courses.noise[kind, None] * np.sqrt(follow / (2 - follow))
+    swings = np.zeros((TURNS + 2, *torque.shape))
     rows, columns = np.arange(len(before))[:, None], np.arange(before.shape[1])[None, :]
     elastic, extreme, turned = before.copy(), before.copy(), before.copy()
     direction = np.sign(after - before)
     count = np.zeros(before.shape, dtype=np.int64)
-    for value in np.moveaxis(courses.course[:, 1:], 2, 0):
+    when = np.zeros((TURNS, *torque.shape))
+    for moment, value in enumerate(np.moveaxis(course[:, 1:], 2, 0)):
         elastic = elastic + follow * (value - elastic)
         extreme = np.where((elastic - extreme) * direction > 0, elastic, extreme)
         turns = ((extreme - elastic) * direction > threshold) & (count < TURNS)
         row, column = np.nonzero(turns)
         here = (count[turns], row, column + 1)
         swings[here] = (extreme - turned)[turns]
+        when[here] = moment
         turned = np.where(turns, extreme, turned)
         extreme = np.where(turns, elastic, extreme)
         direction = np.where(turns, -direction, direction)
         count += turns
     swings[count, rows, columns + 1] = extreme - turned
     swings[count + 1, rows, columns + 1] = after - extreme
-    return swings
+    return swings, when
 
 
 def straight_path(courses: Courses) -> Array:
@@ -120,16 +189,20 @@ def straight_path(courses: Courses) -> Array:
     return swing
 
 
-def friction_state(swings: Array, transition: float) -> tuple[Array, Array]:
-    """Return a and b (m, p) of the friction's state z = a + b z0 after swings (n, m, p), N m."""
-    _, staircases, plateaus = swings.shape
-    gained, kept = np.zeros((staircases, plateaus)), np.ones((staircases, plateaus))
-    for swing in swings:
+def friction_state(swings: Array, transition: Array | float) -> tuple[Array, Array]:
+    """Return a and b of the friction's state z = a + b z0, (m, p) each.
+
+    `swings` (n, m, p) and `transition` are in N m; for several transitions (s, 1, 1), a and b are
+    (s, m, p).
+    """
+    shape = np.broadcast_shapes(swings.shape[1:], np.shape(transition))
+    gained, kept = np.zeros(shape), np.ones(shape)
+    for swing in swings[np.any(swings != 0, axis=(1, 2))]:
         decay = np.exp(-np.abs(swing) / transition)
         gained = np.sign(swing) + (gained - np.sign(swing)) * decay
         kept = kept * decay
-    a, b = np.zeros((staircases, plateaus)), np.ones((staircases, plateaus))
-    for j in range(1, plateaus):
-        a[:, j] = gained[:, j] + kept[:, j] * a[:, j - 1]
-        b[:, j] = kept[:, j] * b[:, j - 1]
+    a, b = np.zeros(shape), np.ones(shape)
+    for j in range(1, shape[-1]):
+        a[..., j] = gained[..., j] + kept[..., j] * a[..., j - 1]
+        b[..., j] = kept[..., j] * b[..., j - 1]
     return a, b

@@ -21,7 +21,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import Linearity, Plateaus, amplifier_linearity
 from rigtool.experiments.torque_constant.staircase_fit import Slopes, fit_staircases
-from rigtool.numerics.angle_effects import fit_angle_effects
+from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import group_angles
 from rigtool.quantity import Quantity
@@ -31,6 +31,12 @@ REFERENCE_DEGC = 20.0
 
 SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""
+
+LAW_U = 0.03
+"""Relative standard uncertainty of what friction takes from a slope: Dahl's law is a model."""
+
+DEFLECTION = 0.03
+"""Standard uncertainty of the angle by which the arm gives way in a staircase, rad."""
 
 LINEARITY_LIMIT = 5e-3
 """Largest deviation of the amplifier from a straight line, relative to the span."""
@@ -70,6 +76,7 @@ def calibrate(
     arm_length: float,
     arm_length_u: float,
     gauge_relative_u: float,
+    gauge_linearity: float = 0.0,
     reference_range_degc: tuple[float, float],
 ) -> Calibration:
     """Return the torque constant against temperature from the plateaus of all staircases.
@@ -83,13 +90,16 @@ def calibrate(
     fit = _fit_temperature(slopes)
     if fit.slope != 0:
         # With the coefficient, the drift within a staircase can be taken out of its torque.
-        slopes = fit_staircases(plateaus, fit.slope / fit.value)
+        slopes = fit_staircases(plateaus, fit.coefficient)
         fit = _fit_temperature(slopes)
     common = {
         "arm length": (arm_length_u / arm_length, math.inf),
         "gauge calibration": (gauge_relative_u, math.inf),
         "heat in the winding": (slopes.heating_u, slopes.heating_dof),
         "friction of the shaft": (slopes.friction_u, slopes.friction_dof),
+        "law of friction": (LAW_U * slopes.friction_share, math.inf),
+        "gauge resolution": (slopes.resolution_u, math.inf),
+        "gauge linearity": (gauge_linearity / math.sqrt(3), math.inf),  # GUM 4.3.7
     }
     law = _Law(fit, common)
     temperature, value, scatter = _points(slopes, fit)
@@ -105,7 +115,7 @@ def calibrate(
         coefficient=_quantity(law.coefficient(), "1/K") if fit.slope_known else None,
         mean=_quantity(mean, "N m/A"),
         constant_error=_constant_error(law, mean, (low, high)) if fit.slope_known else None,
-        ripple=Quantity(fit.ripple[0], "1", fit.ripple[1], fit.dof) if fit.angles > 2 else None,
+        ripple=fit.ripple if fit.angles > 2 else None,
         temperature=temperature,
         value=value,
         u=np.hypot(scatter, common_u * value),
@@ -128,20 +138,24 @@ def _require_linear(linearity: Linearity) -> None:
 
 @dataclass(frozen=True)
 class _Fit:
-    """k(T) = value + slope (T - temperature), with covariance; gain and turn of all points."""
+    """k(T) = value + slope (T - temperature), both independent of each other; gain of all points.
+
+    Each uncertainty stands with its degrees of freedom. `trend_u` is what the model of the
+    staircases adds to that of the slope.
+    """
 
     temperature: float
     value: float
+    value_u: tuple[float, float]
     slope: float
-    value_u: float
-    slope_u: float
-    correlation: float
-    dof: float
+    slope_u: tuple[float, float]
+    trend_u: float
+    coefficient: float  # relative to k at the mean temperature, 1/K
     slope_known: bool
     gain: Array  # (m,) r of each staircase
     scatter: float  # relative part of value_u from the scatter that the slopes state
     turn: float  # relative part of value_u from the ripple
-    ripple: tuple[float, float]  # relative standard deviation of r over a turn, its u
+    ripple: Quantity  # relative standard deviation of r over a turn
     angles: int
 
 
@@ -156,25 +170,46 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         found = fit_angle_effects(design, slopes.slope, slopes.u, slopes.rotor_angle, size=size)
         value, slope = float(found.parameters[0]), float(found.parameters[1]) if known else 0.0
         size = 1 + slope / value * rise
-    u = np.sqrt(np.diag(found.covariance))
-    slope_u = math.hypot(float(u[1]), slopes.friction_drift_u * value) if known else 0.0
+    covariance, away, slope_u = found.covariance, 0.0, (0.0, math.inf)
+    if known:
+        # At this distance from the centre the value does not depend on the slope's error.
+        away = -float(covariance[0, 1] / covariance[1, 1])
+        slope_u = math.sqrt(covariance[1, 1]), float(found.dof[1])
+    value_u = math.sqrt(covariance[0, 0] + (away * covariance[0, 1] if known else 0.0))
     unknown = bool(np.all(np.isnan(slopes.rotor_angle)))
-    scatter = float(u[0]) if unknown else min(float(np.sum(slopes.u**-2)) ** -0.5, float(u[0]))
+    scatter = value_u if unknown else min(float(np.sum(slopes.u**-2)) ** -0.5, value_u)
     return _Fit(
-        temperature=centre,
-        value=value,
+        temperature=centre + away,
+        value=value + slope * away,
+        value_u=(value_u, float(found.dof[0])),
         slope=slope,
-        value_u=float(u[0]),
         slope_u=slope_u,
-        correlation=float(found.covariance[0, 1]) / (float(u[0]) * slope_u) if known else 0.0,
-        dof=found.dof,
+        # An error from friction may be the same at all temperatures, or grow with the constant.
+        trend_u=math.hypot(slopes.trend_u, slopes.friction_u * slope),
+        coefficient=slope / value,
         slope_known=known,
         gain=1 + found.effect / value,
         scatter=scatter / value,
-        turn=math.sqrt(float(u[0]) ** 2 - scatter**2) / value,
-        ripple=(found.deviation / value, found.deviation_u / value),
+        turn=math.sqrt(value_u**2 - scatter**2) / value,
+        ripple=_ripple(found, value, slopes.friction_share),
         angles=0 if unknown else len(group_angles(slopes.rotor_angle)[0]),
     )
+
+
+def _ripple(found: AngleEffects, value: float, friction: float) -> Quantity:
+    """Return the relative standard deviation of r over a turn.
+
+    Friction changes each slope by a part `friction`, which need not grow with the gain: the
+    deviation is uncertain by that part of it. So it is by the arm's deflection d: within a
+    staircase the angle changes with the torque, which adds k d of the amplitude of order k.
+    """
+    order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
+    square = found.amplitudes**2
+    bent = float(np.sum(square * (1 + (order * DEFLECTION) ** 2)) / max(np.sum(square), 1e-300))
+    model = found.deviation * math.hypot(friction, math.sqrt(max(bent, 1.0)) - 1)
+    u = math.hypot(found.deviation_u, model)
+    dof = found.deviation_dof * (u / found.deviation_u) ** 4  # Welch and Satterthwaite
+    return Quantity(found.deviation / value, "1", u / value, dof)
 
 
 class _Law:
@@ -187,14 +222,10 @@ class _Law:
         scale = GTC.constant(1.0)
         for name, (u, dof) in common.items():
             scale = scale * GTC.ureal(1.0, u, dof, label=name)
+        self._value, self._scale = GTC.ureal(fit.value, *fit.value_u), scale
+        self._slope = GTC.constant(0.0)
         if fit.slope_known:
-            value, slope = GTC.multiple_ureal(
-                [fit.value, fit.slope], [fit.value_u, fit.slope_u], fit.dof
-            )
-            GTC.set_correlation(fit.correlation, value, slope)
-        else:
-            value, slope = GTC.ureal(fit.value, fit.value_u, fit.dof), GTC.constant(0.0)
-        self._value, self._slope, self._scale = value, slope, scale
+            self._slope = GTC.ureal(fit.slope, *fit.slope_u) + GTC.ureal(0.0, fit.trend_u)
 
     def at(self, temperature: float) -> Any:
         """Return k at a temperature in degC, N m/A, as an uncertain number."""

@@ -322,7 +322,8 @@ class VirtualRig(Rig):
             error = sensors.micrometer_error * rng.spawn(1)[0].standard_normal()  # one reading
             block["deflection"] = np.full(rows, load.radial_force / spring + error)
         if load.clamped:
-            force = sensors.force_gain * out[:, kernel.ARM_TORQUE] / self._rig.arm.length
+            force = out[:, kernel.ARM_TORQUE] / self._rig.arm.length
+            force = force * (sensors.force_gain + sensors.force_linearity * force)
             force = force + sensors.force_noise * rng.standard_normal(rows)
             if sensors.force_resolution > 0:
                 force = np.round(force / sensors.force_resolution) * sensors.force_resolution

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rigtool.errors import RecipeError
+from rigtool.errors import InsufficientDataError, RecipeError
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant import procedure as calibrate_kt
@@ -119,3 +119,25 @@ def test_the_motor_is_measured_without_instrument(measured):
     assert recipe.rig.attachment == "instrument"
     with open_run(path) as stored:
         assert stored.recipe.rig.attachment == "pulley"
+
+
+def test_clamping_angles_mirror_about_the_middle_temperature():
+    settings = CalibrateKt(temperatures_degc=(20, 25, 30, 35, 40, 45, 50), rotor_positions=8)
+    angles = calibrate_kt.clamping_angles(settings)
+    assert_allclose(angles, angles[::-1], rtol=1e-12)
+    # Together they divide the turn equally.
+    assert_allclose(np.diff(np.unique(angles.round(9))), 2 * np.pi / 32, rtol=1e-6)
+    # No order of rotation passes for a change with temperature.
+    rise = np.arange(7) - 3
+    for order in range(1, 40):
+        assert_allclose(rise @ np.cos(order * angles).mean(axis=1), 0, atol=1e-9)
+
+
+def test_a_coarse_gauge_is_in_the_budget_and_a_coarser_one_refused(tmp_path):
+    coarse = "virtual.sensors.force_resolution=0.01"
+    found = run(CALIBRATE_KT, RECIPE, tmp_path / "kt.h5", *SHORT, coarse)
+    assert "gauge resolution" in found.notes[0]
+    constant = found.results["torque_constant"]
+    assert abs(constant.value - 45.8e-3) < 3 * constant.u
+    with pytest.raises(InsufficientDataError, match=r"gauge reads in steps of 54 mN m"):
+        run(CALIBRATE_KT, RECIPE, tmp_path / "no.h5", *SHORT, coarse.replace("0.01", "0.1"))

@@ -5,9 +5,10 @@ from numpy.testing import assert_allclose
 
 from rigtool.experiments.torque_constant.swings import (
     friction_state,
+    longest_lag,
     mean_courses,
     path,
-    swings_seen,
+    without_noise,
 )
 
 PARTS = 96
@@ -20,13 +21,16 @@ def swinging(size: float):
     swing = size * np.exp(-12 * time) * -np.cos(2 * np.pi * 6 * time)
     step = np.diff(torque, axis=1, prepend=0.0)
     course = torque[:, :, None] + step[:, :, None] * swing
-    return mean_courses(torque, torque, course, np.ones(torque.shape))
+    return mean_courses(torque, torque, course, np.ones(torque.shape), noise=1e-6)
 
 
 def test_the_path_leads_from_plateau_to_plateau_by_its_turns():
     courses = swinging(0.8)
-    swings = path(courses, 1e-6)
-    assert swings_seen(courses)
+    swings = path(courses, courses.torque, courses.course, 1e-6)
+    # exp(-12 t) cos(12 pi t) has this damping ratio and this lag of its velocity
+    damping = 12 / np.hypot(12, 12 * np.pi)
+    lag = 2 * damping / np.hypot(12, 12 * np.pi)
+    assert lag < longest_lag(courses) < 5 * lag
     assert_allclose(np.sum(swings, axis=0)[0, 1:], np.diff(courses.torque[0]), atol=1e-12)
     # The first turn of exp(-12 t) cos(12 pi t) is half a period after the step.
     course = courses.course[0, 1]
@@ -36,8 +40,12 @@ def test_the_path_leads_from_plateau_to_plateau_by_its_turns():
 
 def test_an_arm_that_does_not_swing_goes_straight():
     courses = swinging(0.0)
-    assert not swings_seen(courses)
-    assert_allclose(np.abs(path(courses, 1e-6)).sum(axis=0)[0, 1:], 1.0, rtol=1e-9)
+    assert longest_lag(courses) is None
+    assert_allclose(
+        np.abs(path(courses, courses.torque, courses.course, 1e-6)).sum(axis=0)[0, 1:],
+        1.0,
+        rtol=1e-9,
+    )
 
 
 def test_friction_follows_each_swing():
@@ -49,3 +57,14 @@ def test_friction_follows_each_swing():
     up = 1 - np.exp(-x / s)
     assert_allclose(a[0, 1], -1 + (up + 1) * np.exp(-y / s), rtol=1e-12)
     assert_allclose(b[0, 1], np.exp(-(x + y) / s), rtol=1e-12)
+
+
+def test_noise_of_courses_is_taken_off_and_swings_are_kept():
+    rng = np.random.default_rng(4)
+    courses = swinging(0.8)
+    true = courses.course[0] - courses.torque[0][:, None]
+    rows = np.tile(true, (12, 1)) * np.linspace(0.8, 1.2, 60)[:, None]
+    found, left = without_noise(rows + 0.01 * rng.standard_normal(rows.shape), 0.01)
+    error = np.sqrt(np.mean((found - rows) ** 2))
+    assert error < 0.4 * 0.01
+    assert_allclose(left, error, rtol=0.5)

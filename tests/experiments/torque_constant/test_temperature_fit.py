@@ -42,14 +42,18 @@ def test_friction_hysteresis_is_reported_and_its_transition_found(thesis):
     # sliding on either branch in the middle of the span: twice the friction
     assert_allclose(thesis.slopes.hysteresis, 4e-3, rtol=0.01)
     # Dahl: exp(-deflection / presliding angle), deflection = torque / stiffness of the arm
-    assert_allclose(thesis.slopes.transition, 8e-4 * 15.0, rtol=0.02)
+    quiet = Bench(force_noise=5e-5, current_noise=3e-5)
+    assert_allclose(analyse(quiet, quiet.record()).slopes.transition, 8e-4 * 15.0, rtol=0.02)
     middle = len(thesis.slopes.level) // 2
     assert_allclose(thesis.slopes.falling[middle], 2e-3, rtol=0.03)
     assert_allclose(thesis.slopes.rising[middle], -2e-3, rtol=0.03)
 
 
 def test_stated_uncertainty_holds_what_is_common_to_all_points(thesis):
-    common = np.hypot(0.2 / 540, 3e-4)
+    # 3 % of what friction takes from a slope is stated for the law of friction.
+    law = thesis.components["law of friction"]
+    assert_allclose(law, 0.03 * thesis.slopes.friction_share, rtol=1e-9)
+    common = np.hypot(np.hypot(0.2 / 540, 3e-4), law)
     relative = thesis.torque_constant.u / thesis.torque_constant.value
     assert common < relative < 1.1 * common
     # what scales all points cancels in the relative coefficient
@@ -131,6 +135,31 @@ def test_unknown_rotor_angles():
     assert found.rotor_angles == 0
     assert abs(found.torque_constant.value - 45.8e-3) < 3 * found.torque_constant.u
     assert found.components["scatter"] > 3e-4  # the ripple scatters it
+
+
+def test_resolution_of_the_gauge_is_seen_in_its_readings_and_stated():
+    bench = Bench(force_noise=1e-4)
+    signals = bench.record((20, 50))
+    rounded = {**signals, "force": np.round(signals["force"] / 5e-3) * 5e-3}
+    plateaus = find_plateaus(**rounded, arm_length=0.54, settle_time=0.08)
+    assert_allclose(plateaus.resolution, 5e-3 * 0.54, rtol=1e-6)
+    found = calibrate(plateaus, arm_length=0.54, **ARM)
+    assert abs(found.mean.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) < 3 * found.mean.u / 45e-3
+    fine = analyse(bench, signals).components
+    assert found.components["gauge resolution"] > 20 * fine["gauge resolution"]
+    stated = find_plateaus(
+        **signals, arm_length=0.54, settle_time=0.08, gauge_resolution=5e-3
+    ).resolution
+    assert_allclose(stated, 5e-3 * 0.54, rtol=1e-12)
+
+
+def test_gauge_that_is_not_linear_is_in_the_budget(thesis):
+    bench = Bench()
+    plateaus = find_plateaus(**bench.record(), arm_length=0.54, settle_time=0.08)
+    found = calibrate(plateaus, arm_length=0.54, gauge_linearity=2e-3, **ARM)
+    assert_allclose(found.components["gauge linearity"], 2e-3 / np.sqrt(3), rtol=1e-12)
+    more = np.hypot(thesis.mean.u / thesis.mean.value, 2e-3 / np.sqrt(3))
+    assert_allclose(found.mean.u / found.mean.value, more, rtol=1e-6)
 
 
 def test_one_temperature_carries_no_coefficient():

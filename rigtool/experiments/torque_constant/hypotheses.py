@@ -1,0 +1,296 @@
+"""What all staircases share, as hypotheses: each with its probability and its torque constant.
+
+A hypothesis is a transition s of friction, a lag of the arm's swings and a time constant tau of the
+winding. On the mean staircases it leaves, by least squares in all else of (1) of
+`rigtool.experiments.torque_constant.staircase_model`, a sum of squares Q. Where the size of the
+scatter is unknown, its probability for n independent residuals is
+
+    p = Q^(-n/2) / sum over all hypotheses,
+
+even in the logarithms of s, lag and tau (A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013,
+section 3.2). Friction opposes motion: hypotheses that want the opposite have none. How far the
+torque constants of all hypotheses lie apart is the uncertainty that comes from what the data cannot
+tell: friction whose contacts bend further than the arm gives way is a spring beside the arm, and no
+staircase shows how stiff.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.staircase_model import Common, Stairs, mean_of, winding
+from rigtool.experiments.torque_constant.swings import (
+    friction_state,
+    longest_lag,
+    path,
+    straight_path,
+)
+from rigtool.numerics.arrays import Array
+from rigtool.numerics.residual_covariance import independent_samples
+
+SHORTEST_TIME_CONSTANT, LONGEST_TIME_CONSTANT = 2.0, 300.0
+"""Range in which the winding's thermal time constant tau is searched, s."""
+
+LONGEST_TRANSITION = 10.0
+"""Largest transition of friction, as a multiple of the span of the torque."""
+
+LARGEST_FRICTION = 0.25
+"""Largest friction, relative to the span of the torque."""
+
+PARAMETERS = 7
+"""Linear parameters of a mean staircase."""
+
+COARSE, FINE = (20, 8, 7), (7, 5, 5)
+"""Values of s, tau and lag over all of their range, and in each finer grid."""
+
+FINER_GRIDS = 3
+"""Grids that each cover the best of the one before."""
+
+SHORTER_LAG = 12.0
+"""Ratio of the longest lag of the arm's swings to the shortest."""
+
+FEWEST_RESIDUALS = 4.0
+"""Fewest independent residuals that are assumed."""
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """The most probable hypothesis, and what all of them do to the torque constants.
+
+    `stairs` have courses without noise. `shift` in N m/A is the mean of all hypotheses minus the
+    best, `spread` their standard deviation, `drift` in N m/(A K) that of the constants' change with
+    temperature.
+    """
+
+    stairs: Stairs
+    best: Common
+    shift: float
+    spread: float
+    drift: float
+
+
+def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypotheses:
+    """Try all hypotheses; `coefficient` is c of (1), 1/K.
+
+    `trend` (m,) combines the constants of the staircases to their change with temperature, 1/K.
+    Raises `InsufficientDataError` where the plateaus leave no degree of freedom.
+    """
+    means = _Means(stairs, coefficient, trend)
+    if means.dof < 1:
+        raise InsufficientDataError(
+            f"{int(stairs.weight.sum())} plateaus in {len(stairs.setpoint)} staircases leave no "
+            "degree of freedom to the fit: use more steps"
+        )
+    ways = _ways(stairs)
+    # The gauge's noise is in the path, too, where it would speak against the friction.
+    coarse = _joined([_search(means, way, 0) for way in ways])
+    means.smooth(coarse.commons[int(np.argmin(coarse.square))])
+    tried = _joined([_search(means, way, FINER_GRIDS) for way in ways])
+    number = int(np.argmin(tried.square))
+    count = max(means.independent(tried.commons[number]), FEWEST_RESIDUALS)
+    probable = tried.volume * (tried.square / tried.square[number]) ** (-count / 2)
+    probable /= probable.sum()
+    mean = probable @ tried.slope
+    spread = np.sqrt(probable @ (tried.slope - mean) ** 2)
+    shift = float(mean[0] - tried.slope[number, 0])
+    return Hypotheses(
+        means.stairs, tried.commons[number], shift, float(spread[0]), float(spread[1])
+    )
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Hypotheses (n,), at places (n, 2 or 3) of a grid, and what they leave.
+
+    `volume` (n,) is what each stands for, `square` (n,) is Q, `slope` (n, 2) the mean of the torque
+    constants and their change with temperature.
+    """
+
+    commons: list[Common]
+    place: Array
+    volume: Array
+    square: Array
+    slope: Array
+
+
+def _joined(parts: list[_Tried]) -> _Tried:
+    """Return all hypotheses of several grids; their places stay behind."""
+    return _Tried(
+        [common for part in parts for common in part.commons],
+        np.empty((0, 0)),
+        np.concatenate([part.volume for part in parts]),
+        np.concatenate([part.square for part in parts]),
+        np.concatenate([part.slope for part in parts]),
+    )
+
+
+def _ways(stairs: Stairs) -> list[tuple[float, float] | None]:
+    """Return ranges of the lag along which friction may follow, s; None for straight steps.
+
+    A gauge that shows no swings may be too slow for them: then friction may follow its torque
+    from plateau to plateau, or straight steps of the current.
+    """
+    longest = longest_lag(stairs.courses)
+    if longest is not None:
+        return [(longest / SHORTER_LAG, longest)]
+    fastest = float(np.min(stairs.courses.part)) / 20
+    return [(fastest, fastest), None]
+
+
+def _search(means: _Means, lag: tuple[float, float] | None, finer: int) -> _Tried:
+    """Try hypotheses with lags of this range on a coarse grid, and on so many finer ones."""
+    low, high = _ranges(means.stairs, lag)
+    centre, half = (low + high) / 2, (high - low) / 2
+    found: list[_Tried] = []
+    for level in range(1 + finer):
+        begin, end = np.maximum(centre - half, low), np.minimum(centre + half, high)
+        numbers = [
+            n if e > b else 1
+            for n, b, e in zip(FINE if level else COARSE, begin, end, strict=False)
+        ]
+        axes = [np.linspace(b, e, n) for b, e, n in zip(begin, end, numbers, strict=True)]
+        step = np.where(end > begin, (end - begin) / np.maximum(np.array(numbers) - 1, 1), 1.0)
+        for part in found:  # the finer grid stands for its part of the coarse one
+            part.volume[np.all((part.place >= begin) & (part.place <= end), axis=1)] = 0.0
+        place = np.array(list(product(*axes)))
+        whole = float(np.prod(np.where(high > low, high - low, 1.0)))
+        volume = np.full(len(place), float(np.prod(step)) / whole)
+        commons, square, slope = means.try_all(axes)
+        found.append(_Tried(commons, place, volume, square, slope))
+        centre, half = place[int(np.argmin(square))], np.where(high > low, 1.5 * step, 0.0)
+    return _joined(found)
+
+
+def _ranges(stairs: Stairs, lag: tuple[float, float] | None) -> tuple[Array, Array]:
+    """Return bounds of the logarithms of s, tau and the lag, if there is one."""
+    courses = stairs.courses
+    span = float(np.ptp(courses.torque[0]))
+    step = span * float(np.median(np.abs(np.diff(courses.setpoint[0]))))
+    step /= float(np.ptp(courses.setpoint[0]))
+    low = [step / 4, SHORTEST_TIME_CONSTANT]
+    high = [LONGEST_TRANSITION * span, LONGEST_TIME_CONSTANT]
+    if lag is not None:
+        low.append(lag[0])
+        high.append(lag[1])
+    return np.log(low), np.log(high)
+
+
+class _Means:
+    """Mean staircases, one of each kind, and what hypotheses leave of them."""
+
+    def __init__(self, stairs: Stairs, coefficient: float, trend: Array) -> None:
+        self.stairs, self._coefficient = stairs, coefficient
+        kind = stairs.courses.kind
+        self._members = [kind == number for number in range(int(kind.max()) + 1)]
+        self._share = np.array([np.mean(those) for those in self._members])
+        self._weight, self._step = self._mean(stairs.weight), self._mean(stairs.last_step)
+        torque = self._mean(stairs.torque)
+        combined = [
+            np.sum(trend[those, None] * stairs.torque[those], axis=0) for those in self._members
+        ]
+        self._torque = np.stack([torque, np.stack(combined)], axis=2)  # (g, p, 2)
+        self._taken = np.zeros(torque.shape)
+        self._span = float(np.ptp(torque))
+        self.dof = int(self._weight.sum()) - PARAMETERS * len(self._members)
+
+    def _mean(self, values: Array) -> Array:
+        return np.stack([values[those].mean(axis=0) for those in self._members])
+
+    def _thermal(self, time_constant: float) -> tuple[Array, Array]:
+        """Return current, warmed, and what heat takes from it, (2, g, p)."""
+        heat, warmth = winding(self.stairs, time_constant)
+        drift = warmth - mean_of(warmth, self.stairs.weight)[:, None]
+        current = self.stairs.current * (1 + self._coefficient * drift)
+        return self._mean(current), self._mean(current * heat)
+
+    def _friction(self, transition: Array, lag: float | None) -> tuple[Array, Array]:
+        courses = self.stairs.courses
+        if lag is None:
+            way = straight_path(courses)
+        else:
+            way = path(courses, courses.torque, courses.course, lag)
+        a, b = friction_state(way, transition[:, None, None])
+        return -a * self._weight, -b * self._weight  # (s, g, p)
+
+    def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array]:
+        """Return all hypotheses of a grid, their Q (n,) and slopes (n, 2): mean and trend."""
+        transition, tau = np.exp(axes[0]), np.exp(axes[1])
+        lags: list[float | None] = [None]
+        if len(axes) > 2:
+            lags = list(np.exp(axes[2]).tolist())
+        thermal = [self._thermal(value) for value in tau.tolist()]
+        shape = (len(transition), len(tau), len(lags))
+        square, slope = np.empty(shape), np.empty((*shape, 2))
+        free = np.empty(shape, dtype=np.bool_)
+        for n, lag in enumerate(lags):
+            columns = self._friction(transition, lag)
+            for k, (current, lost) in enumerate(thermal):
+                result = self._fit(current, lost, columns)
+                square[:, k, n], slope[:, k, n], free[:, k, n] = result
+        commons = [
+            Common(None if free[i, k, n] else float(transition[i]), lags[n], float(tau[k]))
+            for i, k, n in product(*map(range, shape))
+        ]
+        return commons, square.ravel(), slope.reshape(-1, 2)
+
+    def _fit(
+        self, current: Array, lost: Array, friction: tuple[Array, Array]
+    ) -> tuple[Array, Array, Array]:
+        """Return Q (s,), slopes (s, 2), and which transitions are without friction (s,)."""
+        smooth = np.stack([current, self._weight, self._step, lost], axis=2)[None]
+        saturation = (current * np.abs(current))[None, :, :, None]
+        plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape[1:]))
+        slid = np.concatenate([plain, *(column[..., None] for column in friction)], axis=3)
+        more = np.broadcast_to(saturation, (*slid.shape[:3], 1))
+        square, found = self._least_squares(np.concatenate([slid, more], axis=3))
+        none, _ = self._least_squares(np.concatenate([smooth, saturation], axis=3))
+        level = found[..., 4, 0] @ self._share
+        free = level <= 0
+        square = np.where(free, none, square)
+        square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
+        # The ripple's i |i| averages out over angles, and would take most of the slope with it.
+        slope = self._slopes(self._least_squares(slid)[1])
+        without = self._slopes(self._least_squares(smooth)[1])
+        return square, np.where(free[:, None], without, slope), free
+
+    def _slopes(self, found: Array) -> Array:
+        """Return mean slope and trend (s, 2) from parameters (s, g, c, 2)."""
+        mean = found[..., 0, 0] @ self._share
+        trend: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1)], axis=1)
+        return trend
+
+    def _least_squares(self, design: Array) -> tuple[Array, Array]:
+        """Return Q (s,) of the mean torque and parameters (s, g, c, 2) of designs (s, g, p, c)."""
+        q, r = np.linalg.qr(design)
+        projected = np.einsum("sgpc,gpk->sgck", q, self._torque)
+        rest = self._torque[..., 0] - np.einsum("sgpc,sgc->sgp", q, projected[..., 0])
+        square = np.sum(rest**2, axis=2) @ self._share
+        return square, np.linalg.solve(r, projected)
+
+    def smooth(self, common: Common) -> None:
+        """Take what a hypothesis leaves of the mean torques off the courses as noise."""
+        residual = self.residual(common).reshape(self._weight.shape)
+        rest = residual - self._taken
+        self._taken = residual
+        self.stairs = replace(self.stairs, courses=self.stairs.courses.less(rest))
+
+    def residual(self, common: Common) -> Array:
+        """Return what (1) with the ripple's i |i| leaves of the mean staircases, (g p,) N m."""
+        current, lost = self._thermal(common.time_constant)
+        columns = [current, self._weight, self._step, lost, current * np.abs(current)]
+        if common.transition is not None:
+            friction = self._friction(np.array([common.transition]), common.lag)
+            columns += [column[0] for column in friction]
+        q, _ = np.linalg.qr(np.stack(columns, axis=2))
+        torque = self._torque[..., 0]
+        rest: Array = torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))
+        return rest.ravel()
+
+    def independent(self, common: Common) -> float:
+        """Return how many independent residuals a hypothesis leaves, less its parameters."""
+        residual, used = self.residual(common), self._weight.ravel() > 0
+        return independent_samples(residual, used, 1) - PARAMETERS * len(self._members)
