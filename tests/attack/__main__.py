@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.attack.bench import Bench
+from tests.attack.bench import Bench, warm
 from tests.attack.kinds import KINDS, Kind
 
 
@@ -30,6 +30,7 @@ def attack(
 
     The attack `number` of a kind depends on seed, kind and number only. What failed is kept.
     """
+    warm()
     made: Counter[str] = Counter()
     codes: Counter[str] = Counter()
     faults: list[str] = []

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import importlib
+import pkgutil
 import random
 import shutil
 import time
@@ -11,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+import rigtool
 from rigtool import cli
 from tests.attack.trial import content, run
 
@@ -78,8 +81,15 @@ def inputs(command: str) -> tuple[object, ...]:
 def measuring(command: str, output: Path, recipe: Path = RECIPE) -> list[object]:
     """Return the line of a command that measures in short."""
     sets = [word for value in MEASURING[command] for word in ("--set", value)]
-    line = [command, recipe, *inputs(command), *sets, "--seed", "3", "-q", "--overwrite"]
+    line = [command, recipe, *inputs(command), *sets, "-q", "--overwrite"]
     return [*line, "-o", output]
+
+
+def warm() -> None:
+    """Import all modules of the package, so that forks have them."""
+    for module in pkgutil.walk_packages(rigtool.__path__, "rigtool."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
 
 
 @dataclass
