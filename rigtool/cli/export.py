@@ -15,7 +15,7 @@ from rigtool.cli.options import debug_option, echo, example, open_inputs, run_op
         "rigtool export friction.h5 --part recordings/holds -o holds.parquet",
         "rigtool export friction.h5 -o friction.mat",
         "rigtool export tables.h5 -o table.h",
-        "rigtool export tables.h5 --kt kt.h5 --format c-sensor -o sensor.h",
+        "rigtool export tables-loads.h5 --kt kt.h5 --format c-sensor -o sensor.h",
     )
 )
 @click.argument("path", metavar="RUN.h5")

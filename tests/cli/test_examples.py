@@ -13,6 +13,7 @@ import pytest
 import rigtool.cli as cli
 from rigtool.rigs.serial.emulators.server import serve
 from tests.cli.test_run_commands import interrupted
+from tests.experiments.deploy.test_stored_sensor import learned_run
 from tests.experiments.imported_runs import SLOW, slow_turn, take
 from tests.fixtures.make import SHORT
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
@@ -66,6 +67,8 @@ def prepare(bench, line):
     elif "epos-exports/" in line:
         (bench / "epos-exports").mkdir()
         write_epos(bench / "epos-exports" / "10.csv")
+    elif "tables-loads.h5" in line:
+        learned_run(bench / "tables-loads.h5")
     elif "kt.h5.part" in line:
         (bench / "kt.h5").unlink()
         interrupted(bench / "kt.h5")

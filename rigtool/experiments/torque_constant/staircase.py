@@ -123,10 +123,21 @@ def find_plateaus(
 
 
 def _resolution(readings: Array) -> float:
-    """Return the smallest difference of two readings: the step in which an instrument reads."""
+    """Return the step in which an instrument reads: what all differences are multiples of.
+
+    Euclid's algorithm over all differences; 0 where it ends within the rounding of the numbers. Two
+    readings may be many steps apart, where each plateau has a single one.
+    """
+    rounding = SINGLE * float(np.abs(readings).max(initial=0.0))
     difference = np.diff(np.unique(readings))
-    real = difference > 1e-7 * np.ptp(readings)  # more than rounding of the numbers
-    return float(difference[real].min()) if real.any() else 0.0
+    difference = left = difference[difference > 4 * rounding]
+    step = 0.0
+    while left.size and left.min() > FEWEST_ROUNDINGS * rounding:
+        step = float(left.min())
+        number = np.round(difference / step)
+        rest = np.abs(difference - number * step)
+        left = rest[rest > (2 + number) * rounding]  # the step itself is rounded
+    return step if not left.size else 0.0
 
 
 def _noise(values: Array, number: NDArray[np.int64], settled: Mask) -> Array:
@@ -151,6 +162,13 @@ def _course(values: Array, start: NDArray[np.int64], stop: NDArray[np.int64]) ->
     integral = np.interp(edges, np.arange(len(total)), total)
     course: Array = np.diff(integral, axis=1) * COURSE / length
     return course
+
+
+SINGLE = 2.0**-23
+"""Rounding of a stored reading, relative."""
+
+FEWEST_ROUNDINGS = 40
+"""Of the largest reading: a step of an instrument is larger."""
 
 
 @dataclass(frozen=True)

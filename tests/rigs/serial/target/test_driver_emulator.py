@@ -108,7 +108,7 @@ def test_a_request_sent_twice_is_done_once(host):
     [
         (FrameKind.START, b"", Refusal.NOT_NOW, "START without ARM"),
         (FrameKind.ARM, arm(every=0), Refusal.NOT_NOW, "every 0th sample"),
-        (FrameKind.ARM, arm(mask=0), Refusal.NOT_NOW, "not recorded"),
+        (FrameKind.ARM, arm(mask=0), Refusal.NOT_NOW, "unknown channels"),
         (FrameKind.ARM, b"short", Refusal.BAD_VALUE, "ARM"),
         (FrameKind.READ, link.READ.pack(0, 5), Refusal.NOT_NOW, "not in the log"),
         (FrameKind.MOVE, link.floats(float("nan")), Refusal.BAD_VALUE, "not finite"),
