@@ -219,7 +219,7 @@ def test_gaps_and_samples_without_value_begin_anew(rig, live, tmp_path):
     assert found.results["valid_share"].value == pytest.approx(
         1 - 4400 / (signals["time"][-1] - signals["time"][0]) / rate, abs=2e-3
     )
-    assert any("2 times samples are missing or NaN: 0.55 s" in note for note in found.notes)
+    assert any("2 times samples are missing or NaN: 0.55" in note for note in found.notes)
     rows = rows_of(live(), signals, range(1000, len(signals["time"]), 1000))
     size = len(rows["time"])
     assert 0 <= len(table["time"]) - size <= 2
