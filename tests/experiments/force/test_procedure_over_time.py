@@ -211,6 +211,7 @@ def test_gaps_and_samples_without_value_begin_anew(rig, strokes, live, tmp_path)
     path, signals = broken(rig, tmp_path)
     found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
     table, rate = found.tables["force"], 8000
+    assert len(strokes.tables["force"]["time"]) > len(table["time"])
     time = table["time"] - signals["time"][0]
     lost = ((time > 20000 / rate) & (time < 24000 / rate)) | (
         (time > 44000 / rate) & (time < 44400 / rate)
