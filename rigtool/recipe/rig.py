@@ -74,7 +74,7 @@ class ForceArm(Section):
         0.0, ge=0, description="step of its readings, N; a coarser one that they show counts"
     )
     gauge_linearity: float = Field(
-        0.0, ge=0, description="largest deviation from a straight line, of the highest force"
+        0.0, ge=0, le=1, description="largest deviation from a straight line, of the highest force"
     )
 
 

@@ -23,7 +23,7 @@ class Limits(Section):
     temperature_degc: float = Field(description="of the motor, where it is measured, degC")
     duration: float = Field(gt=0, description="of one motion, s")
     following_error: float = Field(
-        2.0, gt=0, description="distance of the shaft from its set point, rad; watched by the host"
+        2.0, gt=0, description="distance of the shaft from its set point, watched by the host, rad"
     )
 
     @model_validator(mode="after")

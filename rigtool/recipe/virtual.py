@@ -83,7 +83,9 @@ class Sensors(Section):
     current_noise: float = Field(0.0, ge=0, description="std a sample, A")
     force_noise: float = Field(0.0, ge=0, description="std a sample, N")
     force_gain: float = Field(1.0, ge=1e-3, le=1e3, description="gauge reading per newton")
-    force_linearity: float = Field(0.0, description="change of that gain with the force, 1/N")
+    force_linearity: float = Field(
+        0.0, ge=-1, le=1, description="change of that gain with the force, 1/N"
+    )
     force_resolution: float = Field(1e-3, ge=0, description="N")
     temperature_noise: float = Field(0.0, ge=0, description="std a sample, K")
     micrometer_error: float = Field(0.0, ge=0, description="std of a reading, m")

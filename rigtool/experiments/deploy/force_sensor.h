@@ -116,7 +116,8 @@ struct rs_model {
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
     /* ripple of another power-up: experiments/force/power_up.py has the equations */
     rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES];
-    rs_real row_noise, row_walk, row_reversal, row_contact, row_gate, row_certain;
+    rs_real row_noise, row_walk, row_reversal, row_contact, row_gate, row_certain,
+        row_largest, row_refuted;
     /* states */
     rs_real sliding, speed_limit, torque_limit, current_limit, cold, warm;
     int32_t lowest, highest; /* counts */
@@ -735,6 +736,12 @@ static inline void rs_take(struct rigtool_sensor *s)
         s->ripples[j] += column[j] * (error / variance);
     s->plain += s->plain_variance / own * plain;
     s->plain_variance *= noise / own;
+    for (j = 0; j < RS_WAVES; j += 2) {
+        const rs_real *c = &m->wave_mean[j], *beta = &s->ripples[j + 1];
+        if (rs_square(beta[0] - c[0]) + rs_square(beta[1] - c[1])
+            > m->row_largest * (c[0] * c[0] + c[1] * c[1]))
+            s->other = m->row_refuted; /* a force that repeats with the angle */
+    }
 }
 
 /* Add a step to the row; a whole row is taken in where all of it slides. */
@@ -755,7 +762,7 @@ static inline void rs_row(struct rigtool_sensor *s)
         walk += m->row_reversal; /* friction may be off by a stroke's own */
     s->ripple_d[0] += walk;
     s->plain_variance += walk;
-    if (s->row_slid == RS_ROW_STEPS)
+    if (s->row_slid == RS_ROW_STEPS && s->other > m->row_refuted)
         rs_take(s);
     for (j = 0; j < RS_PARTS; j++)
         s->row[j] = 0;

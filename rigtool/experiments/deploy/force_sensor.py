@@ -177,6 +177,8 @@ def _ripple(instrument: Instrument) -> dict[str, Number]:
         "row_contact": (power_up.CONTACT * size) ** 2,
         "row_gate": power_up.GATE**2,
         "row_certain": power_up.CERTAIN,
+        "row_largest": power_up.LARGEST**2,
+        "row_refuted": power_up.REFUTED,
     }
 
 

@@ -9,6 +9,9 @@ the learning, beta = 0, or another: c + beta then has the learned amplitudes A w
 
     beta ~ N(-c, A^2 / 2).
 
+A force that repeats with the angle looks like ripple. It refutes the second hypothesis once an
+order of c + beta is more than `LARGEST` times A; a weaker one is taken for ripple, up to that.
+
 Under each hypothesis a Kalman filter reads M^ row by row, M a random walk that starts anew where a
 row does not fit (a contact begins). The likelihoods of both weigh them; given is the mean of the
 mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to
@@ -44,6 +47,12 @@ GATE = 3.0
 CERTAIN = 50.0
 """Of the logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
 
+LARGEST = 3.0
+"""Amplitude of another power-up over the learned one, of an order."""
+
+REFUTED = -1.5 * CERTAIN
+"""Logarithm of the ratio that stays once the ripple is larger than any power-up makes it."""
+
 PARAMETERS = np.dtype([(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size")])
 
 WAVES = 2 * len(RIPPLE_ORDERS)
@@ -61,6 +70,7 @@ STATE = np.dtype(
         ("plain", "f8"),
         ("plain_variance", "f8"),
         ("other", "f8"),
+        ("learned", "f8", (WAVES,)),
         ("passed", "f8", (passed.ORDER,)),
     ]
 )
@@ -86,6 +96,7 @@ class PowerUp:
         )
         self._state = np.zeros(1, dtype=STATE)
         self._state["mean"][0, :-1] = -own
+        self._state["learned"][0] = own
         variances = np.append(amplitude**2 / 2, (CONTACT * factor * size) ** 2)
         self._state["covariance"][0] = np.diag(variances)
         self._state["plain_variance"] = variances[-1]
@@ -194,7 +205,7 @@ def _read(s: Record, p: Record) -> None:
         walk += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
     s.covariance[WAVES, WAVES] += walk
     s.plain_variance += walk
-    if s.slid >= p.steps:
+    if s.slid >= p.steps and s.other > REFUTED:
         noise = (NOISE * p.size) ** 2
         gain = np.empty(WAVES + 1)
         row = s.row.copy()
@@ -220,5 +231,10 @@ def _read(s: Record, p: Record) -> None:
                 s.covariance[i, j] -= gain[i] * gain[j] / variance
         s.plain += s.plain_variance / own * plain
         s.plain_variance *= 1.0 - s.plain_variance / own
+        for i in range(0, WAVES, 2):
+            first, second = s.mean[i] + s.learned[i], s.mean[i + 1] + s.learned[i + 1]
+            square = s.learned[i] ** 2 + s.learned[i + 1] ** 2
+            if first * first + second * second > LARGEST**2 * square:
+                s.other = REFUTED
     s.row[:] = 0.0
     s.filled = s.slid = 0.0

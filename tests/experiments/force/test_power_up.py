@@ -113,3 +113,21 @@ def test_at_rest_nothing_is_learned_and_the_doubt_stays():
     gone = -ripple(LEARNED, angle)
     np.testing.assert_allclose(found[settled], gone[settled] / 2, rtol=0, atol=1e-6)
     assert np.sqrt(variance[-1]) > 0.4e-3
+
+
+@pytest.mark.parametrize("stiffness", [10e-3, 30e-3])
+def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
+    """Tissue: a spring from 1.5 rad on, far larger than what a power-up draws."""
+    time, angle, states = motion()
+    spring = stiffness * np.maximum(angle - 1.5, 0.0)
+    states[:, TORQUE] = spring + noise(time, states)
+    power_up = PowerUp(model(), STEP, BANDWIDTH)
+    found, _ = power_up.add(angle, states)
+    assert power_up.probability < 1e-6
+    late = slice(round(20 / STEP), None)
+    assert np.abs(found[late]).max() < 1e-9
+    again, _ = power_up.whole(angle, states[:, TORQUE])
+    assert np.abs(again).max() < 1e-9
+    # before that, no more is taken for ripple than a power-up may draw
+    largest = 3 * FACTOR * sum(np.hypot(LEARNED[n, 0], LEARNED[n, 1]) for n in (1, 2))
+    assert np.abs(found).max() < 1.5 * largest
