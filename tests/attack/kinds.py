@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import re
@@ -163,9 +164,21 @@ def damaged(bench: Bench) -> Trial:
     bench.luck.choice(DAMAGE)(data, bench.luck)
     good.write_bytes(data)
     found = run(line, expected=frozenset({code, 1, 3, 4}))
-    if found.code == code == 0 and found.out != expected:
+    if found.code == code == 0 and _without_origin(found.out) != _without_origin(expected):
         return with_fault(found, "different")
     return found
+
+
+def _without_origin(text: str) -> object:
+    """Return what was printed, a document without its provenance: the hash of a damaged file is
+    another, also where the damage is in bytes that nothing uses."""
+    try:
+        document = json.loads(text)
+    except ValueError:
+        return text
+    if isinstance(document, dict):
+        document.pop("provenance", None)
+    return document
 
 
 VALUES: tuple[Callable[[random.Random], object], ...] = (
