@@ -9,11 +9,10 @@ first-order low-pass of `LAG`:
 
 Errors depend on the `Motion`: steady motion, within `AFTER` of a reversal, and rest. In each, the
 highest values in blocks of WINDOW (longer than the errors of a jump remember) where nothing touches
-give the threshold of a test at a rate of false alarms: a generalised Pareto distribution with the
-moments of what exceeds the quantile `TAIL`, of mean m and variance s^2 (J. R. M. Hosking and
-J. R. Wallis, Technometrics 29(3) 339-349, 1987):
+give the threshold of a test at a rate of false alarms: an exponential tail above the quantile t at
+`TAIL`, m the mean of what exceeds it (J. Pickands, Ann. Stat. 3(1) 119-131, 1975, shape 0):
 
-    P(x > t + y) = (1 - TAIL) (1 - k y / a)^(1/k),  k = (m^2/s^2 - 1)/2,  a = m (m^2/s^2 + 1)/2
+    P(x > t + y) = (1 - TAIL) exp(-y / m)
 
 A contact begins where M passed half of what it was when it was found, and ends where M falls below
 half of its mean so far, which is as likely to be no contact as that mean.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rigtool.experiments.force.contacts import Contact, contacts, trial
-from rigtool.experiments.force.results_over_time import Reading, Recorded
+from rigtool.experiments.force.results_over_time import SIGNALS, Reading, Recorded
 from rigtool.experiments.force.sensor import Instrument, Sensor
 from rigtool.experiments.force_over_time.estimate import PIECE, Smoother, without_delay
 from rigtool.experiments.force_over_time.force_model import ForceModel
@@ -204,13 +204,4 @@ class _Stretch:
         return [Reading(self._name, step_time, time, **whole)]
 
 
-FOUND = (
-    "torque",
-    "deviation",
-    "states",
-    "causal",
-    "causal_deviation",
-    "causal_states",
-    "reference",
-    "angle",
-)
+FOUND = (*(name for name in SIGNALS if name != "time"), "reference", "angle")
