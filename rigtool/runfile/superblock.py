@@ -1,4 +1,4 @@
-"""A run whose writer was killed, opened as if it had been closed; the file is not changed.
+"""What HDF5 does not offer at a file's start: opening it unclosed, and leaving times out of it.
 
 HDF5 sets a flag in the superblock while a file is being written, and refuses to open a file with
 that flag. Reading as a follower of the writer (SWMR) does not suit remains that may be damaged:
@@ -7,8 +7,10 @@ is given a superblock without the flag, with the true end of the file (as its to
 write it) and a new checksum.
 
 The superblock of version 3 (HDF5 File Format Specification 3.0, II.A): 8 bytes of signature,
-version, two sizes, the consistency flags in byte 11, four addresses of 8 bytes (the end of the file
-is the third), and the checksum in the last 4 of 48 bytes.
+version, two sizes, the consistency flags in byte 11, four addresses of 8 bytes (the second is that
+of its extension, the end of the file the third), and the checksum in the last 4 of 48 bytes. The
+extension is an object header of version 2 (IV.A.1.b): signature, version, flags, four times of 4
+bytes, the size of its messages in 1 byte, the messages and their checksum.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ import h5py
 from rigtool.errors import RunFileError
 
 SUPERBLOCK_SIZE = 48
-VERSION, ADDRESS_SIZE, FLAGS, END, CHECKSUM = 8, 9, 11, 28, 44
+VERSION, ADDRESS_SIZE, FLAGS, EXTENSION, END, CHECKSUM = 8, 9, 11, 20, 28, 44
+TIMES, MESSAGES = slice(6, 22), 23
 
 _MASK = 0xFFFFFFFF
 
@@ -85,6 +88,24 @@ def open_unclosed(path: Path) -> h5py.File:
             f"{path}: does not open: its run was killed before the first sample, or it is damaged: "
             "nothing to recover"
         ) from error
+
+
+def clear_times(path: Path) -> None:
+    """Set the times in the extension of a closed file's superblock to 0: equal runs, equal bytes.
+
+    HDF5 can leave out the times of every object but this one, which states how space is managed.
+    """
+    with path.open("r+b") as stream:
+        start = stream.read(SUPERBLOCK_SIZE)
+        address = int.from_bytes(start[EXTENSION : EXTENSION + 8], "little")
+        stream.seek(address)
+        header = bytearray(stream.read(MESSAGES))
+        assert header[:6] == b"OHDR\x02\x20", "a file in pages has an extension with times"
+        header[TIMES] = bytes(16)
+        header += stream.read(header[MESSAGES - 1])
+        header += checksum(bytes(header)).to_bytes(4, "little")
+        stream.seek(address)
+        stream.write(header)
 
 
 def checksum(data: bytes) -> int:

@@ -11,7 +11,7 @@ import pytest
 from rigtool.errors import RunFileError
 from rigtool.runfile import RunWriter, open_run
 from rigtool.runfile.recovery import recover
-from rigtool.runfile.unclosed import CHECKSUM, SUPERBLOCK_SIZE, checksum
+from rigtool.runfile.superblock import CHECKSUM, SUPERBLOCK_SIZE, checksum
 from tests.runfile.test_run_damaged import cut, flipped, flipped_in_headers, overwritten, swapped
 from tests.runfile.whole_run import SPECS, samples
 
