@@ -24,7 +24,7 @@ from rigtool.rigs.serial.target.frames import (
     encode,
 )
 
-DOCUMENT = (Path(__file__).parents[3] / "docs" / "target-link.md").read_text()
+DOCUMENT = (Path(__file__).parents[4] / "docs" / "target-link.md").read_text()
 
 
 def hexadecimal(pattern):
