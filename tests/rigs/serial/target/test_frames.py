@@ -13,11 +13,18 @@ from hypothesis import strategies as st
 from rigtool.control.lookup_table import LookupTable
 from rigtool.rigs.base import Load
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Move, SpeedProfile, Triangle
-from rigtool.rigs.serial.frames import Frame, Splitter, cobs_decode, cobs_encode, decode, encode
 from rigtool.rigs.serial.line import DamagedReply
 from rigtool.rigs.serial.target import link
+from rigtool.rigs.serial.target.frames import (
+    Frame,
+    Splitter,
+    cobs_decode,
+    cobs_encode,
+    decode,
+    encode,
+)
 
-DOCUMENT = (Path(__file__).parents[3] / "docs" / "target-link.md").read_text()
+DOCUMENT = (Path(__file__).parents[4] / "docs" / "target-link.md").read_text()
 
 
 def hexadecimal(pattern):
