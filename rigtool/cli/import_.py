@@ -4,32 +4,33 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example, overwrite_option, quiet_option
+from rigtool.cli.options import FILE, Command, current_output, example
 
 
 @click.command(
     "import",
+    cls=Command,
     epilog=example(
         "rigtool import run07.csv --map recipes/import/mis-tool.toml -o run07.h5",
         "rigtool import epos-exports/ -o runs/",
     ),
 )
-@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")
+@click.argument("sources", nargs=-1, required=True, type=FILE, metavar="SOURCE...")
 @click.option(
-    "-o", "--output", required=True, metavar="RUN.h5|FOLDER", help="Run file, or folder for many."
+    "-o",
+    "--output",
+    required=True,
+    type=FILE,
+    metavar="RUN.h5|FOLDER",
+    help="Run file, or folder for many.",
 )
-@click.option("--map", "map_path", metavar="MAP.toml", help="Meaning of the columns.")
+@click.option("--map", "map_path", type=FILE, metavar="MAP.toml", help="Meaning of the columns.")
 @click.option("--skip-bad-lines", is_flag=True, help="Leave out bad lines and count them.")
-@overwrite_option
-@quiet_option
-@debug_option
 def command(
     sources: tuple[str, ...],
     output: str,
     map_path: str | None,
     skip_bad_lines: bool,
-    overwrite: bool,
-    quiet: bool,
 ) -> None:
     """Make run files from data that other programs recorded.
 
@@ -42,19 +43,30 @@ def command(
     from rigtool.runfile.importers import import_files
 
     mapping = None if map_path is None else load_mapping(map_path)
+    to = current_output()
     done = import_files(
         sources,
         output,
         mapping,
         skip_bad=skip_bad_lines,
-        overwrite=overwrite,
+        overwrite=to.overwrite,
         map_path=map_path,
     )
     for item in done:
         left_out = f", {item.left_out} bad left out" if item.left_out else ""
-        echo(f"{item.output}: {item.samples} samples{left_out}")
-    if quiet:
-        return
+        to.written(item.output, f"run of import, {item.samples} samples{left_out}")
     for item in done:
         for note in item.notes:
-            echo(f"Note: {item.output.name}: {note}", err=True)
+            to.note(f"Note: {item.output.name}: {note}")
+    to.document(
+        output=output,
+        runs=[
+            {
+                "output": str(item.output),
+                "samples": item.samples,
+                "left_out": item.left_out,
+                "notes": list(item.notes),
+            }
+            for item in done
+        ],
+    )

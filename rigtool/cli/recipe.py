@@ -6,15 +6,19 @@ from pathlib import Path
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example, overwrite_option
+from rigtool.cli.options import FILE, Command, completed, current_output, example
 
 
-@click.command(epilog=example("rigtool recipe briaire-2006 -o rig.toml"))
-@click.argument("name", required=False)
-@click.option("-o", "--output", metavar="FILE.toml", help="Recipe to write.")
-@overwrite_option
-@debug_option
-def command(name: str | None, output: str | None, overwrite: bool) -> None:
+def _names(path: str) -> list[str]:
+    from rigtool.recipe.shipped import shipped_recipes
+
+    return list(shipped_recipes())
+
+
+@click.command(cls=Command, epilog=example("rigtool recipe briaire-2006 -o rig.toml"))
+@click.argument("name", required=False, shell_complete=completed(_names))
+@click.option("-o", "--output", type=FILE, metavar="FILE.toml", help="Recipe to write.")
+def command(name: str | None, output: str | None) -> None:
     """Copy a recipe that comes with rigtool, to change it.
 
     Without NAME, lists them. Without -o, prints the recipe. Mappings of imports are among them, as
@@ -22,15 +26,20 @@ def command(name: str | None, output: str | None, overwrite: bool) -> None:
     """
     from rigtool.recipe.shipped import shipped_recipe, shipped_recipes
 
+    to = current_output()
     if name is None:
         for known in shipped_recipes():
-            echo(known)
+            to.line(known)
+        to.document(recipes=list(shipped_recipes()))
     elif output is None:
-        echo(shipped_recipe(name), nl=False)
+        text = shipped_recipe(name)
+        to.line(text, nl=False)
+        to.document(recipe=text)
     else:
         from rigtool.runfile.export import write_new
 
         text = shipped_recipe(name)
         inputs = [shipped_recipes()[name]]
-        write_new(Path(output), overwrite, lambda path: path.write_text(text, "utf-8"), inputs)
-        echo(f"Written: {output}", err=True)
+        write_new(Path(output), to.overwrite, lambda path: path.write_text(text, "utf-8"), inputs)
+        to.written(output, f"recipe {name}")
+        to.document(output=output, recipe=text)

@@ -92,6 +92,15 @@ def legend_above(axes: Axes, columns: int = 3) -> None:
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, borderaxespad=0.2)
 
 
+def colours(count: int) -> list[Any]:
+    """Return distinct colours: those of `CYCLE`, or shades of `COLOUR_MAP` where it has too few."""
+    from matplotlib import colormaps
+
+    if count <= len(CYCLE):
+        return list(CYCLE[:count])
+    return [colormaps[COLOUR_MAP](index / (count - 1) * 0.92) for index in range(count)]
+
+
 def render(figure: Figure) -> tuple[str, bytes]:
     """Return the figure as SVG and PNG; equal figures give equal bytes.
 
