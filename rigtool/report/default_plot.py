@@ -100,17 +100,25 @@ def _draw_table(axes: Axes, table: Table) -> None:
     """Draw the signal along the last axis, one line for each point of the other axes."""
     signal = table.columns[table.signal]
     along = table.axes[-1]
-    factor, unit = display_unit(signal.unit)
+    factor, unit = display_unit(signal.unit, _size(signal.values))
     lines = signal.values.reshape(-1, table.shape[-1]) * factor
     labels = _labels(table)
+    scale, axis_unit = display_unit(table.columns[along].unit)
+    places = np.asarray(table[along]) * scale
     shown = _spread(len(lines))
     for index, colour in zip(shown, style.colours(len(shown)), strict=True):
-        axes.plot(table[along], lines[index], ".-", ms=3, lw=1, color=colour, label=labels[index])
+        axes.plot(places, lines[index], ".-", ms=3, lw=1, color=colour, label=labels[index])
     if len(lines) > 1:
         axes.legend(fontsize="small")
-    _scale(axes, np.asarray(table[along]), along, signal.values)
-    axes.set_xlabel(_label(along, table.columns[along].unit))
+    _scale(axes, places, along, signal.values)
+    axes.set_xlabel(_label(along, axis_unit))
     axes.set_ylabel(_label(table.signal, unit))
+
+
+def _size(values: NDArray[Any]) -> float:
+    """Return the largest magnitude of values, 0 where there is none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max(initial=0.0))
 
 
 def _scale(axes: Axes, places: NDArray[Any], along: str, values: NDArray[Any]) -> None:

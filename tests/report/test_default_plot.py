@@ -24,11 +24,11 @@ def test_a_table_with_two_axes(tmp_path):
     axes = drawn(tmp_path / "a.h5", {}, TABLES)
     table = TABLES["friction_model"]
     assert axes.get_title() == "stribeck: friction_model"
-    assert axes.get_xlabel() == "position [rad]"
+    assert axes.get_xlabel() == "position [deg]"
     assert axes.get_ylabel() == "torque [mN m]"
     assert [line.get_label() for line in axes.lines] == ["speed 1 rad/s", "speed 2 rad/s"]
     for line, torque in zip(axes.lines, table["torque"], strict=True):
-        np.testing.assert_array_equal(line.get_xdata(), table["position"])
+        np.testing.assert_array_equal(line.get_xdata(), np.degrees(table["position"]))
         np.testing.assert_allclose(line.get_ydata(), torque * 1e3, rtol=1e-12, atol=0)
 
 
