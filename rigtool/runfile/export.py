@@ -82,16 +82,22 @@ class ExportedPart:
     blocks: Iterator[pd.DataFrame]
 
 
-def choose(run: Run, part: str | None) -> ExportedPart:
-    """Return a part of a run by its name: `results`, `recordings/NAME`, `tables/NAME`, or NAME.
-
-    Raises `UsageError` where the choice is open.
-    """
+def run_parts(run: Run) -> dict[str, Recording | Table | Mapping[str, Quantity]]:
+    """Return the parts of a run by name: `results`, `recordings/NAME`, `tables/NAME`."""
     parts: dict[str, Recording | Table | Mapping[str, Quantity]] = {}
     if run.results:
         parts[schema.RESULTS] = run.results
     parts.update({f"{schema.RECORDINGS}/{name}": item for name, item in run.recordings.items()})
     parts.update({f"{schema.TABLES}/{name}": table for name, table in run.tables.items()})
+    return parts
+
+
+def choose(run: Run, part: str | None) -> ExportedPart:
+    """Return a part of a run by its name: `results`, `recordings/NAME`, `tables/NAME`, or NAME.
+
+    Raises `UsageError` where the choice is open.
+    """
+    parts = run_parts(run)
     found = [
         name for name in parts if part is None or name == part or name.rpartition("/")[2] == part
     ]
