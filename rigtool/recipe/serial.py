@@ -58,7 +58,8 @@ class Serial(Section):
     LARGEST_COUNT: ClassVar[int] = 2**31
 
     driver: str = Field(
-        description='"target", "odrive", "moteus", "maxon", or a driver that another package adds; '
+        description='"target", "odrive", "moteus", "maxon", "simplefoc", "vesc", or one that '
+        "another package adds; "
         '"replay" plays back a file of --spy'
     )
     port: str = Field(
@@ -84,7 +85,8 @@ class Serial(Section):
     )
     emergency_stop: bool = Field(
         False,
-        description="is wired, tried and within reach: a drive without watchdog (maxon) needs one",
+        description="is wired, tried and within reach: a drive without watchdog needs one "
+        "(maxon, SimpleFOC)",
     )
     operator: bool = Field(
         True, description="somebody is there to hang loads, clamp, heat and switch off"
