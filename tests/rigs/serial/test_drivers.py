@@ -46,7 +46,8 @@ def test_each_driver_of_rigtool_makes_a_drive_or_a_rig(name, monkeypatch):
 
 
 def test_unknown_driver_is_refused_with_the_known_ones():
-    known = r"'toaster' is unknown: use one of odrive, moteus, target, maxon, replay, or install"
+    names = "odrive, moteus, simplefoc, vesc, target, maxon, replay"
+    known = f"'toaster' is unknown: use one of {names}, or install"
     with pytest.raises(RecipeError, match=known):
         open_rig(serial_recipe("/dev/none", driver="toaster"), 0.045, "test")
 
