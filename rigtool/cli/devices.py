@@ -22,7 +22,7 @@ def command(ports: tuple[str, ...], drivers: tuple[str, ...], as_json: bool) -> 
     import json
     from dataclasses import asdict
 
-    from rigtool.errors import UsageError
+    from rigtool.errors import HardwareError, UsageError
     from rigtool.rigs.serial.ports import askable, find_devices
 
     for name in drivers:
@@ -39,3 +39,5 @@ def command(ports: tuple[str, ...], drivers: tuple[str, ...], as_json: bool) -> 
         echo(json.dumps([asdict(device) for device in found], indent=2))
     elif not found:
         echo("no serial ports on this computer", err=True)
+    if closed := [device.port for device in found if device.problem and ports]:
+        raise HardwareError(f"{', '.join(closed)}: cannot be asked")

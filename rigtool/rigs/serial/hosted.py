@@ -30,7 +30,7 @@ from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.between import ROOM, Between, usual_time
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
 from rigtool.rigs.serial.drivers import Driver
-from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.line import CAN, REPLAY, Line
 from rigtool.rigs.serial.rig import SerialRig, in_thread
 from rigtool.rigs.serial.ticks import Clock
 
@@ -85,6 +85,12 @@ class HostedRig(SerialRig):
         return self._drive
 
     def _open_line(self) -> Line:
+        port = self._settings.port
+        if not port.startswith(REPLAY) and port.startswith(CAN) != self._driver.can:
+            needed = "a CAN bus: can:INTERFACE:CHANNEL" if self._driver.can else "a serial port"
+            raise RecipeError(
+                f"serial.port is {port!r}, and {self._settings.driver} is on {needed}"
+            )
         return Line(
             self._settings.port,
             self._settings.baud_rate or self._driver.baud_rates[0],
