@@ -76,7 +76,7 @@ def command(
     a sensor, where recorded, is compared with the result.
     """
     from rigtool.experiments.force.procedure import PROCEDURE
-    from rigtool.experiments.force.procedure_live import over_time_live
+    from rigtool.experiments.force_sensor.procedure_live import over_time_live
 
     procedure, seconds = PROCEDURE, record if observe is None else observe
     if seconds is None and (stream or every is not None):

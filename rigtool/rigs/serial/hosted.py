@@ -7,7 +7,9 @@ the run's record of the line states how even these times are.
 
 A drive whose set point of position stands still between two messages answers each with a step of
 current. Such a drive follows speeds, which the host corrects by the error of position; where it
-takes positions only, `between` measures the bias of the samples.
+takes positions only, `between` measures the bias of the samples. A drive that takes currents only
+is followed by the controller of [rig.controller], which the host runs; it adds feed-forward, table
+and signal itself.
 """
 
 from __future__ import annotations
@@ -20,6 +22,11 @@ from typing import Any
 
 import numpy as np
 
+from rigtool.control.position_loop import (
+    RunningController,
+    controller_sections,
+    stable_one_sample_late,
+)
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
@@ -104,6 +111,14 @@ class HostedRig(SerialRig):
             assert self._driver.make_drive is not None, "a driver makes a drive or a rig"
             self._drive = self._driver.make_drive(self.line, self._recipe)
         identity = self._drive.connect()
+        design = self._recipe.rig.loop_design
+        if self.mode == "current" and not stable_one_sample_late(**design):
+            raise RecipeError(
+                f"the loop of [rig.controller], {design['crossover_hz']:g} Hz of crossover, is not "
+                f"stable where the host closes it every {design['sample_time']:g} s: lower "
+                "crossover_hz, to a fiftieth of the rate for a good margin, and the other "
+                "frequencies with it"
+            )
         self._configured = True
         for gap in self._drive.configure(self._limits, self._settings.watchdog):
             note = f"the drive {gap}: the host alone watches it"
@@ -151,11 +166,10 @@ class HostedRig(SerialRig):
         name = self._settings.driver
         if need in ("load", "clamp", "soak", "power_cycle"):
             return f"{name} cannot do this by itself"
-        if need == "closed_loop" and not able.modes & {"position", "velocity"}:
-            return f"this {name} follows neither positions nor speeds"
         if need == "open_loop" and "current" not in able.modes:
             return f"this {name} takes no set point of current"
-        if need in ("feedforward", "table", "signal") and not able.feedforward:
+        added = able.feedforward or self.mode == "current"
+        if need in ("feedforward", "table", "signal") and not added:
             return f"this {name} takes no torque feed-forward beside its set point"
         if need in ("current", "current_setpoint", "temperature") and need not in able.channels:
             more = ": add [serial.temperature]" if need == "temperature" else ""
@@ -200,8 +214,13 @@ class HostedRig(SerialRig):
 
     @property
     def mode(self) -> Mode:
-        """How motions are followed: by corrected speeds, unless the drive moves along."""
+        """How motions are followed: by corrected speeds, unless the drive moves along.
+
+        By the host's own controller where the drive takes nothing but currents.
+        """
         able = self.drive.abilities
+        if able.modes == {"current"}:
+            return "current"
         if "velocity" in able.modes and not able.moves_along:
             return "velocity"
         return "position" if "position" in able.modes else "velocity"
@@ -230,6 +249,10 @@ class _Loop:
         )
         self._rows: list[tuple[float, ...]] = []
         self._gain = min(rig._settings.position_gain, CORRECTED / self._recipe.rig.sample_time)
+        self._controller: RunningController | None = None
+        if rig.mode == "current" and not self._open_loop:
+            sections = controller_sections(**self._recipe.rig.loop_design)
+            self._controller = RunningController(sections)
         self._start = self._origin = 0.0
         self.ticks = self.late = self.skipped = 0
         self.longest_gap = self.elapsed = 0.0
@@ -279,7 +302,7 @@ class _Loop:
             travelled = abs(last.position - begin)
             if task.stop_angle is not None and self._open_loop and travelled > task.stop_angle:
                 return
-            if not self._open_loop:
+            if not self._open_loop and self._controller is None:
                 probe = self._probe(tick)
             tick += 1
 
@@ -326,14 +349,19 @@ class _Loop:
         if feedforward.signal is not None:
             step = int(elapsed / self._recipe.rig.sample_time) % len(feedforward.signal)
             signal = float(feedforward.signal[step]) / constant
-        rate = float(speed[0])
+        rate, added = float(speed[0]), model + table + signal
+        if self._controller is not None:
+            error = float(self._motion_at(last.time)[0][0]) - last.position
+            added += self._controller.torque(error) / constant
+            limit = min(self._recipe.rig.current_limit, self._rig._limits.current)
+            added = min(max(added, -limit), limit)
         if self._rig.mode == "velocity":
             limit = self._rig._limits.speed
             # The set point at the time of the last sample: a sample that is older
             # than the set point would show a distance that grows with speed and delay.
             rate += self._gain * (float(self._motion_at(last.time)[0][0]) - last.position)
             rate = min(max(rate, -limit), limit)
-        sent = SetPoint(float(position[0]), rate, model + table + signal)
+        sent = SetPoint(float(position[0]), rate, added)
         return sent, (model, table, signal)
 
     def _wanted(self, sample: Sample) -> float:

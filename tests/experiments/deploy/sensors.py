@@ -10,12 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rigtool.experiments.force.sensor import Instrument, Sensor
-from rigtool.experiments.force_over_time.drive import Drive
-from rigtool.experiments.force_over_time.kalman import Uncertainty
-from rigtool.experiments.force_over_time.model import Kind, Term
-from rigtool.experiments.force_over_time.motion_states import Reach
-from rigtool.experiments.force_over_time.plant import (
+from rigtool.experiments.force_filter.kalman import Uncertainty
+from rigtool.experiments.force_filter.motion_states import Reach
+from rigtool.experiments.force_filter.plant import (
     ANGLE,
     NOISE,
     SPEED,
@@ -25,7 +22,10 @@ from rigtool.experiments.force_over_time.plant import (
     advance,
     as_record,
 )
-from tests.experiments.force_over_time.plants import PLANT, UNCERTAINTY
+from rigtool.experiments.force_model.drive import Drive
+from rigtool.experiments.force_model.model import Kind, Term
+from rigtool.experiments.force_sensor.sensor import Instrument, Sensor
+from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 HOST = Path(__file__).with_name("sensor_host.c")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.deploy.force_sensor import sensor_header
-from rigtool.experiments.force_over_time.motion_states import State
+from rigtool.experiments.force_filter.motion_states import State
 from tests.experiments.deploy.sensors import (
     COUNTS,
     HOST,

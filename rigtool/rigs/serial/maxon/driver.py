@@ -7,7 +7,7 @@ this line, so a process beside this one watches over it (`guard_process`).
 
 from __future__ import annotations
 
-from rigtool.errors import HardwareError, RecipeError
+from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
 from rigtool.rigs.serial.cia402.objects import DEVICE_TYPE
 from rigtool.rigs.serial.cia402.states import identity
@@ -24,15 +24,16 @@ from rigtool.rigs.serial.maxon.frames import (
     DleFrames,
     LockStepFrames,
 )
-from rigtool.rigs.serial.maxon.guard import Guard
+from rigtool.rigs.serial.maxon.guard import (
+    SHORTEST_SILENCE,
+    SILENCE,
+    Guard,
+    require_emergency_stop,
+)
 from rigtool.rigs.serial.maxon.objects import EPOS2_ACCESS, EPOS4_ACCESS, EposObjects
 
 BAUD_RATES = (115200, 38400)
 """Of an EPOS and of a DES, as they are delivered, bit/s."""
-
-SILENCE, SHORTEST_SILENCE = 2.0, 1.0
-"""Silence that the guard accepts: multiple of `serial.watchdog`, and time [s] at least. The host
-gives up first, and switching on takes a while."""
 
 FACTORY_NODE = 1
 """Address that an EPOS is delivered with; `serial.node` = 0 means this one."""
@@ -56,13 +57,7 @@ def make_drive(line: Line, recipe: Recipe) -> Drive:
     """
     assert recipe.serial is not None
     settings, node = recipe.serial, recipe.serial.node or FACTORY_NODE
-    if not settings.emergency_stop:
-        raise RecipeError(
-            f"{line.port}: maxon drives have no watchdog on this line: where computer or cable "
-            "fail, the motor follows its last set point. Wire the enable or STO input, or the "
-            "supply, to an emergency stop within reach, try it, and set serial.emergency_stop = "
-            "true"
-        )
+    require_emergency_stop(settings, "maxon drives have")
     drive = drive_on(line, node, recipe.rig.encoder_counts)
     if not line.replays:
         silence = max(SHORTEST_SILENCE, SILENCE * settings.watchdog)
@@ -120,4 +115,9 @@ def _introduced(line: Line, ready: bytes, node: int) -> EposObjects | LockStepFr
     return objects
 
 
-DRIVER = Driver(probe, BAUD_RATES, make_drive, has_watchdog=False)
+def switch_off(line: Line, node: int) -> None:
+    """Switch the device on a line off."""
+    drive_on(line, node, encoder_counts=4).halt()
+
+
+DRIVER = Driver(probe, BAUD_RATES, make_drive, has_watchdog=False, switch_off=switch_off)
