@@ -125,7 +125,24 @@ class HostedRig(SerialRig):
             if note not in self.notes:
                 self.notes.append(note)
         self._require_rate()
+        self._state_runaway()
         return identity
+
+    def _state_runaway(self) -> None:
+        """Note how fast the shaft gets where a loop runs away, before the host notices."""
+        rig, limits = self._recipe.rig, self._limits
+        torque = self._torque_constant * limits.current
+        fastest = safety.runaway(
+            limits, rig.encoder_counts, rig.sample_time, torque / rig.inertia.total(rig.attachment)
+        )
+        note = (
+            f"where a loop runs away (a wrong sign, a lost encoder) with {limits.current:g} A, the "
+            f"host notices it at up to {fastest:.3g} rad/s, {fastest / limits.speed:.2g} times the "
+            "limit of speed, unless the drive limits it: lower serial.limits.current where that is "
+            "too fast"
+        )
+        if note not in self.notes:
+            self.notes.append(note)
 
     def _require_rate(self) -> None:
         """Refuse a period that is too short for the line."""

@@ -2,6 +2,7 @@
 
 import json
 import time
+from pathlib import Path
 
 import canopen
 import numpy as np
@@ -18,6 +19,7 @@ from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.ports import find_devices
+from tests.cli.test_run_commands import call
 from tests.rigs.serial.emulators.canopen import (
     I16,
     RATED,
@@ -27,6 +29,7 @@ from tests.rigs.serial.emulators.canopen import (
 )
 from tests.rigs.serial.recipes import serial_recipe
 
+ROOT = Path(__file__).parents[4]
 PERIOD = 0.01
 FAST = Task(SpeedProfile((0.0, 0.1, 4.0), (0.0, 10.0, 10.0)))
 TO_AND_FRO = Task(SpeedProfile((0.0, 0.05, 0.2, 0.3, 0.4), (0.0, 4.0, 4.0, -4.0, -4.0)))
@@ -255,3 +258,23 @@ def test_driver_on_the_wrong_kind_of_port_is_refused(port, name):
     operator = Operator(say=lambda text: None, present=False, yes=True)
     with pytest.raises(RecipeError, match=r"serial\.port is"):
         HostedRig(recipe, 0.045, "test", operator, driver(name)).__enter__()
+
+
+def test_current_at_a_steady_speed_is_that_of_friction(name):
+    device = KINDS[name]()
+    with serve(device) as server, can_rig(server.port, name=name) as rig:
+        found = perform(rig, Task(SpeedProfile((0.0, 0.1, 0.5), (0.0, 8.0, 8.0))))
+    steady = found["time"] - found["time"][0] > 0.3
+    friction = (device.motor.coulomb + 8.0 * device.motor.viscous) / device.motor.torque_constant
+    assert found["current"][steady].mean() == pytest.approx(friction, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["cia402-drive", "maxon-epos4-can"])
+def test_what_would_move_with_a_shipped_recipe_is_told(name, tmp_path, capsys):
+    recipe, kt = ROOT / "recipes" / f"{name}.toml", ROOT / "tests" / "fixtures" / "kt.h5"
+    arguments = [recipe, "-o", tmp_path / "r.h5", "--dry-run"]
+    code, out, err = call(capsys, "stribeck", *arguments, "--kt", kt)
+    assert code == 0, err
+    assert "Within the limits 2 A, 40 rad/s" in out
+    code, out, err = call(capsys, "calibrate-kt", *arguments)
+    assert code == 0, err
