@@ -6,6 +6,7 @@ A part is written in blocks of rows: a recording of any length needs the memory 
 from __future__ import annotations
 
 import csv
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -154,10 +155,10 @@ def write_parquet(frame: ExportedPart, path: Path) -> None:
             "`pip install rigtool[parquet]`, or write a .csv"
         ) from None
     first = next(frame.blocks)
-    first.attrs["units"] = frame.units
     plain: Any = pa.Schema.from_pandas(first, preserve_index=False)
     fields = [field.with_metadata({"units": frame.units[field.name]}) for field in plain]
-    described = pa.schema(fields, metadata=plain.metadata)
+    attributes = {"PANDAS_ATTRS": json.dumps({"units": frame.units})}
+    described = pa.schema(fields, metadata={**plain.metadata, **attributes})
     with parquet.ParquetWriter(path, described) as writer:
         writer.write_table(pa.Table.from_pandas(first, schema=described, preserve_index=False))
         for block in frame.blocks:
