@@ -65,8 +65,8 @@ class Serial(Section):
     LARGEST_COUNT: ClassVar[int] = 2**31
 
     driver: str = Field(
-        description='"target", "odrive", "moteus", "maxon", "cia402", or a driver that another '
-        'package adds; "replay" plays back a file of --spy'
+        description='"target", "odrive", "moteus", "maxon", "cia402", "simplefoc", "vesc", or one '
+        'that another package adds; "replay" plays back a file of --spy'
     )
     port: str = Field(
         min_length=1,
@@ -104,7 +104,8 @@ class Serial(Section):
     )
     emergency_stop: bool = Field(
         False,
-        description="is wired, tried and within reach: a drive without watchdog (maxon) needs one",
+        description="is wired, tried and within reach: a drive without watchdog needs one "
+        "(maxon, SimpleFOC)",
     )
     operator: bool = Field(
         True, description="somebody is there to hang loads, clamp, heat and switch off"

@@ -54,13 +54,15 @@ class World:
     """The time [s] with the threads and devices in it.
 
     `delay` [s] is that of wires, each way, `rate` what they carry, byte/s; `stalls` maps times
-    since the begin to how long the host is held up where it sleeps then, s.
+    since the begin to how long the host is held up where it sleeps then, s. Devices that nobody
+    asks anything look around every `tick` s.
     """
 
     def __init__(self):
         self.begin = self.now = 1000.0
         self.delay, self.rate = 1e-4, math.inf
         self.stalls = {}
+        self.tick = server.TICK
         self.servers, self.ports = [], {}
         self._ended = False
         self._number = itertools.count(9000)
@@ -356,7 +358,7 @@ def server_kind(world, name):
             if self.emulator.busy and not self._waiting:
                 return world.now
             arrivals = [moment for moment, _ in self._wire.to_device[:1]]
-            return min(self._tick + server.TICK, *arrivals, math.inf)
+            return min(self._tick + world.tick, *arrivals, math.inf)
 
         def run(self):
             """Do what the thread does in one round."""
