@@ -30,7 +30,11 @@ def folder(tmp_path):
 def test_one_file(folder, capsys):
     source, output = folder / "in" / "a.csv", folder / "a.h5"
     arguments = ("import", source, "--map", folder / "map.toml", "-o", output)
-    assert call(capsys, *arguments) == (0, f"{output}: 50 samples\n", "")
+    assert call(capsys, *arguments) == (
+        0,
+        "",
+        f"Written: {output}: run of import, 50 samples\n",
+    )
     assert call(capsys, *arguments)[0] == 2
     assert call(capsys, *arguments, "--overwrite")[0] == 0
     assert call(capsys, "verify", output) == (
