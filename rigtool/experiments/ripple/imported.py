@@ -37,6 +37,9 @@ NEAR_SPEED = 0.3
 GROUP_SPEED_TOLERANCE = 0.1
 """Runs whose speeds differ by less than this part count as one speed."""
 
+EFFORTS = ("torque", "current", "current_setpoint", "relative_torque")
+"""Signals of a rotary motor's effort."""
+
 SAME_SETPOINT = 1e-3
 """Relative difference of speeds that were asked for up to which they are one."""
 
@@ -81,7 +84,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     require_one_rig(recordings, runs)
     if is_linear(recordings[0]):
         raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to lay over")
-    effort = effort_of(recordings[0], kt)
+    effort = _effort_of(recordings[0], kt)
     turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
     groups = groups_of(recordings, turns)
     orders = min(group.orders for group in groups)
@@ -100,6 +103,13 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     return Outcome(_results(groups, pairs, effort), tables, tuple(notes))
 
 
+def _effort_of(recording: Recording, kt: Run | None) -> Effort:
+    """Return the motor's effort, or its speed where nothing else was recorded."""
+    if not recording.has("speed") or any(map(recording.has, EFFORTS)):
+        return effort_of(recording, kt)
+    return Effort(recording.read("speed"), "rad/s", "speed", 0.0, "speed as in the file")
+
+
 def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
     """Return the turns of a recording in `POSITIONS` cells, with the motor's effort as torque.
 
@@ -107,7 +117,9 @@ def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
     """
     angle = position_of(recording) / (2 * math.pi)
     try:
-        return find_turns(recording.read("time"), angle, effort_of(recording, kt).values, POSITIONS)
+        return find_turns(
+            recording.read("time"), angle, _effort_of(recording, kt).values, POSITIONS
+        )
     except InsufficientDataError as error:
         raise InsufficientDataError(f"{run.path}: {error}") from None
 
