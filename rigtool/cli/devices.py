@@ -21,7 +21,7 @@ def command(ports: tuple[str, ...], drivers: tuple[str, ...]) -> None:
     """
     from dataclasses import asdict
 
-    from rigtool.errors import UsageError
+    from rigtool.errors import HardwareError, UsageError
     from rigtool.rigs.serial.ports import askable, find_devices
 
     for name in drivers:
@@ -36,3 +36,5 @@ def command(ports: tuple[str, ...], drivers: tuple[str, ...]) -> None:
     output.document(devices=[asdict(device) for device in found])
     if not found:
         output.note("no serial ports on this computer")
+    if closed := [device.port for device in found if device.problem and ports]:
+        raise HardwareError(f"{', '.join(closed)}: cannot be asked")

@@ -18,11 +18,7 @@ from rigtool.cli.options import FILE, Command, current_output, example
 )
 @click.argument("sources", nargs=-1, required=True, type=FILE, metavar="SOURCE...")
 @click.option(
-    "-o",
-    "--output",
-    type=FILE,
-    metavar="RUN.h5|FOLDER",
-    help="Run file, or folder for many.",
+    "-o", "--output", type=FILE, metavar="RUN.h5|FOLDER", help="Run file, or folder for many."
 )
 @click.option("--map", "map_path", type=FILE, metavar="MAP.toml", help="Meaning of the columns.")
 @click.option("--preview", is_flag=True, help="Show SOURCE as it would be read; write nothing.")
@@ -51,9 +47,9 @@ def command(
     to = current_output()
     if preview:
         lines = list(show(sources, None if mapping is None else mapping[0], skip_bad_lines))
+        to.document(preview=lines)
         for line in lines:
             to.line(line)
-        to.document(preview=lines)
         return
     if output is None:
         raise click.UsageError("--output: is missing: give a run file, or a folder for many")
@@ -69,33 +65,25 @@ def command(
     for item in found.done:
         left_out = f", {item.left_out} bad left out" if item.left_out else ""
         to.written(item.output, f"run of import, {item.samples} samples{left_out}")
-    for error in found.bad.values():
-        to.note(f"Note: left out: {first_of(error)}")
+    notes = [f"left out: {first_of(error)}" for error in found.bad.values()]
     if others := found.of_other_names:
         names = ", ".join(path.name for path in others[:LISTED])
         more = f" and {len(others) - LISTED} more" if len(others) > LISTED else ""
-        to.note(f"Note: the mapping is not for {len(others)} files: {names}{more}")
+        notes.append(f"the mapping is not for {len(others)} files: {names}{more}")
     by_note: dict[str, list[str]] = {}
     for item in found.done:
         for note in item.notes:
             by_note.setdefault(note, []).append(item.output.name)
     for note, runs in by_note.items():
         more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
-        to.note(f"Note: {runs[0]}{more}: {note}")
-    to.document(
-        output=output,
-        runs=[
-            {
-                "output": str(item.output),
-                "samples": item.samples,
-                "left_out": item.left_out,
-                "notes": list(item.notes),
-            }
-            for item in found.done
-        ],
-        bad_files=[str(path) for path in found.bad],
-        other_files=[str(path) for path in found.of_other_names],
-    )
+        notes.append(f"{runs[0]}{more}: {note}")
+    for line in notes:
+        to.note(f"Note: {line}")
+    runs_written = [
+        {"output": str(one.output), "samples": one.samples, "left_out": one.left_out}
+        for one in found.done
+    ]
+    to.document(output=output, runs=runs_written, notes=notes)
 
 
 LISTED = 5

@@ -5,10 +5,12 @@ from __future__ import annotations
 import functools
 import shutil
 from pathlib import Path
+from typing import Any
 
 import click
 
-from rigtool.cli.options import FILE, Command, Output, completed, current_output, example
+from rigtool.cli.options import FILE, Command, completed, current_output, example
+from rigtool.cli.output import Output
 
 
 def _names(path: str) -> list[str]:
@@ -35,12 +37,13 @@ def command(name: str | None, output: str | None, firmware: str | None) -> None:
     from rigtool.recipe.shipped import shipped_recipe, shipped_recipes
 
     to = current_output()
+    found: dict[str, Any] = {}
     if firmware is not None:
-        _copy_firmware(name, Path(firmware), to)
+        found["firmware"] = _copy_firmware(name, Path(firmware), to)
     if name is None:
         for known in shipped_recipes():
             to.line(known)
-        to.document(recipes=list(shipped_recipes()))
+        found["recipes"] = list(shipped_recipes())
     elif output is not None:
         from rigtool.runfile.export import write_new
 
@@ -48,17 +51,15 @@ def command(name: str | None, output: str | None, firmware: str | None) -> None:
         inputs = [shipped_recipes()[name]]
         write_new(Path(output), to.overwrite, lambda path: path.write_text(text, "utf-8"), inputs)
         to.written(output, f"recipe {name}")
-        to.document(output=output, recipe=text)
     elif firmware is None:
-        text = shipped_recipe(name)
-        to.line(text, nl=False)
-        to.document(recipe=text)
-    else:
-        to.document(output=firmware)
+        to.line(shipped_recipe(name), nl=False)
+    if name is not None:
+        found["recipe"] = shipped_recipe(name)
+    to.document(output=output, **found)
 
 
-def _copy_firmware(name: str | None, folder: Path, to: Output) -> None:
-    """Write the files of the firmware, or none where one of them is there."""
+def _copy_firmware(name: str | None, folder: Path, to: Output) -> list[str]:
+    """Write the files of the firmware, or none where one is there; return their names."""
     from rigtool.errors import UsageError
     from rigtool.recipe.shipped import WITH_FIRMWARE, shipped_firmware
     from rigtool.runfile.export import require_output, write_new
@@ -77,4 +78,5 @@ def _copy_firmware(name: str | None, folder: Path, to: Output) -> None:
         require_output(folder / file.name, overwrite=to.overwrite, inputs=[file])
     for file in files:
         write_new(folder / file.name, True, functools.partial(shutil.copyfile, file))
-        to.written(folder / file.name, "file of the firmware")
+        to.written(folder / file.name, "firmware of a target, in C")
+    return [str(folder / file.name) for file in files]

@@ -105,6 +105,12 @@ class ImportedRig(Section):
         None, gt=0, description="nominal torque of the motor, N m, for torque in percent"
     )
     inertia: float | None = Field(None, gt=0, description="on the motor shaft, kg m2")
+    arm_length: float | None = Field(
+        None, gt=0, description="between the shaft and the force sensor on it, m"
+    )
+    reference_relative_u: float | None = Field(
+        None, gt=0, lt=1, description="standard uncertainty of the sensor's calibration, relative"
+    )
 
     @model_validator(mode="after")
     def _fits_axis(self) -> ImportedRig:

@@ -77,7 +77,7 @@ def chosen_name(run: Run, name: str | None) -> str:
             (f"{name}/", f"recordings/{name}/")
         ):
             return own
-    raise UsageError(f"{run.path}: has no {name} to draw: choose one of {', '.join(names)}")
+    raise UsageError(f"{run.path}: has no part {name!r} to draw: choose one of {', '.join(names)}")
 
 
 def draw_plot(run: Run, name: str) -> Figure:

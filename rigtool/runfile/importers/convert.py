@@ -181,6 +181,8 @@ def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str
         "torque_constant_u": (rig.torque_constant_u, "N m/A"),
         "rated_torque": (rig.rated_torque, "N m"),
         "inertia": (rig.inertia, "kg m2"),
+        "arm_length": (rig.arm_length, "m"),
+        "reference_relative_u": (rig.reference_relative_u, "1"),
         "linear_axis": (1.0 if rig.axis == "linear" else None, "1"),
     }
     found = {

@@ -19,6 +19,8 @@ import time
 import types
 from pathlib import Path
 
+import can.bus
+import can.interfaces.slcan
 import serial
 
 import rigtool.rigs.serial
@@ -292,6 +294,7 @@ class Port:
 
     def __init__(self, world, wire, timeout):
         self._world, self._wire, self._timeout = world, wire, timeout
+        self.write_timeout = None
         wire.hosts += 1
         self._open = True
 
@@ -324,6 +327,12 @@ class Port:
     def write(self, data):
         self._require()
         self._wire.send(self._wire.to_device, data)
+
+    def flush(self):
+        self._require()
+
+    def reset_input_buffer(self):
+        self._wire.to_host.clear()
 
     def close(self):
         if self._open:
@@ -397,6 +406,9 @@ def emulated_time(monkeypatch):
     monkeypatch.setattr(server, "PtyServer", server_kind(world, "/dev/pts/"))
     monkeypatch.setattr(server, "TcpServer", server_kind(world, "socket://127.0.0.1:"))
     monkeypatch.setattr(serial, "serial_for_url", world.open_port)
+    monkeypatch.setattr(serial.Timeout, "TIME", world.monotonic)
+    monkeypatch.setattr(can.bus, "time", world.monotonic)
+    monkeypatch.setattr(can.interfaces.slcan, "time", replaced[time])
     monkeypatch.setattr(line, "Socket", world.open_socket)
     # A process of its own lives in real time: it would hear nothing for long, and switch off.
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
