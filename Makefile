@@ -33,7 +33,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: FORCE pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage attack release-check clean help
+.PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage attack release-check clean help
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
