@@ -11,6 +11,7 @@
 # make docs           the documentation as a site, in build/docs
 # make bench          speed and memory of what users wait for
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
+# make coverage-short a few minutes of it, with an exit code
 # make fixtures       the runs in tests/fixtures, stored anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
 # make clean          removes build
@@ -33,7 +34,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage attack release-check clean help
+.PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage coverage-short attack release-check clean help
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -210,6 +211,9 @@ bench: $(INSTALLED)
 
 coverage: $(INSTALLED)
 	$(BIN)/python benchmarks/coverage.py
+
+coverage-short: $(INSTALLED)
+	$(BIN)/python benchmarks/coverage.py --short
 
 release-check: test docs
 	$(BIN)/python release_check.py
