@@ -1,4 +1,4 @@
-"""Stretches of a signal in which it hardly changes."""
+"""Plateaus of a signal x: |x_(i+1) - x_i| <= step, and max x - min x <= largest."""
 
 from __future__ import annotations
 

@@ -14,8 +14,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import RIG, is_linear, position_of, require_one_rig, signals_of
-from rigtool.experiments.imported_effort import Effort, effort_of
+from rigtool.experiments.imported import (
+    RIG,
+    Effort,
+    effort_of,
+    is_linear,
+    position_of,
+    require_one_rig,
+    signals_of,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported_maps import MAP, compare_maps
 from rigtool.experiments.ripple.imported_turns import (

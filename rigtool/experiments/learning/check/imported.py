@@ -14,8 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import is_linear, position_of, require_one_rig, signals_of
-from rigtool.experiments.imported_effort import effort_of
+from rigtool.experiments.imported import (
+    effort_of,
+    is_linear,
+    position_of,
+    require_one_rig,
+    signals_of,
+)
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.outcome import Outcome
