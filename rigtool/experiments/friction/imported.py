@@ -21,16 +21,9 @@ from rigtool.experiments.friction.results import (
     holds_table,
 )
 from rigtool.experiments.friction.stribeck_fit import fit_directions
-from rigtool.experiments.imported import (
-    Effort,
-    effort_of,
-    is_linear,
-    known,
-    position_of,
-    require_one_rig,
-    signals_of,
-)
+from rigtool.experiments.imported import is_linear, known, position_of, require_one_rig, signals_of
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.plateaus import find_plateaus
 from rigtool.runfile import Recording, Run

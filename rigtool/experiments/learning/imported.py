@@ -14,7 +14,7 @@ import numpy as np
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import Effort, effort_of, is_linear, require_one_rig, signals_of
+from rigtool.experiments.imported import is_linear, require_one_rig, signals_of
 from rigtool.experiments.learning.stored_table import period_results
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import (
@@ -25,6 +25,7 @@ from rigtool.experiments.ripple.imported import (
 )
 from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, turn_spectrum
 from rigtool.experiments.ripple.orders import CLEAR, coefficients
+from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
