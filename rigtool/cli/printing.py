@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -53,7 +54,7 @@ def to_json(
 ) -> str:
     """Return a run as JSON."""
     document = {
-        "results": {name: _quantity(quantity) for name, quantity in results.items()},
+        "results": {name: quantity_json(quantity) for name, quantity in results.items()},
         "tables": {name: _table(table) for name, table in tables.items()},
         "provenance": dict(provenance),
         "notes": list(notes),
@@ -67,14 +68,19 @@ def json_text(document: Mapping[str, Any]) -> str:
     return json.dumps(_strict(dict(document)), indent=2, allow_nan=False)
 
 
-def _quantity(quantity: Quantity) -> dict[str, Any]:
-    found = {
+def quantity_json(quantity: Quantity) -> dict[str, Any]:
+    """Return a result as JSON holds it, with its budget where that is known."""
+    found: dict[str, Any] = {
         "value": quantity.value,
         "unit": quantity.unit,
         "u": quantity.u,
         "dof": quantity.dof,
     }
-    return found if quantity.reason is None else {**found, "reason": quantity.reason}
+    if quantity.reason is not None:
+        found["reason"] = quantity.reason
+    if quantity.budget:
+        found["budget"] = [asdict(line) for line in quantity.budget]
+    return found
 
 
 def _table(table: Table) -> dict[str, Any]:

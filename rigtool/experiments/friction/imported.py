@@ -31,6 +31,7 @@ from rigtool.experiments.imported import (
     signals_of,
 )
 from rigtool.experiments.outcome import Outcome
+from rigtool.quantity import Quantity
 from rigtool.runfile import Recording, Run
 
 SPEED_PARTS = 10
@@ -68,7 +69,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
             "kinds one after the other"
         )
     first = efforts[0]
-    found = Findings(Scale(1.0, first.relative_u or 0.0))
+    found = Findings(Scale(Quantity(1.0, "1", first.relative_u or 0.0)))
     found.notes.append(f"torque is {first.origin}")
     if first.relative_u is None:
         found.notes.append(

@@ -39,7 +39,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import SpeedProfile
-from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
+from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table, dof_column
 
 ACCELERATION = 30.0
 """During run-up and stop, rad/s2."""
@@ -267,7 +267,10 @@ def _comparison_results(comparisons: Sequence[RippleComparison]) -> dict[str, Qu
 def _tables(
     kind: str, axis: str, unit: str, recordings: Sequence[Recording], ripples: Sequence[Ripple]
 ) -> dict[str, Table]:
-    """Return waveforms and spectra over the condition that was varied."""
+    """Return waveforms and spectra over the condition that was varied.
+
+    An amplitude far above the noise is uncertain by the part of the noise in its phase.
+    """
     varied = {axis: Column(np.array([r.condition(axis) for r in recordings]), unit)}
     # Where the constant torque is the axis, its ripple needs another name.
     signal = "ripple" if axis == "torque" else "torque"
@@ -296,6 +299,12 @@ def _tables(
                 "N m",
                 "amplitude that scatter between revolutions alone would show",
             ),
+            "u": Column(
+                np.stack([s.noise_floor for s in spectra]) / math.sqrt(2),
+                "N m",
+                "standard uncertainty of the amplitude, from scatter",
+            ),
+            "dof": dof_column([2.0 * (len(ripple.waveforms) - 1) for ripple in ripples]),
         },
         "amplitude",
         "repeatable ripple by order of rotation; no value where samples lie too far apart",
