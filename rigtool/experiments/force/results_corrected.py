@@ -25,7 +25,7 @@ from rigtool.experiments.force.results import (
     mean_results,
     reference_lines,
 )
-from rigtool.experiments.force_over_time.records import Record
+from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.load_disturbance.reading import (
     LoadedPair,
     LoadReading,
