@@ -110,7 +110,8 @@ def test_budget(path):
     ]
     assert lines[1].split()[-4:] == ["0.0848", "1.7e-05", "inf", "18.2%"]
     assert lines[2].split() == ["together", "0.0458", "4e-05", "12"]
-    assert json.loads(shown("torque_constant", "--json"))["torque_constant"]["dof"] == 12.0
+    document = json.loads(shown("torque_constant", "--json"))
+    assert document["results"]["torque_constant"]["dof"] == 12.0
     assert "no uncertainty: from the drawing" in shown("arm_length")
     with pytest.raises(RunFileError, match="has no result 'mass', only torque_constant"):
         shown("mass")
