@@ -11,6 +11,12 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+REFERENCE_DEGC = 20.0
+"""Temperature for which a result is stated, degC (ISO 1), a torque constant as well [7.1.1]."""
+
+CURRENT_READING, THERMOMETER = "gain of the current reading", "thermometer"
+"""Lines of a budget that cancel where the same instrument is read again."""
+
 
 @dataclass(frozen=True)
 class Quantity:

@@ -24,13 +24,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.temperature_fit import (
+from rigtool.numerics.arrays import Array
+from rigtool.quantity import (
     CURRENT_READING,
     REFERENCE_DEGC,
     THERMOMETER,
+    Quantity,
+    combined,
+    error_line,
+    inherited,
+    input_line,
+    without,
 )
-from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity, combined, error_line, inherited, input_line, without
 from rigtool.runfile import Recording, Run
 
 ENDS = 1024

@@ -13,13 +13,12 @@ from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_constant.imported import analyse_imported
 from rigtool.experiments.torque_constant.staircase import Plateaus, find_plateaus
 from rigtool.experiments.torque_constant.temperature_fit import (
-    CURRENT_READING,
     SAME_TEMPERATURE,
     Calibration,
     calibrate,
 )
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Component, Quantity, combined, error_line
+from rigtool.quantity import CURRENT_READING, Component, Quantity, combined, error_line
 from rigtool.recipe import Recipe
 from rigtool.recipe.commands import CalibrateKt
 from rigtool.rigs import Load, Rig, Task

@@ -24,10 +24,16 @@ from rigtool.experiments.torque_constant.staircase_fit import Slopes, fit_stairc
 from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import group_angles
-from rigtool.quantity import Component, Quantity, combined, error_line, input_line
-
-REFERENCE_DEGC = 20.0
-"""Temperature for which a torque constant is stated, degC [7.1.1]."""
+from rigtool.quantity import (
+    CURRENT_READING,
+    REFERENCE_DEGC,
+    THERMOMETER,
+    Component,
+    Quantity,
+    combined,
+    error_line,
+    input_line,
+)
 
 SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""
@@ -37,9 +43,6 @@ LAW_U = 0.03
 
 DEFLECTION = 0.03
 """Standard uncertainty of the angle by which the arm gives way in a staircase, rad."""
-
-CURRENT_READING, THERMOMETER = "gain of the current reading", "thermometer"
-"""Lines of the budget that cancel where the same instrument is read again."""
 
 LINEARITY_LIMIT = 5e-3
 """Largest deviation of the amplifier from a straight line, relative to the span."""
