@@ -40,14 +40,14 @@ from oracle import (
     sum_of,
 )
 
-from rigtool.experiments.force.accuracy import JUDGED
-from rigtool.experiments.force.power_up import PowerUp
-from rigtool.experiments.force_over_time.estimate import Filter, Signals, smoothed
-from rigtool.experiments.force_over_time.force_model import ForceModel
-from rigtool.experiments.force_over_time.motion_states import NAMES, Judge, Moments
-from rigtool.experiments.force_over_time.plant import HOUSING, SPEED
-from rigtool.experiments.force_over_time.procedure_learning import ANYWHERE
-from rigtool.experiments.force_over_time.stored import model_from
+from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
+from rigtool.experiments.force_filter.motion_states import NAMES, Judge, Moments
+from rigtool.experiments.force_filter.plant import HOUSING, SPEED
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.procedure_learning import ANYWHERE
+from rigtool.experiments.force_model.stored import model_from
+from rigtool.experiments.force_sensor.accuracy import JUDGED
+from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command

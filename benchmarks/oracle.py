@@ -2,7 +2,7 @@
 
     .venv/bin/python benchmarks/oracle.py [--seeds 5] [--jobs 2] [--rig thesis] [--duration 120]
 
-The filter of `rigtool.experiments.force_over_time` with every parameter of the virtual rig, and
+The filter of `rigtool.experiments.force_filter` with every parameter of the virtual rig, and
 none of its random draws; what a product learns can come close to it, hardly beyond. Contacts are
 drawn pulses of 0.05 to 2.5 N, or of all kinds. Errors are those of torque after a low-pass:
 Butterworth of second order, on both sides of the comparison, zero-phase where smoothed. States are
@@ -26,9 +26,9 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt, sosfiltfilt
 
-from rigtool.experiments.force_over_time.estimate import Filter, Signals, smoothed
-from rigtool.experiments.force_over_time.kalman import Uncertainty
-from rigtool.experiments.force_over_time.plant import Plant, dahl
+from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
+from rigtool.experiments.force_filter.kalman import Uncertainty
+from rigtool.experiments.force_filter.plant import Plant, dahl
 from rigtool.recipe import Recipe, load_recipe
 from rigtool.recipe.virtual import Hand, Mass, Pulse, Ramp, Sine, Tissue
 from rigtool.rigs import Feedforward, Task, open_rig

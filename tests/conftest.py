@@ -4,7 +4,11 @@ The few marked `real_time` use the system's own clock, ports and processes, and 
 holds on a machine that stalls as well.
 """
 
+import os
 import signal
+
+# The tests' matrices are small: threads of BLAS only wait for each other, and for other workers.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings

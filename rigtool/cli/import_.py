@@ -4,32 +4,33 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example, overwrite_option, quiet_option
+from rigtool.cli.options import FILE, Command, current_output, example
 
 
 @click.command(
     "import",
+    cls=Command,
     epilog=example(
         "rigtool import run07.csv --map recipes/import/mis-tool.toml -o run07.h5",
         "rigtool import epos-exports/ -o runs/",
+        "rigtool import run07.csv --preview",
     ),
 )
-@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")
+@click.argument("sources", nargs=-1, required=True, type=FILE, metavar="SOURCE...")
 @click.option(
-    "-o", "--output", required=True, metavar="RUN.h5|FOLDER", help="Run file, or folder for many."
+    "-o", "--output", type=FILE, metavar="RUN.h5|FOLDER", help="Run file, or folder for many."
 )
-@click.option("--map", "map_path", metavar="MAP.toml", help="Meaning of the columns.")
+@click.option("--map", "map_path", type=FILE, metavar="MAP.toml", help="Meaning of the columns.")
+@click.option("--preview", is_flag=True, help="Show SOURCE as it would be read; write nothing.")
 @click.option("--skip-bad-lines", is_flag=True, help="Leave out bad lines and count them.")
-@overwrite_option
-@quiet_option
-@debug_option
+@click.option("--skip-bad-files", is_flag=True, help="Leave out bad files and name them.")
 def command(
     sources: tuple[str, ...],
-    output: str,
+    output: str | None,
     map_path: str | None,
+    preview: bool,
     skip_bad_lines: bool,
-    overwrite: bool,
-    quiet: bool,
+    skip_bad_files: bool,
 ) -> None:
     """Make run files from data that other programs recorded.
 
@@ -39,22 +40,51 @@ def command(
     with exit code 3: the message names its lines, and nothing is written.
     """
     from rigtool.recipe.mapping import load_mapping
-    from rigtool.runfile.importers import import_files
+    from rigtool.runfile.importers import first_of, import_files
+    from rigtool.runfile.importers.preview import preview as show
 
     mapping = None if map_path is None else load_mapping(map_path)
-    done = import_files(
+    to = current_output()
+    if preview:
+        lines = list(show(sources, None if mapping is None else mapping[0], skip_bad_lines))
+        to.document(preview=lines)
+        for line in lines:
+            to.line(line)
+        return
+    if output is None:
+        raise click.UsageError("--output: is missing: give a run file, or a folder for many")
+    found = import_files(
         sources,
         output,
         mapping,
         skip_bad=skip_bad_lines,
-        overwrite=overwrite,
+        skip_bad_files=skip_bad_files,
+        overwrite=to.overwrite,
         map_path=map_path,
     )
-    for item in done:
+    for item in found.done:
         left_out = f", {item.left_out} bad left out" if item.left_out else ""
-        echo(f"{item.output}: {item.samples} samples{left_out}")
-    if quiet:
-        return
-    for item in done:
+        to.written(item.output, f"run of import, {item.samples} samples{left_out}")
+    notes = [f"left out: {first_of(error)}" for error in found.bad.values()]
+    if others := found.of_other_names:
+        names = ", ".join(path.name for path in others[:LISTED])
+        more = f" and {len(others) - LISTED} more" if len(others) > LISTED else ""
+        notes.append(f"the mapping is not for {len(others)} files: {names}{more}")
+    by_note: dict[str, list[str]] = {}
+    for item in found.done:
         for note in item.notes:
-            echo(f"Note: {item.output.name}: {note}", err=True)
+            by_note.setdefault(note, []).append(item.output.name)
+    for note, runs in by_note.items():
+        more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
+        notes.append(f"{runs[0]}{more}: {note}")
+    for line in notes:
+        to.note(f"Note: {line}")
+    runs_written = [
+        {"output": str(one.output), "samples": one.samples, "left_out": one.left_out}
+        for one in found.done
+    ]
+    to.document(output=output, runs=runs_written, notes=notes)
+
+
+LISTED = 5
+"""Most files left out that a note names."""

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import functools
+import shutil
 from pathlib import Path
+from typing import Any
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example, overwrite_option
+from rigtool.cli.options import FILE, Command, completed, current_output, example
+from rigtool.cli.output import Output
 
 
-@click.command(epilog=example("rigtool recipe briaire-2006 -o rig.toml"))
-@click.argument("name", required=False)
-@click.option("-o", "--output", metavar="FILE.toml", help="Recipe to write.")
-@overwrite_option
-@debug_option
-def command(name: str | None, output: str | None, overwrite: bool) -> None:
+def _names(path: str) -> list[str]:
+    from rigtool.recipe.shipped import shipped_recipes
+
+    return list(shipped_recipes())
+
+
+@click.command(cls=Command, epilog=example("rigtool recipe briaire-2006 -o rig.toml"))
+@click.argument("name", required=False, shell_complete=completed(_names))
+@click.option("-o", "--output", type=FILE, metavar="FILE.toml", help="Recipe to write.")
+@click.option(
+    "--firmware",
+    type=FILE,
+    metavar="FOLDER",
+    help="With own-target: folder to write its firmware in C to.",
+)
+def command(name: str | None, output: str | None, firmware: str | None) -> None:
     """Copy a recipe that comes with rigtool, to change it.
 
     Without NAME, lists them. Without -o, prints the recipe. Mappings of imports are among them, as
@@ -22,15 +36,47 @@ def command(name: str | None, output: str | None, overwrite: bool) -> None:
     """
     from rigtool.recipe.shipped import shipped_recipe, shipped_recipes
 
+    to = current_output()
+    found: dict[str, Any] = {}
+    if firmware is not None:
+        found["firmware"] = _copy_firmware(name, Path(firmware), to)
     if name is None:
         for known in shipped_recipes():
-            echo(known)
-    elif output is None:
-        echo(shipped_recipe(name), nl=False)
-    else:
+            to.line(known)
+        found["recipes"] = list(shipped_recipes())
+    elif output is not None:
         from rigtool.runfile.export import write_new
 
         text = shipped_recipe(name)
         inputs = [shipped_recipes()[name]]
-        write_new(Path(output), overwrite, lambda path: path.write_text(text, "utf-8"), inputs)
-        echo(f"Written: {output}", err=True)
+        write_new(Path(output), to.overwrite, lambda path: path.write_text(text, "utf-8"), inputs)
+        to.written(output, f"recipe {name}")
+    elif firmware is None:
+        to.line(shipped_recipe(name), nl=False)
+    if name is not None:
+        found["recipe"] = shipped_recipe(name)
+    to.document(output=output, **found)
+
+
+def _copy_firmware(name: str | None, folder: Path, to: Output) -> list[str]:
+    """Write the files of the firmware, or none where one is there; return their names."""
+    from rigtool.errors import UsageError
+    from rigtool.recipe.shipped import WITH_FIRMWARE, shipped_firmware
+    from rigtool.runfile.export import require_output, write_new
+
+    if name != WITH_FIRMWARE:
+        raise UsageError(
+            f"--firmware {folder}: only the recipe {WITH_FIRMWARE} has firmware: rigtool recipe "
+            f"{WITH_FIRMWARE} --firmware {folder}"
+        )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--firmware {folder}: cannot be made: {error.strerror}") from None
+    files = shipped_firmware()
+    for file in files:
+        require_output(folder / file.name, overwrite=to.overwrite, inputs=[file])
+    for file in files:
+        write_new(folder / file.name, True, functools.partial(shutil.copyfile, file))
+        to.written(folder / file.name, "firmware of a target, in C")
+    return [str(folder / file.name) for file in files]

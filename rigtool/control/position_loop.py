@@ -233,3 +233,35 @@ def position_loop(**design: Unpack[LoopDesign]) -> Loop:
         design["sample_time"],
     )
     return Loop(controller, double_integrator(design["inertia"], design["sample_time"]))
+
+
+def stable_one_sample_late(**design: Unpack[LoopDesign]) -> bool:
+    """Return whether this loop is stable with another sample of delay in it.
+
+    That is a loop which a host closes over a line: it learns of a sample one period later.
+    """
+    loop = position_loop(**design)
+    late = np.convolve(loop.plant.den_delta, [1.0, 1.0])
+    plant = TransferFunction(loop.plant.num_delta, late, loop.plant.sample_time)
+    return Loop(loop.controller, plant).stable
+
+
+class RunningController:
+    """C(z), one sample after the other: transposed direct form II, from rest.
+
+    `sections` (n, 6) are those of `controller_sections`.
+    """
+
+    def __init__(self, sections: Array) -> None:
+        self._sections = sections.tolist()
+        self._state = [[0.0, 0.0] for _ in self._sections]
+
+    def torque(self, error: float) -> float:
+        """Return the torque, N m, for the error of position of the next sample, rad."""
+        value = error
+        for (b0, b1, b2, _, a1, a2), state in zip(self._sections, self._state, strict=True):
+            out = b0 * value + state[0]
+            state[0] = b1 * value - a1 * out + state[1]
+            state[1] = b2 * value - a2 * out
+            value = out
+        return value

@@ -25,6 +25,8 @@ RIG = {
     "torque_constant_u",
     "rated_torque",
     "inertia",
+    "arm_length",
+    "reference_relative_u",
     "linear_axis",
 }
 """Conditions that describe the rig, not one recording."""

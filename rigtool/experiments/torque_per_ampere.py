@@ -47,7 +47,10 @@ def torque_per_ampere(
     """
     kt.require_command("calibrate-kt")
     mean = kt.result("torque_constant_mean")
-    gain = Quantity(1.0, "1", 0.0) if of_measured_current else kt.result("amplifier_gain")
+    # An imported calibration has no gain: a drive's current follows its set point.
+    gain = kt.results.get("amplifier_gain")
+    if of_measured_current or gain is None:
+        gain = Quantity(1.0, "1", 0.0)
     error = max(_known_error(kt), abs(_furthest(kt, recordings)[1]))
     own = (mean.u or 0.0) / mean.value
     relative_u = math.hypot(own, (gain.u or 0.0) / gain.value, error / math.sqrt(3))

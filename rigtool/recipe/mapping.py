@@ -105,6 +105,12 @@ class ImportedRig(Section):
         None, gt=0, description="nominal torque of the motor, N m, for torque in percent"
     )
     inertia: float | None = Field(None, gt=0, description="on the motor shaft, kg m2")
+    arm_length: float | None = Field(
+        None, gt=0, description="between the shaft and the force sensor on it, m"
+    )
+    reference_relative_u: float | None = Field(
+        None, gt=0, lt=1, description="standard uncertainty of the sensor's calibration, relative"
+    )
 
     @model_validator(mode="after")
     def _fits_axis(self) -> ImportedRig:
@@ -119,13 +125,18 @@ class ImportedRig(Section):
 class FileLayout(Section):
     """How the file is written. Binary files use `variable` and `sampling_rate_hz` only."""
 
-    delimiter: str = Field(
-        ",", min_length=1, max_length=10, description='one character, or "whitespace"'
+    delimiter: str | None = Field(
+        None,
+        min_length=1,
+        max_length=10,
+        description='one character, or "whitespace"; default: the one that the lines show',
     )
     comment: str | None = Field(
         None, min_length=1, description="begins what is left out, to the end of the line"
     )
-    decimal: Literal[".", ","] = Field(".", description="decimal mark")
+    decimal: Literal[".", ","] | None = Field(
+        None, description="decimal mark; default: the one that the lines show"
+    )
     header_lines: int | None = Field(
         None,
         ge=0,
@@ -141,6 +152,8 @@ class FileLayout(Section):
 
     @model_validator(mode="after")
     def _delimiter_is_known(self) -> FileLayout:
+        if self.delimiter is None:
+            return self
         if len(self.delimiter) > 1 and self.delimiter != "whitespace":
             raise ValueError('delimiter must be one character, or "whitespace"')
         if self.delimiter == self.decimal:
@@ -238,6 +251,12 @@ class Mapping(Section):
     """A whole mapping file."""
 
     mapping: Literal[1]
+    files: str | None = Field(
+        None,
+        min_length=1,
+        max_length=200,
+        description="names of the files that it is for, with * and ? for any characters",
+    )
     rig: ImportedRig
     file: FileLayout = FileLayout()
     signals: dict[str, Signal] = Field(default_factory=dict)
@@ -255,9 +274,10 @@ class Mapping(Section):
                 raise ValueError(f"signal {name}: its unit needs rated_torque in [rig]")
             found, needed = self.unit(name), self.fixed_unit(name)
             if needed not in (None, found):
+                names = ", ".join(n for n in SIGNALS if self.fixed_unit(n) == found)
                 raise ValueError(
                     f"signal {name} on a {self.rig.axis} axis is in {needed}, this is in {found}: "
-                    "correct its unit, or give it another name"
+                    f"correct its unit, or its name; in {found} are {names or 'names of your own'}"
                 )
         if self.signals and ("time" in self.signals) == (self.file.sampling_rate_hz is not None):
             raise ValueError("give either a signal `time` or sampling_rate_hz in [file]")

@@ -38,3 +38,13 @@ def shipped_recipe(name: str) -> str:
     if name not in known:
         raise UsageError(f"no recipe {name} comes with rigtool; choose one of {', '.join(known)}")
     return known[name].read_text(encoding="utf-8")
+
+
+WITH_FIRMWARE = "own-target"
+"""The recipe to which a target's firmware belongs."""
+
+
+def shipped_firmware() -> list[Path]:
+    """Return the files of the firmware in C, which lie in the package."""
+    folder = Path(__file__).parents[1] / "rigs" / "serial" / "target" / "firmware"
+    return sorted(path for path in folder.iterdir() if path.suffix in (".c", ".h"))

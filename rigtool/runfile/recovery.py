@@ -16,7 +16,7 @@ from rigtool.runfile.opened import OpenFile, guard, open_hdf5, require_schema
 from rigtool.runfile.outputs import own_folder, require_output
 from rigtool.runfile.reader import Run
 from rigtool.runfile.recording import Recording
-from rigtool.runfile.unclosed import open_unclosed
+from rigtool.runfile.superblock import open_unclosed
 from rigtool.runfile.writer import RunWriter
 
 

@@ -43,6 +43,11 @@ FILTERS: dict[str, Any] = {
 LIBVER = ("v110", "v110")
 """`latest` would mean HDF5 2.0, which h5dump 1.10 and MATLAB cannot read."""
 
+PAGES: dict[str, Any] = {"fs_strategy": "page", "fs_page_size": 4096}
+"""HDF5 then lays nothing that is smaller than a page across the edge of one ("paged aggregation",
+H5Pset_file_space_strategy). A kernel stops the write of a killed process between two pages of
+memory: what HDF5 had rewritten in place is the old or the new, never half of each."""
+
 
 def chunk_of(rate_hz: float) -> int:
     """Return the samples of a chunk of about a second: a killed run loses one chunk."""
@@ -56,8 +61,10 @@ MAX_CHUNK_BYTES = 2**24
 MAX_TABLE_VALUES = 2**24
 MAX_MEMBERS = 10_000
 MAX_ATTRIBUTE_VALUES = 10_000
-MAX_OBJECTS = 200_000
+MAX_OBJECTS = 100_000
 """Groups, datasets and attributes together."""
+MAX_SAMPLE_BYTES, MAX_EXPANSION = 2**30, 100
+"""Bytes of all samples together, and times the size of the file where that is more."""
 MAX_TEXT_BYTES = 2**26
 """Of all texts together."""
 MAX_COMPRESSION = 1100

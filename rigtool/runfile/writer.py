@@ -39,6 +39,7 @@ from rigtool.runfile.storage import (
     sync_path,
 )
 from rigtool.runfile.stream import Stream
+from rigtool.runfile.superblock import clear_times
 
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
@@ -203,6 +204,7 @@ class RunWriter:
                 provenance.note_line(file, self._line)
                 provenance.seal(file)
                 flush(file)
+            clear_times(new)
             sync_path(new)
             with held():
                 self._require_own_part()
@@ -248,7 +250,7 @@ class RunWriter:
         with self.part.open("xb") as stream:
             self._inode = os.fstat(stream.fileno()).st_ino
             reserve(stream.fileno(), self._head_size())
-        self._file = file = open_file(self.part, "w", libver=schema.LIBVER)
+        self._file = file = open_file(self.part, "w", libver=schema.LIBVER, **schema.PAGES)
         lock(file.id.get_vfd_handle())
         self._reserve(file, self._head_size())
         layout.write_head(file, self._command, self._rig, self._specs, self._provenance)

@@ -30,7 +30,11 @@ def folder(tmp_path):
 def test_one_file(folder, capsys):
     source, output = folder / "in" / "a.csv", folder / "a.h5"
     arguments = ("import", source, "--map", folder / "map.toml", "-o", output)
-    assert call(capsys, *arguments) == (0, f"{output}: 50 samples\n", "")
+    assert call(capsys, *arguments) == (
+        0,
+        "",
+        f"Written: {output}: run of import, 50 samples\n",
+    )
     assert call(capsys, *arguments)[0] == 2
     assert call(capsys, *arguments, "--overwrite")[0] == 0
     assert call(capsys, "verify", output) == (
@@ -109,6 +113,78 @@ def test_conditions_are_taken_from_the_name(folder, capsys):
     assert call(capsys, "import", source, *arguments[2:], "--overwrite")[0] == 0
     with open_run(folder / "a.h5") as run:
         assert run.recording("imported").condition("load") == 12.0
+
+
+def test_a_mapping_states_which_files_it_is_for(folder, capsys):
+    (folder / "in" / "SerialLog.txt").write_text("Please press s:\n")
+    text = TEXT.replace("mapping = 1\n", 'mapping = 1\nfiles = "?.*"\n')
+    (folder / "map.toml").write_text(text)
+    arguments = ("import", folder / "in", "--map", folder / "map.toml", "-o", folder / "out")
+    code, _, err = call(capsys, *arguments)
+    assert code == 0
+    assert "the mapping is not for 1 files: SerialLog.txt" in err
+    assert sorted(os.listdir(folder / "out")) == ["a.h5", "b.h5"]
+    (folder / "map.toml").write_text(text.replace("?.*", "*.dat"))
+    code, _, err = call(capsys, *arguments, "--overwrite")
+    assert code == 3
+    assert "files = '*.dat'" in err
+
+
+def test_all_bad_files_at_once_or_the_good_ones(folder, capsys):
+    for name in ("c.csv", "d.csv"):
+        (folder / "in" / name).write_text("1,2,3\n1,2\n")
+    arguments = ("import", folder / "in", "--map", folder / "map.toml", "-o", folder / "out")
+    code, out, err = call(capsys, *arguments)
+    assert (code, out) == (3, "")
+    assert "2 of 4 files cannot be imported" in err
+    assert f"{folder / 'in' / 'c.csv'}, line 2" in err
+    assert f"{folder / 'in' / 'd.csv'}, line 2" in err
+    code, _, err = call(capsys, *arguments, "--skip-bad-files")
+    assert code == 0
+    assert sorted(os.listdir(folder / "out")) == ["a.h5", "b.h5"]
+    assert err.count("left out") == 2
+    (folder / "bad").mkdir()
+    (folder / "in" / "d.csv").rename(folder / "bad" / "d.csv")
+    arguments = ("import", folder / "bad", "--map", folder / "map.toml", "-o", folder / "none")
+    assert call(capsys, *arguments, "--skip-bad-files")[0] == 3
+    assert not (folder / "none").exists()
+
+
+def test_equal_notes_of_many_files_are_one(folder, capsys):
+    text = TEXT + '[[conditions]]\nname = "load"\npattern = "load(\\\\d+)"\n'
+    (folder / "map.toml").write_text(text)
+    arguments = ("import", folder / "in", "--map", folder / "map.toml", "-o", folder / "out")
+    code, _, err = call(capsys, *arguments)
+    assert code == 0
+    assert next(line for line in err.splitlines() if "'load'" in line).startswith(
+        "Note: a.h5 and 1 more"
+    )
+    assert err.count("'load'") == 1
+
+
+def test_preview_shows_what_would_be_read(folder, capsys):
+    source = folder / "in" / "a.csv"
+    code, out, _ = call(capsys, "import", source, "--map", folder / "map.toml", "--preview")
+    assert code == 0
+    assert "time [s]  encoder [count]  current [A]" in out
+    assert "50 samples over 0.098 s, 500 Hz, no gaps" in out
+    rows = [line for number, line in enumerate(lines()) if number not in (20, 21)]
+    source.write_text("a;b;c\n" + "\n".join(row.replace(",", ";") for row in rows) + "\n")
+    assert (
+        "1 gap, the longest 0.006 s at 0.038 s"
+        in call(capsys, "import", source, "--map", _with_head(folder), "--preview")[1]
+    )
+    code, out, _ = call(capsys, "import", source, "--preview")
+    assert code == 0
+    assert "numbers from line 2 on; delimiter = ';', decimal = '.'" in out
+    assert call(capsys, "import", source)[0] == 2
+    assert not list(folder.glob("**/*.h5"))
+
+
+def _with_head(folder):
+    path = folder / "head.toml"
+    path.write_text(TEXT.replace("[file]", "[file]\nheader_lines = 1"))
+    return path
 
 
 @needs_data

@@ -1,7 +1,9 @@
 """An acquisition that is killed at any moment loses nothing that it had synced."""
 
 import bisect
+import itertools
 import json
+import mmap
 import os
 import random
 import shutil
@@ -262,6 +264,41 @@ def test_a_killed_run_loses_less_than_a_chunk(tmp_path, chunk, whole):
         for name, values in block.items():
             found = run.recording("sweep").read_stored(name)
             np.testing.assert_array_equal(found, values[:whole])
+
+
+def snapshots(path: Path, recordings, size: int) -> list[tuple[bytes, int]]:
+    """Return the part after each sync, with the samples of each recording that it must hold."""
+    found = []
+    arguments = {"command": "stribeck", "recipe": None, "recipe_text": None}
+    with RunWriter(path, recordings=recordings, **arguments) as out:
+        for start in range(0, size, recordings[0].chunk):
+            for spec in recordings:
+                block = {name: part[:size] for name, part in samples(size)["sweep"].items()}
+                stop = start + spec.chunk
+                out.append(spec.name, {name: part[start:stop] for name, part in block.items()})
+            out._sync(force=True)
+            found.append((out.part.read_bytes(), start + recordings[0].chunk))
+        out.finish({}, {})
+    return found
+
+
+def test_a_write_that_stops_between_two_pages_costs_nothing_synced(tmp_path):
+    """A kernel ends the write of a killed process between two pages of memory."""
+    names = [f"sweep_{index}" for index in range(6)]
+    recordings = [replace(SPECS[0], name=name, chunk=64) for name in names]
+    part, back = tmp_path / "torn.h5.part", tmp_path / "torn.h5"
+    parts = snapshots(tmp_path / "run.h5", recordings, 64 * 8)
+    for (before, count), (after, _) in itertools.pairwise(parts):
+        for rest in (0, 1):
+            # Every other page is new: halved is whatever HDF5 rewrote across an edge between two.
+            torn = bytearray(before)
+            for start in range(rest * mmap.PAGESIZE, len(before), 2 * mmap.PAGESIZE):
+                torn[start : start + mmap.PAGESIZE] = after[start : start + mmap.PAGESIZE]
+            torn = torn[: len(before)]
+            assert before != torn != after
+            part.write_bytes(torn)
+            found = recover(part, back, overwrite=True).samples
+            assert all(found[name] >= count for name in names), (rest, count)
 
 
 def test_recovering_stops_at_damage_in_a_small_chunk(tmp_path):

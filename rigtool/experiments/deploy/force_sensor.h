@@ -104,7 +104,7 @@ struct rs_model {
     uint64_t output_turn; /* turns of the output for a count, 2^-64 */
     rs_real constant, constant_slope;   /* torque at 0 degC, N m/A, and its change per kelvin */
     rs_real offset_current, ripple_kept; /* A; what a sample leaves of the lagging ripple */
-    /* the drive: experiments/force_over_time/plant.py has the equations */
+    /* the drive: experiments/force_filter/plant.py has the equations */
     rs_real inertia, coulomb, static_friction, stribeck_velocity, presliding_angle;
     rs_real presliding_damping, angle_ratio, torque_factor, stiffness, damping, grasper_inertia;
     rs_real housing_friction, housing_asymmetry, housing_presliding_angle;

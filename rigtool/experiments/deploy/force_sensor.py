@@ -1,8 +1,8 @@
 """The causal estimate of torque over time as a C header: the template `force_sensor.h` with data.
 
 The template holds all of the algorithm; only numbers go into it, and a comment on their origin.
-Its equations are those of `force_over_time.plant`, `kalman` and `passed`, its states those of
-`force_over_time.motion_states`; the covariance is U diag(d) U' (G. J. Bierman, Factorization
+Its equations are those of `force_filter.plant`, `kalman` and `passed`, its states those of
+`force_filter.motion_states`; the covariance is U diag(d) U' (G. J. Bierman, Factorization
 Methods for Discrete Sequential Estimation, 1977), which 4-byte numbers carry.
 """
 
@@ -15,10 +15,10 @@ from importlib.resources import files
 import numpy as np
 
 from rigtool.experiments.deploy.c_header import comment
-from rigtool.experiments.force import power_up
-from rigtool.experiments.force.sensor import AT_THE_LIMIT, Instrument
-from rigtool.experiments.force_over_time import kalman, motion_states, passed
-from rigtool.experiments.force_over_time.drive import VISCOUS
+from rigtool.experiments.force_filter import kalman, motion_states, passed
+from rigtool.experiments.force_model.drive import VISCOUS
+from rigtool.experiments.force_sensor import power_up
+from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, Instrument
 from rigtool.numerics.arrays import Array
 
 Number = float | int | str | Array

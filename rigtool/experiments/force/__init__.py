@@ -1,1 +1,1 @@
-"""Force from current: cycles, correction, uncertainty."""
+"""Known loads read from current: cycles, correction, uncertainty."""

@@ -14,8 +14,8 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.force.imported_strokes import levels_table, read_strokes, scatter_results
-from rigtool.experiments.force.results_over_time import Reading, over_time_tables
-from rigtool.experiments.force_over_time.motion_states import State
+from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_sensor.results_over_time import Reading, over_time_tables
 from rigtool.experiments.imported import RECORDING, require_one_rig, signals_of
 from rigtool.experiments.imported_load.imported_accuracy import (
     FAST,

@@ -14,7 +14,6 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force.imported import analyse_imported
-from rigtool.experiments.force.procedure_over_time import analyse_over_time, require_calibration
 from rigtool.experiments.force.procedure_readings import read_load
 from rigtool.experiments.force.results import ZERO_AGAIN, Reading, load_rows, loads_outcome
 from rigtool.experiments.force.results_instrument import instrument_outcome
@@ -23,7 +22,11 @@ from rigtool.experiments.force.results_method import (
     require_slow_strokes,
     resolution_u,
 )
-from rigtool.experiments.force_over_time.procedure_learning import CHANNELS, stroke_record
+from rigtool.experiments.force_model.procedure_learning import CHANNELS, stroke_record
+from rigtool.experiments.force_sensor.procedure_over_time import (
+    analyse_over_time,
+    require_calibration,
+)
 from rigtool.experiments.learning.stored_table import feedforward_from, require_same_rig
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record

@@ -10,7 +10,7 @@ from rigtool.experiments.controller_torque import loop_blocks, naming
 from rigtool.experiments.force.cycles import find_cycles, readings
 from rigtool.experiments.force.results import Reading
 from rigtool.experiments.force.results_method import resolution_u, unsteady_torque
-from rigtool.experiments.force_over_time.procedure_learning import stroke_record
+from rigtool.experiments.force_model.procedure_learning import stroke_record
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.decimation import Decimator

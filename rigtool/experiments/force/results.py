@@ -16,7 +16,7 @@ from rigtool.experiments.force.cycles import (
     statistics,
     up_and_down,
 )
-from rigtool.experiments.force_over_time.records import Record
+from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity

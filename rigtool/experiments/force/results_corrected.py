@@ -18,7 +18,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force.results import COLUMNS, LoadRow, Reading, loads_table
-from rigtool.experiments.force_over_time.records import Record
+from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.load_disturbance.reading import (
     LoadedPair,
     LoadReading,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_over_time.motion_states import State
+from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.imported import effort_of, position_of
 from rigtool.experiments.imported_load.basis import ShaftPath, follow
 from rigtool.experiments.imported_load.learning import Observation, level_numbers

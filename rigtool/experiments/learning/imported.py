@@ -30,7 +30,7 @@ from rigtool.experiments.ripple.imported import (
     turns_of,
 )
 from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, turn_spectrum
-from rigtool.experiments.ripple.orders import CLEAR, HIGHEST_ORDER, coefficients
+from rigtool.experiments.ripple.orders import CLEAR, coefficients
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
@@ -75,7 +75,7 @@ def analyse_imported(
         period=2 * math.pi,
     )
     notes = [
-        f"learned from {len(group.torque)} turns of {group.runs} runs at {group.label()}: orders "
+        f"learned from {group.turns:.0f} turns of {group.runs} runs at {group.label()}: orders "
         f"{', '.join(map(str, row.strongest()))}, {row.order.size} of {row.examined} in all"
         for group, row in zip(groups, rows, strict=True)
     ]
@@ -105,9 +105,7 @@ class _Row:
 
     def __init__(self, group: RepeatedRuns) -> None:
         turns = len(group.torque)
-        self.examined = (
-            HIGHEST_ORDER if group.gap == 0 else min(HIGHEST_ORDER, int(1 / (2 * group.gap)))
-        )
+        self.examined = group.orders
         spectrum = turn_spectrum(group.torque, self.examined)
         floor = _steadied(spectrum.noise_floor)
         clear = np.flatnonzero(spectrum.amplitude > CLEAR * floor)
@@ -119,7 +117,9 @@ class _Row:
         self.mean_u = float(means.std(ddof=1)) / math.sqrt(turns)
         scatter = coefficients(group.torque, self.examined)
         deviation = np.abs(scatter - scatter.mean(axis=0)) ** 2
-        self.non_repeatable = math.sqrt(float(deviation.sum()) / (turns - 1) / 2)
+        # A row of several turns has less of it by their number.
+        per_row = group.turns / turns
+        self.non_repeatable = math.sqrt(per_row * float(deviation.sum()) / (turns - 1) / 2)
 
     def at(self, position: Array) -> Array:
         """Return mean and orders at positions (n,), rad."""

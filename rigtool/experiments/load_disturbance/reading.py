@@ -27,9 +27,9 @@ import numpy as np
 from scipy import constants
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_over_time.learning import INDEPENDENT, Learned, measured, slopes
-from rigtool.experiments.force_over_time.model import Prediction, State, functions
-from rigtool.experiments.force_over_time.records import Record, lowpassed_rows
+from rigtool.experiments.force_model.learning import INDEPENDENT, Learned, measured, slopes
+from rigtool.experiments.force_model.model import Prediction, State, functions
+from rigtool.experiments.force_model.records import Record, lowpassed_rows
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_mean, steady_us
 

@@ -1,6 +1,6 @@
 """What a load adds to the motor's torque while it slides evenly: by angle, direction and load.
 
-At a constant speed every part of the model (`experiments.force_over_time.model`) is a function of
+At a constant speed every part of the model (`experiments.force_model.model`) is a function of
 the angle: bristles are bent to one side, and what lags has followed. With a torque s on the tendon
 
     added = n (sum of coefficient (function(s) - function(s0))),   s0 = t z_t,   a = b / r - s / k
@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.force_over_time.learning import NAMES, STEP, Learned, moved
-from rigtool.experiments.force_over_time.model import Shape, State, functions
-from rigtool.experiments.force_over_time.records import Record
+from rigtool.experiments.force_model.learning import NAMES, STEP, Learned, moved
+from rigtool.experiments.force_model.model import Shape, State, functions
+from rigtool.experiments.force_model.records import Record
 from rigtool.numerics.arrays import Array
 
 SEEN = ("stribeck_speed", "ripple_time", "stiffness", "load_onset")

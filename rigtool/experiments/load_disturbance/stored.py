@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.force_over_time.learning import Learned
-from rigtool.experiments.force_over_time.stored import TERMS, model_from
+from rigtool.experiments.force_model.learning import Learned
+from rigtool.experiments.force_model.stored import TERMS, model_from
 from rigtool.experiments.load_disturbance.sliding import Grid
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe

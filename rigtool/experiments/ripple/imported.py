@@ -47,14 +47,18 @@ ORDERS_REPORTED = 10
 
 @dataclass(frozen=True, eq=False)
 class RepeatedRuns:
-    """Runs under the same conditions and speed, as repeats of each other."""
+    """Runs under the same conditions and speed, as repeats of each other.
+
+    Rows of `torque` and `deviation` (rows, positions) hold `turns` in all and resolve `orders`.
+    """
 
     conditions: Mapping[str, float]
     speed: float
     runs: int
     torque: Array
     deviation: Array
-    gap: float
+    orders: int
+    turns: float
     spectra: dict[str, Spectrum] = field(default_factory=dict)
 
     def label(self) -> str:
@@ -80,8 +84,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     effort = effort_of(recordings[0], kt)
     turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
     groups = groups_of(recordings, turns)
-    widest = max(group.gap for group in groups)
-    orders = HIGHEST_ORDER if widest == 0 else min(HIGHEST_ORDER, int(1 / (2 * widest)))
+    orders = min(group.orders for group in groups)
     for group in groups:
         group.spectra["torque"] = turn_spectrum(group.torque, orders)
         group.spectra["deviation"] = turn_spectrum(group.deviation, orders)
@@ -128,7 +131,13 @@ def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[R
         torque, gap = fill(np.concatenate([member.torque for member in members]))
         deviation, _ = fill(np.concatenate([member.deviation for member in members]))
         speed = float(np.mean([member.speed for member in members]))
-        groups.append(RepeatedRuns(conditions, speed, len(members), torque, deviation, gap))
+        orders = min(member.orders for member in members)
+        if gap > 0:
+            orders = min(orders, int(1 / (2 * gap)))
+        count = sum(len(member.torque) * member.turns_a_row for member in members)
+        groups.append(
+            RepeatedRuns(conditions, speed, len(members), torque, deviation, orders, count)
+        )
     return groups
 
 
@@ -208,11 +217,11 @@ def _notes(
     if settled > 0:
         notes.append(f"settling was left out at the start, up to {settled:.2g} s of a run")
     if orders < HIGHEST_ORDER:
-        notes.append(f"parts of the turn that no run passed limit the orders to {orders}")
+        notes.append(f"the samples around the turn resolve orders up to {orders}")
     for number, group in enumerate(groups):
         strongest = ", ".join(map(str, _strongest(group))) or "none"
         turned = f"{group.runs} run{'s' if group.runs > 1 else ''}, "
-        turned += f"{len(group.torque)} turn{'s' if len(group.torque) > 1 else ''}"
+        turned += f"{group.turns:.0f} turn{'s' if group.turns > 1 else ''}"
         notes.append(f"group {number} ({group.label()}; {turned}): strongest orders {strongest}")
         if len(group.torque) == 1:
             notes.append(
@@ -294,7 +303,7 @@ def _group_columns(groups: Sequence[RepeatedRuns]) -> dict[str, Column]:
     return {
         "group": Column(np.arange(len(groups)), "1"),
         "speed": Column(np.array([group.speed for group in groups]), "rad/s", "mean"),
-        "turns": Column(np.array([len(group.torque) for group in groups]), "1", "averaged"),
+        "turns": Column(np.array([group.turns for group in groups]), "1", "averaged"),
         **varied,
     }
 

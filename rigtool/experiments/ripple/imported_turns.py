@@ -6,7 +6,8 @@ motion, angle(t) = a + speed t; the residual,
     deviation(t) = angle(t) - a - speed t,
 
 is the ripple of the motion, as torque against angle is that of the torque. A time axis may be
-irregular: a cell of the turn has the mean over the time that the shaft spends in it.
+irregular: a cell of the turn has the mean over the time that the shaft spends in it. Where most
+turns miss cells, the orders are fitted to several turns together, by least squares on the angle.
 """
 
 from __future__ import annotations
@@ -17,7 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.ripple.orders import Spectrum, coefficients, remove_offset, spectrum
+from rigtool.experiments.ripple.orders import (
+    HIGHEST_ORDER,
+    Spectrum,
+    cell_centres,
+    coefficients,
+    remove_offset,
+    spectrum,
+)
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.settling import settled_from
@@ -31,19 +39,32 @@ NEIGHBOURS = 10
 MIN_SAMPLES = 64
 """Smallest number of samples in a recording."""
 
+LEAST_FITS, MOST_FITS = 5, 20
+"""Parts of a recording that are fitted one by one: fewer show no scatter, more hold few turns."""
+
+SAMPLES_PER_NUMBER = 3
+"""Smallest number of samples for each amplitude that is fitted."""
+
+WEAKEST = 0.3
+"""Smallest singular value of the fitted functions, 1 where angles are evenly spread: samples that
+meet the same angles in each turn do not resolve orders above half their number."""
+
 
 @dataclass(frozen=True, eq=False)
 class Turns:
     """Turns of one recording: (turns, positions), NaN in cells that were not passed.
 
     `torque` in its own unit, `deviation` from steady motion in rad, `speed` in rad/s with its sign,
-    `settled` the time from the start to the steady motion, s.
+    `settled` the time from the start to the steady motion, s. A row is the mean of `turns_a_row`;
+    orders up to `orders` are resolved.
     """
 
     torque: Array
     deviation: Array
     speed: float
     settled: float
+    orders: int
+    turns_a_row: float = 1.0
 
 
 def find_turns(time: Array, turns: Array, torque: Array, positions: int) -> Turns:
@@ -62,6 +83,7 @@ def find_turns(time: Array, turns: Array, torque: Array, positions: int) -> Turn
             f"the shaft passes {max(progress[-1], 0.0):.2f} of a turn steadily, {COVERED} are "
             "needed: record for longer"
         )
+    settled = float(time[first] - time[0])
     row = np.clip(np.floor(progress), 0, None).astype(np.int64)
     cell = np.floor(np.mod(turns[first:], 1.0) * positions).astype(np.int64) % positions
     used = row < rows
@@ -76,17 +98,55 @@ def find_turns(time: Array, turns: Array, torque: Array, positions: int) -> Turn
         return cells
 
     whole = np.mean(spent > 0, axis=1) >= COVERED
-    if not whole.any():
-        raise InsufficientDataError(
-            f"samples are too far apart: {np.max(np.mean(spent > 0, axis=1)):.0%} of {positions} "
-            f"cells of a turn hold one, {COVERED:.0%} are needed: sample faster, or turn slower"
-        )
+    if np.mean(whole) < 0.5:
+        angle, steady = turns[first:][used], 2 * np.pi * deviation[first:][used]
+        fitted = _fit_orders(angle, torque[first:][used], steady, rows, positions)
+        return Turns(*fitted[:2], 2 * math.pi * speed, settled, fitted[2], rows / len(fitted[0]))
     return Turns(
         mean(torque)[whole],
         mean(2 * np.pi * deviation)[whole],
         2 * math.pi * speed,
-        float(time[first] - time[0]),
+        settled,
+        HIGHEST_ORDER,
     )
+
+
+def _fit_orders(
+    turns: Array, torque: Array, deviation: Array, rows: int, positions: int
+) -> tuple[Array, Array, int]:
+    """Return waveforms (fits, positions) of torque and deviation, and the highest order in them.
+
+    A row is the Fourier series that fits the samples of some successive turns best, angle in
+    `turns` (n,); its cells hold means over their width. Raises `InsufficientDataError` where the
+    samples do not resolve one order.
+    """
+    least, count = min(rows, LEAST_FITS), len(turns)
+    orders = min(HIGHEST_ORDER, (count // (SAMPLES_PER_NUMBER * least) - 1) // 2)
+    cells = cell_centres(positions)
+    while orders >= 1:
+        fits = min(rows, MOST_FITS, count // (SAMPLES_PER_NUMBER * (2 * orders + 1)))
+        edges = np.searchsorted(np.abs(turns - turns[0]), np.arange(1, fits) * (rows / fits))
+        parts = np.split(np.arange(count), edges)
+        design = _series(2 * np.pi * turns, orders)
+        squares = [design[part].T @ design[part] / len(part) for part in parts]
+        if min(np.linalg.eigvalsh(square)[0] for square in squares) >= WEAKEST**2:
+            both = np.column_stack([torque, deviation])
+            sums = [design[part].T @ both[part] / len(part) for part in parts]
+            width = np.repeat(np.sinc(np.arange(orders + 1) / positions), 2)[1:]
+            found = np.linalg.solve(np.array(squares), np.array(sums))
+            torques, deviations = np.moveaxis((_series(cells, orders) * width) @ found, -1, 0)
+            return torques, deviations, orders
+        orders = int(0.8 * orders)
+    raise InsufficientDataError(
+        f"{count} samples in {rows} turns, at equal angles in each, resolve no order: sample faster"
+    )
+
+
+def _series(angle: Array, orders: int) -> Array:
+    """Return 1, cosine and sine of order 1, 2, ..., of unit variance, (n, 2 orders + 1)."""
+    phase = np.multiply.outer(angle, np.arange(1, orders + 1))
+    pairs = np.stack([np.cos(phase), np.sin(phase)], axis=-1).reshape(len(angle), -1)
+    return np.column_stack([np.ones(len(angle)), math.sqrt(2) * pairs])
 
 
 def _steady_part(time: Array, turns: Array, resolution: float) -> tuple[int, float, Array]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rigtool.experiments.force_over_time.motion_states import NAMES, State
+from rigtool.experiments.force_filter.motion_states import NAMES, State
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI
 from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot

@@ -7,7 +7,9 @@ the run's record of the line states how even these times are.
 
 A drive whose set point of position stands still between two messages answers each with a step of
 current. Such a drive follows speeds, which the host corrects by the error of position; where it
-takes positions only, `between` measures the bias of the samples.
+takes positions only, `between` measures the bias of the samples. A drive that takes currents only
+is followed by the controller of [rig.controller], which the host runs; it adds feed-forward, table
+and signal itself.
 """
 
 from __future__ import annotations
@@ -20,6 +22,11 @@ from typing import Any
 
 import numpy as np
 
+from rigtool.control.position_loop import (
+    RunningController,
+    controller_sections,
+    stable_one_sample_late,
+)
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
@@ -30,7 +37,7 @@ from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.between import ROOM, Between, usual_time
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
 from rigtool.rigs.serial.drivers import Driver
-from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.line import CAN, REPLAY, Line
 from rigtool.rigs.serial.rig import SerialRig, in_thread
 from rigtool.rigs.serial.ticks import Clock
 
@@ -85,6 +92,12 @@ class HostedRig(SerialRig):
         return self._drive
 
     def _open_line(self) -> Line:
+        port = self._settings.port
+        if not port.startswith(REPLAY) and port.startswith(CAN) != self._driver.can:
+            needed = "a CAN bus: can:INTERFACE:CHANNEL" if self._driver.can else "a serial port"
+            raise RecipeError(
+                f"serial.port is {port!r}, and {self._settings.driver} is on {needed}"
+            )
         return Line(
             self._settings.port,
             self._settings.baud_rate or self._driver.baud_rates[0],
@@ -98,13 +111,38 @@ class HostedRig(SerialRig):
             assert self._driver.make_drive is not None, "a driver makes a drive or a rig"
             self._drive = self._driver.make_drive(self.line, self._recipe)
         identity = self._drive.connect()
+        design = self._recipe.rig.loop_design
+        if self.mode == "current" and not stable_one_sample_late(**design):
+            raise RecipeError(
+                f"the loop of [rig.controller], {design['crossover_hz']:g} Hz of crossover, is not "
+                f"stable where the host closes it every {design['sample_time']:g} s: lower "
+                "crossover_hz, to a fiftieth of the rate for a good margin, and the other "
+                "frequencies with it"
+            )
         self._configured = True
         for gap in self._drive.configure(self._limits, self._settings.watchdog):
             note = f"the drive {gap}: the host alone watches it"
             if note not in self.notes:
                 self.notes.append(note)
         self._require_rate()
+        self._state_runaway()
         return identity
+
+    def _state_runaway(self) -> None:
+        """Note how fast the shaft gets where a loop runs away, before the host notices."""
+        rig, limits = self._recipe.rig, self._limits
+        torque = self._torque_constant * limits.current
+        fastest = safety.runaway(
+            limits, rig.encoder_counts, rig.sample_time, torque / rig.inertia.total(rig.attachment)
+        )
+        note = (
+            f"where a loop runs away (a wrong sign, a lost encoder) with {limits.current:g} A, the "
+            f"host notices it at up to {fastest:.3g} rad/s, {fastest / limits.speed:.2g} times the "
+            "limit of speed, unless the drive limits it: lower serial.limits.current where that is "
+            "too fast"
+        )
+        if note not in self.notes:
+            self.notes.append(note)
 
     def _require_rate(self) -> None:
         """Refuse a period that is too short for the line."""
@@ -145,11 +183,10 @@ class HostedRig(SerialRig):
         name = self._settings.driver
         if need in ("load", "clamp", "soak", "power_cycle"):
             return f"{name} cannot do this by itself"
-        if need == "closed_loop" and not able.modes & {"position", "velocity"}:
-            return f"this {name} follows neither positions nor speeds"
         if need == "open_loop" and "current" not in able.modes:
             return f"this {name} takes no set point of current"
-        if need in ("feedforward", "table", "signal") and not able.feedforward:
+        added = able.feedforward or self.mode == "current"
+        if need in ("feedforward", "table", "signal") and not added:
             return f"this {name} takes no torque feed-forward beside its set point"
         if need in ("current", "current_setpoint", "temperature") and need not in able.channels:
             more = ": add [serial.temperature]" if need == "temperature" else ""
@@ -194,8 +231,13 @@ class HostedRig(SerialRig):
 
     @property
     def mode(self) -> Mode:
-        """How motions are followed: by corrected speeds, unless the drive moves along."""
+        """How motions are followed: by corrected speeds, unless the drive moves along.
+
+        By the host's own controller where the drive takes nothing but currents.
+        """
         able = self.drive.abilities
+        if able.modes == {"current"}:
+            return "current"
         if "velocity" in able.modes and not able.moves_along:
             return "velocity"
         return "position" if "position" in able.modes else "velocity"
@@ -224,6 +266,10 @@ class _Loop:
         )
         self._rows: list[tuple[float, ...]] = []
         self._gain = min(rig._settings.position_gain, CORRECTED / self._recipe.rig.sample_time)
+        self._controller: RunningController | None = None
+        if rig.mode == "current" and not self._open_loop:
+            sections = controller_sections(**self._recipe.rig.loop_design)
+            self._controller = RunningController(sections)
         self._start = self._origin = 0.0
         self.ticks = self.late = self.skipped = 0
         self.longest_gap = self.elapsed = 0.0
@@ -273,7 +319,7 @@ class _Loop:
             travelled = abs(last.position - begin)
             if task.stop_angle is not None and self._open_loop and travelled > task.stop_angle:
                 return
-            if not self._open_loop:
+            if not self._open_loop and self._controller is None:
                 probe = self._probe(tick)
             tick += 1
 
@@ -320,14 +366,19 @@ class _Loop:
         if feedforward.signal is not None:
             step = int(elapsed / self._recipe.rig.sample_time) % len(feedforward.signal)
             signal = float(feedforward.signal[step]) / constant
-        rate = float(speed[0])
+        rate, added = float(speed[0]), model + table + signal
+        if self._controller is not None:
+            error = float(self._motion_at(last.time)[0][0]) - last.position
+            added += self._controller.torque(error) / constant
+            limit = min(self._recipe.rig.current_limit, self._rig._limits.current)
+            added = min(max(added, -limit), limit)
         if self._rig.mode == "velocity":
             limit = self._rig._limits.speed
             # The set point at the time of the last sample: a sample that is older
             # than the set point would show a distance that grows with speed and delay.
             rate += self._gain * (float(self._motion_at(last.time)[0][0]) - last.position)
             rate = min(max(rate, -limit), limit)
-        sent = SetPoint(float(position[0]), rate, model + table + signal)
+        sent = SetPoint(float(position[0]), rate, added)
         return sent, (model, table, signal)
 
     def _wanted(self, sample: Sample) -> float:

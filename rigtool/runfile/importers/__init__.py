@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rigtool.errors import RunFileError
+from rigtool.errors import RigtoolError, RunFileError
 from rigtool.plugins import load_all, warn
 from rigtool.quantity import Quantity
 from rigtool.recipe.mapping import UNITS, Mapping
 from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays, read_vector
 from rigtool.runfile.importers.convert import conditions, irregular, stem, to_si
-from rigtool.runfile.importers.plan import BINARY, plan
+from rigtool.runfile.importers.plan import BINARY, is_binary, plan
 from rigtool.runfile.importers.raw import Array, Importer, Raw
 from rigtool.runfile.importers.text import read_text
 from rigtool.runfile.model import Channel, Column, RecordingSpec, Table
@@ -32,7 +32,18 @@ from rigtool.runfile.outputs import own_folder, require_output
 from rigtool.runfile.provenance import Source, file_sha256
 from rigtool.runfile.writer import RunWriter
 
-__all__ = ["COMMAND", "MAP", "RECORDING", "Imported", "import_files"]
+__all__ = [
+    "COMMAND",
+    "MAP",
+    "RECORDING",
+    "Import",
+    "Imported",
+    "first_of",
+    "import_files",
+    "importers",
+    "recognised",
+    "understand",
+]
 
 COMMAND = "import"
 RECORDING = "imported"
@@ -59,42 +70,79 @@ class Imported:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Import:
+    """What was imported, and the files that were left out: by their names, and bad ones."""
+
+    done: list[Imported]
+    of_other_names: list[Path]
+    bad: dict[Path, RunFileError]
+
+
 def import_files(
     sources: Sequence[str],
     output: str,
     mapping: tuple[Mapping, str] | None,
     *,
     skip_bad: bool = False,
+    skip_bad_files: bool = False,
     overwrite: bool = False,
     map_path: str | None = None,
-) -> list[Imported]:
+) -> Import:
     """Make a run file of one source file, or a folder of run files of a folder or several files.
 
     `mapping` comes with its text, from `map_path`; no output replaces that or a source. If one file
-    cannot be imported, no file is written. Raises `UsageError` for names that do not go together,
-    `RunFileError` for a bad source.
+    cannot be imported, no file is written; with `skip_bad_files` the others are. Raises
+    `UsageError` for names that do not go together, `RunFileError` for all bad sources at once.
     """
     read = [Path(source) for source in sources] + ([] if map_path is None else [Path(map_path)])
     endings = [ending for importer in importers().values() for ending in importer.endings]
-    names, is_folder = plan(sources, Path(output), overwrite, endings)
-    if not is_folder:
+    pattern = None if mapping is None else mapping[0].files
+    planned = plan(sources, Path(output), overwrite, endings, pattern)
+    names = planned.names
+    if not planned.is_folder:
         (source,) = names
         final = require_output(output, overwrite=overwrite, inputs=read)
-        return [_import_file(source, final, Path(output), mapping, skip_bad, overwrite)]
+        done = [_import_file(source, final, Path(output), mapping, skip_bad, overwrite)]
+        return Import(done, planned.left_out, {})
     folder = Path(output)
+    done, bad = [], {}
     with _new_folders() as make_folder:
         make_folder(folder)
         with own_folder(folder) as beside:
-            done = []
             for number, (source, name) in enumerate(names.items()):
                 here, final = beside / f"{number}.h5", folder / name
-                done.append(_import_file(source, here, final, mapping, skip_bad, overwrite))
-            for name in names.values():
-                make_folder((folder / name).parent)
-                require_output(folder / name, overwrite=overwrite, inputs=[*names, *read])
-            for number, name in enumerate(names.values()):
-                os.replace(beside / f"{number}.h5", folder / name)
-    return done
+                try:
+                    done.append(_import_file(source, here, final, mapping, skip_bad, overwrite))
+                except RunFileError as error:
+                    bad[source] = error
+            if bad and not (skip_bad_files and done):
+                raise _all_bad(bad, len(names))
+            for item in done:
+                make_folder(item.output.parent)
+                require_output(item.output, overwrite=overwrite, inputs=[*names, *read])
+            for number, source in enumerate(names):
+                if source not in bad:
+                    os.replace(beside / f"{number}.h5", folder / names[source])
+    return Import(done, planned.left_out, bad)
+
+
+def _all_bad(bad: MappingType[Path, RunFileError], count: int) -> RunFileError:
+    """Return one error for all bad files, each with its first bad line."""
+    if len(bad) == count == 1:
+        return next(iter(bad.values()))
+    head = f"{len(bad)} of {count} files cannot be imported:"
+    remedy = (
+        'correct them, state in the mapping which files it is for (files = "*.csv"), or go on '
+        "without them by --skip-bad-files"
+    )
+    return RunFileError("\n".join([head, *(f"  {first_of(bad[path])}" for path in bad), remedy]))
+
+
+def first_of(error: RunFileError) -> str:
+    """Return what an error on a file states first: of bad lines the first one."""
+    lines = str(error).splitlines()
+    return lines[1].strip() if len(lines) > 1 else lines[0]
 
 
 def importers() -> dict[str, Importer]:
@@ -135,12 +183,10 @@ def _import_file(
     origin = Source(str(source), file_sha256(source), text)
     if known is not None and known.map is not None:
         return _import_map(source, here, final, known, origin, overwrite)
-    raw, known, notes = _read(source, known, skip_bad)
-    signals, raw = to_si(source, raw, known, skip_bad)
+    signals, raw, known, notes = understand(source, known, skip_bad)
     known_conditions, missing = conditions(source, known)
     spec = RecordingSpec(RECORDING, _channels(signals, known), known_conditions)
     notes = [*notes, *missing]
-    notes += [note for note in (irregular(signals["time"]), _left_out_note(raw)) if note]
     with RunWriter(
         here,
         command=COMMAND,
@@ -156,21 +202,50 @@ def _import_file(
     return Imported(source, final, len(raw.line), len(raw.left_out), tuple(notes))
 
 
+def understand(
+    source: Path, mapping: Mapping | None, skip_bad: bool
+) -> tuple[dict[str, Array], Raw, Mapping, list[str]]:
+    """Return the signals of a file in SI, what they come from, the mapping with them, and notes.
+
+    Raises `RunFileError` for a bad file.
+    """
+    raw, known, notes = _read(source, mapping, skip_bad)
+    signals, raw = to_si(source, raw, known, skip_bad)
+    notes += [note for note in (irregular(signals["time"]), _left_out_note(raw)) if note]
+    return signals, raw, known, notes
+
+
 def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, Mapping, list[str]]:
     """Return columns, the mapping with signals, and notes."""
-    for name, importer in importers().items():
-        if _recognises(name, importer, source):
-            bare = Mapping(mapping=1, rig={"name": stem(source)})
+    if (known := recognised(source)) is not None:
+        name, importer = known
+        bare = Mapping(mapping=1, rig={"name": stem(source)})
+        try:
             return importer.read(source, mapping or bare, skip_bad)
+        except RigtoolError:
+            raise
+        except Exception as error:  # an importer of anybody's may raise anything
+            raise RunFileError(
+                f"{source}: importer {name} fails at it: {type(error).__name__}: {error}"
+            ) from error
     if mapping is None or not mapping.signals:
         raise RunFileError(
             f"{source}: does not state the meaning of its columns: give --map with a mapping file "
             "that has [signals]; recipes/import holds examples"
         )
     columns = [signal.column for signal in mapping.signals.values()]
-    if _is_binary(source):
+    if is_binary(source):
         return read_arrays(source, mapping.file.variable, columns, skip_bad), mapping, []
-    return read_text(source, mapping.file, columns, skip_bad), mapping, []
+    raw, notes = read_text(source, mapping.file, columns, skip_bad)
+    return raw, mapping, notes
+
+
+def recognised(source: Path) -> tuple[str, Importer] | None:
+    """Return name and importer of the format that a file is recognised as, None where it is not."""
+    for name, importer in importers().items():
+        if _recognises(name, importer, source):
+            return name, importer
+    return None
 
 
 def _recognises(name: str, importer: Importer, source: Path) -> bool:
@@ -180,10 +255,6 @@ def _recognises(name: str, importer: Importer, source: Path) -> bool:
     except Exception as error:  # an importer of anybody's may raise anything
         warn(f"importer {name} fails at {source}: {type(error).__name__}: {error}")
         return False
-
-
-def _is_binary(source: Path) -> bool:
-    return source.suffix.lower() in BINARY
 
 
 def _channels(signals: MappingType[str, Array], mapping: Mapping) -> tuple[Channel, ...]:
@@ -216,7 +287,7 @@ def _import_map(
     assert mapping.map is not None
     signal = mapping.map.signal
     factor, unit = UNITS[mapping.map.unit]
-    if not _is_binary(source):
+    if not is_binary(source):
         raise RunFileError(f"{source}: a [map] is read from {', '.join(BINARY)}: convert the file")
     values = read_vector(source, mapping.file.variable)
     sampled = np.isfinite(values)

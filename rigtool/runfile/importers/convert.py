@@ -16,6 +16,13 @@ from rigtool.runfile.schema import TIME
 IRREGULAR = 0.01
 """Intervals that differ from the median by more than this part make a time axis irregular."""
 
+START_RATIO, START_STEP = 30.0, 10.0
+"""A first sample that differs from the second by this factor, over a step this many times as large
+as any later one, is no measurement."""
+
+STEPS = 10
+"""Smallest number of samples that show how a signal moves."""
+
 PIECES = 100
 """Of a recording over which ways by position and by speed are compared."""
 
@@ -29,8 +36,9 @@ OTHER_MOTION = 1.5
 def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[str, Array], Raw]:
     """Return signals by name, `time` first, and the raw columns without bad lines.
 
-    Raises `RunFileError` where time does not rise, unless `skip_bad`: then as few lines as possible
-    are left out so that it does; and where fewer than two samples are there.
+    A first sample that is no measurement is left out. Raises `RunFileError` where time does not
+    rise, unless `skip_bad`: then as few lines as possible are left out so that it does; and where
+    fewer than two samples are there.
     """
     time = _time(raw, mapping)
     bad = {
@@ -44,6 +52,9 @@ def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[
             require_good(path, raw.what, bad)
         off = np.setdiff1d(np.arange(len(time)), _longest_rise(time))
         raw = raw.without({int(raw.line[index]): "out of the order of time" for index in off})
+        time = _time(raw, mapping)
+    if (why := _wrong_start(time, raw, mapping)) is not None:
+        raw = raw.without({int(raw.line[0]): why})
         time = _time(raw, mapping)
     if len(time) < 2:
         raise RunFileError(f"{path}: {len(time)} sample, at least 2 are needed: record for longer")
@@ -85,6 +96,27 @@ def _require_same_motion(path: Path, signals: dict[str, Array]) -> None:
                 f"{path}: {name} moves {ratio:.3g} times as far as {of} states: correct the "
                 "sampling rate, the time, or a unit, scale, sign or counts_per_turn in the mapping"
             )
+
+
+def _wrong_start(time: Array, raw: Raw, mapping: Mapping) -> str | None:
+    """Return why the first sample is none of the motion, None where it may be one.
+
+    Recorders that begin before their first conversion store what was in memory.
+    """
+    if len(time) < STEPS:
+        return None
+    for name in mapping.signals:
+        if name == TIME or name.endswith("_setpoint"):
+            continue
+        values = _signal(raw, mapping, name)
+        with np.errstate(over="ignore", invalid="ignore"):  # found by `to_si`
+            steps = np.abs(np.diff(values))
+            first, second = np.abs(values[:2])
+            far = 0 < min(first, second) * START_RATIO < max(first, second)
+            alone = steps[0] > START_STEP * steps[1:].max() > 0
+        if far and alone:
+            return f"{name} is {values[0]:.4g}, {values[1]:.4g} next: no sample of this motion"
+    return None
 
 
 def _time(raw: Raw, mapping: Mapping) -> Array:
@@ -149,6 +181,8 @@ def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str
         "torque_constant_u": (rig.torque_constant_u, "N m/A"),
         "rated_torque": (rig.rated_torque, "N m"),
         "inertia": (rig.inertia, "kg m2"),
+        "arm_length": (rig.arm_length, "m"),
+        "reference_relative_u": (rig.reference_relative_u, "1"),
         "linear_axis": (1.0 if rig.axis == "linear" else None, "1"),
     }
     found = {

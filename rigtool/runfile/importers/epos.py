@@ -16,7 +16,7 @@ from pathlib import Path
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import RATED, UNITS, FileLayout, Mapping, Signal
 from rigtool.runfile.importers.raw import Importer, Raw, read_bytes, require_good
-from rigtool.runfile.importers.text import Lines, decode, read_numbers, split_lines
+from rigtool.runfile.importers.text import Lines, decode, marks_of, read_numbers, split_lines
 
 OBJECTS = {
     0x6064: "position",
@@ -35,6 +35,7 @@ OBJECTS = {
 
 _HEADER_LINES = 60
 _NAME = re.compile(r"[^a-z0-9]+")
+_ADDED = re.compile(r",(?!\d)")
 
 
 def is_epos(path: Path) -> bool:
@@ -52,10 +53,11 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
     """Return the columns of an export, the mapping filled with the signals that it names, notes.
 
     Torque in percent becomes N m where `mapping` states the rated torque. A mapping with signals
-    of its own keeps them: columns by the names in the file, `time` the first. Raises `RunFileError`
-    for a header or lines that are damaged.
+    of its own keeps them: columns by the names in the file, `time` the first. [file] of a mapping
+    holds for the lines of numbers. What a spreadsheet or a person added behind a comma is taken
+    off. Raises `RunFileError` for a header or lines that are damaged.
     """
-    lines = split_lines(decode(read_bytes(path)), None)
+    lines, notes = _as_exported(split_lines(decode(read_bytes(path)), mapping.file.comment))
     header = _header(path, lines)
     names_at = len(header)
     names = ["time", *(name.strip() for name in lines.text[names_at].split(";")[1:])]
@@ -69,38 +71,71 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
         filled = {**mapping.model_dump(), "signals": _signals(path, header, names, units, mapping)}
         mapping = Mapping.model_validate(filled)
     data = lines.after(names_at + 2)
-    # The delimiter is a semicolon, so a comma can only be the decimal mark of the system.
-    decimal = "," if any("," in line for line in data.text[:100]) else "."
-    layout = FileLayout(delimiter=";", decimal=decimal)
+    marks = marks_of(
+        data.text, FileLayout(delimiter=mapping.file.delimiter or ";", decimal=mapping.file.decimal)
+    )
     columns = [signal.column for signal in mapping.signals.values()]
-    raw = read_numbers(path, data, layout, columns, names, skip_bad)
-    return raw, mapping, _missing(path, header, data, skip_bad)
+    raw = read_numbers(path, data, marks, columns, names, skip_bad)
+    return raw, mapping, [*notes, *_missing(path, header, data, skip_bad)]
 
 
-def _header(path: Path, lines: Lines) -> dict[str, list[str]]:
-    """Return the header by key, one entry a line; the line of names follows it."""
-    header: dict[str, list[str]] = {}
-    for number, line in enumerate(lines.text[:_HEADER_LINES]):
+def _as_exported(lines: Lines) -> tuple[Lines, list[str]]:
+    """Return the lines without what was added behind a comma, and notes on what that said.
+
+    A comma before a digit is a decimal mark, any other begins a cell of a spreadsheet or a remark.
+    """
+    parts = [_ADDED.split(line, maxsplit=1) for line in lines.text]
+    notes = [
+        f"line {number}: remark {remark!r} left out"
+        for (_, *added), number in zip(parts, lines.number, strict=True)
+        if added and (remark := added[0].strip(' ,"\t'))
+    ]
+    kept = [
+        (part[0], number)
+        for part, number in zip(parts, lines.number, strict=True)
+        if part[0].strip()
+    ]
+    texts, numbers = [text for text, _ in kept], [number for _, number in kept]
+    return Lines(texts, numbers, lines.whole), notes
+
+
+def _header(path: Path, lines: Lines) -> dict[tuple[int, str], list[str]]:
+    """Return the header by number of its line and key; the line of names follows it."""
+    header: dict[tuple[int, str], list[str]] = {}
+    for at, (number, line) in enumerate(zip(lines.number, lines.text, strict=True)):
+        if at + 1 >= len(lines.text) or at >= _HEADER_LINES:
+            break
         if line.startswith(";"):
-            if number + 1 >= len(lines.text):
-                break
             return header
         key, *values = line.split(";")
-        header[f"{number} {key.rstrip(':')}"] = values
+        header[number, key.rstrip(":")] = values
     raise RunFileError(
         f"{path}: is an export of EPOS Studio without names and units of its channels: it was cut "
         "short; export it again"
     )
 
 
-def _field(header: dict[str, list[str]], key: str) -> list[str]:
-    return next((values for name, values in header.items() if name.endswith(f" {key}")), [])
+def _field(header: dict[tuple[int, str], list[str]], key: str) -> tuple[int, list[str]]:
+    """Return the number of the line of a key, and its values."""
+    found = ((number, values) for (number, name), values in header.items() if name == key)
+    return next(found, (0, []))
 
 
 def _signals(
-    path: Path, header: dict[str, list[str]], names: list[str], units: list[str], mapping: Mapping
+    path: Path,
+    header: dict[tuple[int, str], list[str]],
+    names: list[str],
+    units: list[str],
+    mapping: Mapping,
 ) -> dict[str, Signal]:
-    indices = [int(value, 16) for value in _field(header, "Index")]
+    line, values = _field(header, "Index")
+    try:
+        indices = [int(value, 16) for value in values]
+    except ValueError:
+        raise RunFileError(
+            f"{path}, line {line}: {'; '.join(values)[:80]!r} are no objects such as 0x30D3: "
+            "correct the line, or give a mapping with [signals]"
+        ) from None
     signals = {}
     for number, (name, unit) in enumerate(zip(names, units, strict=True)):
         index = indices[number - 1] if 0 < number <= len(indices) else 0
@@ -129,9 +164,11 @@ def _meaning(name: str, index: int, unit: str, mapping: Mapping) -> tuple[str, s
     return signal, unit
 
 
-def _missing(path: Path, header: dict[str, list[str]], data: Lines, skip_bad: bool) -> list[str]:
+def _missing(
+    path: Path, header: dict[tuple[int, str], list[str]], data: Lines, skip_bad: bool
+) -> list[str]:
     """Return a note if samples are missing according to the header; raise unless `skip_bad`."""
-    recorded = _field(header, "Recorded samples")
+    _, recorded = _field(header, "Recorded samples")
     if not recorded or not recorded[0].isdigit() or int(recorded[0]) <= len(data.text):
         return []
     lost = int(recorded[0]) - len(data.text)

@@ -87,7 +87,9 @@ def read_bytes(path: Path) -> bytes:
             packed = stream.read(2) == b"\x1f\x8b"
         if not packed:
             require_size(path, path.stat().st_size)
-            return path.read_bytes()
+            data = path.read_bytes()
+            _require_no_spreadsheet(path, data)
+            return data
         with gzip.open(path) as stream:
             data = stream.read(unpacked_limit(path) + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
@@ -96,6 +98,15 @@ def read_bytes(path: Path) -> bytes:
         raise RunFileError(f"{path}: cannot be read: {error.strerror or error}") from None
     require_size(path, len(data))
     return data
+
+
+def _require_no_spreadsheet(path: Path, data: bytes) -> None:
+    """Raise `RunFileError` for files of spreadsheet programs: archives, or compound documents."""
+    if data[:4] == b"PK\x03\x04" or data[:8] == b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1":
+        raise RunFileError(
+            f"{path}: is a spreadsheet or an archive, no text: export it as CSV in the program "
+            "that wrote it, or unpack it, and import that"
+        )
 
 
 def unpacked_limit(path: Path) -> int:

@@ -29,6 +29,17 @@ from rigtool.runfile.importers.raw import (
 
 WHITESPACE = "whitespace"
 
+MARKS = tuple(
+    (delimiter, decimal) for delimiter in (",", ";", "\t", WHITESPACE) for decimal in ".,"
+)
+"""Delimiters and decimal marks that the lines of a text may show, the usual ones first."""
+
+LOOKED_AT = 50
+"""Most lines that are looked at for them."""
+
+MOSTLY = 0.3
+"""Smallest part of numbers among the fields of lines of measurements."""
+
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
@@ -48,8 +59,10 @@ class Lines:
         return Lines(self.text[count:], self.number[count:], self.whole)
 
 
-def read_text(path: Path, layout: FileLayout, columns: Sequence[ColumnKey], skip_bad: bool) -> Raw:
-    """Read columns of a text file as numbers.
+def read_text(
+    path: Path, layout: FileLayout, columns: Sequence[ColumnKey], skip_bad: bool
+) -> tuple[Raw, list[str]]:
+    """Read columns of a text file as numbers; also return notes on what its lines show.
 
     Raises `RunFileError` for a missing column, and, unless `skip_bad`, for lines that are cut
     short, hold something else than numbers, or end with the file.
@@ -62,14 +75,66 @@ def read_text(path: Path, layout: FileLayout, columns: Sequence[ColumnKey], skip
             f"{path}: has no line that names its columns (header_lines = {head}): give columns by "
             "number, or correct the mapping"
         )
-    names = split_fields(lines.text[head - 1], layout.delimiter) if named else []
-    return read_numbers(path, lines.after(head), layout, columns, names, skip_bad)
+    marks = marks_of(lines.after(head).text, layout)
+    names = split_fields(lines.text[head - 1], marks.delimiter) if named else []
+    raw = read_numbers(path, lines.after(head), marks, columns, names, skip_bad)
+    return raw, marks.notes(layout)
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Delimiter and decimal mark of a text."""
+
+    delimiter: str
+    decimal: str
+
+    def notes(self, layout: FileLayout) -> list[str]:
+        """Return what a mapping leaves to the lines and they show otherwise than plain CSV does."""
+        stated = {"delimiter": layout.delimiter, "decimal": layout.decimal}
+        usual = {"delimiter": ",", "decimal": "."}
+        found = [
+            f"{key} = {getattr(self, key)!r}"
+            for key, value in stated.items()
+            if value is None and getattr(self, key) != usual[key]
+        ]
+        return [f"as the lines show, {', '.join(found)}: state it in [file]"] if found else []
+
+
+def marks_of(lines: Sequence[str], layout: FileLayout) -> Marks:
+    """Return delimiter and decimal mark: as stated, else those with most numbers a line."""
+    best, most = Marks(layout.delimiter or ",", layout.decimal or "."), 0.0
+    shown = lines[:LOOKED_AT]
+    for delimiter, decimal in MARKS:
+        marks = Marks(layout.delimiter or delimiter, layout.decimal or decimal)
+        if marks.delimiter == marks.decimal:
+            continue
+        rows = [_fields(line, marks.delimiter) for line in shown]
+        usual = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
+        numbers = [
+            bool(_NUMBER.fullmatch(_plain(field, marks.decimal)))
+            for row in rows
+            if len(row) == usual
+            for field in row
+        ]
+        # A mark that splits numbers leaves text, or makes more fields of which some are no number.
+        part = float(np.mean(numbers)) if numbers else 0.0
+        if part >= MOSTLY and (score := sum(numbers) * part) > most:
+            best, most = marks, score
+    return best
+
+
+def _fields(line: str, delimiter: str) -> list[str]:
+    return line.split(None if delimiter == WHITESPACE else delimiter)
+
+
+def _plain(field: str, decimal: str) -> str:
+    return field.strip().strip('"').replace(decimal, ".")
 
 
 def read_numbers(
     path: Path,
     lines: Lines,
-    layout: FileLayout,
+    marks: Marks,
     columns: Sequence[ColumnKey],
     names: Sequence[str],
     skip_bad: bool,
@@ -80,10 +145,17 @@ def read_numbers(
     """
     if not lines.text:
         raise RunFileError(f"{path}: holds no line of numbers: check comment and header_lines")
-    delimiter = None if layout.delimiter == WHITESPACE else layout.delimiter
+    delimiter = None if marks.delimiter == WHITESPACE else marks.delimiter
     counts = _field_counts(lines.text, delimiter)
     usual = len(names) or Counter(counts).most_common(1)[0][0]
-    indices = [_index(path, column, names, usual) for column in columns]
+    try:
+        indices = [_index(path, column, names, usual) for column in columns]
+    except RunFileError as error:
+        shown = marks_of(lines.text, FileLayout())
+        if shown == marks:
+            raise
+        hint = f"delimiter = {shown.delimiter!r} and decimal = {shown.decimal!r} in [file]"
+        raise RunFileError(f"{error}; its lines look like {hint}") from None
     bad = {
         number: f"has {count} fields, the others have {usual}: it was cut short or joined"
         for number, count in zip(lines.number, counts, strict=True)
@@ -95,9 +167,9 @@ def read_numbers(
         text for text, number in zip(lines.text, lines.number, strict=True) if number not in bad
     ]
     numbers = [number for number in lines.number if number not in bad]
-    table = _parse(good, delimiter, layout.decimal, indices)
+    table = _parse(good, delimiter, marks.decimal, indices)
     if table is None:
-        table = _parse_exactly(good, numbers, delimiter, layout.decimal, indices, bad)
+        table = _parse_exactly(good, numbers, delimiter, marks.decimal, indices, bad)
     if not skip_bad:
         require_good(path, "line", bad)
     place = np.flatnonzero([number not in bad for number in lines.number]).astype(np.int64)
@@ -183,7 +255,7 @@ def _parse_exactly(
         fields = line.split(delimiter)
         row = []
         for index in indices:
-            text = fields[index].strip().strip('"').replace(decimal, ".")
+            text = _plain(fields[index], decimal)
             value = float(text) if _NUMBER.fullmatch(text) else np.nan
             if not np.isfinite(value):
                 bad[number] = f"column {index + 1} holds {fields[index].strip()[:40]!r}, no number"

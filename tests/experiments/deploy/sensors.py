@@ -10,12 +10,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from rigtool.experiments.force.sensor import Instrument, Sensor
-from rigtool.experiments.force_over_time.drive import Drive
-from rigtool.experiments.force_over_time.kalman import Uncertainty
-from rigtool.experiments.force_over_time.model import Kind, Term
-from rigtool.experiments.force_over_time.motion_states import Reach
-from rigtool.experiments.force_over_time.plant import (
+from rigtool.experiments.force_filter.kalman import Uncertainty
+from rigtool.experiments.force_filter.motion_states import Reach
+from rigtool.experiments.force_filter.plant import (
     ANGLE,
     NOISE,
     SPEED,
@@ -25,7 +22,10 @@ from rigtool.experiments.force_over_time.plant import (
     advance,
     as_record,
 )
-from tests.experiments.force_over_time.plants import PLANT, UNCERTAINTY
+from rigtool.experiments.force_model.drive import Drive
+from rigtool.experiments.force_model.model import Kind, Term
+from rigtool.experiments.force_sensor.sensor import Instrument, Sensor
+from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 HOST = Path(__file__).with_name("sensor_host.c")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
@@ -101,7 +101,7 @@ def moved(wanted, contact, seed=1):
 
 def motions():
     """Return samples by the name of the motion: strokes and free motion with contacts, and rest."""
-    time = np.arange(round(6.0 / INTERVAL)) * INTERVAL
+    time = np.arange(round(4.0 / INTERVAL)) * INTERVAL
     pulse = 0.04 * np.clip(np.minimum((time % 2 - 0.7) / 0.05, (1.3 - time % 2) / 0.05), 0, 1)
     sines = np.sin(3.1 * time) + 0.6 * np.sin(7.3 * time + 1) + 0.2 * np.sin(23.0 * time)
     free = 0.5 * sines * np.clip(np.abs((time % 3) - 1.5) / 0.3 - 1, 0, 1)
@@ -114,10 +114,10 @@ def motions():
 
 
 def compiled(folder, text, *flags, name="sensor"):
-    """Return a library of the exported header, strictly compiled."""
+    """Return a library of the exported header, strictly compiled; soon, without `-O` in `flags`."""
     (folder / "sensor.h").write_text(text)
     library = folder / f"{name}.so"
-    build = ["cc", *STRICT, *flags, "-O2", "-shared", "-fPIC", f"-I{folder}", HOST, "-o", library]
+    build = ["cc", *STRICT, *flags, "-shared", "-fPIC", f"-I{folder}", HOST, "-o", library]
     subprocess.run([*build, "-lm"], check=True, timeout=120)
     return CSensor(library)
 

@@ -8,13 +8,13 @@ import pytest
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.deploy.stored_export import SENSOR, chosen_format, export_table
-from rigtool.experiments.force.procedure_over_time import reach_of
-from rigtool.experiments.force.procedure_reading import instrument_of
-from rigtool.experiments.force_over_time.deviations import Deviations
-from rigtool.experiments.force_over_time.force_model import ForceModel
-from rigtool.experiments.force_over_time.learning import NAMES, Learned
-from rigtool.experiments.force_over_time.model import Kind, Known, Shape, Term
-from rigtool.experiments.force_over_time.stored import model_from, model_results, model_tables
+from rigtool.experiments.force_model.deviations import Deviations
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.learning import NAMES, Learned
+from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_model.stored import model_from, model_results, model_tables
+from rigtool.experiments.force_sensor.procedure_over_time import reach_of
+from rigtool.experiments.force_sensor.procedure_reading import instrument_of
 from rigtool.recipe import load_recipe
 from rigtool.runfile import RunWriter, open_run
 from tests.experiments.deploy.sensors import INTERVAL, compiled, expected, moved

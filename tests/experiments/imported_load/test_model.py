@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_over_time.motion_states import State
+from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.imported_load.basis import (
     GROUPS,
     find_scales,

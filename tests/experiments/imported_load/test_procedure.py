@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rigtool.cli import main
-from rigtool.experiments.force_over_time.motion_states import State
+from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import open_run

@@ -5,9 +5,9 @@ import math
 import numpy as np
 from scipy import constants
 
-from rigtool.experiments.force_over_time.model import Known
-from rigtool.experiments.force_over_time.paths import tendon
-from rigtool.experiments.force_over_time.records import Condition, repeated
+from rigtool.experiments.force_model.model import Known
+from rigtool.experiments.force_model.paths import tendon
+from rigtool.experiments.force_model.records import Condition, repeated
 
 COUNT = 2 * math.pi / 4000
 CONSTANT, ARM = 0.045, 0.02

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_over_time.deviations import Deviations
-from rigtool.experiments.force_over_time.learning import NAMES, Learned, learn_sliding
-from rigtool.experiments.force_over_time.model import Kind, Shape, Term
+from rigtool.experiments.force_model.deviations import Deviations
+from rigtool.experiments.force_model.learning import NAMES, Learned, learn_sliding
+from rigtool.experiments.force_model.model import Kind, Shape, Term
 from rigtool.experiments.load_disturbance.reading import LoadedPair, dead_band, read_loads
 from tests.experiments.load_disturbance.known_drive import (
     ARM,

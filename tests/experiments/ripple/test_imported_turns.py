@@ -106,13 +106,34 @@ def test_reduction_with_its_uncertainty():
     np.testing.assert_allclose(u[:2], [expected, 0.0], rtol=1e-12, atol=0)
 
 
+@pytest.mark.parametrize("samples", [251.0, 137.3, 100.0])
+def test_few_samples_a_turn_are_fitted_over_many_turns(samples):
+    """Orders within three of their u, and u of the size that the noise makes it."""
+    random = np.random.default_rng(int(samples))
+    noise, turns = 0.1, 40
+    count = int(samples * turns)
+    angle = 0.37 + np.arange(count) / samples
+    known = ((1, 0.5, 0.2), (2, 0.3, 1.0), (3, 0.1, 2.0), (6, 0.8, 0.3), (24, 0.1, 0.5))
+    torque = sum(a * np.cos(2 * np.pi * k * angle + p) for k, a, p in known)
+    torque = torque + random.normal(0, noise, count)
+    found = find_turns(np.arange(count) / 1000, angle, torque, POSITIONS)
+    assert found.orders >= 24
+    assert len(found.torque) * found.turns_a_row == pytest.approx(turns, abs=1, rel=0)
+    fitted = turn_spectrum(found.torque, found.orders)
+    u = fitted.noise_floor / math.sqrt(2)
+    expected = noise * math.sqrt(2 / count)
+    assert np.sqrt(np.mean(u**2)) == pytest.approx(expected, rel=0.3, abs=0)
+    for order, amplitude, _ in known:
+        assert abs(fitted.amplitude[order - 1] - amplitude) < 4 * expected
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda t, a, y: (t, a * 0.1, y), "0.30 of a turn steadily, 0.9 are"),
         (lambda t, a, y: (t, a * 0, y), "0.00 of a turn"),
         (lambda t, a, y: (t[:50], a[:50], y[:50]), "50 samples are too few, 64"),
-        (lambda t, a, y: (t[::100], a[::100], y[::100]), "samples are too far apart"),
+        (lambda t, a, y: (np.arange(80) * 5.0, np.arange(80.0), y[:80]), "resolve no order"),
         (lambda t, a, y: (t[::-1], a, y), "time does not rise"),
         (lambda t, a, y: (t, a, np.where(y > 0.5, np.nan, y)), "torque is nan"),
     ],

@@ -78,6 +78,32 @@ def test_a_comma_as_decimal_mark(tmp_path):
     assert signals["time"][1] == pytest.approx(6.4e-3, rel=1e-15, abs=0)
 
 
+def test_a_file_that_a_spreadsheet_saved_and_a_person_edited(tmp_path):
+    """Empty cells on all lines, a remark behind a sample: numbers stay, the remark is named."""
+    head = "".join(f"{line},,\n" for line in HEAD.splitlines())
+    rows = [f"{row},," for row in ROWS]
+    rows[1] += "was -8,9"
+    source = write(tmp_path / "n2.csv", head=head, rows=rows)
+    _, signals, run = take(source)
+    _, plain, _ = take(write(tmp_path / "plain.csv"))
+    for name, values in plain.items():
+        np.testing.assert_array_equal(signals[name], values)
+    assert "line 13: remark 'was -8,9' left out" in run.notes
+
+
+def test_a_mapping_states_the_marks_of_an_export(tmp_path):
+    rows = [row.replace(";", "|") + " # seen" for row in ROWS]
+    text = RATED + '[file]\ndelimiter = "|"\ncomment = "#"\n'
+    _, signals, _ = take(write(tmp_path / "n2.csv", rows=rows), text)
+    assert signals["encoder"].tolist() == [0, 4, 8, 12, 16]
+
+
+def test_a_header_that_was_damaged_is_named_by_its_line(tmp_path):
+    source = write(tmp_path / "n2.csv", head=HEAD.replace("0x30D2;", "torque;"))
+    with pytest.raises(RunFileError, match=r"n2.csv, line 4: .* are no objects"):
+        take(source)
+
+
 def test_a_file_that_ends_early_is_told_by_its_header(tmp_path):
     source = write(tmp_path / "n2.csv", rows=ROWS[:3])
     with pytest.raises(RunFileError, match="line 14: the file ends here, 2 of 5 recorded samples"):

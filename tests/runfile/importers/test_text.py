@@ -201,7 +201,7 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 def test_every_double_comes_in_exactly(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("exact") / "a.csv"
     write(path, [",".join(map(repr, row)) for row in rows])
-    raw = read_text(path, FileLayout(), [3, 1], skip_bad=False)
+    raw, _ = read_text(path, FileLayout(), [3, 1], skip_bad=False)
     np.testing.assert_array_equal(raw.columns[1], [row[0] for row in rows])
     np.testing.assert_array_equal(raw.columns[3], [row[2] for row in rows])
 
@@ -218,7 +218,7 @@ def test_no_damage_goes_in_unseen(tmp_path_factory, data):
     (folder / "a.csv").write_text(good[:start] + cut + good[start + count :])
     known = dict(zip(good.split("\n")[1:], zip(*columns(12), strict=True), strict=False))
     try:
-        raw = read_text(folder / "a.csv", FileLayout(comment="%"), [1, 2, 3], skip_bad=True)
+        raw, _ = read_text(folder / "a.csv", FileLayout(comment="%"), [1, 2, 3], skip_bad=True)
     except RunFileError:
         return
     text = (folder / "a.csv").read_text().split("\n")
@@ -227,3 +227,42 @@ def test_no_damage_goes_in_unseen(tmp_path_factory, data):
         written = text[line - 1].partition("%")[0]
         expected = known.get(written) or [float(x.strip().strip('"')) for x in written.split(",")]
         assert values == list(expected)
+
+
+@pytest.mark.parametrize(
+    ("delimiter", "decimal"),
+    [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), ("   ", ".")],
+)
+def test_marks_that_the_mapping_leaves_to_the_lines(tmp_path, delimiter, decimal):
+    rows = [row.replace(".", decimal) for row in (line.replace(",", ";") for line in lines())]
+    source = write(tmp_path / "a.csv", [row.replace(";", delimiter) for row in rows])
+    (done,) = take(source, tmp_path / "a.h5").done
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "encoder"), columns()[1])
+    assert any("as the lines show" in note for note in done.notes) == (delimiter + decimal != ",.")
+
+
+def test_a_wrong_delimiter_gets_the_right_one_as_a_hint(tmp_path):
+    source = write(tmp_path / "a.csv", [line.replace(",", ";") for line in lines()])
+    text = TEXT.replace("[file]", '[file]\ndelimiter = ","')
+    with pytest.raises(RunFileError, match=r"look like delimiter = ';' and decimal = '\.'"):
+        take(source, tmp_path / "a.h5", text)
+
+
+@pytest.mark.parametrize("start", [b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"])
+def test_a_spreadsheet_is_recognised(tmp_path, start):
+    (tmp_path / "a.csv").write_bytes(start + b"\x00" * 100)
+    with pytest.raises(RunFileError, match="export it as CSV"):
+        take(tmp_path / "a.csv", tmp_path / "a.h5")
+
+
+def test_a_first_sample_that_is_none_is_left_out(tmp_path):
+    """What a recorder had in memory before its first conversion; a fast start stays."""
+    rows = [f"{2 * i},{7 * i},{1 + 0.01 * np.sin(i):.6f}" for i in range(ROWS)]
+    source = write(tmp_path / "a.csv", ["0,0,-0.199", *rows[1:]])
+    (done,) = take(source, tmp_path / "a.h5").done
+    assert done.left_out == 1
+    assert any("line 1: current" in note for note in done.notes)
+    assert read(tmp_path / "a.h5", "encoder")[0] == 7
+    growing = [f"{2 * i},{7 * i},{0.01 * (i + 1) ** 3:.6f}" for i in range(ROWS)]
+    (done,) = take(write(tmp_path / "b.csv", growing), tmp_path / "b.h5").done
+    assert done.left_out == 0

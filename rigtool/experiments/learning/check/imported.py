@@ -68,7 +68,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
             f"{groups[1].label()}: check one after the other"
         )
     torque = np.concatenate([here.torque for here in turns])
-    found = _compare(groups[0], torque, learned)
+    found = _compare(groups[0], torque, learned, min(here.orders for here in turns))
     return Outcome(
         found.results(learned.unit, effort.name),
         {"held_out": found.table(learned.unit), "held_out_waveforms": found.waveforms(learned)},
@@ -178,7 +178,7 @@ class _Compared:
         """State in words whether the map still fits, and its changes."""
         match, removed = self.match, 1 - math.sqrt(self.left_part)
         turns, runs = (
-            f"{n} {w}{'s' * (n > 1)}" for n, w in ((len(group.torque), "turn"), (group.runs, "run"))
+            f"{n:.0f} {w}{'s' * (n > 1)}" for n, w in ((group.turns, "turn"), (group.runs, "run"))
         )
         head = f"{turns} of {runs} at {group.label()}: "
         degrees, u = math.degrees(match.shift), math.degrees(match.shift_u)
@@ -200,9 +200,9 @@ class _Compared:
         return (head + verdict, "the map was not switched on: the remainder is computed")
 
 
-def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable) -> _Compared:
+def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: int) -> _Compared:
     """Compare turns (turns, positions), NaN where none passed, with the map of their speed."""
-    mapped = _orders_of(learned, group.speed)
+    mapped = _orders_of(learned, group.speed)[:orders]
     order = np.arange(1, mapped.size + 1)
     cells = np.exp(1j * np.multiply.outer(cell_centres(POSITIONS), order))
     # A cell has the mean over its width. Where a turn left cells out, the remainder is bridged, not

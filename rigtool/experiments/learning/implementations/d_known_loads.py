@@ -3,7 +3,7 @@
 First C learns by position and speed. Then known loads are lifted and lowered at several speeds,
 each speed beginning and ending without load. A short motion without load explores what strokes do
 not show: rest and reversals anywhere. From all of them one model of motor, friction and tendon is
-learned (`experiments.force_over_time.model`). The disturbance of a load by speed, position and
+learned (`experiments.force_model.model`). The disturbance of a load by speed, position and
 torque is a table of it (`experiments.load_disturbance.sliding`). All go into one run file: the
 table of C is fed forward while moving, the model converts the motor's torque into a load.
 """
@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
-from rigtool.experiments.force_over_time import stored
-from rigtool.experiments.force_over_time.procedure_learning import (
+from rigtool.experiments.force_model import stored
+from rigtool.experiments.force_model.procedure_learning import (
     CHANNELS,
     LearnedForce,
     exploring,
     learn_force,
 )
-from rigtool.experiments.force_over_time.records import Record
+from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.reading import LoadedPair, read_loads

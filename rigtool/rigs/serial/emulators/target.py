@@ -14,9 +14,9 @@ from rigtool.rigs.base import Block, Feedforward, Load, Task
 from rigtool.rigs.motion import Move
 from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.emulators.target_log import TargetLog
-from rigtool.rigs.serial.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.safety import Watch
 from rigtool.rigs.serial.target import link
+from rigtool.rigs.serial.target.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, TargetState
 from rigtool.rigs.virtual import VirtualRig
 

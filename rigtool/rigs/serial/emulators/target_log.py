@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rigtool.rigs.base import Block
-from rigtool.rigs.serial.frames import Frame, encode
 from rigtool.rigs.serial.target import link
+from rigtool.rigs.serial.target.frames import Frame, encode
 
 STREAMED = 64
 """Samples in a streamed frame at most: a small target has memory for so many."""

@@ -1,9 +1,9 @@
-"""Stops a maxon drive when rigtool is killed or hangs, by another process on the same computer.
+"""Stops a drive without watchdog when rigtool is killed or hangs, by another process beside it.
 
-No maxon drive has a watchdog on its serial line. While one is on, rigtool sends a sign of life over
-a pipe to a second process. When the pipe falls silent or ends, that process opens the port itself
-and switches the drive off. It does nothing against a computer or a cable
-that fails: `serial.emergency_stop` is for those.
+No maxon drive has a watchdog on its serial line, and SimpleFOC has none. While one is on, rigtool
+sends a sign of life over a pipe to a second process. When the pipe falls silent or ends, that
+process opens the port itself and switches the drive off. It does nothing against a computer or a
+cable that fails: `serial.emergency_stop` is for those.
 """
 
 from __future__ import annotations
@@ -14,20 +14,38 @@ import subprocess
 import sys
 import threading
 
-from rigtool.errors import HardwareError
+from rigtool.errors import HardwareError, RecipeError
+from rigtool.recipe.serial import Serial
 
 ON, OFF = b"1", b"0"
 READY = b"r"
+
+SILENCE, SHORTEST_SILENCE = 2.0, 1.0
+"""Silence that the guard accepts: multiple of `serial.watchdog`, and time [s] at least. The host
+gives up first, and switching on takes a while."""
+
+
+def require_emergency_stop(settings: Serial, name: str) -> None:
+    """Raise `RecipeError` for a recipe without an emergency stop."""
+    if not settings.emergency_stop:
+        raise RecipeError(
+            f"{settings.port}: {name} no watchdog on this line: where computer or cable fail, the "
+            "motor follows its last set point. Wire the enable or STO input, or the supply, to an "
+            "emergency stop within reach, try it, and set serial.emergency_stop = true"
+        )
 
 
 class Guard:
     """The host's end: starts the process when it is first needed.
 
-    `silence` [s] is the longest time without a sign of life while the drive is on.
+    `silence` [s] is the longest time without a sign of life while the drive is on; `driver` names
+    the module of the `Driver` that switches it off.
     """
 
-    def __init__(self, port: str, baud_rate: int, node: int, silence: float) -> None:
-        self._arguments = [port, str(baud_rate), str(node), str(silence)]
+    def __init__(
+        self, port: str, baud_rate: int, node: int, silence: float, driver: str = "maxon"
+    ) -> None:
+        self._arguments = [driver, port, str(baud_rate), str(node), str(silence)]
         self._pipe: int | None = None
         self._on = False
         self.process: subprocess.Popen[bytes] | None = None
@@ -68,7 +86,7 @@ class Guard:
         except OSError:
             self.close()
             raise HardwareError(
-                f"{self._arguments[0]}: the process that would switch the drive off where this one "
+                f"{self._arguments[1]}: the process that would switch the drive off where this one "
                 "fails is gone: it was ended, or received nothing for "
                 f"{float(self._arguments[-1]):.3g} s and acted (raise serial.watchdog)"
             ) from None
@@ -93,6 +111,6 @@ class Guard:
         if ready != READY:
             self.close()
             raise HardwareError(
-                f"{self._arguments[0]}: the process that would switch the drive off where this one "
+                f"{self._arguments[1]}: the process that would switch the drive off where this one "
                 "is killed cannot be started"
             )

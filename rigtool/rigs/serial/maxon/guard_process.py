@@ -1,4 +1,4 @@
-"""The process beside rigtool that switches a maxon drive off where rigtool is killed or hangs.
+"""The process beside rigtool that switches a drive off where rigtool is killed or hangs.
 
 `guard.Guard` starts it, with the drive's port, and feeds its standard input.
 """
@@ -12,11 +12,14 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 
 from rigtool.errors import HardwareError
+from rigtool.rigs.serial.drivers import driver
 from rigtool.rigs.serial.line import Line
-from rigtool.rigs.serial.maxon.driver import drive_on
 from rigtool.rigs.serial.maxon.guard import ON, READY
+
+WINDOWS = os.name == "nt"
 
 PATIENCE = 30.0
 """Time for which the process tries to switch the drive off, s: the port may be gone for a while."""
@@ -25,13 +28,15 @@ PAUSE = 0.05
 """Time between attempts, s."""
 
 
-def main(port: str, baud_rate: str, node: str, silence: str) -> None:
+def main(kind: str, port: str, baud_rate: str, node: str, silence: str) -> None:
     """Watch over standard input, and switch the drive off where that ends or falls silent."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # it ends with the program that it watches
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     words: queue.Queue[bytes] = queue.Queue()
     threading.Thread(target=_listen, args=(words,), daemon=True).start()
+    off = driver(kind).switch_off
+    assert off is not None, "a drive with a watchdog needs no guard"
     os.write(1, READY)
     os.close(1)
     on = False
@@ -39,12 +44,19 @@ def main(port: str, baud_rate: str, node: str, silence: str) -> None:
         try:
             word = words.get(timeout=float(silence) if on else None)
         except queue.Empty:
+            _free_port()
             break
         if not word:
             break
         on = word[-1:] == ON
     if on:
-        switch_off(port, int(baud_rate), int(node))
+        switch_off(off, port, int(baud_rate), int(node))
+
+
+def _free_port() -> None:
+    """End a rigtool that hangs on Windows, where it keeps its port from everybody else."""
+    if WINDOWS:
+        os.kill(os.getppid(), signal.SIGTERM)
 
 
 def _listen(words: queue.Queue[bytes]) -> None:
@@ -55,14 +67,14 @@ def _listen(words: queue.Queue[bytes]) -> None:
             return
 
 
-def switch_off(port: str, baud_rate: int, node: int) -> None:
+def switch_off(off: Callable[[Line, int], None], port: str, baud_rate: int, node: int) -> None:
     """Open a port that another program may have, switch off the drive, report on stderr."""
     deadline = time.monotonic() + PATIENCE
     report = f"{port}: rigtool was killed, hangs or lost the line while the drive was on: "
     while True:
         try:
             with Line(port, baud_rate, timeout=0.1, exclusive=False) as line:
-                drive_on(line, node, encoder_counts=4).halt()
+                off(line, node)
             report += "it is switched off now"
             break
         except HardwareError as error:

@@ -6,9 +6,9 @@ import math
 import time
 from collections.abc import Callable, Iterator
 
-from rigtool.rigs.serial.frames import END, Frame, Splitter, encode
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout, RequestRefused
 from rigtool.rigs.serial.target import link
+from rigtool.rigs.serial.target.frames import END, Frame, Splitter, encode
 from rigtool.rigs.serial.target.link import FrameKind, Refusal
 
 TIMEOUT = 0.5

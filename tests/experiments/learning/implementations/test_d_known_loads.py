@@ -11,7 +11,7 @@ from rigtool.experiments.force import procedure as measure_force
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force.results import COLUMNS, LoadRow
 from rigtool.experiments.force.results_corrected import load_outcome
-from rigtool.experiments.force_over_time.stored import model_from, model_results
+from rigtool.experiments.force_model.stored import model_from, model_results
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.load_disturbance.stored import disturbance_from, rising_load
 from rigtool.runfile import open_run

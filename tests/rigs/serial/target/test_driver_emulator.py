@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from rigtool.rigs.base import Feedforward
 from rigtool.rigs.motion import Move, Triangle
 from rigtool.rigs.serial.emulators.target import TargetEmulator
-from rigtool.rigs.serial.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.target import link
+from rigtool.rigs.serial.target.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.target.link import FrameKind, Refusal, Slot, TargetState
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver import virtual

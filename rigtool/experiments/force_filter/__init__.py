@@ -1,0 +1,1 @@
+"""Torque on the output as a state: the filter over motor, bristles, tendon and torque."""

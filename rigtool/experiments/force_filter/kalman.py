@@ -1,0 +1,280 @@
+"""Torque on the output by a filter over angle, speed, bristles and torque, causal.
+
+    prediction   x- = f(x),  P- = Phi P Phi' + Q,  Phi the derivative of f in closed form
+    update       the angle lies within its count: `interval`, with s^2 = P-[0, 0] and the spread
+                 of an edge; K = P-[:, 0] / s^2, x = x- + K s d, P = P- - K K' s^2 (1 - rho)
+    torque       random walk with three levels: a contact is no steady drift, and one level for all
+                 would give a load step to the bristles instead. Leaky sums of the corrections d
+                 over SHORT and LONG show a step and a slow change: where one exceeds its
+                 threshold, its level holds for `busy_time`.
+    reversal     where the housing's bristle crosses -1/2 in the direction of motion, a new stroke
+                 begins: its deviations are drawn anew.
+
+Bristles as states give friction after a reversal and at rest from the path since sliding, so that
+the dead band is what a count leaves open instead of the whole friction. R. E. Kalman 1960; adaptive
+noise after R. K. Mehra, IEEE Trans. Autom. Control 15(2) 175-184, 1970.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter import passed
+from rigtool.experiments.force_filter.interval import truncated
+from rigtool.experiments.force_filter.plant import (
+    ANGLE,
+    BRISTLE,
+    COSINE,
+    GRASPER,
+    GRASPER_SPEED,
+    HOUSING,
+    LOAD,
+    MOVING_STATES,
+    NOISE,
+    SINE,
+    SPEED,
+    STATES,
+    TIP,
+    TORQUE,
+    Plant,
+    Record,
+    advance,
+)
+from rigtool.numerics.compiled import compiled
+
+Array = NDArray[np.float64]
+
+SHORT, LONG = 6e-3, 0.1
+"""Memories of the leaky sums of corrections, s."""
+
+STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
+"""Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
+
+LEAST_VARIANCE = 1e-3
+"""Of the angle after an update, relative to before: keeps the covariance positive."""
+
+STATE = np.dtype(
+    [
+        ("mean", "f8", (STATES,)),
+        ("covariance", "f8", (STATES, STATES)),
+        ("direction", "f8"),
+        # of a step and of a slow change: leaky sum of corrections, time left at its level
+        ("step_sum", "f8"),
+        ("step_left", "f8"),
+        ("slow_sum", "f8"),
+        ("slow_left", "f8"),
+        *passed.FIELDS,
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How far the equations of `Plant` may be off; standard deviations, SI.
+
+    `stroke` [N m] and `load_stroke` (relative) are drawn at each reversal; `friction_noise` [N m]
+    has the memory `friction_noise_time` [s]. What ends in `_rate` is a random walk per square root
+    of a second; on angles, speeds and bristles it is small and keeps the covariance positive.
+    `edge` is that of the encoder's edges, in counts, `undecided` how many of the speed's own the
+    speed must be off zero until its direction is certain. `torque_start` [N m], `bristle_start` and
+    `speed_start` [rad/s] are what is not known at the beginning.
+    """
+
+    stroke: float
+    load_stroke: float
+    friction_noise: float
+    friction_noise_time: float
+    torque_rate: float = 2.5e-3
+    slow_torque_rate: float = 20e-3
+    step_torque_rate: float = 250e-3
+    busy_time: float = 0.06
+    angle_rate: float = 1e-4
+    speed_rate: float = 1.0
+    bristle_rate: float = 0.2
+    slip_rate: float = 0.1
+    grasper_rate: float = 1e-3
+    torque_start: float = 20e-3
+    bristle_start: float = 0.6
+    speed_start: float = 0.05
+    undecided: float = 0.5
+    edge: float = 0.05
+
+
+def begin(plant: Plant, uncertainty: Uncertainty, low: float, width: float) -> NDArray[np.void]:
+    """Return the filter's state before its first step, (1,); the shaft rests between two edges."""
+    state = np.zeros(1, dtype=STATE)
+    state["mean"][0, ANGLE] = low + width / 2
+    state["mean"][0, GRASPER] = (low + width / 2) / plant.angle_ratio
+    state["direction"] = 1.0
+    u = uncertainty
+    deviations = np.zeros(STATES)
+    deviations[[ANGLE, SPEED, GRASPER_SPEED]] = width / 2, u.speed_start, u.speed_start
+    deviations[[BRISTLE, HOUSING, TIP]] = u.bristle_start
+    deviations[GRASPER] = u.torque_start / plant.stiffness
+    deviations[[SINE, COSINE, LOAD, NOISE]] = u.stroke, u.stroke, u.load_stroke, u.friction_noise
+    deviations[TORQUE] = u.torque_start
+    covariance = np.diag(deviations**2)
+    # a tendon is stretched by what acts on the output: almost, as the tip's friction holds it
+    stretch = -0.999 * deviations[GRASPER] * deviations[TORQUE]
+    covariance[GRASPER, TORQUE] = covariance[TORQUE, GRASPER] = stretch
+    state["covariance"][0] = covariance
+    return state
+
+
+@compiled
+def _predict(
+    s: Record,
+    p: Record,
+    u: Record,
+    friction_map: Array,
+    torque: Array,
+    viscous: Array,
+    low_pass: Array,
+    rows: Array,
+    work: Array,
+) -> bool:
+    """Advance mean and covariance by one step of len(torque) samples; whether a stroke began."""
+    x, covariance = s.mean, s.covariance
+    span = len(torque) * p.sample_time
+    for i in range(STATES):
+        for j in range(STATES):
+            rows[i, j] = 1.0 if i == j else 0.0
+    spread = u.undecided * math.sqrt(covariance[SPEED, SPEED])
+    outer = u.undecided * math.sqrt(covariance[GRASPER_SPEED, GRASPER_SPEED])
+    for k in range(len(torque)):
+        advance(x, p, friction_map, torque[k], viscous[k], rows, spread, outer)
+    kept = math.exp(-span / u.friction_noise_time)
+    passed.predict(s, low_pass, rows, kept, NOISE)
+    x[NOISE] *= kept
+    # work = Phi P, then P = work Phi'; the last rows of Phi are diagonal
+    for i in range(MOVING_STATES):
+        for j in range(STATES):
+            total = 0.0
+            for m in range(STATES):
+                total += rows[i, m] * covariance[m, j]
+            work[i, j] = total
+    for i in range(MOVING_STATES):
+        for j in range(i + 1):
+            total = 0.0
+            for m in range(STATES):
+                total += work[i, m] * rows[j, m]
+            covariance[i, j] = covariance[j, i] = total
+        for j in range(MOVING_STATES, STATES):
+            scale = kept if j == NOISE else 1.0
+            covariance[i, j] = covariance[j, i] = work[i, j] * scale
+    for j in range(MOVING_STATES, STATES):
+        if j != NOISE:
+            covariance[NOISE, j] *= kept
+            covariance[j, NOISE] = covariance[NOISE, j]
+    covariance[NOISE, NOISE] *= kept * kept
+    covariance[NOISE, NOISE] += u.friction_noise**2 * (1.0 - kept * kept)
+    walk = u.torque_rate
+    if s.step_left > 0.0:
+        walk = u.step_torque_rate
+    elif s.slow_left > 0.0:
+        walk = u.slow_torque_rate
+    s.step_left -= span
+    s.slow_left -= span
+    covariance[TORQUE, TORQUE] += walk * walk * span
+    covariance[ANGLE, ANGLE] += u.angle_rate**2 * span
+    covariance[SPEED, SPEED] += u.speed_rate**2 * span
+    covariance[GRASPER_SPEED, GRASPER_SPEED] += u.speed_rate**2 * span
+    covariance[GRASPER, GRASPER] += u.grasper_rate**2 * span
+    covariance[BRISTLE, BRISTLE] += u.bristle_rate**2 * span
+    covariance[HOUSING, HOUSING] += u.slip_rate**2 * span
+    covariance[TIP, TIP] += u.slip_rate**2 * span
+    if x[HOUSING] * s.direction < -0.5:
+        s.direction = -s.direction
+        for i in (SINE, COSINE, LOAD):
+            deviation = u.load_stroke if i == LOAD else u.stroke
+            x[i] = 0.0
+            for j in range(STATES):
+                covariance[i, j] = covariance[j, i] = 0.0
+            for j in range(passed.ORDER):
+                s.shared_covariance[i, j] = 0.0
+            covariance[i, i] = deviation * deviation
+        return True
+    return False
+
+
+@compiled
+def _update(
+    s: Record, u: Record, low: float, width: float, span: float, gain: Array
+) -> tuple[float, float, float]:
+    """Take in that the angle lies in a count; return correction, weight and prior variance."""
+    x, covariance = s.mean, s.covariance
+    variance = covariance[ANGLE, ANGLE] + (u.edge * width) ** 2
+    deviation = math.sqrt(variance)
+    mean, left = truncated((low - x[ANGLE]) / deviation, (low + width - x[ANGLE]) / deviation)
+    left = max(left, LEAST_VARIANCE)
+    for i in range(STATES):
+        gain[i] = covariance[i, ANGLE] / variance
+    weight = 1.0 - left
+    passed.update(s, gain, mean * deviation, variance * weight, variance)
+    for i in range(STATES):
+        x[i] += gain[i] * mean * deviation
+        for j in range(i + 1):
+            covariance[i, j] -= gain[i] * gain[j] * variance * weight
+            covariance[j, i] = covariance[i, j]
+    for i in (BRISTLE, HOUSING, TIP):
+        x[i] = min(max(x[i], -1.0), 1.0)
+    s.step_sum = math.exp(-span / SHORT) * s.step_sum + mean * span
+    s.slow_sum = math.exp(-span / LONG) * s.slow_sum + mean * span
+    if abs(s.step_sum) > STEP_THRESHOLD:
+        s.step_left = u.busy_time
+    if abs(s.slow_sum) > SLOW_THRESHOLD:
+        s.slow_left = u.busy_time
+    return mean / deviation, weight, variance
+
+
+@compiled
+def _copy(source: Array, target: Array) -> None:
+    """Copy states (12,); numba takes seconds to compile an assignment of arrays."""
+    for i in range(STATES):
+        target[i] = source[i]
+
+
+@compiled
+def run(
+    state: NDArray[np.void],
+    plant: NDArray[np.void],
+    uncertainty: NDArray[np.void],
+    friction_map: Array,
+    torque: Array,
+    viscous: Array,
+    low: Array,
+    width: float,
+    low_pass: Array,
+    means: Array,
+    outputs: Array,
+    steps: tuple[Array, ...] | None,
+) -> None:
+    """Filter m steps; `torque`, `viscous` (m, samples a step), `low` (m,) of the angle after each.
+
+    `means` (m, 12) receive the states after each step, `outputs` (m, 2) the torque behind
+    `low_pass` (3, 3) and its deviation; `steps`, where it is not None, what `smoother.room` makes
+    room for.
+    """
+    s, p, u = state[0], plant[0], uncertainty[0]
+    rows, work = np.empty((STATES, STATES)), np.empty((MOVING_STATES, STATES))
+    column, row = np.empty(STATES), np.empty(STATES)
+    span = torque.shape[1] * p.sample_time
+    for k in range(torque.shape[0]):
+        began = _predict(s, p, u, friction_map, torque[k], viscous[k], low_pass, rows, work)
+        moved, informed, before = _update(s, u, low[k], width, span, column)
+        _copy(s.mean, means[k])
+        mean, spread = passed.output(s, low_pass, row)
+        outputs[k, 0], outputs[k, 1] = mean, math.sqrt(max(spread, 0.0))
+        if steps is not None:
+            derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
+            for i in range(MOVING_STATES):
+                _copy(rows[i], derivative[k, i])
+            fresh[k] = began
+            correction[k], weight[k], variance[k] = moved, informed, before
+            _copy(column, gain[k])
+            _copy(s.covariance[TORQUE], torque_row[k])
+            _copy(row, passed_row[k])

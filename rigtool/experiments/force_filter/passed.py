@@ -1,0 +1,117 @@
+"""The torque behind a low-pass, as further states of the filter.
+
+    q of the next step = A q + B M,   y = C q + D M                       Butterworth, order 2
+
+What the filter states of M at one moment is mostly noise that the low-pass takes away: right after
+a step its deviation is ten times what is left of it in y. So mean and covariance of q go along, and
+y has a mean and a deviation of its own. Measurements show q through x alone; nothing depends on q.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter.plant import ANGLE, MOVING_STATES, STATES, TORQUE
+from rigtool.numerics.compiled import compiled
+
+Array = NDArray[np.float64]
+Record = Any
+
+ORDER = 2
+
+FIELDS = [
+    ("passed", "f8", (ORDER,)),
+    ("passed_covariance", "f8", (ORDER, ORDER)),
+    ("shared_covariance", "f8", (STATES, ORDER)),
+]
+"""Of the filter's state: mean and covariance of q, and covariance of x and q."""
+
+
+def section(bandwidth_hz: float, step_time: float) -> Array:
+    """Return A, B over C, D of the low-pass, (3, 3), for steps of `step_time` s."""
+    from scipy.signal import butter, tf2ss
+
+    a, b, c, d = tf2ss(*butter(ORDER, bandwidth_hz, fs=1 / step_time))
+    return np.block([[a, b], [c, d]])
+
+
+def delay(bandwidth_hz: float) -> float:
+    """Return by how much y is late at low frequencies, s."""
+    return math.sqrt(2) / (2 * math.pi * bandwidth_hz)
+
+
+@compiled
+def predict(s: Record, low_pass: Array, derivative: Array, kept: float, noise: int) -> None:
+    """Advance q and its covariances by a step, before x: `derivative` (7, 12) of x by itself.
+
+    `kept` is what remains of state `noise`; the other states behind the moving ones stay.
+    """
+    q, own, shared, x, p = s.passed, s.passed_covariance, s.shared_covariance, s.mean, s.covariance
+    new_q = np.zeros(ORDER)
+    new_own = np.zeros((ORDER, ORDER))
+    new_shared = np.zeros((STATES, ORDER))
+    for i in range(ORDER):
+        new_q[i] = low_pass[i, ORDER] * x[TORQUE]
+        for j in range(ORDER):
+            new_q[i] += low_pass[i, j] * q[j]
+            total = low_pass[i, ORDER] * p[TORQUE, TORQUE] * low_pass[j, ORDER]
+            for m in range(ORDER):
+                total += low_pass[i, m] * shared[TORQUE, m] * low_pass[j, ORDER]
+                total += low_pass[i, ORDER] * shared[TORQUE, m] * low_pass[j, m]
+                for k in range(ORDER):
+                    total += low_pass[i, m] * own[m, k] * low_pass[j, k]
+            new_own[i, j] = total
+        for n in range(STATES):
+            new_shared[n, i] = p[n, TORQUE] * low_pass[i, ORDER]
+            for j in range(ORDER):
+                new_shared[n, i] += shared[n, j] * low_pass[i, j]
+    for i in range(ORDER):
+        q[i] = new_q[i]
+        for j in range(ORDER):
+            own[i, j] = new_own[i, j]
+        for n in range(STATES):
+            if n < MOVING_STATES:
+                shared[n, i] = 0.0
+                for m in range(STATES):
+                    shared[n, i] += derivative[n, m] * new_shared[m, i]
+            else:
+                shared[n, i] = new_shared[n, i] * (kept if n == noise else 1.0)
+
+
+@compiled
+def update(s: Record, gain: Array, shift: float, removed: float, variance: float) -> None:
+    """Take in what an update found, before x: its gain (12,), the angle's shift, and `removed`,
+    by which the angle's variance fell from `variance`."""
+    q, own, shared = s.passed, s.passed_covariance, s.shared_covariance
+    for i in range(ORDER):
+        own_gain = shared[ANGLE, i] / variance
+        q[i] += own_gain * shift
+        for j in range(i + 1):
+            own[i, j] -= own_gain * shared[ANGLE, j] / variance * removed
+            own[j, i] = own[i, j]
+    for i in range(ORDER):
+        own_gain = shared[ANGLE, i] / variance
+        for n in range(STATES):
+            shared[n, i] -= gain[n] * own_gain * removed
+
+
+@compiled
+def output(s: Record, low_pass: Array, row: Array) -> tuple[float, float]:
+    """Return mean and variance of y; `row` (12,) receives its covariance with x."""
+    c, d = low_pass[ORDER], low_pass[ORDER, ORDER]
+    mean = d * s.mean[TORQUE]
+    variance = d * d * s.covariance[TORQUE, TORQUE]
+    for n in range(STATES):
+        row[n] = d * s.covariance[n, TORQUE]
+    for i in range(ORDER):
+        mean += c[i] * s.passed[i]
+        variance += 2.0 * d * c[i] * s.shared_covariance[TORQUE, i]
+        for j in range(ORDER):
+            variance += c[i] * s.passed_covariance[i, j] * c[j]
+        for n in range(STATES):
+            row[n] += c[i] * s.shared_covariance[n, i]
+    return mean, variance

@@ -1,0 +1,142 @@
+"""How far friction deviates by itself, from what cycles of one motion do not share.
+
+What a cycle's torque deviates from the mean cycle is, along a stroke,
+
+    e = d (b1 sin a + b2 cos a + b3 s / n) + f,   b1, b2 ~ N(0, S^2),  b3 ~ N(0, L^2)
+
+with f a first-order process of variance F^2 and memory T, and white noise of the readings. S, L, F
+and T are those under which the cycles of all recordings are most likely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_model.records import ROWS_HZ, Record
+from rigtool.numerics.steady_mean import MIN_READINGS, steady_us
+
+Array = NDArray[np.float64]
+
+APART = 5
+"""Rows from one that is compared to the next: f hardly changes between them."""
+
+SHORTEST = 20
+"""Compared rows without which a stroke says nothing about what is slow in it."""
+
+LEAST = 1e-4
+"""Of the friction: white noise, and where the search begins 0.01 of it."""
+
+SPAN = 12.0
+"""Of the logarithms, either way."""
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """Standard deviations: of a `stroke` N m, of its friction per `load` carried, of `noise` N m
+    with its memory `noise_time` s."""
+
+    stroke: float
+    load: float
+    noise: float
+    noise_time: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Stroke:
+    """Covariance (m, m) of `count` strokes at their rows, and shapes there (3, m)."""
+
+    covariance: Array
+    count: int
+    shapes: Array
+    time: Array
+
+
+def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: float) -> Deviations:
+    """Return the deviations that repeated motions show; records that do not repeat are passed over.
+
+    Without enough cycles in any, the values with which the search begins.
+    """
+    from scipy.optimize import minimize
+
+    strokes = [s for r in records if r.cycles > 2 for s in _strokes(r, angle_ratio, torque_factor)]
+    size = max((float(np.sqrt(np.mean(np.diag(s.covariance)))) for s in strokes), default=1e-4)
+    start = np.log([size, 0.01, size, 0.1])
+    if not strokes:
+        return Deviations(*np.exp(start).tolist())
+    white = (0.05 * size) ** 2
+
+    def cost(x: Array) -> float:
+        stroke, load, noise, memory = np.exp(2 * np.clip(x - start, -SPAN, SPAN) + 2 * start)
+        memory = np.sqrt(memory)
+        total = 0.01 * float(np.sum((x - start) ** 2))
+        for s in strokes:
+            lag = np.abs(s.time[:, None] - s.time)
+            whole = (
+                stroke * (s.shapes[:2].T @ s.shapes[:2])
+                + load * np.outer(s.shapes[2], s.shapes[2])
+                + noise * np.exp(-lag / memory)
+                + white * np.eye(len(lag))
+            )
+            factor = np.linalg.cholesky(whole)
+            total += s.count * 2 * float(np.sum(np.log(np.diag(factor))))
+            total += s.count * float(np.trace(np.linalg.solve(whole, s.covariance)))
+        return total
+
+    found = minimize(cost, start, method="Nelder-Mead", options={"maxiter": 300, "fatol": 0.5})
+    return Deviations(*np.exp(found.x).tolist())
+
+
+def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_Stroke]:
+    """Return the two strokes of a cycle."""
+    used, found = record.used, []
+    angle = record.rows(record.angle) / angle_ratio
+    speed = record.rows(record.speed)
+    left = record.torques - record.torques.mean(axis=0)
+    time = np.arange(record.count) / ROWS_HZ
+    for sign in (1.0, -1.0):
+        rows = np.flatnonzero(used & (speed * sign > 0))
+        cut = np.flatnonzero(np.diff(rows) > 1)
+        own = left[:, rows]
+        if len(cut) == 1:  # the period cuts this stroke in two: it ends in the next cycle
+            late, early = rows[cut[0] + 1 :], rows[: cut[0] + 1]
+            rows, own = np.append(late, early), np.hstack([left[:-1, late], left[1:, early]])
+        rows, own = rows[::APART], own[:, ::APART]
+        if len(rows) < SHORTEST:
+            continue
+        a = angle[rows]
+        carried = np.abs(record.moment * np.sin(a)) / torque_factor
+        found.append(
+            _Stroke(
+                own.T @ own / len(own),
+                len(own),
+                sign * np.stack([np.sin(a), np.cos(a), carried]),
+                np.unwrap(time[rows], period=record.count / ROWS_HZ),
+            )
+        )
+    return found
+
+
+def kept_by_mean(records: Sequence[Record], angle_ratio: float) -> float:
+    """Return the variance that strokes' deviations leave to a mean, over that of independent ones.
+
+    Strokes pay back what their predecessors deviate; how much of it, their sine along each
+    direction of all repeated motions shows (`numerics.steady_mean`). 1 where nothing repeats.
+    """
+    series = []
+    for record in records:
+        if record.cycles < MIN_READINGS:
+            continue
+        speed, sine = record.rows(record.speed), np.sin(record.rows(record.angle) / angle_ratio)
+        for sign in (1.0, -1.0):
+            rows = record.used & (speed * sign > 0)
+            if rows.sum() >= SHORTEST:
+                series.append(record.torques[:, rows] @ sine[rows] / np.sum(sine[rows] ** 2))
+    shares = [
+        u**2 * len(own) / own.var(ddof=1)
+        for own, (u, _) in zip(series, steady_us(series), strict=True)
+    ]
+    return min(1.0, float(np.median(shares))) if shares else 1.0

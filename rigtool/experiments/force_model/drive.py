@@ -1,0 +1,161 @@
+"""What current and rotor angle give at the shaft: the input of a filter over motor and tendon.
+
+    T = kT (i + i0) - offset - cogging - lag(kT-ripple),   b = drag by rotor angle
+
+from the terms of `model` that look at the rotor's angle alone; they hardly change within a count,
+so the encoder's angle is good enough for them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter.plant import Plant
+from rigtool.experiments.force_model.learning import Learned
+from rigtool.experiments.force_model.model import Kind, Term, wave
+from rigtool.numerics.compiled import compiled
+
+Array = NDArray[np.float64]
+
+MAP_SIZE = 2048
+"""Points of a turn: orders up to 12 are interpolated between them within 1e-5."""
+
+COGGING, RIPPLE, GAIN, SQUARE, VISCOUS = range(5)
+_COLUMNS = {
+    Kind.OFFSET: COGGING,
+    Kind.COGGING: COGGING,
+    Kind.RIPPLE: RIPPLE,
+    Kind.GAIN_RIPPLE: GAIN,
+    Kind.SQUARE_RIPPLE: SQUARE,
+    Kind.VISCOUS: VISCOUS,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """By rotor angle, tabulated over one turn (n + 1, 5): cogging and ripple in N m, ripple per
+    torque and per torque and ampere, drag in N m s/rad. `ripple_time` s is the ripple's lag."""
+
+    rotor_map: Array
+    ripple_time: float
+    offset: float
+
+    def torque(
+        self,
+        angle: Array,
+        current: Array,
+        torque_constant: Array | float,
+        sample_time: float,
+        ripple: Array | None = None,
+    ) -> tuple[Array, Array]:
+        """Return torque N m and drag N m s/rad (n,) at angles rad under currents A.
+
+        `ripple` (1,) N m is what the lagging ripple was before, 0 where it is not given, and is
+        changed into what it is afterwards.
+        """
+        torque, viscous = np.empty(angle.size), np.empty(angle.size)
+        _drive(
+            angle,
+            torque_constant * (current + self.offset),
+            current,
+            self.rotor_map,
+            1.0 - math.exp(-sample_time / self.ripple_time),
+            np.zeros(1) if ripple is None else ripple,
+            torque,
+            viscous,
+        )
+        return torque, viscous
+
+
+def tabulated(terms: tuple[Term, ...], coefficient: Array) -> Array:
+    """Return the maps (n + 1, 5) of a learned model with coefficients (t,), see `Drive`."""
+    angle = np.linspace(0.0, 2 * np.pi, MAP_SIZE + 1)
+    found = np.zeros((MAP_SIZE + 1, 5))
+    for term, value in zip(terms, coefficient, strict=True):
+        if term.kind in _COLUMNS:
+            found[:, _COLUMNS[term.kind]] += value * wave(term, angle)
+    return found
+
+
+@compiled
+def _drive(
+    angle: Array,
+    plain: Array,
+    current: Array,
+    rotor_map: Array,
+    step: float,
+    lagging: Array,
+    torque: Array,
+    viscous: Array,
+) -> None:
+    size = rotor_map.shape[0] - 1
+    scale = size / (2.0 * math.pi)
+    ripple = lagging[0]
+    here = np.empty(5)
+    for k in range(angle.size):
+        place = angle[k] * scale
+        place -= math.floor(place / size) * size
+        cell = min(int(place), size - 1)
+        part = place - cell
+        for j in range(5):
+            here[j] = rotor_map[cell, j] + part * (rotor_map[cell + 1, j] - rotor_map[cell, j])
+        raw = here[1] + plain[k] * (here[2] + abs(current[k]) * here[3])
+        ripple += step * (raw - ripple)
+        torque[k] = plain[k] - here[0] - ripple
+        viscous[k] = here[4]
+    lagging[0] = ripple
+
+
+def drive_of(model: Learned) -> Drive:
+    """Return the drive of a learned model."""
+    rotor_map = tabulated(model.terms, model.coefficient)
+    return Drive(rotor_map, model.shape.ripple_time, model.known.offset)
+
+
+def plant_of(model: Learned, sample_time: float) -> Plant:
+    """Return what a filter runs on, of a learned model, at a sample time, s."""
+    terms, coefficient, shape, known = model.terms, model.coefficient, model.shape, model.known
+    sums = {
+        kind: sum(
+            float(value)
+            for term, value in zip(terms, coefficient, strict=True)
+            if term.kind is kind and term.order == 0
+        )
+        for kind in Kind
+    }
+    angle = np.linspace(0.0, 2 * np.pi, MAP_SIZE + 1)
+    housing = np.zeros(MAP_SIZE + 1)
+    for term, value in zip(terms, coefficient, strict=True):
+        if term.kind is Kind.HOUSING:
+            housing += value * wave(term, angle)
+    mean = sums[Kind.HOUSING]
+    factor = known.torque_factor / (1.0 + sums[Kind.CARRIED])
+    static = sums[Kind.BEARING] + sums[Kind.STRIBECK]
+    return Plant(
+        sample_time=sample_time,
+        inertia=known.inertia + sums[Kind.INERTIA],
+        coulomb=sums[Kind.BEARING],
+        static=static,
+        stribeck_velocity=shape.stribeck_speed,
+        asymmetry=0.0,
+        presliding_angle=shape.bearing_length,
+        presliding_damping=max(sums[Kind.BEARING_DAMPING], 0.0) / static,
+        angle_ratio=known.angle_ratio,
+        torque_factor=factor,
+        stiffness=shape.stiffness,
+        damping=shape.damping,
+        grasper_inertia=shape.grasper_inertia,
+        housing_friction=mean,
+        housing_asymmetry=sums[Kind.HOUSING_SIDED] / mean,
+        housing_viscous=0.0,
+        housing_presliding_angle=shape.housing_length,
+        tip_friction=shape.tip_friction,
+        tip_presliding_angle=shape.tip_length,
+        load_friction=sums[Kind.LOAD_FRICTION] * factor / known.torque_factor,
+        load_friction_onset=shape.load_onset,
+        friction_map=housing / mean,
+    )

@@ -1,0 +1,52 @@
+"""A learned model with what deviates from it: all that a filter for torque over time needs.
+
+Equations: `model`, those of the filter `plant`; load_stroke = L / load friction coefficient.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter.kalman import Uncertainty
+from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_filter.plant import Plant
+from rigtool.experiments.force_model.deviations import Deviations
+from rigtool.experiments.force_model.drive import Drive, drive_of, plant_of
+from rigtool.experiments.force_model.learning import Learned
+from rigtool.experiments.force_model.model import Kind
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ForceModel:
+    """See the module; `scales` (2, states) are factors from the filter's deviation to the standard
+    uncertainty, of the smoothed and of the causal torque."""
+
+    learned: Learned
+    deviations: Deviations
+    scales: Array = field(default_factory=lambda: np.ones((2, len(State))))
+
+    @property
+    def drive(self) -> Drive:
+        """What current and rotor angle give at the shaft."""
+        return drive_of(self.learned)
+
+    def plant(self, sample_time: float) -> Plant:
+        """Return the equations that a filter runs on, at a sample time, s."""
+        return plant_of(self.learned, sample_time)
+
+    @property
+    def uncertainty(self) -> Uncertainty:
+        """How far the equations may be off."""
+        own, learned = self.deviations, self.learned
+        per_load = sum(
+            float(coefficient)
+            for term, coefficient in zip(learned.terms, learned.coefficient, strict=True)
+            if term.kind is Kind.LOAD_FRICTION and term.order == 0
+        )
+        relative = own.load / per_load if per_load > 0 else 0.0
+        return Uncertainty(own.stroke, relative, own.noise, own.noise_time)

@@ -1,0 +1,384 @@
+"""How the model's coefficients and shape are learned from records of known loads.
+
+Gauss-Newton over shape (in logarithms) and coefficients together. Where only the shape enters other
+than linearly, a step solves the linear part anew and moves the shape along the derivative of what
+it predicts (variable projection in L. Kaufman's form, BIT 15, 49-57, 1975). Every coefficient and
+every logarithm has a normal prior.
+
+What the friction of a stroke deviates by itself is integrated out stroke by stroke. With rows A of
+a stroke, deviations X b, b ~ N(0, S), and white noise of variance v,
+
+    A' (v I + X S X')^-1 A = (A'A - A'X (v S^-1 + X'X)^-1 X'A) / v.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import constants
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_model.deviations import Deviations
+from rigtool.experiments.force_model.model import (
+    Known,
+    Prediction,
+    Shape,
+    Sizes,
+    State,
+    Term,
+    functions,
+    terms_for,
+)
+from rigtool.experiments.force_model.paths import bristle
+from rigtool.experiments.force_model.records import SLOWEST, Record
+
+Array = NDArray[np.float64]
+
+NAMES = tuple(f.name for f in fields(Shape) if f.name not in ("bearing_length", "housing_length"))
+"""What sliding shows of a shape."""
+
+SHAPE_SPREAD = {
+    "tip_length": 0.7,
+    "stribeck_speed": 1.0,
+    "ripple_time": 1.5,
+    "stiffness": 2.0,
+    "damping": 1.5,
+    "tip_friction": 1.0,
+    "grasper_inertia": 1.0,
+    "load_onset": 1.5,
+}
+"""Of the logarithm of each, before anything is known."""
+
+STEP = 0.02
+"""For derivatives by the logarithms."""
+
+LONGEST = 0.7
+"""Of a step, in logarithms."""
+
+ROUNDS, ENOUGH = 15, 0.3
+"""Steps at most, and how short the last one is, in standard deviations."""
+
+NEAR = 0.3
+"""Step, in logarithms, from which on records are weighed one by one."""
+
+LENGTH_SPREAD = 1.0
+"""Of the logarithm of a bristle's length, before anything is known."""
+
+STRETCHES = np.geomspace(1e-2, 1.0, 9)
+"""Of the tendon under the largest load, rad: the search begins at the best of them."""
+
+DAMPING_RATIO, GRASPER_HZ, LOAD_ARM = 0.1, 70.0, 0.02
+"""Where it begins besides: the damping ratio under the largest load, the resonance of the bare
+output, and how far out a load hangs, m."""
+
+INDEPENDENT = 30.0
+"""Rows that one independent row is worth: friction's own noise lasts longer than a row."""
+
+LEAST_RMS = 2e-3
+"""Of the friction: no record is trusted to a smaller residual, relative."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A learned model.
+
+    `covariance` is that of the logarithms of the shape, in the order of `NAMES`, then of the
+    coefficients; `length_u` (2,) that of the logarithms of the two bristles' lengths.
+    """
+
+    terms: tuple[Term, ...]
+    shape: Shape
+    known: Known
+    coefficient: Array
+    covariance: Array
+    length_u: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sliding:
+    """A model `learned` from sliding, and the `problem` with its normal equations there (records,
+    p + 1, p + 1), right-hand side last."""
+
+    learned: Learned
+    problem: Problem
+    normal: Array
+
+    def learned_from(self, chosen: Sequence[bool]) -> Learned:
+        """Return the model that some of the records give, one step from that of all.
+
+        `chosen` (records,) is in the order of `problem.records`.
+        """
+        model, normal = self.learned, self.normal[np.asarray(chosen)].sum(axis=0)
+        solution, covariance = self.problem.solved(normal, model.shape, len(NAMES))
+        step = np.clip(solution[: len(NAMES)], -LONGEST, LONGEST)
+        return replace(
+            model,
+            shape=moved(model.shape, step),
+            coefficient=solution[len(NAMES) :],
+            covariance=covariance,
+        )
+
+
+def learn_sliding(
+    records: Sequence[Record], known: Known, count: float, deviation: Deviations
+) -> Sliding:
+    """Learn from records of known loads; `count` rad is that of the encoder.
+
+    Raises `InsufficientDataError` where nothing slides in any record.
+    """
+    if not any(record.used.any() for record in records):
+        raise InsufficientDataError(
+            "the rotor never slides evenly in the recordings: learn at higher speeds"
+        )
+    records = [record for record in records if record.used.any()]
+    sizes = sizes_of(records, known)
+    terms = terms_for(sizes, known)
+    tried = [_start(sizes, known, count, stretch) for stretch in STRETCHES.tolist()]
+    telling = _telling(records)
+    scan = Problem(telling, terms, known, tried[0], deviation, sizes.friction)
+    shape = min(tried, key=scan.misfit)
+    problem = Problem(records, terms, known, shape, deviation, sizes.friction)
+    coefficient, covariance = problem.step(shape, None)
+    for _ in range(ROUNDS):
+        solution, covariance = problem.step(shape, coefficient)
+        step, coefficient = solution[: len(NAMES)], solution[len(NAMES) :]
+        shape = moved(shape, np.clip(step, -LONGEST, LONGEST))
+        problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < NEAR)))
+        if np.all(np.abs(step) < ENOUGH * np.sqrt(np.diag(covariance))[: len(NAMES)]):
+            break
+    learned = Learned(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
+    return Sliding(learned, problem, problem.normal(shape, coefficient))
+
+
+def _telling(records: Sequence[Record]) -> list[Record]:
+    """Return the records that show a tendon: the largest load, and as long strokes without one."""
+    largest = max(record.moment for record in records)
+    sizes = {record.angle.size for record in records if record.moment == largest}
+    return [r for r in records if r.moment in (0.0, largest) and r.angle.size in sizes]
+
+
+def sizes_of(records: Sequence[Record], known: Known) -> Sizes:
+    """Return what spreads are relative to, from the records themselves.
+
+    Raises `InsufficientDataError` where none without load slides in both directions.
+    """
+    friction, ripple = [], []
+    for record in records:
+        if record.moment:
+            continue
+        torque = record.rows(record.torque_constant * record.current)[record.used]
+        up = record.rows(record.speed)[record.used] > 0
+        if up.any() and not up.all():
+            friction.append(float(torque[up].mean() - torque[~up].mean()) / 2)
+            ripple.append(float(torque[up].std() + torque[~up].std()) / 2)
+    if not friction:
+        raise InsufficientDataError(
+            "no recording without load slides in both directions: record strokes without load"
+        )
+    return Sizes(
+        friction=float(np.median(friction)),
+        ripple=float(np.median(ripple)),
+        load=max(record.moment for record in records),
+        current=max(float(np.abs(record.current).max()) for record in records),
+        speed=max(float(np.abs(record.speed).max()) for record in records),
+    )
+
+
+def _start(sizes: Sizes, known: Known, count: float, stretch: float) -> Shape:
+    """Return where the search begins: of the rig's own sizes, and not of any one rig.
+
+    `stretch` rad is that of the tendon under the largest load.
+    """
+    load = sizes.load or sizes.friction * known.torque_factor
+    stiffness = load / stretch
+    return Shape(
+        bearing_length=count,
+        housing_length=6 * count,
+        tip_length=6 * count,
+        stribeck_speed=2 * SLOWEST * count,
+        ripple_time=0.03,
+        stiffness=stiffness,
+        damping=2 * DAMPING_RATIO * math.sqrt(stiffness * load * LOAD_ARM / constants.g),
+        tip_friction=0.1 * sizes.friction,
+        grasper_inertia=stiffness / (2 * math.pi * GRASPER_HZ) ** 2,
+        load_onset=load / 64,
+    )
+
+
+class Problem:
+    """Records, terms and priors; see the module. `friction` N m is that of the rig, about."""
+
+    def __init__(
+        self,
+        records: Sequence[Record],
+        terms: tuple[Term, ...],
+        known: Known,
+        start: Shape,
+        deviation: Deviations,
+        friction: float,
+    ) -> None:
+        self.records, self.terms, self.known = records, terms, known
+        self.start, self.deviation = start, deviation
+        self.friction = friction
+        self.spread = np.array([term.spread for term in terms])
+        self.shape_spread = np.array([SHAPE_SPREAD[name] for name in NAMES])
+        self.variance = np.full(len(records), (0.1 * friction) ** 2 * INDEPENDENT)
+        self._at_shape: dict[int, tuple[State, Array, Array, Array]] = {}
+        self.strokes = [_strokes(record, start.housing_length) for record in records]
+
+    def rows(self, number: int, shape: Shape, coefficient: Array | None) -> tuple[Array, Array]:
+        """Return rows of a record: [shape's derivatives, terms] (p, rows), and right-hand side."""
+        record, at_shape = self.records[number], self._at_shape.get(number)
+        if at_shape is None or at_shape[0].shape != shape:
+            at_shape = self._at_shape[number] = self._functions(record, shape)
+        state, values, columns, right = at_shape
+        if coefficient is None:
+            return columns, right
+        predicted = Prediction(self.terms, coefficient, values, shape, state)
+        return np.vstack([record.rows(slopes(predicted, state)), columns]), right
+
+    def _functions(self, record: Record, shape: Shape) -> tuple[State, Array, Array, Array]:
+        """Return state, functions (t, n), their rows, and those of what is measured."""
+        state = State.of(shape, self.known, record)
+        values = functions(self.terms, state)
+        carried = state.carried / self.known.torque_factor
+        right = record.rows(measured(record, self.known) - carried)
+        return state, values, record.rows(values), right
+
+    def own(self, number: int, shape: Shape) -> Iterator[tuple[slice, Array, Array]]:
+        """Yield for each stroke its used rows, the shapes in which it deviates (k, rows) and their
+        variances (k,)."""
+        record = self.records[number]
+        z = bristle(record.angle, shape.housing_length, record.periodic)
+        a = record.angle / self.known.angle_ratio
+        shapes = [z * np.sin(a), z * np.cos(a)]
+        variances = [self.deviation.stroke**2] * 2
+        if record.moment:
+            shapes.append(z * record.moment * np.abs(np.sin(a)) / self.known.torque_factor)
+            variances.append(self.deviation.load**2)
+        used = record.used
+        rows = record.rows(np.stack(shapes))[:, used]
+        stroke = self.strokes[number][used]
+        bounds = np.flatnonzero(np.diff(stroke)) + 1
+        for first, last in zip([0, *bounds], [*bounds, len(stroke)], strict=True):
+            inside = slice(int(first), int(last))
+            yield inside, rows[:, inside], np.array(variances) / max(record.cycles, 1)
+
+    def sums(self, number: int, shape: Shape, coefficient: Array | None) -> Array:
+        """Return the record's normal matrix, right-hand side last, weighted."""
+        columns, right = self.rows(number, shape, coefficient)
+        whole = np.vstack([columns, right])[:, self.records[number].used]
+        v = self.variance[number]
+        normal = np.zeros((len(whole), len(whole)))
+        for inside, x, variances in self.own(number, shape):
+            block = whole[:, inside]
+            cross = block @ x.T
+            normal += block @ block.T
+            normal -= cross @ np.linalg.solve(np.diag(v / variances) + x @ x.T, cross.T)
+        weighted: Array = normal / v
+        return weighted
+
+    def normal(self, shape: Shape, coefficient: Array | None) -> Array:
+        """Return the normal matrices of all records (records, p + 1, p + 1), see `sums`."""
+        return np.stack([self.sums(n, shape, coefficient) for n in range(len(self.records))])
+
+    def step(self, shape: Shape, coefficient: Array | None) -> tuple[Array, Array]:
+        """Return the best [shape's step, coefficients] and their covariance."""
+        first = 0 if coefficient is None else len(NAMES)
+        return self.solved(self.normal(shape, coefficient).sum(axis=0), shape, first)
+
+    def solved(self, normal: Array, shape: Shape, first: int) -> tuple[Array, Array]:
+        """Solve a normal matrix (p + 1, p + 1) at a shape, the `first` parameters being its step.
+
+        Returns the solution (p,) and its covariance (p, p).
+        """
+        count = first + len(self.terms)
+        scale = np.concatenate([self.shape_spread[:first], self.spread])
+        away = logarithms(shape) - logarithms(self.start)
+        prior = np.zeros(count)
+        prior[:first] = -away[:first] / self.shape_spread[:first]
+        left = normal[:count, :count] * np.outer(scale, scale) + np.eye(count)
+        right = normal[:count, count] * scale + prior
+        inverse: Array = np.asarray(np.linalg.inv(left), dtype=np.float64)
+        solution = scale * (inverse @ right)
+        covariance: Array = inverse * np.outer(scale, scale)
+        return solution, covariance
+
+    def misfit(self, shape: Shape) -> float:
+        """Return what the best coefficients leave at a shape: least squares' own sum."""
+        normal = self.normal(shape, None).sum(axis=0)
+        solution, _ = self.solved(normal, shape, 0)
+        return float(normal[-1, -1] - normal[-1, :-1] @ solution)
+
+    def weigh(self, shape: Shape, coefficient: Array, near: bool) -> None:
+        """Weigh the records by what a model with coefficients (t,) leaves of them.
+
+        All alike while the search is far off; near its end each that the model does not reach by
+        what is left of it.
+        """
+        power = np.array(
+            [
+                float(np.mean(self.remaining(number, shape, coefficient) ** 2))
+                for number in range(len(self.records))
+            ]
+        )
+        pooled = max(float(np.median(power)), (LEAST_RMS * self.friction) ** 2)
+        self.variance = np.maximum(pooled, power * near) * INDEPENDENT
+
+    def remaining(self, number: int, shape: Shape, coefficient: Array) -> Array:
+        """Return what coefficients (t,) and the strokes' own deviations leave of used rows (r,)."""
+        columns, right = self.rows(number, shape, None)
+        left: Array = (right - coefficient @ columns)[self.records[number].used]
+        v = self.variance[number]
+        for inside, x, variances in self.own(number, shape):
+            left[inside] -= np.linalg.solve(np.diag(v / variances) + x @ x.T, x @ left[inside]) @ x
+        return left
+
+
+def measured(record: Record, known: Known) -> Array:
+    """Return what the motor puts out along a record, less what its own inertia takes (n,), N m."""
+    current = record.current + known.offset
+    return record.torque_constant * current - known.inertia * record.acceleration
+
+
+def slopes(predicted: Prediction, state: State) -> Array:
+    """Return derivatives of a prediction by the logarithms of `NAMES` (p, n), N m."""
+    here, units = predicted.along(state), np.eye(len(NAMES))
+    moves = [predicted.torque(moved(state.shape, STEP * unit)) - here for unit in units]
+    return np.stack(moves) / STEP
+
+
+def _strokes(record: Record, length: float) -> NDArray[np.intp]:
+    """Return the number of the stroke at each row (rows,).
+
+    A stroke begins at the turn after which its friction changes its side.
+    """
+    z = bristle(record.angle, length, record.periodic)
+    sided = np.flatnonzero(np.abs(z) > 0.5)
+    changes = sided[1:][np.diff(np.sign(z[sided])) != 0]
+    begins = []
+    for change in changes:
+        sign, start = np.sign(z[change]), change
+        step = np.diff(record.angle[max(0, change - round(2 / record.interval)) : change + 1])
+        against = np.flatnonzero(step * sign < 0)
+        if len(against):
+            start = change - (len(step) - 1 - against[-1])
+        begins.append(start)
+    place = np.arange(record.count) * (z.size / record.count)
+    found: NDArray[np.intp] = np.searchsorted(begins, place, side="right")
+    return found
+
+
+def logarithms(shape: Shape) -> Array:
+    """Return the logarithms of a shape in the order of `NAMES`."""
+    return np.log([getattr(shape, name) for name in NAMES])
+
+
+def moved(shape: Shape, step: Array) -> Shape:
+    """Return a shape whose logarithms are moved by a step (p,)."""
+    values = np.exp(logarithms(shape) + step)
+    return replace(shape, **dict(zip(NAMES, values.tolist(), strict=True)))

@@ -1,0 +1,255 @@
+"""Recorded motions under known loads, on a grid: what a model of motor and instrument learns from.
+
+All rows, measured and modelled, pass the same low-pass, evaluated by its spectrum: no phase shift,
+no delay. A motion that repeats is the mean of its cycles (`numerics.steady_mean`), on one period;
+any other wraps around, and its ends are left out. The gain is that of a Butterworth low-pass of
+second order forward and backward,
+
+    G(f) = 1 / (1 + (f / fc)^4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_filter.encoder_angle import interpolated
+from rigtool.experiments.force_model.paths import bristle
+from rigtool.numerics.moves import rising_crossings
+from rigtool.numerics.steady_mean import steady_mean
+
+Array = NDArray[np.float64]
+
+LOWPASS_HZ = 30.0
+"""Cut-off of all that is compared; friction's reversals and an instrument's swing lie below."""
+
+MOTION_HZ = 80.0
+"""Cut-off of the angle before it is differentiated: what is left of the encoder's steps."""
+
+ROWS_HZ = 100.0
+"""Rows a second."""
+
+GRID_HZ = 500.0
+"""Samples a second of the grid."""
+
+SLOW_PERIOD = 3.0
+"""From which on half of the grid does, s."""
+
+SLOWEST = 160.0
+"""Counts a second below which a rotor does not slide evenly."""
+
+FORGOTTEN = 25.0
+"""Counts after a turn that are left out: bristles are bent again, however long they are."""
+
+SMEARED = 0.04
+"""What the low-pass spreads to either side, s."""
+
+FEWEST_CYCLES = 3
+"""Of a recording whose first one is kept, though it runs in."""
+
+END = 0.3
+"""Left out at both ends of a motion that does not repeat, s: what wraps around is gone there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One motion under one load.
+
+    `interval` s of the grid; over the grid (n,): `angle` rad of the rotor, `current` A, `trusted`
+    where the rotor slides. `torque_constant` N m/A; the load's `moment` N m at 90
+    degrees of the output and its `load_inertia` kg m2 about it. `cycles` is how many were averaged,
+    0 for a motion that does not repeat. `torques` (cycles, rows) N m is what the motor puts out in
+    each of them, low-passed; empty where nothing repeats.
+    """
+
+    interval: float
+    angle: Array
+    current: Array
+    trusted: NDArray[np.bool_]
+    torque_constant: float
+    moment: float
+    load_inertia: float
+    cycles: int
+    torques: Array
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the motion repeats."""
+        return self.cycles > 0
+
+    @cached_property
+    def speed(self) -> Array:
+        """Speed of the rotor (n,), rad/s."""
+        return self._slope(1)
+
+    @cached_property
+    def acceleration(self) -> Array:
+        """Acceleration of the rotor (n,), rad/s2."""
+        return self._slope(2)
+
+    def wave(self, order: int, quarter: int) -> Array:
+        """Return cosine (quarter 0) or sine (1) of an order of the rotor's angle (n,)."""
+        if (order, quarter) not in self._waves:
+            self._waves[order, quarter] = (np.sin if quarter else np.cos)(order * self.angle)
+        return self._waves[order, quarter]
+
+    @cached_property
+    def _waves(self) -> dict[tuple[int, int], Array]:
+        return {}
+
+    def _slope(self, order: int) -> Array:
+        trend = np.linspace(self.angle[0], self.angle[-1], len(self.angle))
+        if self.periodic:
+            trend = np.zeros(len(self.angle))
+        spectrum = np.fft.rfft(self.angle - trend)
+        frequency = np.fft.rfftfreq(len(self.angle), self.interval)
+        gain = (2j * np.pi * frequency) ** order / (1 + (frequency / MOTION_HZ) ** 4)
+        slope = np.fft.irfft(spectrum * gain, len(self.angle))
+        if order == 1 and not self.periodic:
+            slope += (self.angle[-1] - self.angle[0]) / (self.interval * (len(self.angle) - 1))
+        return slope
+
+    @property
+    def count(self) -> int:
+        """Rows."""
+        return _rows(self.angle.size, self.interval)
+
+    def rows(self, signals: Array) -> Array:
+        """Low-pass signals (..., n) and return them at the rows (..., rows)."""
+        return lowpassed_rows(signals, self.interval)
+
+    @cached_property
+    def used(self) -> NDArray[np.bool_]:
+        """Rows (rows,) that count."""
+        place = np.arange(self.count) * (self.angle.size / self.count)
+        used: NDArray[np.bool_] = self.trusted[
+            np.minimum(place.astype(np.intp), self.angle.size - 1)
+        ]
+        if not self.periodic:
+            time = place * self.interval
+            used = used & (time >= END) & (time <= self.angle.size * self.interval - END)
+        return used
+
+
+def _rows(size: int, interval: float) -> int:
+    return int(min(size, round(size * interval * ROWS_HZ)))
+
+
+def lowpassed_rows(signals: Array, interval: float, cutoff_hz: float = LOWPASS_HZ) -> Array:
+    """Low-pass signals (..., n), sampled every `interval` s, and return their rows (..., rows)."""
+    size = signals.shape[-1]
+    count = _rows(size, interval)
+    spectrum = np.fft.rfft(signals)[..., : count // 2 + 1]
+    frequency = np.fft.rfftfreq(size, interval)[: count // 2 + 1]
+    spectrum /= 1 + (frequency / cutoff_hz) ** 4
+    found: Array = np.fft.irfft(spectrum, count) * (count / size)
+    return found
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Of a motion: the motor's `torque_constant` N m/A, the load's `moment` N m at 90 degrees and
+    its `load_inertia` kg m2, and the `count` rad of the encoder."""
+
+    torque_constant: float
+    moment: float
+    load_inertia: float
+    count: float
+
+
+def repeated(
+    encoder: Array, current: Array, setpoint: Array, interval: float, under: Condition
+) -> Record:
+    """Lay the cycles of a motion over each other; signals (n,) every `interval` s, counts, A, rad.
+
+    The cycle that runs in is left out. Raises `InsufficientDataError` where not one is left.
+    """
+    from scipy.fft import next_fast_len
+
+    encoder, current, setpoint, interval = _thinned(encoder, current, setpoint, interval)
+    time = interval * np.arange(0.5, len(encoder))
+    starts = rising_crossings(time, setpoint, (setpoint.max() + setpoint.min()) / 2)
+    starts = starts[1:] if len(starts) > FEWEST_CYCLES else starts
+    if len(starts) < 2:
+        raise InsufficientDataError(
+            "the recording holds no whole cycle of its motion: record for longer"
+        )
+    cycles = len(starts) - 1
+    period = (starts[-1] - starts[0]) / cycles
+    grid_hz = GRID_HZ if period < SLOW_PERIOD else GRID_HZ / 2
+    size = next_fast_len(round(period * grid_hz), real=True)
+    size += size % 2
+    grid = starts[:-1, None] + np.arange(size) * (period / size)
+    angles = interpolated(encoder, grid.ravel() / interval).reshape(cycles, size)
+    currents = np.interp(grid.ravel(), time, current).reshape(cycles, size)
+    angle = steady_mean(angles) * under.count
+    speed = np.gradient(np.interp(grid[0], time, setpoint), period / size)
+    return Record(
+        period / size,
+        angle,
+        steady_mean(currents),
+        _sliding(angle, speed, period / size, under.count, True),
+        under.torque_constant,
+        under.moment,
+        under.load_inertia,
+        cycles,
+        lowpassed_rows(under.torque_constant * currents, period / size),
+    )
+
+
+def single(
+    encoder: Array, current: Array, setpoint: Array, interval: float, under: Condition
+) -> Record:
+    """Return a motion that does not repeat; signals (n,) every `interval` s in counts, A, rad."""
+    from scipy.fft import prev_fast_len
+
+    encoder, current, setpoint, interval = _thinned(encoder, current, setpoint, interval)
+    size = prev_fast_len(len(encoder), real=True) // 2 * 2
+    encoder, current, setpoint = encoder[:size], current[:size], setpoint[:size]
+    angle = interpolated(encoder, np.arange(0.5, size)) * under.count
+    return Record(
+        interval,
+        angle,
+        current,
+        _sliding(angle, np.gradient(setpoint, interval), interval, under.count, False),
+        under.torque_constant,
+        under.moment,
+        under.load_inertia,
+        0,
+        np.empty((0, 0)),
+    )
+
+
+def _thinned(
+    encoder: Array, current: Array, setpoint: Array, interval: float
+) -> tuple[Array, Array, Array, float]:
+    """Return means of samples, `GRID_HZ` a second or as many as there are."""
+    by = max(1, round(1 / (GRID_HZ * interval)))
+    return _means(encoder, by), _means(current, by), _means(setpoint, by), interval * by
+
+
+def _means(signal: Array, by: int) -> Array:
+    """Return means of every `by` samples."""
+    size = len(signal) // by
+    means: Array = signal[: size * by].reshape(size, by).mean(axis=1)
+    return means
+
+
+def _sliding(
+    angle: Array, setpoint_speed: Array, interval: float, count: float, periodic: bool
+) -> NDArray[np.bool_]:
+    """Return where the rotor slides (n,): fast enough, and far enough from its last turn.
+
+    More slowly the loop nudges the rotor from count to count, to and fro within them unseen.
+    """
+    bent = bristle(angle, FORGOTTEN * count / 4, periodic)
+    slides = (np.abs(bent) > 1 - np.exp(-4.0)) & (setpoint_speed * np.sign(bent) > SLOWEST * count)
+    reach = round(SMEARED / interval)
+    around = np.pad(~slides, reach, mode="wrap")
+    near = np.convolve(around, np.ones(2 * reach + 1), mode="valid")
+    clear: NDArray[np.bool_] = near == 0
+    return clear

@@ -1,0 +1,250 @@
+"""What rest and reversals show of a model: the filter itself is run, with nothing on the output.
+
+Within a count the rotor's angle is not seen, and that is where bristles bend: a balance of torques
+at known angles cannot say how long they are. The filter of `kalman` carries the angle along between
+the edges. Where nothing acts on the output, the torque that it finds there is its error,
+which depends smoothly on lengths of bristles and on how friction is shared between them; so least
+squares over these few parameters, with what sliding showed as their prior, and in proportion to
+that everything else with them. Large errors count in proportion (P. J. Huber, Ann. Math. Stat.
+35(1) 73-101, 1964).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter.estimate import Filter, Signals
+from rigtool.experiments.force_filter.kalman import Uncertainty
+from rigtool.experiments.force_model.drive import drive_of, plant_of
+from rigtool.experiments.force_model.learning import (
+    LENGTH_SPREAD,
+    NAMES,
+    Learned,
+    logarithms,
+    moved,
+)
+from rigtool.experiments.force_model.model import Kind
+
+Array = NDArray[np.float64]
+
+SHOWN_SHAPE = ("tip_length", "stribeck_speed")
+SHOWN_KINDS = (
+    Kind.BEARING,
+    Kind.STRIBECK,
+    Kind.BEARING_DAMPING,
+    Kind.HOUSING,
+    Kind.HOUSING_SIDED,
+)
+"""What rest shows, besides lengths."""
+
+BANDWIDTH_HZ = 10.0
+SETTLING = 1.0
+"""Of the filter at its begin, s."""
+
+ROWS_HZ = 50.0
+ERROR = 0.03
+"""Of the friction: error of a row."""
+
+INDEPENDENT = 20.0
+"""Rows that one independent row is worth: a stroke's deviation lasts for all of it."""
+
+SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2)
+"""Where the search begins: lengths of both bristles in parts of what they were said to be, and the
+short one's share of the friction; the best of all."""
+
+HUBER = 2.0
+ROUNDS = 8
+ENOUGH = 0.01
+"""Of the cost: a round that gains less is the last one."""
+
+STEP = 0.05
+LONGEST = 2.0
+"""Of the parameters, in standard deviations of their prior."""
+
+HELD = 1e-3
+"""Random walk of the torque here, N m per square root of a second: nothing acts, and what a filter
+that expects contacts would take for one is an error of the model."""
+
+SPEED_RATE = 2.0
+"""Random walk of the speeds here, rad/s per square root of a second. A filter that is surer of its
+speed can lose a count and not find back: errors then leap where a parameter hardly changes, and the
+search stops at the next leap."""
+
+THINNED = 2
+"""Samples of the loop that are one of the filter's here: half the time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exploration:
+    """A motion with nothing on the output: `encoder` counts and `current` A (n,), every
+    `sample_time` s; `torque_constant` N m/A, `count` rad."""
+
+    encoder: Array
+    current: Array
+    sample_time: float
+    torque_constant: float
+    count: float
+
+
+def learn_rest(
+    learned: Learned, exploration: Exploration, uncertainty: Uncertainty, step_time: float
+) -> Learned:
+    """Return the model with what an exploration shows of rest and reversals.
+
+    `step_time` s is that of the filter.
+    """
+    problem = RestProblem(learned, exploration, uncertainty, step_time)
+    return problem.solution()
+
+
+class RestProblem:
+    """Errors of the filter by parameters: logarithms of the two lengths, then of what is shown."""
+
+    def __init__(
+        self,
+        learned: Learned,
+        exploration: Exploration,
+        uncertainty: Uncertainty,
+        step_time: float,
+    ) -> None:
+        from scipy.signal import butter
+
+        self.learned = learned
+        self.uncertainty = replace(
+            uncertainty,
+            torque_rate=HELD,
+            slow_torque_rate=HELD,
+            step_torque_rate=HELD,
+            speed_rate=SPEED_RATE,
+        )
+        self._signals_of = _Inputs(exploration)
+        self.step_samples = max(1, round(step_time / self._signals_of.sample_time))
+        rate = 1 / (self.step_samples * self._signals_of.sample_time)
+        self._sections = butter(2, BANDWIDTH_HZ, fs=rate, output="sos")
+        self._first, self._apart = round(SETTLING * rate), max(1, round(rate / ROWS_HZ))
+        named = [NAMES.index(name) for name in SHOWN_SHAPE]
+        listed = [
+            len(NAMES) + n
+            for n, term in enumerate(learned.terms)
+            if term.kind in SHOWN_KINDS and term.order == 0
+        ]
+        self.shown = [*named, *listed]
+        self.known = np.concatenate([logarithms(learned.shape), learned.coefficient])
+        own = learned.covariance[np.ix_(self.shown, self.shown)]
+        self.follows = np.linalg.solve(own, learned.covariance[self.shown]).T
+        lengths = [learned.shape.bearing_length, learned.shape.housing_length]
+        self.start = np.concatenate([np.log(lengths), self.known[self.shown]])
+        self.covariance = np.zeros((len(self.start), len(self.start)))
+        self.covariance[:2, :2] = LENGTH_SPREAD**2 * np.eye(2)
+        self.covariance[2:, 2:] = own
+
+    def model(self, parameters: Array) -> Learned:
+        """Return the model with parameters (p,), all others moved as far as they go with them."""
+        every = self.known + self.follows @ (parameters[2:] - self.known[self.shown])
+        shape = moved(self.learned.shape, every[: len(NAMES)] - self.known[: len(NAMES)])
+        lengths = np.exp(parameters[:2]).tolist()
+        shape = replace(shape, bearing_length=lengths[0], housing_length=lengths[1])
+        return replace(self.learned, shape=shape, coefficient=every[len(NAMES) :])
+
+    def errors(self, parameters: Array) -> Array:
+        """Return the torque that the filter finds where there is none, low-passed (r,), N m."""
+        from scipy.signal import sosfilt
+
+        model = self.model(parameters)
+        plant = plant_of(model, self._signals_of.sample_time)
+        if not plant_is_sound(plant):
+            return np.full(self.errors(self.start).size, np.inf)
+        signals = self._signals_of.under(model)
+        passed = Filter(plant, self.uncertainty, self.step_samples, BANDWIDTH_HZ).add(signals)
+        found: Array = sosfilt(self._sections, passed.torque)[self._first :: self._apart]
+        return found
+
+    def tried(self, friction: float) -> Iterator[Array]:
+        """Yield parameters (p,) on a grid of lengths and of the bearing's share of friction N m."""
+        kinds = [self.learned.terms[n - len(NAMES)].kind for n in self.shown if n >= len(NAMES)]
+        bearing, housing = (
+            2 + len(SHOWN_SHAPE) + kinds.index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
+        )
+        for short, long, share in product(SHORT, LONG, SHARES):
+            parameters = self.start.copy()
+            parameters[:2] += np.log([short, long])
+            more = share * friction - parameters[bearing]
+            parameters[[bearing, housing]] += [more, -more]
+            yield parameters
+
+    def solution(self) -> Learned:
+        """Return the model of least error; its covariance comes from both."""
+        root: Array = np.asarray(np.linalg.cholesky(self.covariance), dtype=np.float64)
+        plant = plant_of(self.learned, self._signals_of.sample_time)
+        friction = plant.coulomb + plant.housing_friction
+        scale = ERROR * friction * np.sqrt(INDEPENDENT)
+        count = len(self.start)
+
+        def cost(x: Array) -> Array:
+            return np.append(self.errors(self.start + root @ x) / scale, x)
+
+        tried = [np.linalg.solve(root, one - self.start) for one in self.tried(friction)]
+        here = min(tried, key=lambda x: float(np.sum(np.hypot(1, cost(x)))))
+        left = cost(here)
+        damping = 0.0
+        for _ in range(ROUNDS):
+            slopes = np.stack(
+                [(cost(here + STEP * e) - left) / STEP for e in np.eye(count)], axis=1
+            )
+            weight = np.ones(left.size)
+            weight[:-count] = 1 / np.hypot(1, left[:-count] * np.sqrt(INDEPENDENT) / HUBER)
+            information: Array = slopes.T @ (slopes * weight[:, None])
+            before = float(weight @ left**2)
+            gained = 0.0
+            while damping < 100.0:
+                lifted = information + damping * np.diag(np.diag(information))
+                change = -np.linalg.solve(lifted, slopes.T @ (weight * left))
+                change *= min(1.0, LONGEST / float(np.abs(change).max()))
+                there = cost(here + change)
+                gained = before - float(weight @ there**2)
+                if gained > 0:
+                    here = np.add(here, change)
+                    left, damping = there, damping / 4
+                    break
+                damping = max(4 * damping, 0.1)
+            if gained < ENOUGH * before:
+                break
+        return self._learned(np.asarray(here, dtype=np.float64), root, information)
+
+    def _learned(self, here: Array, root: Array, information: Array) -> Learned:
+        model = self.model(self.start + root @ here)
+        found = root @ np.linalg.inv(information) @ root.T
+        own = self.covariance[2:, 2:]
+        covariance = self.learned.covariance + self.follows @ (found[2:, 2:] - own) @ self.follows.T
+        return replace(model, covariance=covariance, length_u=np.sqrt(np.diag(found)[:2]))
+
+
+def plant_is_sound(plant: object) -> bool:
+    """Return whether frictions are such as a plant can have."""
+    values = [getattr(plant, name) for name in ("coulomb", "static", "housing_friction", "inertia")]
+    return min(values) > 0
+
+
+class _Inputs:
+    """What the filter takes, means of `THINNED` samples of the loop."""
+
+    def __init__(self, exploration: Exploration) -> None:
+        size = len(exploration.encoder) // THINNED
+        self.sample_time = THINNED * exploration.sample_time
+        self._exploration = exploration
+        thinned = exploration.current[: size * THINNED].reshape(size, THINNED)
+        self._current = thinned.mean(axis=1)
+        self._low = exploration.encoder[: size * THINNED : THINNED] * exploration.count
+
+    def under(self, model: Learned) -> Signals:
+        """Return the filter's input where a model holds."""
+        own = self._exploration
+        torque, viscous = drive_of(model).torque(
+            self._low + own.count / 2, self._current, own.torque_constant, self.sample_time
+        )
+        return Signals(torque, viscous, self._low, own.count)

@@ -1,0 +1,161 @@
+"""The model that force over time is read with, in run files: how it is written and read back."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+
+import numpy as np
+
+from rigtool.errors import RunFileError
+from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_model.deviations import Deviations
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.learning import NAMES, Learned
+from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
+from rigtool.runfile import Column, Run, Table
+
+TERMS, COVARIANCE, SCALES = "force_terms", "force_covariance", "force_scales"
+
+PREFIX = "model_"
+"""Of results that belong to the model."""
+
+OFFSET = "offset_current"
+
+UNITS = {
+    "bearing_length": "rad",
+    "housing_length": "rad",
+    "tip_length": "rad",
+    "stribeck_speed": "rad/s",
+    "ripple_time": "s",
+    "stiffness": "N m/rad",
+    "damping": "N m s/rad",
+    "tip_friction": "N m",
+    "grasper_inertia": "kg m2",
+    "load_onset": "N m",
+    "stroke": "N m",
+    "load": "1",
+    "noise": "N m",
+    "noise_time": "s",
+    OFFSET: "A",
+}
+"""Of shape, deviations and the amplifier's offset."""
+
+_ABOUT = {
+    "kind": "what it is a function of: " + ", ".join(f"{k.value} {k.name.lower()}" for k in Kind),
+    "order": "of the rotor's or the output's angle, 0 for none",
+    "quarter": "0 cosine, 1 sine of the angle",
+    "spread": "of the coefficient, before anything was known",
+}
+
+
+def model_results(model: ForceModel) -> dict[str, Quantity]:
+    """Return shape and deviations of a model as results."""
+    scatter = {
+        name: Quantity(value, UNITS[name], reason="a measure of scatter itself")
+        for name, value in asdict(model.deviations).items()
+    }
+    offset = model.learned.known.offset
+    scatter[OFFSET] = Quantity(offset, "A", reason="that of the calibration")
+    named = {PREFIX + name: result for name, result in scatter.items()}
+    return shape_results(model.learned) | named
+
+
+def shape_results(learned: Learned) -> dict[str, Quantity]:
+    """Return the shape of a model as results, with standard uncertainty."""
+    relative = dict(zip(NAMES, np.sqrt(np.diag(learned.covariance)).tolist(), strict=False))
+    relative["bearing_length"], relative["housing_length"] = learned.length_u.tolist()
+    return {
+        PREFIX + name: Quantity(value, UNITS[name], value * relative[name])
+        for name, value in asdict(learned.shape).items()
+    }
+
+
+def model_tables(model: ForceModel) -> dict[str, Table]:
+    """Return coefficients and covariance of a model: what `model_from` reads back."""
+    learned = model.learned
+    us = np.sqrt(np.diag(learned.covariance))[len(NAMES) :]
+    every = np.arange(len(learned.covariance))
+    return {
+        TERMS: Table(
+            ("term",),
+            {
+                "term": Column(np.arange(len(learned.terms)), "1"),
+                **{
+                    name: Column(
+                        np.array([float(getattr(term, name)) for term in learned.terms]), "1", about
+                    )
+                    for name, about in _ABOUT.items()
+                },
+                "coefficient": Column(learned.coefficient, "1", "N m for each SI unit of the term"),
+                "u": Column(us, "1", "standard uncertainty"),
+            },
+            "coefficient",
+            "what the motor's current does besides the torque on the output, as a sum of functions",
+        ),
+        COVARIANCE: Table(
+            ("parameter", "other_parameter"),
+            {
+                "parameter": Column(every, "1", "logarithms of " + ", ".join(NAMES) + "; terms"),
+                "other_parameter": Column(every, "1"),
+                "covariance": Column(learned.covariance, "1", "SI units of both"),
+            },
+            "covariance",
+            "covariance of the model's shape and of the terms' coefficients",
+        ),
+        SCALES: Table(
+            ("state",),
+            {
+                "state": Column(np.arange(len(model.scales[0])), "1", "as in table force"),
+                "smoothed": Column(model.scales[0], "1", "of torque from the whole recording"),
+                "causal": Column(model.scales[1], "1", "of torque from samples up to its time"),
+            },
+            "smoothed",
+            "standard uncertainty over the filter's deviation, from loads that no fit saw",
+        ),
+    }
+
+
+def model_from(run: Run, recipe: Recipe) -> ForceModel:
+    """Return the model of a run of `ilc-learn --implementation D`, for the rig of a recipe.
+
+    Raises `RunFileError` where the run holds none, or a broken one.
+    """
+    if missing := [name for name in (TERMS, COVARIANCE, SCALES) if name not in run.tables]:
+        raise RunFileError(
+            f"{run.path}: holds no model of motor and instrument (table {missing[0]}): learn again "
+            "with ilc-learn --implementation D"
+        )
+    table, rig = run.table(TERMS), recipe.rig
+
+    def value(name: str) -> float:
+        return run.result(PREFIX + name).value
+
+    try:
+        terms = tuple(
+            Term(Kind(int(kind)), float(spread), int(order), int(quarter))
+            for kind, spread, order, quarter in zip(
+                *(table[name] for name in ("kind", "spread", "order", "quarter")), strict=True
+            )
+        )
+        shape = Shape(**{field.name: value(field.name) for field in fields(Shape)})
+        lengths = [run.result(PREFIX + f"{name}_length") for name in ("bearing", "housing")]
+        covariance = run.table(COVARIANCE)["covariance"]
+        learned = Learned(
+            terms,
+            shape,
+            Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, value(OFFSET)),
+            table["coefficient"],
+            covariance.reshape(len(NAMES) + len(terms), -1),
+            np.array([(length.u or 0.0) / length.value for length in lengths]),
+        )
+        deviations = Deviations(**{field.name: value(field.name) for field in fields(Deviations)})
+        scales = run.table(SCALES)
+        factors = np.array([scales["smoothed"], scales["causal"]], dtype=np.float64)
+        factors = factors.reshape(2, len(State))
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFileError(
+            f"{run.path}: its model of motor and instrument cannot be used: {error}; learn it again"
+        ) from None
+    return ForceModel(learned, deviations, factors)

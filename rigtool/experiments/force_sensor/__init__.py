@@ -1,0 +1,1 @@
+"""Force over time from current: in recordings and live, with contacts and accuracy."""

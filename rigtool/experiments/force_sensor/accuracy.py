@@ -1,0 +1,66 @@
+"""Torque over time against a reference: error and coverage, by band of load and by state.
+
+error = torque - reference,   coverage = share of |error| <= 1.96 u
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter.motion_states import State, States
+
+Array = NDArray[np.float64]
+
+BANDS = (0.0, 0.01, 0.05, 0.2, 1.0)
+"""Edges of the bands of load, of the largest torque that was learned."""
+
+JUDGED = (State.AGAINST, State.WITH, State.REVERSED, State.STILL)
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """`share` of the samples with a value; root mean square and mean of the error, N m; share of
+    the samples whose interval holds the reference. NaN without samples."""
+
+    share: float
+    rmse: float
+    bias: float
+    coverage: float
+
+
+def accuracy(error: Array, covered: NDArray[np.bool_], among: NDArray[np.bool_]) -> Accuracy:
+    """Return the accuracy of the samples `among` all; `error` N m is NaN without a value; (n,)."""
+    valid = np.isfinite(error)
+    chosen = among & valid
+    if not chosen.any():
+        return Accuracy(0.0, np.nan, np.nan, np.nan)
+    own = error[chosen]
+    return Accuracy(
+        float(chosen.sum() / valid.sum()),
+        float(np.sqrt(np.mean(own**2))),
+        float(own.mean()),
+        float(covered[chosen].mean()),
+    )
+
+
+def by_band_and_state(
+    error: Array,
+    covered: NDArray[np.bool_],
+    reference: Array,
+    states: States,
+    largest: float,
+) -> list[list[Accuracy]]:
+    """Return the accuracy in each of `BANDS` (rows) and states `JUDGED` (columns).
+
+    `largest` N m is the largest torque that was learned; all others (n,), see `accuracy`.
+    """
+    band = np.clip(
+        np.searchsorted(BANDS, np.abs(reference) / largest, side="right") - 1, 0, len(BANDS) - 2
+    )
+    return [
+        [accuracy(error, covered, (band == number) & (states == state)) for state in JUDGED]
+        for number in range(len(BANDS) - 1)
+    ]

@@ -1,0 +1,190 @@
+"""Contacts in a torque over time: found by tests whose thresholds follow from measured errors.
+
+The torque M is that of the causal filter whose random walk is always that of no contact, since
+levels that adapt widen the deviation just when something touches. Two tests look at it, after a
+first-order low-pass of `LAG`:
+
+    jump    |M(t) - M(t - WINDOW)|       errors that last longer than the window cancel
+    level   |M(t)| / u(t)                what comes slowly; u is the filter's deviation of M
+
+Errors depend on the `Motion`: steady motion, within `AFTER` of a reversal, and rest. In each, the
+highest values in blocks of WINDOW (longer than the errors of a jump remember) where nothing touches
+give the threshold of a test at a rate of false alarms: an exponential tail above the quantile t at
+`TAIL`, m the mean of what exceeds it (J. Pickands, Ann. Stat. 3(1) 119-131, 1975, shape 0):
+
+    P(x > t + y) = (1 - TAIL) exp(-y / m)
+
+A contact begins where M passed half of what it was when it was found, and ends where M falls below
+half of its mean so far, which is as likely to be no contact as that mean.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter.motion_states import State, States
+from rigtool.numerics.compiled import compiled
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+WINDOW = 0.06
+"""Time of a jump, s: a hand's or a tool's touch rises within it."""
+
+LAG = 0.01
+"""Of the low-pass, s."""
+
+AFTER = 3 * WINDOW
+"""Time after a reversal in which its errors are not over, s: a jump looks back by one window."""
+
+STROKE = 1.0
+"""That errors of the level are remembered for, s, and the longest from begin to finding."""
+
+FALSE_ALARMS = 1 / 3600
+"""Rate of false alarms of all tests in a motion of one kind, Hz: one an hour."""
+
+TAIL = 0.9
+
+FEWEST = 50
+"""Blocks of a motion without which there is no threshold, and no contact is found in it."""
+
+SETTLING = 2.0
+"""Begin of a stretch that no test looks at, s: the filter does not know the history."""
+
+
+class Motion(IntEnum):
+    """What errors of a test depend on."""
+
+    STEADY = 0
+    REVERSED = 1
+    STILL = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Values of both tests at m steps, `jump` N m and `level`, both with their sign, and the
+    `torque` N m; the motion, -1 where none is tested; (m,) each. `step_time` in s."""
+
+    torque: Single
+    jump: Single
+    level: Single
+    motion: NDArray[np.int32]
+    step_time: float
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Steps at which a contact begins, is found, and ends."""
+
+    begin: int
+    found: int
+    end: int
+
+
+def trial(torque: Array, deviation: Array, states: States, step_time: float) -> Trial:
+    """Return the tests of a stretch from what the filter without contacts gives, N m; (m,)."""
+    from scipy.signal import lfilter
+
+    kept = math.exp(-step_time / LAG)
+    smooth: Single = np.asarray(lfilter([1 - kept], [1, -kept], torque), dtype=np.float32)
+    window = round(WINDOW / step_time)
+    jump: Single = np.zeros(len(smooth), dtype=np.float32)
+    jump[window:] = smooth[window:] - smooth[: len(smooth) - window]
+    motion = np.full(len(smooth), Motion.STEADY, dtype=np.int32)
+    motion[_lately(states == State.REVERSED, round(AFTER / step_time))] = Motion.REVERSED
+    motion[states == State.STILL] = Motion.STILL
+    motion[_lately(states == State.OUTSIDE, window)] = -1
+    motion[: round(SETTLING / step_time)] = -1
+    level: Single = np.divide(smooth, deviation, dtype=np.float32)
+    return Trial(smooth, jump, level, motion, step_time)
+
+
+def _lately(there: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
+    """Return where something was there within the last steps, (m,)."""
+    number = np.arange(len(there), dtype=np.int32)
+    last = np.maximum.accumulate(np.where(there, number, np.int32(-steps - 1)))
+    found: NDArray[np.bool_] = number - last <= steps
+    return found
+
+
+def thresholds(untouched: Sequence[Trial], rate: float = FALSE_ALARMS) -> Array:
+    """Return thresholds (3, 2) of jump N m and level by motion, infinite where too few are known.
+
+    `rate` Hz is that of false alarms of both tests in one motion.
+    """
+    found = np.full((len(Motion), 2), np.inf)
+    for motion in Motion:
+        for number, (name, memory) in enumerate((("jump", WINDOW), ("level", STROKE))):
+            highest = [_highest(test, getattr(test, name), motion, memory) for test in untouched]
+            values = np.concatenate([np.zeros(0), *highest])
+            if len(values) >= FEWEST:
+                found[motion, number] = _exceeded(values, rate / 2 * memory)
+    return found
+
+
+def _highest(test: Trial, values: Single, motion: Motion, memory: float) -> Array:
+    """Return the highest absolute value in each block of `memory` s that has this motion."""
+    size = round(memory / test.step_time)
+    count = len(values) // size
+    own = np.where(test.motion == motion, np.abs(values), -1.0)[: count * size]
+    highest: Array = own.reshape(count, size).max(axis=1).astype(np.float64)
+    return highest[highest >= 0]
+
+
+def _exceeded(values: Array, probability: float) -> float:
+    """Return what values like these (n,) exceed with a probability, by the tail's distribution."""
+    start = float(np.quantile(values, TAIL))
+    beyond = values[values > start] - start
+    if not len(beyond):
+        return start
+    return start + float(beyond.mean()) * math.log((1 - TAIL) / probability)
+
+
+def contacts(test: Trial, limits: Array) -> list[Contact]:
+    """Return the contacts in a stretch, by thresholds (3, 2) as `thresholds` gives them."""
+    longest = round(STROKE / test.step_time)
+    rows = _contacts(test.torque, test.jump, test.level, test.motion, limits, longest)
+    return [Contact(*row) for row in rows]
+
+
+@compiled
+def _contacts(
+    torque: Single,
+    jump: Single,
+    level: Single,
+    motion: NDArray[np.int32],
+    limits: Array,
+    longest: int,
+) -> list[tuple[int, int, int]]:
+    rows = []
+    begin, found, side, total = 0, -1, 0.0, 0.0
+    ending = False  # a contact's level still falls: it is no other contact
+    for k in range(len(torque)):
+        if found >= 0:
+            total += side * torque[k]
+            if motion[k] < 0 or side * torque[k] < total / (k - found + 1) / 2.0:
+                rows.append((begin, found, k))
+                found, total, ending = -1, 0.0, True
+            continue
+        if motion[k] < 0:
+            continue
+        # a jump away from zero: what it ends at is nearer to itself than to nothing
+        away = jump[k] * torque[k] > 0.0 and abs(torque[k]) > abs(jump[k]) / 2.0
+        rises = away and abs(jump[k]) > limits[motion[k], 0]
+        high = abs(level[k]) > limits[motion[k], 1]
+        ending = ending and high
+        if not rises and (ending or not high):
+            continue
+        found, side, begin = k, np.sign(torque[k]), k
+        while begin > max(0, k - longest) and side * torque[begin - 1] > abs(torque[k]) / 2.0:
+            begin -= 1
+        total = abs(torque[k])
+    if found >= 0:
+        rows.append((begin, found, len(torque) - 1))
+    return rows

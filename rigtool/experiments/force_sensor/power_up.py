@@ -1,0 +1,241 @@
+"""Ripple that an amplifier draws anew at each power-up, learned while the rotor slides.
+
+Of a torque M on the output the filter finds, at the torque factor n,
+
+    M^ = M + n sum of beta_j lag(w_j) + e,    w_j cosine and sine of orders of the rotor's angle
+
+with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is that of
+the learning, beta = 0, or another: c + beta then has the learned amplitudes A with other phases,
+
+    beta ~ N(-c, A^2 / 2).
+
+A force that repeats with the angle looks like ripple. It refutes the second hypothesis once an
+order of c + beta is more than `LARGEST` times A; a weaker one is taken for ripple, up to that.
+
+Under each hypothesis a Kalman filter reads M^ row by row, M a random walk that starts anew where a
+row does not fit (a contact begins). The likelihoods of both weigh them; given is the mean of the
+mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to
+Tracking and Navigation, 2001, section 11.6.2, static multiple models).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter import passed
+from rigtool.experiments.force_filter.motion_states import SLIDING
+from rigtool.experiments.force_filter.plant import HOUSING, SPEED, TORQUE, Record
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
+from rigtool.numerics.compiled import compiled
+
+Array = NDArray[np.float64]
+
+ROW_TIME = 20e-3
+"""Of a row, s: friction's own noise hardly changes within it."""
+
+NOISE, WALK, AFTER_REVERSAL, CONTACT = 0.7, 2.0, 1.5, 100.0
+"""In deviations of a stroke: noise of a row, random walk of M per square root of a second, and what
+M may change by over a reversal and where a contact begins."""
+
+GATE = 3.0
+"""Standard deviations from which on a row does not fit."""
+
+CERTAIN = 50.0
+"""Of the logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
+
+LARGEST = 3.0
+"""Amplitude of another power-up over the learned one, of an order."""
+
+REFUTED = -1.5 * CERTAIN
+"""Logarithm of the ratio that stays once the ripple is larger than any power-up makes it."""
+
+PARAMETERS = np.dtype([(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size")])
+
+WAVES = 2 * len(RIPPLE_ORDERS)
+
+STATE = np.dtype(
+    [
+        ("waves", "f8", (WAVES,)),
+        # the row that is being filled, and how many of its steps there are, and slide
+        ("row", "f8", (WAVES + 1,)),
+        ("filled", "f8"),
+        ("slid", "f8"),
+        ("mean", "f8", (WAVES + 1,)),
+        ("covariance", "f8", (WAVES + 1, WAVES + 1)),
+        # without other ripple: torque and its variance; logarithm of the likelihoods' ratio
+        ("plain", "f8"),
+        ("plain_variance", "f8"),
+        ("other", "f8"),
+        ("learned", "f8", (WAVES,)),
+        ("passed", "f8", (passed.ORDER,)),
+    ]
+)
+
+
+class PowerUp:
+    """Follows the ripple of a recording without a gap; steps are added as they come.
+
+    Both methods return what ripple adds to the torque on the output after each of m steps, and its
+    variance, N m and N2 m2.
+    """
+
+    def __init__(self, model: ForceModel, step_time: float, bandwidth_hz: float) -> None:
+        # ripple that grows with the current is in the variance alone
+        own, gain = learned_ripple(model)
+        amplitude = np.repeat(np.hypot(own[::2], own[1::2]), 2)
+        size = model.uncertainty.stroke + model.uncertainty.friction_noise
+        factor = model.plant(step_time).torque_factor
+        steps = row_steps(step_time)
+        lag = 1 - math.exp(-step_time / model.learned.shape.ripple_time)
+        self._parameters = np.array(
+            [(lag, factor, gain, steps, steps * step_time, factor * size)], dtype=PARAMETERS
+        )
+        self._state = np.zeros(1, dtype=STATE)
+        self._state["mean"][0, :-1] = -own
+        self._state["learned"][0] = own
+        variances = np.append(amplitude**2 / 2, (CONTACT * factor * size) ** 2)
+        self._state["covariance"][0] = np.diag(variances)
+        self._state["plain_variance"] = variances[-1]
+        self._low_pass = passed.section(bandwidth_hz, step_time)
+
+    @property
+    def probability(self) -> float:
+        """That the power-up is another than that of the learning."""
+        other: float = self._state["other"][0]
+        return 1 / (1 + math.exp(-other))
+
+    def add(self, angle: Array, states: Array) -> tuple[Array, Array]:
+        """Return them from these steps and those before, torque behind the low-pass (m,).
+
+        `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter.
+        """
+        way = np.sign(states[:, SPEED])
+        sliding = states[:, HOUSING] * way >= SLIDING
+        return self._followed(self._state, angle, states[:, TORQUE], sliding)
+
+    def whole(self, angle: Array, torque: Array) -> tuple[Array, Array]:
+        """Return them from all that was added, at its steps again: (m,) not low-passed.
+
+        `angle` (m,) rad as before, `torque` (m,) N m from the whole recording.
+        """
+        again = self._state.copy()
+        again["waves"] = 0.0
+        return self._followed(again, angle, torque, np.zeros(0, np.bool_))
+
+    def _followed(
+        self, state: NDArray[np.void], angle: Array, torque: Array, sliding: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        found = np.empty((len(angle), 2))
+        torque = np.ascontiguousarray(torque)
+        _follow(state, self._parameters, self._low_pass, angle, torque, sliding, found)
+        return found[:, 0], found[:, 1]
+
+
+def row_steps(step_time: float) -> int:
+    """Return the steps of a row."""
+    return max(1, round(ROW_TIME / step_time))
+
+
+def learned_ripple(model: ForceModel) -> tuple[Array, float]:
+    """Return the ripple of the learned power-up, cosine and sine of each order N m, as it is at
+    low speed, and its root mean square per torque."""
+    own, gain = np.zeros(2 * len(RIPPLE_ORDERS)), 0.0
+    learned = model.learned
+    for term, value in zip(learned.terms, learned.coefficient.tolist(), strict=True):
+        if term.kind in (Kind.RIPPLE, Kind.COGGING) and term.order in RIPPLE_ORDERS:
+            own[2 * (term.order - 1) + term.quarter] += value
+        elif term.kind is Kind.GAIN_RIPPLE:
+            gain += value**2
+    return own, math.sqrt(gain)
+
+
+@compiled
+def _follow(
+    state: NDArray[np.void],
+    parameters: NDArray[np.void],
+    low_pass: Array,
+    angle: Array,
+    torque: Array,
+    sliding: NDArray[np.bool_],
+    found: Array,
+) -> None:
+    """Advance by m steps; `found` (m, 2) receives ripple and variance.
+
+    Where `sliding` is given, it learns, and ripple passes the low-pass.
+    """
+    s, p = state[0], parameters[0]
+    for k in range(angle.shape[0]):
+        for j in range(WAVES):
+            phase = (j // 2 + 1) * angle[k]
+            s.waves[j] += p.lag * ((math.sin(phase) if j % 2 else math.cos(phase)) - s.waves[j])
+        if sliding.shape[0]:
+            for j in range(WAVES):
+                s.row[j] += p.factor * s.waves[j] / p.steps
+            s.row[WAVES] += torque[k] / p.steps
+            s.slid += 1.0 if sliding[k] else 0.0
+            s.filled += 1.0
+            if s.filled >= p.steps:
+                _read(s, p)
+        weight = 1.0 / (1.0 + math.exp(-s.other))
+        mean, variance = 0.0, (p.gain * torque[k]) ** 2
+        for i in range(WAVES):
+            mean += p.factor * s.waves[i] * s.mean[i]
+            for j in range(WAVES):
+                variance += p.factor**2 * s.waves[i] * s.waves[j] * s.covariance[i, j]
+        found[k, 1] = weight * variance + weight * (1.0 - weight) * mean * mean
+        found[k, 0] = weight * mean
+        if sliding.shape[0]:
+            first, second = s.passed
+            found[k, 0] = low_pass[2, 0] * first + low_pass[2, 1] * second
+            found[k, 0] += low_pass[2, 2] * weight * mean
+            for i in range(2):
+                s.passed[i] = low_pass[i, 0] * first + low_pass[i, 1] * second
+                s.passed[i] += low_pass[i, 2] * weight * mean
+
+
+@compiled
+def _read(s: Record, p: Record) -> None:
+    """Take in a row, and begin the next one."""
+    walk = (WALK * p.size) ** 2 * p.time
+    if s.slid < p.steps:  # part of the row is no sliding: friction may be off by a stroke's own
+        walk += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
+    s.covariance[WAVES, WAVES] += walk
+    s.plain_variance += walk
+    if s.slid >= p.steps and s.other > REFUTED:
+        noise = (NOISE * p.size) ** 2
+        gain = np.empty(WAVES + 1)
+        row = s.row.copy()
+        row[WAVES] = 1.0
+        for attempt in range(2):
+            error, plain = s.row[WAVES], s.row[WAVES] - s.plain
+            variance, own = noise, s.plain_variance + noise
+            for i in range(WAVES + 1):
+                error -= row[i] * s.mean[i]
+                gain[i] = 0.0
+                for j in range(WAVES + 1):
+                    gain[i] += s.covariance[i, j] * row[j]
+                variance += row[i] * gain[i]
+            if attempt or min(error**2 / variance, plain**2 / own) < GATE**2:
+                break
+            s.covariance[WAVES, WAVES] += (CONTACT * p.size) ** 2
+            s.plain_variance += (CONTACT * p.size) ** 2
+        s.other += 0.5 * (plain**2 / own + math.log(own) - error**2 / variance - math.log(variance))
+        s.other = min(max(s.other, -CERTAIN), CERTAIN)
+        for i in range(WAVES + 1):
+            s.mean[i] += gain[i] * error / variance
+            for j in range(WAVES + 1):
+                s.covariance[i, j] -= gain[i] * gain[j] / variance
+        s.plain += s.plain_variance / own * plain
+        s.plain_variance *= 1.0 - s.plain_variance / own
+        for i in range(0, WAVES, 2):
+            first, second = s.mean[i] + s.learned[i], s.mean[i + 1] + s.learned[i + 1]
+            square = s.learned[i] ** 2 + s.learned[i + 1] ** 2
+            if first * first + second * second > LARGEST**2 * square:
+                s.other = REFUTED
+    for i in range(WAVES + 1):
+        s.row[i] = 0.0
+    s.filled = s.slid = 0.0

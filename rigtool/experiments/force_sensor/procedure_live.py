@@ -1,0 +1,112 @@
+"""Force over time while samples arrive: the causal form of `procedure_reading`, block by block.
+
+A row is what the table `force` has as its causal columns, digit for digit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from rigtool.errors import RecipeError
+from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_model.steps import SAMPLE_TIME, unbroken
+from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
+from rigtool.experiments.force_sensor.procedure_reading import NEEDED, instrument_of
+from rigtool.experiments.force_sensor.results_over_time import COVERAGE_FACTOR
+from rigtool.experiments.force_sensor.sensor import Sensor
+from rigtool.experiments.procedure import Procedure
+from rigtool.numerics.arrays import Array
+from rigtool.recipe import Recipe
+from rigtool.rigs import CHANNELS
+from rigtool.runfile import Run
+
+
+def over_time_live(seconds: float, *, observed: bool, every: int) -> Procedure:
+    """Return `over_time`, with force as it comes, of every `every`th estimate."""
+    return replace(over_time(seconds, observed=observed), follow=partial(LiveForce, every=every))
+
+
+TOGETHER = 8e-3
+"""Samples that are taken together at least, s: each time costs about 1 ms of a core."""
+
+
+class LiveForce:
+    """Turns blocks of signals into rows of force; what is missing between samples begins anew.
+
+    Every `every`th estimate makes a row. Raises `RecipeError` where samples are means, or too far
+    apart: their angle is known only from later ones.
+    """
+
+    def __init__(self, recipe: Recipe, *, kt: Run, tables: Run, every: int = 1) -> None:
+        motion, interval = recipe.measure_force.motion, recipe.rig.sample_time
+        if motion.record_every != 1 or interval > SAMPLE_TIME * (1 + 1e-6):
+            raise RecipeError(
+                f"force as it comes needs each sample of a loop of {1 / SAMPLE_TIME:g} Hz at "
+                f"least, rig.sample_time = {interval:g} s and measure_force.motion.record_every = "
+                f"{motion.record_every} give fewer: record without it, and read the run"
+            )
+        model, reach = model_and_reach(tables, kt, recipe)
+        self._instrument = instrument_of(recipe, kt, model, reach, interval)
+        self._factors = model.scales[1]  # of the causal torque
+        self._every = every
+        self._last = np.zeros(0)
+        self._waiting = np.empty((len(NEEDED), 0))
+        self._begin(0.0)
+
+    def _begin(self, time: float) -> None:
+        self._sensor = Sensor(self._instrument, context=False)
+        self._began, self._steps = time - self._instrument.interval / 2, 0
+
+    def __call__(self, block: Mapping[str, Array]) -> dict[str, Array]:
+        """Return rows (r,) of what these signals (n,) complete: `time` s, `torque`, `u`, `low` and
+        `high` N m, and `state`; without a value NaN."""
+        new = np.array([_as_stored(name, block[name]) for name in NEEDED])
+        samples = np.hstack([self._waiting, new])
+        if samples.shape[1] * self._instrument.interval < TOGETHER:
+            self._waiting, samples = samples, samples[:, :0]
+        else:
+            self._waiting = samples[:, :0]
+        known = len(self._last)
+        time = np.concatenate([self._last, samples[0]])
+        good = np.concatenate([np.ones(known, np.bool_), np.isfinite(samples).all(axis=0)])
+        rows = []
+        for span in unbroken(time, good, self._instrument.interval):
+            first = max(0, span.start - known)
+            part = samples[:, first : span.stop - known]
+            if not part.shape[1]:
+                continue
+            if span.start > 0 or not known:
+                self._begin(float(part[0, 0]))
+            rows.append(self._rows(part[1:]))
+        if samples.shape[1]:
+            self._last = time[-1:] if good[-1] else np.zeros(0)
+        names = ("time", "torque", "u", "low", "high", "state")
+        together = np.hstack(rows) if rows else np.empty((len(names), 0))
+        found: dict[str, Any] = dict(zip(names, together, strict=True))
+        return {**found, "state": found["state"].astype(np.int32)}
+
+    def _rows(self, samples: Array) -> Array:
+        """Return rows (6, r) of samples (3, n) that nothing is missing before."""
+        sensed = self._sensor.add(samples)
+        count, step_time = len(sensed.states), self._instrument.grid.step_time
+        number = self._steps + np.arange(count)
+        self._steps += count
+        chosen = number % self._every == 0
+        states = sensed.states[chosen]
+        u = sensed.deviation[chosen] * self._factors[states]
+        torque = np.where(states == State.OUTSIDE, np.nan, sensed.torque[chosen])
+        u = np.where(states == State.OUTSIDE, np.nan, u)
+        half = COVERAGE_FACTOR * u
+        time = self._began + step_time * (number[chosen] + 1.0)
+        return np.array([time, torque, u, torque - half, torque + half, states])
+
+
+def _as_stored(name: str, values: Array) -> Array:
+    """Return values as a run file gives them back: in the precision of their channel."""
+    _, kind, _ = CHANNELS[name]
+    return np.asarray(values).astype(kind).astype(np.float64)

@@ -1,0 +1,152 @@
+"""`measure-force --record` and `--observe`: the torque on the output over time, in any motion.
+
+Nothing is known of what acts there. The filter of `force_filter` reads it from current and
+encoder, with the model of motor and instrument that `ilc-learn --implementation D` learned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.force_filter.motion_states import Reach
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.stored import model_from
+from rigtool.experiments.force_sensor.procedure_calibration import limits_of
+from rigtool.experiments.force_sensor.procedure_motion import moved, require_learned
+from rigtool.experiments.force_sensor.procedure_reading import (
+    NEEDED,
+    REFERENCE,
+    SHORTEST,
+    read_recording,
+)
+from rigtool.experiments.force_sensor.results_over_time import Scales, force_outcome
+from rigtool.experiments.learning.stored_table import feedforward_from, require_rig
+from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.recipe import Recipe
+from rigtool.rigs import Rig, Task
+from rigtool.rigs.motion import Observe
+from rigtool.runfile import RecordingSpec, Run, RunWriter
+
+OF_THE_LOOP = ("position_setpoint", "feedforward_current", "table_current")
+"""Channels that are recorded besides where rigtool moves the rig."""
+
+
+# -- measuring
+
+
+def over_time(seconds: float, *, observed: bool) -> Procedure:
+    """Return the procedure that records for `seconds` s, moving the rig, or observing it."""
+    return Procedure(
+        "measure-force",
+        partial(_recordings, seconds=seconds, observed=observed),
+        partial(_measure, seconds=seconds, observed=observed),
+        analyse_over_time,
+        needed=("kt",),
+    )
+
+
+def _recordings(recipe: Recipe, *, seconds: float, observed: bool) -> tuple[RecordingSpec, ...]:
+    own = recipe.measure_force.motion
+    if not 0 < seconds <= own.time_max:
+        raise UsageError(
+            f"{seconds:g} s cannot be recorded: at most measure_force.motion.time_max = "
+            f"{own.time_max:g} s, and more than 0"
+        )
+    names = NEEDED if observed else (*NEEDED, *OF_THE_LOOP)
+    if recipe.rig.source == "virtual":
+        names = (*names, REFERENCE)
+    name = "observed" if observed else own.kind
+    return (RecordingSpec(f"{name}_000", channels(*names), {}, own.record_every),)
+
+
+def _measure(
+    rig: Rig,
+    recipe: Recipe,
+    recorder: RunWriter,
+    *,
+    kt: Run,
+    tables: Run,
+    seconds: float,
+    observed: bool,
+) -> None:
+    _, reach = model_and_reach(tables, kt, recipe)
+    (spec,) = _recordings(recipe, seconds=seconds, observed=observed)
+    task = Task(Observe(seconds), record_every=spec.record_every, touched=True)
+    if not observed:
+        start, motion = moved(recipe, seconds)
+        require_learned(start, motion, reach, rig.position)
+        if start is not None and motion.start is None:
+            rig.move_by(start - rig.position)
+        feedforward = feedforward_from(tables, recipe.rig.nominal_inertia)
+        task = replace(task, motion=motion, feedforward=feedforward)
+    record(rig, task, recorder, spec.name)
+
+
+# -- analysing
+
+
+def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Outcome:
+    """Read the torque over time from every recording that has the channels.
+
+    Raises `UsageError` for several runs, `RunFileError` for tables without the model and runs
+    without the channels, `InsufficientDataError` where no recording is long enough.
+    """
+    if len(runs) > 1:
+        raise UsageError(f"{len(runs)} run files: measure-force takes one")
+    run = runs[0]
+    recorded = [r for r in run.recordings.values() if all(r.has(name) for name in NEEDED)]
+    if not recorded:
+        raise RunFileError(
+            f"{run.path}: has no recording with the channels {', '.join(NEEDED)}: record one with "
+            "--record or --observe"
+        )
+    model, reach = model_and_reach(tables, kt, recipe)
+    known = tables, recipe, kt, model, reach
+    limits = limits_of(*known)
+    read = [read_recording(r, *known[1:], limits=limits) for r in recorded if r.size]
+    if not any(r.parts for r in read):
+        raise InsufficientDataError(
+            f"{run.path}: no recording has {SHORTEST:g} s without a gap: record for longer"
+        )
+    return force_outcome(read, recipe, reach, Scales(*model.scales), limits)
+
+
+def model_and_reach(tables: Run, kt: Run, recipe: Recipe) -> tuple[ForceModel, Reach]:
+    """Return the model in these tables, and how far it was learned; checks that all belongs
+    together."""
+    require_calibration(kt, recipe)
+    require_rig(tables, recipe)
+    return model_from(tables, recipe), reach_of(tables, kt, recipe)
+
+
+def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:
+    """Return how far the model in these tables was learned.
+
+    Angles and torques are those of the known loads, speeds those of all learned strokes,
+    temperatures those of the calibration.
+    """
+    learned = tables.recipe
+    assert learned is not None  # `require_rig`
+    own, rig = learned.ilc_learn, recipe.rig
+    calibrated = None if kt.recipe is None else kt.recipe.calibrate_kt.temperatures_degc
+    return Reach(
+        (0.0, math.radians(learned.measure_force.angle) * rig.angle_ratio),
+        2 * math.pi * rig.angle_ratio * max(*own.speeds_rev_per_s, *own.loads.speeds_rev_per_s),
+        max(own.loads.forces) * rig.load_arm,
+        (-math.inf, math.inf) if calibrated is None else (min(calibrated), max(calibrated)),
+    )
+
+
+def require_calibration(kt: Run, recipe: Recipe) -> None:
+    """Raise `RunFileError` unless a calibration belongs to the recipe's rig, or states none."""
+    kt.require_command("calibrate-kt")
+    if kt.rig not in (None, recipe.rig.name):
+        raise RunFileError(
+            f"{kt.path}: is the calibration of rig {kt.rig}, the recipe is that of "
+            f"{recipe.rig.name}: calibrate this one"
+        )

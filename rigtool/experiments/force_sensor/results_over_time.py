@@ -1,0 +1,377 @@
+"""Torque over time as a run file stores it: tables `force` and `force_accuracy`, and results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter.motion_states import NAMES, Reach, State, States
+from rigtool.experiments.force_sensor.accuracy import (
+    BANDS,
+    JUDGED,
+    Accuracy,
+    accuracy,
+    by_band_and_state,
+)
+from rigtool.experiments.force_sensor.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
+from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
+from rigtool.numerics.lowpass import FILTER_ORDER, lowpass
+from rigtool.quantity import Quantity
+from rigtool.recipe import Recipe
+from rigtool.runfile import Column, Table
+
+ROWS = 20
+"""Rows of the table in a period of the low-pass."""
+
+COVERAGE_FACTOR = 1.96
+"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Torque on the output at each step of a stretch without gaps (m,), N m: smoothed, and causal
+    behind the low-pass (empty where there is none), each with its states; deviations are those
+    behind the low-pass. `reference` N m where it was recorded. `limited` counts the samples whose
+    current was at its limit; `contacts` are in steps."""
+
+    name: str
+    step_time: float
+    time: Array
+    torque: Array
+    deviation: Array
+    states: States
+    causal: Array
+    causal_deviation: Array
+    causal_states: States
+    reference: Array | None
+    limited: int
+    causal_reference: Array | None = None
+    contacts: tuple[Contact, ...] = ()
+
+    @classmethod
+    def joined(cls, parts: Sequence[Reading]) -> Reading:
+        """Return stretches as one."""
+        first = parts[0]
+        if len(parts) == 1:
+            return first
+        together: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in SIGNALS
+        }
+        for name in ("reference", "causal_reference"):
+            if getattr(first, name) is not None:
+                together[name] = np.concatenate([getattr(part, name) for part in parts])
+        return replace(first, **together, limited=sum(part.limited for part in parts))
+
+    def low_passed(self, cutoff_hz: float) -> Reading:
+        """Return the rows of the table, low-passed at a cut-off, Hz, as the causal torque is."""
+        from scipy.signal import butter, sosfilt
+
+        rate = 1 / self.step_time
+        sections = butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos")
+        every = max(1, int(rate / (ROWS * cutoff_hz)))
+        kept = {name: getattr(self, name)[::every] for name in SIGNALS if name != "torque"}
+        if self.reference is not None:
+            kept["reference"] = lowpass(rate, self.reference, cutoff_hz)[::every]
+            kept["causal_reference"] = sosfilt(sections, self.reference)[::every]
+        return replace(
+            self,
+            step_time=self.step_time * every,
+            torque=lowpass(rate, self.torque, cutoff_hz)[::every],
+            **kept,
+        )
+
+
+SIGNALS = (
+    "time",
+    "torque",
+    "deviation",
+    "states",
+    "causal",
+    "causal_deviation",
+    "causal_states",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A recording by its stretches without gaps; `breaks` are between them, and `lost` s have no
+    torque: gaps, samples that are NaN, stretches that are too short."""
+
+    name: str
+    parts: tuple[Reading, ...]
+    breaks: int
+    lost: float
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Factors on the filter's deviations by state, (5,) each, in the order of `State`."""
+
+    smoothed: Array
+    causal: Array
+
+    def applied(self, rows: Reading) -> Reading:
+        """Return rows with standard uncertainties in place of the filter's deviations."""
+        return replace(
+            rows,
+            deviation=rows.deviation * self.smoothed[rows.states],
+            causal_deviation=rows.causal_deviation * self.causal[rows.causal_states],
+        )
+
+
+def force_outcome(
+    recordings: Sequence[Recorded], recipe: Recipe, reach: Reach, scales: Scales, limits: Array
+) -> Outcome:
+    """Return tables, results and notes of the recordings of a run.
+
+    `limits` (3, 2) are the thresholds by which contacts were looked for.
+    """
+    bandwidth = recipe.measure_force.motion.bandwidth_hz
+    parts = [(number, part) for number, r in enumerate(recordings) for part in r.parts]
+    rows = [scales.applied(part.low_passed(bandwidth)) for _, part in parts]
+    results, tables = over_time_tables(
+        rows,
+        reach.torque,
+        bandwidth,
+        recipe.rig.load_arm,
+        numbers=[number for number, _ in parts],
+        lost=sum(r.lost for r in recordings),
+    )
+    if np.isfinite(limits).any():
+        tables |= (events := _events(parts, rows))
+        count = events["events"].shape[0] if events else 0
+        results["contacts"] = Quantity(float(count), "1", reason="counted")
+    known = tables["force"]["state"] != State.OUTSIDE
+    notes = [*_notes(recordings, known, reach, scales), *_contact_notes(limits)]
+    return Outcome(results, tables, tuple(notes))
+
+
+def over_time_tables(
+    rows: Sequence[Reading],
+    largest: float,
+    bandwidth_hz: float,
+    load_arm: float | None = None,
+    *,
+    numbers: Sequence[int] | None = None,
+    lost: float = 0.0,
+) -> tuple[dict[str, Quantity], dict[str, Table]]:
+    """Return results and tables of stretches, low-passed at `bandwidth_hz`, with uncertainties.
+
+    `largest` N m is the largest torque that was learned; the force at the tip needs a `load_arm` m.
+    `numbers` are those of the recordings that the stretches belong to, one each by default; `lost`
+    s is the time without a stretch.
+    """
+    whole = Reading.joined([replace(r, reference=None, causal_reference=None) for r in rows])
+    number = np.repeat(
+        np.arange(len(rows)) if numbers is None else numbers, [len(row.time) for row in rows]
+    )
+    known = whole.states != State.OUTSIDE
+    results = _results(whole, known, sum(len(r.time) * r.step_time for r in rows), lost)
+    tables = {"force": _table(rows, whole, known, number, bandwidth_hz, load_arm)}
+    judged = [row for row in rows if row.reference is not None]
+    if judged:
+        found, tables["force_accuracy"] = _judged(Reading.joined(judged), largest)
+        results |= found
+    return results, tables
+
+
+def _results(
+    whole: Reading, known: NDArray[np.bool_], read: float, lost: float
+) -> dict[str, Quantity]:
+    share = float(known.mean()) * read / (read + lost)
+    results = {"valid_share": Quantity(share, "1", reason="counted")}
+    if known.any():
+        torque, u = whole.torque[known], whole.deviation[known]
+        peak = int(np.argmax(np.abs(torque)))
+        results["peak_torque"] = Quantity(float(torque[peak]), "N m", float(u[peak]))
+        results["mean_torque"] = Quantity(float(torque.mean()), "N m", float(u.mean()))
+    return results
+
+
+def _table(
+    rows: Sequence[Reading],
+    whole: Reading,
+    known: NDArray[np.bool_],
+    number: NDArray[np.intp],
+    bandwidth_hz: float,
+    load_arm: float | None,
+) -> Table:
+    def valid(values: Array, where: NDArray[np.bool_] = known) -> Array:
+        return np.where(where, values, np.nan)
+
+    so_far = whole.causal_states != State.OUTSIDE
+
+    half = COVERAGE_FACTOR * whole.deviation
+    states = ", ".join(f"{state.value} {name}" for state, name in NAMES.items())
+    columns = {
+        "row": Column(np.arange(len(number)), "1"),
+        "recording": Column(number, "1", "of this run, in order"),
+        "time": Column(whole.time, "s", "bench clock"),
+        "torque": Column(valid(whole.torque), "N m", "on the output, from the whole recording"),
+        "force": Column(valid(whole.torque / (load_arm or np.nan)), "N", "at the tip"),
+        "u": Column(valid(whole.deviation), "N m", "standard uncertainty of torque"),
+        "low": Column(valid(whole.torque - half), "N m", "lower end of the 95 % interval"),
+        "high": Column(valid(whole.torque + half), "N m", "upper end of the 95 % interval"),
+        "state": Column(whole.states, "1", states),
+    }
+    if load_arm is None:
+        del columns["force"]
+    if whole.causal.size:
+        columns |= {
+            "causal_torque": Column(
+                valid(whole.causal, so_far), "N m", "from samples up to its time only"
+            ),
+            "causal_u": Column(
+                valid(whole.causal_deviation, so_far), "N m", "its standard uncertainty"
+            ),
+            "causal_state": Column(whole.causal_states, "1", "from samples up to its time only"),
+        }
+    if any(row.reference is not None for row in rows):
+        columns["reference"] = Column(_references(rows), "N m", "torque that acted, low-passed")
+    return Table(
+        ("row",),
+        columns,
+        "torque",
+        "torque on the output over time, positive where it resists positive motion, low-passed at "
+        f"{bandwidth_hz:g} Hz",
+    )
+
+
+def _references(rows: Sequence[Reading]) -> Array:
+    """Return what acted in all recordings (m,), N m; NaN in those without a reference."""
+    return np.concatenate(
+        [np.full(len(row.time), np.nan) if row.reference is None else row.reference for row in rows]
+    )
+
+
+def _judged(rows: Reading, largest: float) -> tuple[dict[str, Quantity], Table]:
+    """Return errors and coverage against the reference, which has no other use."""
+    assert rows.reference is not None
+    results: dict[str, Quantity] = {}
+    columns = {
+        "band": Column(np.array(BANDS[:-1]) * largest, "N m", "lower end of the load's band"),
+        "state": Column(np.array([int(state) for state in JUDGED]), "1", "as in table force"),
+    }
+    for prefix, torque, reference, u, states in (
+        ("", rows.torque, rows.reference, rows.deviation, rows.states),
+        (
+            "causal_",
+            rows.causal,
+            rows.causal_reference,
+            rows.causal_deviation,
+            rows.causal_states,
+        ),
+    ):
+        if reference is None:
+            continue  # there is no causal form
+        known = states != State.OUTSIDE
+        moving = known & (states != State.STILL)
+        error = np.where(known, torque - reference, np.nan)
+        covered = np.abs(error) <= COVERAGE_FACTOR * u
+        overall, while_moving = (accuracy(error, covered, among) for among in (known, moving))
+        why = "the deviation from the reference itself"
+        results |= {
+            f"{prefix}rmse": Quantity(overall.rmse, "N m", reason=why),
+            f"{prefix}rmse_moving": Quantity(while_moving.rmse, "N m", reason=why),
+            f"{prefix}coverage_95": Quantity(overall.coverage, "1", reason="counted"),
+        }
+        cells = by_band_and_state(error, covered, rows.reference, states, largest)
+        columns |= _cells(prefix, cells)
+    return results, Table(
+        ("band", "state"), columns, "rmse", "torque against the reference, by load and state"
+    )
+
+
+def _cells(prefix: str, cells: list[list[Accuracy]]) -> dict[str, Column]:
+    def values(name: str) -> Array:
+        return np.array([[getattr(cell, name) for cell in row] for row in cells])
+
+    return {
+        f"{prefix}rmse": Column(values("rmse"), "N m", "root mean square of the error"),
+        f"{prefix}bias": Column(values("bias"), "N m", "mean of the error"),
+        f"{prefix}coverage_95": Column(values("coverage"), "1", "share within the 95 % interval"),
+        f"{prefix}share": Column(values("share"), "1", "of the samples with a value"),
+    }
+
+
+def _events(parts: Sequence[tuple[int, Reading]], rows: Sequence[Reading]) -> dict[str, Table]:
+    """Return the table of contacts, from stretches and their rows; none without contacts."""
+    found: list[tuple[float, ...]] = []
+    for (number, part), row in zip(parts, rows, strict=True):
+        every = round(row.step_time / part.step_time)
+        known = row.states != State.OUTSIDE
+        for contact in part.contacts:
+            span = slice(contact.begin // every, contact.end // every + 1)
+            torque, u = row.torque[span][known[span]], row.deviation[span][known[span]]
+            if not len(torque):
+                continue
+            peak = int(np.argmax(np.abs(torque)))
+            times = part.time[[contact.begin, contact.found, contact.end]]
+            found.append((number, *times, torque[peak], u[peak], torque.mean(), u.mean()))
+    if not found:
+        return {}
+    numbers = np.array(found).T
+    u_time = np.full(len(found), WINDOW / math.sqrt(12))
+    columns = {
+        "event": Column(np.arange(len(found)), "1"),
+        "recording": Column(numbers[0].astype(np.int32), "1", "of this run, in order"),
+        "start": Column(numbers[1], "s", "bench clock, where the torque passes half of it"),
+        "start_u": Column(u_time, "s", "standard uncertainty of start"),
+        "found": Column(numbers[2], "s", "first time at which samples up to it show the contact"),
+        "end": Column(
+            numbers[3], "s", "bench clock, where the torque falls below half of its mean"
+        ),
+        "end_u": Column(u_time, "s", "standard uncertainty of end"),
+        "peak": Column(numbers[4], "N m", "torque of largest magnitude"),
+        "peak_u": Column(numbers[5], "N m", "standard uncertainty of peak"),
+        "mean": Column(numbers[6], "N m", "mean torque from start to end"),
+        "mean_u": Column(numbers[7], "N m", "standard uncertainty of mean"),
+    }
+    return {"events": Table(("event",), columns, "mean", "contacts found in the torque over time")}
+
+
+def _contact_notes(limits: Array) -> list[str]:
+    """State by which jumps contacts are found."""
+    names = {
+        Motion.STEADY: "in steady motion",
+        Motion.REVERSED: "after reversals",
+        Motion.STILL: "at rest",
+    }
+    jumps = limits[:, 0] * 1e3
+    known = [f"{jumps[m]:.2g} mN m {names[m]}" for m in Motion if np.isfinite(jumps[m])]
+    if not known:
+        return ["contacts are not looked for: the tables hold no recordings without load"]
+    return [
+        f"contacts are found by torques that rise within {WINDOW * 1e3:.0f} ms by more than "
+        f"{', '.join(known)}: the tables show such errors less than once in "
+        f"{1 / FALSE_ALARMS / 3600:.0f} h"
+    ]
+
+
+def _notes(
+    recordings: Sequence[Recorded], known: NDArray[np.bool_], reach: Reach, scales: Scales
+) -> list[str]:
+    low, high = reach.angle
+    factors = ", ".join(f"{scales.smoothed[s]:.2f} {NAMES[s]}" for s in JUDGED)
+    notes = [
+        f"torque was learned up to {reach.torque * 1e3:.4g} mN m, from {low:.4g} to {high:.4g} rad "
+        f"of the motor, up to {reach.speed:.4g} rad/s; outside there is no value",
+        f"u is the filter's deviation times what errors under the known loads show: {factors}",
+    ]
+    if (outside := 1 - known.mean()) > 0:
+        notes.append(f"no value in {outside:.1%} of the time: outside what was learned")
+    if breaks := sum(r.breaks for r in recordings):
+        lost = sum(r.lost for r in recordings)
+        notes.append(
+            f"{breaks} times samples are missing or NaN: {lost:.3g} s have no value, and the "
+            "filter begins anew"
+        )
+    if limited := sum(part.limited for r in recordings for part in r.parts):
+        notes.append(f"{limited} samples have a current at its limit: no value there")
+    return notes

@@ -1,0 +1,150 @@
+"""The sensor: torque on the output from recorded samples, block by block as they come.
+
+    torque constant k(T) = k_0 + k_1 T at the temperature T of each sample
+
+and then `estimate.Filter`. Nothing that it gives depends on how samples are divided into blocks,
+nor on what comes later than the sample that ends a step: live and from a file the numbers are the
+same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rigtool.experiments.force_filter.estimate import Estimate, Filter
+from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach, States
+from rigtool.experiments.force_filter.plant import HOUSING, SPEED
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.steps import CONTEXT, Grid, Sampler, Stepper
+from rigtool.experiments.force_sensor.power_up import PowerUp
+
+Array = NDArray[np.float64]
+
+AT_THE_LIMIT = 0.999
+
+
+@dataclass(frozen=True, eq=False)
+class Instrument:
+    """What a sensor knows besides signals.
+
+    `interval` s is from one recorded sample to the next, `count` rad that of the encoder,
+    `torque_constant` N m/A at 0 degC and its change per kelvin, `current_limit` in A;
+    `bandwidth_hz` is that of the low-pass.
+    """
+
+    model: ForceModel
+    reach: Reach
+    interval: float
+    count: float
+    torque_constant: tuple[float, float]
+    current_limit: float
+    bandwidth_hz: float
+
+    @property
+    def grid(self) -> Grid:
+        """Samples and steps of the filter."""
+        return Grid.of(self.interval)
+
+    def limited(self, current: Array) -> NDArray[np.bool_]:
+        """Return where a current (n,) A is at its limit."""
+        found: NDArray[np.bool_] = np.abs(current) >= AT_THE_LIMIT * self.current_limit
+        return found
+
+    def judge(self, *, causal: bool) -> Judge:
+        """Return what gives states."""
+        return Judge(self.reach, self.count, self.grid.step_time, causal)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensed:
+    """The causal estimate after each of m steps; `others` (c, m) are channels that ride along.
+
+    `torque` and `deviation` (m,) N m are those behind the low-pass, less the ripple that this
+    power-up of the amplifier adds.
+
+    `untouched` (2, m) N m are torque and deviation of a filter that expects no contact, for
+    `contacts`; None where they were not asked for.
+    """
+
+    estimate: Estimate
+    torque: Array
+    deviation: Array
+    moments: Moments
+    states: States
+    others: Array
+    untouched: Array | None = None
+
+
+class Sensor:
+    """Takes samples without a gap; a gap begins another one.
+
+    With `keep` the estimate holds what the smoother needs, with `contacts` a second filter runs.
+    Without `context` each sample must be a
+    count of the encoder, and an estimate waits for the sample that ends its step alone.
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        *,
+        keep: bool = False,
+        contacts: bool = False,
+        context: bool = True,
+    ) -> None:
+        grid, model = instrument.grid, instrument.model
+        self._instrument, self._keep = instrument, keep
+        self._sampler = Sampler(grid, instrument.count, model.drive, CONTEXT if context else 0)
+        self._stepper = Stepper(grid.step_samples)
+        plant, u = model.plant(grid.sample_time), model.uncertainty
+        self._filter = Filter(plant, u, grid.step_samples, instrument.bandwidth_hz)
+        rate = u.torque_rate
+        quiet = replace(u, slow_torque_rate=rate, step_torque_rate=rate)
+        other = Filter(plant, quiet, grid.step_samples, instrument.bandwidth_hz)
+        self._untouched = other if contacts else None
+        self.power_up = PowerUp(model, grid.step_time, instrument.bandwidth_hz)
+        self._judge = instrument.judge(causal=True)
+        self._before: Moments | None = None
+
+    def add(self, samples: Array, *, last: bool = False) -> Sensed:
+        """Return what these samples (c, n) complete; after the `last` ones nothing waits.
+
+        Rows: encoder in counts, current A, temperature degC, and others that ride along.
+        """
+        encoder, current, warm, *others = samples
+        constant, slope = self._instrument.torque_constant
+        limited = self._instrument.limited(current)
+        known = [encoder, current, constant + slope * warm]
+        signals, riding = self._sampler.add(
+            np.array([*known, warm, limited, *others], dtype=np.float64), last=last
+        )
+        estimate = self._filter.add(signals, keep=self._keep)
+        found = self._stepper.add(riding)
+        angle = estimate.low + self._instrument.count / 2
+        ripple, variance = self.power_up.add(angle, estimate.states)
+        torque, deviation = estimate.passed - ripple, np.sqrt(estimate.deviation**2 + variance)
+        moments = Moments(
+            estimate.low,
+            estimate.states[:, SPEED],
+            estimate.states[:, HOUSING],
+            torque,
+            found[0],
+            found[1],
+        )
+        quiet = None
+        if self._untouched is not None:
+            other = self._untouched.add(signals)
+            quiet = np.array([other.torque, other.deviation])
+        states = self._states(moments)
+        return Sensed(estimate, torque, deviation, moments, states, found[2:], quiet)
+
+    def _states(self, moments: Moments) -> States:
+        """Return the states of these steps, that follow from the steps before them, too."""
+        before = self._before
+        whole = moments if before is None else Moments.joined(before, moments)
+        self._before = whole.part(-self._judge.span)
+        if not len(moments.low):
+            return np.empty(0, dtype=np.int32)
+        return self._judge.states(whole)[len(whole.low) - len(moments.low) :]

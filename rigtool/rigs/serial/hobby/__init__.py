@@ -1,0 +1,1 @@
+"""Controllers of hobby motors that take currents: the host closes the loop around them."""

@@ -1,0 +1,112 @@
+"""`rigtool import --preview`: the first rows of a file as they would be understood."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rigtool.recipe.mapping import FileLayout, Mapping
+from rigtool.runfile.importers import importers, recognised, understand
+from rigtool.runfile.importers.arrays import load_arrays
+from rigtool.runfile.importers.convert import conditions
+from rigtool.runfile.importers.plan import find_files, is_binary
+from rigtool.runfile.importers.raw import Array, read_bytes
+from rigtool.runfile.importers.text import decode, marks_of, split_fields, split_lines
+
+ROWS = 5
+"""Rows of a file that are shown."""
+
+WIDEST = 24
+"""Most characters of a column's name that are shown."""
+
+GAP = 1.5
+"""Smallest interval that is a gap, relative to the median."""
+
+
+def preview(sources: Sequence[str], mapping: Mapping | None, skip_bad: bool) -> list[str]:
+    """Return lines of text on the first file: signals, units, first rows, rate, gaps, conditions.
+
+    Without a mapping that states columns, what the file itself shows. Raises `RunFileError` for a
+    file that cannot be imported.
+    """
+    endings = [ending for importer in importers().values() for ending in importer.endings]
+    files, _ = find_files(sources, endings, None if mapping is None else mapping.files)
+    source = files[0][0]
+    return [f"{source}, the first of {len(files)}:", *_file(source, mapping, skip_bad)]
+
+
+def _file(source: Path, mapping: Mapping | None, skip_bad: bool) -> list[str]:
+    if (mapping is None or not mapping.signals) and recognised(source) is None:
+        return _columns(source, mapping)
+    signals, _, known, notes = understand(source, mapping, skip_bad)
+    names = list(signals)
+    head = [f"{name} [{known.unit(name) if name in known.signals else 's'}]" for name in names]
+    first = range(min(ROWS, len(signals["time"])))
+    rows = [[f"{signals[name][row]:.6g}" for name in names] for row in first]
+    found, missing = conditions(source, known)
+    stated = [f"{name} = {value:.6g} {unit}" for name, (value, unit) in found.items()]
+    ranges = [
+        f"{title}: {values.min():.6g} to {values.max():.6g}"
+        for title, values in zip(head, signals.values(), strict=True)
+    ]
+    return [
+        *_aligned([head, *rows]),
+        _rate(signals["time"]),
+        *ranges,
+        *stated,
+        *(f"note: {note}" for note in [*notes, *missing]),
+    ]
+
+
+def _rate(time: Array) -> str:
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    gaps = np.flatnonzero(steps > GAP * usual)
+    text = f"{len(time)} samples over {time[-1] - time[0]:.6g} s, {1 / usual:.6g} Hz, "
+    if gaps.size == 0:
+        return text + "no gaps"
+    longest = gaps[np.argmax(steps[gaps])]
+    return text + (
+        f"{gaps.size} gap{'s' if gaps.size > 1 else ''}, the longest {steps[longest]:.4g} s at "
+        f"{time[longest]:.6g} s"
+    )
+
+
+def _columns(source: Path, mapping: Mapping | None) -> list[str]:
+    """Return what a file shows that no mapping states the columns of."""
+    remedy = "no mapping states columns: write [signals] for these, and give it by --map"
+    if is_binary(source):
+        arrays = load_arrays(source)
+        return [*(f"{name or 'array'}: {np.shape(a)}" for name, a in arrays.items()), remedy]
+    layout = FileLayout() if mapping is None else mapping.file
+    lines = split_lines(decode(read_bytes(source)), layout.comment)
+    marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
+    rows = [split_fields(line, marks.delimiter) for line in lines.text]
+    count = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
+    begin = next((at for at, row in enumerate(rows) if len(row) == count and _numeric(row)), 0)
+    shown = [[str(number) for number in range(1, count + 1)]]
+    if begin > 0 and len(rows[begin - 1]) == count:
+        shown.append([field[:WIDEST] for field in rows[begin - 1]])
+    shown += [row for row in rows[begin : begin + ROWS] if len(row) == count]
+    return [
+        f"{len(rows)} lines, numbers from line {lines.number[begin] if rows else 0} on; "
+        f"delimiter = {marks.delimiter!r}, decimal = {marks.decimal!r}; columns by number:",
+        *_aligned(shown),
+        remedy,
+    ]
+
+
+def _numeric(row: Sequence[str]) -> bool:
+    """Return whether a row is none of names or text: it begins with a digit, sign or point."""
+    return row[0][:1] in "0123456789+-."
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True))
+        for row in rows
+    ]

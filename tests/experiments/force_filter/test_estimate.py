@@ -1,0 +1,158 @@
+"""The filter finds a torque that the plant's own equations have felt, and says how well."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfilt, sosfiltfilt
+
+from rigtool.experiments.force_filter import estimate
+from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
+from rigtool.experiments.force_filter.plant import (
+    ANGLE,
+    BRISTLE,
+    GRASPER,
+    HOUSING,
+    NOISE,
+    SPEED,
+    STATES,
+    TIP,
+    TORQUE,
+    advance,
+    as_record,
+)
+from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
+
+WIDTH = 2 * np.pi / 4000
+STEP = 8
+BAND = 10.0
+SECTIONS = butter(2, BAND, fs=1 / (STEP * PLANT.sample_time), output="sos")
+
+
+def pulses(time):
+    """Return a torque that comes and goes, N m."""
+    return 0.03 * np.clip(np.minimum((time % 3.1 - 1) / 0.05, (2.2 - time % 3.1) / 0.05), 0, 1)
+
+
+def simulated(seconds, seed=1, acting=pulses):
+    """Move the plant by a controller to and fro with rests, while a torque acts."""
+    rng = np.random.default_rng(seed)
+    count, dt = round(seconds / PLANT.sample_time), PLANT.sample_time
+    time = np.arange(count) * dt
+    torque = acting(time)
+    pace = np.where(time % 4 < 3, 1.0, 0.0)
+    wanted = 0.8 * np.sin(2.0 * np.cumsum(pace) * dt)
+    x, record = np.zeros(STATES), as_record(PLANT)[0]
+    low, drive = np.empty(count), np.empty(count)
+    kept, integral = np.exp(-dt / UNCERTAINTY.friction_noise_time), 0.0
+    for k in range(count):
+        low[k] = np.floor(x[ANGLE] / WIDTH) * WIDTH
+        error = wanted[k] - x[ANGLE]
+        integral += error * dt
+        drive[k] = 2.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
+        x[TORQUE] = torque[k]
+        x[NOISE] = kept * x[NOISE] + 0.1e-3 * np.sqrt(1 - kept**2) * rng.standard_normal()
+        advance(x, record, PLANT.friction_map, drive[k], 5e-5, None, 0.0, 0.0)
+    signals = Signals(drive, np.full(count, 5e-5), low, WIDTH)
+    return signals, torque[STEP - 1 :: STEP][: (count - 1) // STEP], wanted
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return simulated(16.0)
+
+
+def test_blocks_of_any_length_give_the_same(recording):
+    signals, _, _ = recording
+    whole = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
+    parts, by_blocks = Filter(PLANT, UNCERTAINTY, STEP, BAND), []
+    edges = [0, 1, 5, 8, 9, 1000, 1003, 40000, len(signals.low)]
+    for first, last in itertools.pairwise(edges):
+        span = slice(first, last)
+        piece = Signals(signals.drive_torque[span], signals.viscous[span], signals.low[span], WIDTH)
+        by_blocks.append(parts.add(piece))
+    states = np.concatenate([found.states for found in by_blocks])
+    deviation = np.concatenate([found.deviation for found in by_blocks])
+    np.testing.assert_array_equal(states, whole.states)
+    np.testing.assert_array_equal(deviation, whole.deviation)
+    assert len(whole.torque) == (len(signals.low) - 1) // STEP
+
+
+def test_torque_is_found_and_its_uncertainty_holds(recording):
+    signals, truth, _ = recording
+    causal = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
+    later = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    used = slice(1000, -1000)  # after the start, whose history is unknown
+    behind = {
+        "causal": (causal.passed, sosfilt(SECTIONS, truth), causal.deviation),
+        "smoothed": (sosfiltfilt(SECTIONS, later[0]), sosfiltfilt(SECTIONS, truth), later[1]),
+    }
+    for name, (torque, acting, deviation) in behind.items():
+        error = (torque - acting)[used]
+        # of 30 mN m that come and go; friction is 14 mN m at the output
+        assert np.sqrt(np.mean(error**2)) < 1.2e-3, name
+        assert np.mean(np.abs(error) < 1.96 * deviation[used]) > 0.9, name
+        assert np.sqrt(np.mean(deviation[used] ** 2)) < 2.0e-3, name
+    bristles = causal.states[:, [BRISTLE, HOUSING, TIP]]
+    assert np.abs(bristles).max() <= 1.0
+    angle = causal.states[used, ANGLE]
+    inside = signals.low[STEP::STEP][: len(truth)][used]
+    assert np.mean((angle > inside - 0.2 * WIDTH) & (angle < inside + 1.2 * WIDTH)) > 0.999
+
+
+def test_the_amplitude_of_a_sine_at_the_bandwidth_is_right():
+    signals, truth, _ = simulated(8.0, acting=lambda t: 0.02 + 0.01 * np.sin(2 * np.pi * BAND * t))
+    causal = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
+    torque, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    step_time = STEP * PLANT.sample_time
+    sections = butter(2, BAND, fs=1 / step_time, output="sos")
+    used = slice(1000, 7000)  # whole periods, after the start
+    wave = np.exp(-2j * np.pi * BAND * step_time * np.arange(len(truth)))[used]
+    for found, true in ((causal.passed, sosfilt(sections, truth)), (torque, truth)):
+        gain = np.mean(found[used] * wave) / np.mean(true[used] * wave)
+        assert abs(gain) == pytest.approx(1.0, abs=0.05)
+        assert abs(np.angle(gain, deg=True)) < 5.0
+
+
+def test_smoothing_is_better_and_does_not_depend_on_its_pieces(recording, monkeypatch):
+    signals, truth, _ = recording
+    torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    causal = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)
+    used = slice(1000, -1000)  # where something came before, and something later
+    later, at_once = ((found - truth)[used] for found in (torque, causal.torque))
+    assert np.mean(later**2) < 0.4 * np.mean(at_once**2)
+    assert np.mean(deviation) < np.mean(causal.deviation)
+    monkeypatch.setattr(estimate, "PIECE", 777)
+    again, same = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    np.testing.assert_allclose(again, torque, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(same, deviation, rtol=1e-9)
+
+
+def test_what_comes_long_afterwards_does_not_matter(recording, monkeypatch):
+    signals, _, _ = recording
+    torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    monkeypatch.setattr(estimate, "PIECE", 500)
+    monkeypatch.setattr(estimate, "BLOCK", 2.0)
+    monkeypatch.setattr(estimate, "AHEAD", 7.0)  # more than a cycle of this motion
+    again, same = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    assert np.abs((again - torque) / deviation).max() < 1e-2
+    np.testing.assert_allclose(same, deviation, rtol=1e-3)
+
+
+def test_without_motion_the_friction_of_an_unknown_history_stays_in_the_uncertainty():
+    count = 8001
+    low = np.zeros(count)
+    still = Signals(np.full(count, 5e-3), np.full(count, 5e-5), low, WIDTH)
+    found = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(still)
+    # friction of bearings and housing may be anywhere between plus and minus 12 mN m at the motor
+    assert found.deviation[-1] > 4e-3
+    assert abs(found.torque[-1]) < 20e-3
+    assert np.isfinite(found.states).all()
+    assert abs(found.states[-1, GRASPER]) < 0.2
+
+
+def test_less_than_a_step_gives_nothing():
+    few = Signals(np.zeros(STEP), np.zeros(STEP), np.zeros(STEP), WIDTH)
+    assert len(Filter(PLANT, UNCERTAINTY, STEP, BAND).add(few).torque) == 0
+    with pytest.raises(ValueError, match="8 samples are less than a step of 8"):
+        smoothed(PLANT, UNCERTAINTY, STEP, BAND, few)

@@ -1,0 +1,116 @@
+"""Rest and reversals are predicted after a motion that shows them, nothing on the output."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.force_filter.plant import (
+    ANGLE,
+    NOISE,
+    SPEED,
+    STATES,
+    advance,
+    as_record,
+)
+from rigtool.experiments.force_model.drive import plant_of
+from rigtool.experiments.force_model.learning import NAMES, Learned
+from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_model.rest import Exploration, RestProblem, learn_rest
+from tests.experiments.force_filter.plants import UNCERTAINTY
+
+COUNT, STEP, CONSTANT = 2 * np.pi / 4000, 125e-6, 0.05
+FRICTIONS = {
+    Kind.VISCOUS: (8e-5, 1e-5),
+    Kind.BEARING: (2e-3, 3e-3),
+    Kind.STRIBECK: (1e-3, 2e-4),
+    Kind.BEARING_DAMPING: (1e-6, 2e-6),
+    Kind.HOUSING: (9e-3, 3e-3),
+    Kind.HOUSING_SIDED: (0.3e-3, 0.3e-3),
+    Kind.LOAD_FRICTION: (0.1, 1e-3),
+}
+"""Coefficient of each, and how well sliding shows it."""
+
+TERMS = tuple(Term(kind, 1.0) for kind in FRICTIONS)
+
+
+def model():
+    """Return the truth, of which sliding shows the sum of both frictions, not their shares."""
+    coefficient = np.array([value for value, _ in FRICTIONS.values()])
+    u = np.array([0.05] * len(NAMES) + [own for _, own in FRICTIONS.values()])
+    correlation = np.eye(len(u))
+    bearing, housing = (
+        len(NAMES) + list(FRICTIONS).index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
+    )
+    correlation[bearing, housing] = correlation[housing, bearing] = -0.9999
+    shape = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.03, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
+    covariance = correlation * np.outer(u, u)
+    known = Known(0.85, 1.18, 2e-5)
+    return Learned(TERMS, shape, known, coefficient, covariance, np.ones(2))
+
+
+def explored(truth, seconds=7.0, seed=4, period=0.9):
+    """Let a controller turn the shaft to and fro over fewer and more counts."""
+    rng = np.random.default_rng(seed)
+    count = round(seconds / STEP)
+    time = np.arange(count) * STEP
+    wanted = np.where(time < seconds / 2, 0.02, 0.4) * np.sin(2 * np.pi * time / period) + 1.0
+    plant = plant_of(truth, STEP)
+    x, record = np.zeros(STATES), as_record(plant)[0]
+    x[ANGLE] = 1.0
+    x[4] = 1.0 / 0.85
+    encoder, drive, integral = np.empty(count), np.empty(count), 0.0
+    kept = np.exp(-STEP / UNCERTAINTY.friction_noise_time)
+    for k in range(count):
+        encoder[k] = np.floor(x[ANGLE] / COUNT)
+        error = wanted[k] - (encoder[k] + 0.5) * COUNT
+        integral += error * STEP
+        drive[k] = 1.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
+        x[NOISE] = kept * x[NOISE] + 0.1e-3 * np.sqrt(1 - kept**2) * rng.standard_normal()
+        advance(x, record, plant.friction_map, drive[k], 8e-5, None, 0.0, 0.0)
+    return Exploration(encoder, drive / CONSTANT, STEP, CONSTANT, COUNT)
+
+
+def error(model, motion):
+    """Return the rms of the torque that is found where there is none, N m."""
+    problem = RestProblem(model, motion, UNCERTAINTY, 1e-3)
+    return float(np.sqrt(np.mean(problem.errors(problem.start) ** 2)))
+
+
+@pytest.fixture(scope="module")
+def learned():
+    truth = model()
+    motion = explored(truth)
+    coefficient = truth.coefficient.copy()
+    shares = [list(FRICTIONS).index(kind) for kind in (Kind.BEARING, Kind.HOUSING)]
+    coefficient[shares] += np.array([1.5e-3, -1.5e-3])
+    shape = replace(truth.shape, bearing_length=3.2e-3, housing_length=16e-3)
+    wrong = replace(truth, coefficient=coefficient, shape=shape)
+    return truth, wrong, learn_rest(wrong, motion, UNCERTAINTY, 1e-3), motion
+
+
+def test_rest_and_reversals_are_predicted_as_by_the_truth(learned):
+    truth, wrong, found, motion = learned
+    assert error(wrong, motion) > 5 * error(truth, motion)
+    assert error(found, motion) < error(truth, motion)  # which is not fitted to its noise
+
+
+def test_they_are_predicted_in_another_motion_too(learned):
+    truth, wrong, found, _ = learned
+    other = explored(truth, seed=9, period=0.7)
+    assert error(found, other) < 1.1 * error(truth, other) < error(wrong, other) / 5
+
+
+def test_the_sum_of_friction_stays_what_sliding_showed(learned):
+    truth, _, found, _ = learned
+    plants = plant_of(truth, STEP), plant_of(found, STEP)
+    before, after = (plant.coulomb + plant.housing_friction for plant in plants)
+    assert after == pytest.approx(before, rel=0.02)
+
+
+def test_uncertainty_shrinks_where_rest_shows_something(learned):
+    truth, _, found, _ = learned
+    assert np.all(found.length_u < 0.35 * truth.length_u)
+    bearing = len(NAMES) + list(FRICTIONS).index(Kind.BEARING)
+    assert found.covariance[bearing, bearing] < truth.covariance[bearing, bearing]
+    assert np.linalg.eigvalsh(found.covariance).min() > -1e-12

@@ -1,0 +1,50 @@
+"""From recorded samples to those of the filter: grids, counts, gaps."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigtool.experiments.force_model.steps import SAMPLE_TIME, STEP_TIME, Grid, unbroken
+
+
+@given(st.floats(1e-5, 4e-3))
+def test_the_filter_keeps_its_pace_at_any_rate_of_recording(interval):
+    grid = Grid.of(interval)
+    assert grid.sample_time <= SAMPLE_TIME * (1 + 1e-5)
+    assert grid.averaged == 1 or grid.divided == 1
+    span = grid.step_samples * grid.sample_time
+    assert STEP_TIME / 2 < span < 2 * STEP_TIME
+
+
+@pytest.mark.parametrize(("interval", "expected"), [(125e-6, (2, 1, 4)), (2e-3, (1, 8, 4))])
+def test_grids_of_the_rates_in_use(interval, expected):
+    grid = Grid.of(interval)
+    assert (grid.averaged, grid.divided, grid.step_samples) == expected
+
+
+@pytest.mark.parametrize("averaged", [1, 4, 16])
+def test_counts_come_back_from_means(averaged):
+    dt = 125e-6
+    time = np.arange(1.6e4) * dt
+    angle = 40 * np.sin(2 * np.pi * 0.4 * time)  # counts, up to 100 counts/s
+    exact = np.floor(angle)
+    encoder = exact.reshape(-1, averaged).mean(axis=1)
+    grid = Grid.of(averaged * dt)
+    found = grid.counts(encoder)
+    truth = exact[np.round(np.arange(len(found)) * grid.sample_time / dt).astype(int)]
+    assert np.abs(found - truth).max() <= (0 if averaged == 1 else 1)
+    assert np.mean(found != truth) < 0.02
+
+
+def test_means_keep_the_sum_of_what_they_average():
+    grid = Grid.of(125e-6)
+    np.testing.assert_allclose(grid.means(np.array([1.0, 3.0, 5.0, 9.0, 7.0])), [2.0, 7.0], rtol=0)
+
+
+def test_a_gap_and_bad_samples_divide_a_recording():
+    time = np.arange(20) * 0.1
+    time[8:] += 0.5
+    good = np.ones(20, dtype=bool)
+    good[15] = False
+    assert unbroken(time, good, 0.1) == [slice(0, 8), slice(8, 15), slice(16, 20)]

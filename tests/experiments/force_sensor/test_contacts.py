@@ -1,0 +1,108 @@
+"""Contacts: thresholds from errors, at the stated rate of false alarms, and what is found."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_sensor.contacts import (
+    FALSE_ALARMS,
+    WINDOW,
+    Motion,
+    contacts,
+    thresholds,
+    trial,
+)
+
+STEP = 1e-3
+
+
+def errors(seconds, seed, memory=0.1, size=0.2e-3):
+    """Return errors of a memory, s, normal with this deviation, N m."""
+    rng = np.random.default_rng(seed)
+    kept = np.exp(-STEP / memory)
+    white = rng.standard_normal(round(seconds / STEP))
+    return size * lfilter([np.sqrt(1 - kept**2)], [1, -kept], white)
+
+
+def look(torque, states=None, size=0.2e-3):
+    states = np.full(len(torque), State.AGAINST) if states is None else states
+    return trial(torque, np.full(len(torque), size), states, STEP)
+
+
+LIMITS = thresholds([look(errors(400, seed)) for seed in range(2)])
+
+
+@pytest.mark.parametrize("rate", [1 / 30, 1 / 120])
+def test_false_alarms_come_at_the_stated_rate(rate):
+    limits = thresholds([look(errors(400, seed)) for seed in range(2)], rate)
+    hours = [look(errors(1200, 100 + seed)) for seed in range(3)]
+    expected = rate * 3 * 1200
+    found = sum(len(contacts(hour, limits)) for hour in hours)
+    # jumps of either sign, of which those towards zero do not count; a Poisson's spread
+    assert 0.1 * expected < found < expected + 4 * np.sqrt(expected)
+
+
+def test_nothing_is_found_where_nothing_touches():
+    assert contacts(look(errors(600, 99)), LIMITS) == []
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.floats(1.5e-3, 50e-3), st.booleans(), st.floats(3.0, 8.0), st.floats(0.2, 3.0), st.integers()
+)
+def test_a_contact_is_found_soon_and_its_ends_are_right(torque, pushes, at, lasts, seed):
+    time = np.arange(14000) * STEP
+    rise = np.clip(np.minimum(time - at, at + lasts - time) / 0.05, 0, 1)
+    side = 1 if pushes else -1
+    test = look(side * torque * rise + errors(14, seed % 1000))
+    (found,) = contacts(test, LIMITS)
+    begin, noticed, end = (step * STEP for step in (found.begin, found.found, found.end))
+    assert at <= noticed <= at + 0.1
+    assert begin == pytest.approx(at + 0.025, abs=2 * WINDOW / np.sqrt(12))
+    assert end == pytest.approx(at + lasts - 0.025, abs=2 * WINDOW / np.sqrt(12))
+
+
+def test_what_grows_slowly_is_found_by_its_level():
+    time = np.arange(20000) * STEP
+    torque = 5e-3 * np.clip((time - 5) / 4, 0, 1)  # 0.075 mN m in a window
+    found = contacts(look(torque + errors(20, 5)), LIMITS)
+    assert len(found) == 1
+    assert 5 < found[0].found * STEP < 9
+
+
+def test_errors_of_reversals_do_not_count_in_steady_motion():
+    states = np.full(400_000, State.AGAINST)
+    torque = errors(400, 3)
+    for begin in range(5000, 395_000, 2000):
+        states[begin : begin + 50] = State.REVERSED
+        torque[begin : begin + 50] += 3e-3 * np.sin(np.linspace(0, np.pi, 50))
+    limits = thresholds([look(torque, states)])
+    assert limits[Motion.REVERSED, 0] > 3e-3
+    assert limits[Motion.STEADY, 0] < 1.5 * LIMITS[Motion.STEADY, 0]
+    assert contacts(look(torque, states), limits) == []
+
+
+def test_a_motion_that_is_not_known_finds_nothing():
+    assert np.isinf(LIMITS[Motion.STILL]).all()
+    torque = errors(20, 5)
+    torque[8000:] += 50e-3
+    assert contacts(look(torque, np.full(20000, State.STILL)), LIMITS) == []
+    assert thresholds([]).tolist() == [[np.inf, np.inf]] * 3
+
+
+def test_no_contact_is_found_outside_what_was_learned_nor_lasts_there():
+    torque = np.zeros(20000)
+    torque[8000:] = 20e-3
+    states = np.full(20000, State.WITH)
+    states[9000:] = State.OUTSIDE
+    (found,) = contacts(look(torque, states), LIMITS)
+    assert found.end == 9000
+    states[:] = State.OUTSIDE
+    assert contacts(look(torque, states), LIMITS) == []
+
+
+def test_the_rate_is_one_an_hour():
+    assert pytest.approx(1 / 3600) == FALSE_ALARMS

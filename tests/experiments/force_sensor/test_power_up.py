@@ -1,0 +1,133 @@
+"""Ripple of another power-up is found in the torque, that of the learned one is left alone."""
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.force_filter.plant import HOUSING, SPEED, STATES, TORQUE
+from rigtool.experiments.force_model.deviations import Deviations
+from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.learning import NAMES, Learned
+from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.experiments.force_sensor.power_up import PowerUp
+
+STEP, BANDWIDTH = 1e-3, 10.0
+FACTOR, LAG = 1.2, 0.05
+LEARNED = {(1, 0): 0.3e-3, (1, 1): -0.2e-3, (2, 0): 0.1e-3, (2, 1): 0.8e-3}
+OTHER = {(1, 0): -0.1e-3, (1, 1): 0.4e-3, (2, 0): 0.7e-3, (2, 1): -0.3e-3}
+STROKE = 0.3e-3
+
+
+def model():
+    terms = [Term(Kind.BEARING, 1.0), Term(Kind.HOUSING, 1.0)]
+    terms += [Term(Kind.RIPPLE, 1.0, *key) for key in LEARNED]
+    coefficient = np.array([2e-3, 9e-3, *LEARNED.values()])
+    shape = Shape(2e-3, 8e-3, 5e-3, 0.3, LAG, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
+    size = len(NAMES) + len(terms)
+    known = Known(0.85, FACTOR, 2e-5)
+    learned = Learned(tuple(terms), shape, known, coefficient, np.eye(size), np.ones(2))
+    return ForceModel(learned, Deviations(STROKE, 0.01, 0.1e-3, 0.15))
+
+
+def motion(seconds=40.0):
+    """Strokes of 2.5 rad at 1 rad/s: angles and the filter's states, but for the torque."""
+    time = np.arange(round(seconds / STEP)) * STEP
+    angle = 1.25 + 1.25 * np.sin(0.8 * time)
+    states = np.zeros((len(time), STATES))
+    states[:, SPEED] = np.gradient(angle, STEP)
+    states[:, HOUSING] = np.clip(3 * states[:, SPEED], -1, 1)
+    return time, angle, states
+
+
+def ripple(coefficients, angle):
+    """Return a ripple behind its lag, N m at the output."""
+    waves = sum(
+        value * (np.sin if quarter else np.cos)(order * angle)
+        for (order, quarter), value in coefficients.items()
+    )
+    kept, found, y = np.exp(-STEP / LAG), np.empty(len(angle)), waves[0]
+    for k, wave in enumerate(waves):
+        y = kept * y + (1 - kept) * wave
+        found[k] = y
+    return FACTOR * found
+
+
+def noise(time, states, seed=3):
+    """Return what strokes deviate by, each by its own."""
+    number = np.cumsum(np.abs(np.diff(np.sign(states[:, SPEED]), prepend=0.0)) > 0)
+    return STROKE * np.random.default_rng(seed).standard_normal(number.max() + 1)[number]
+
+
+def contact(time):
+    """Return pulses of 30 mN m that come and go."""
+    return np.where(time % 7.0 > 5.0, 30e-3, 0.0)
+
+
+@pytest.fixture(scope="module")
+def another():
+    time, angle, states = motion()
+    added = ripple(OTHER, angle) - ripple(LEARNED, angle)
+    states[:, TORQUE] = contact(time) + noise(time, states) + added
+    power_up = PowerUp(model(), STEP, BANDWIDTH)
+    found, variance = power_up.add(angle, states)
+    return power_up, angle, states, added, found, variance
+
+
+def test_ripple_of_another_power_up_is_found_under_contacts(another):
+    power_up, angle, states, added, found, variance = another
+    assert power_up.probability > 0.99
+    late = slice(round(10 / STEP), None)
+    assert np.sqrt(np.mean((found - added)[late] ** 2)) < 0.35 * np.sqrt(np.mean(added**2))
+    assert np.mean(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late])) > 0.95
+    whole, left = power_up.whole(angle, states[:, TORQUE])
+    assert np.sqrt(np.mean((whole - added) ** 2)) < 0.3 * np.sqrt(np.mean(added**2))
+    assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
+
+
+def test_the_learned_power_up_changes_nothing():
+    time, angle, states = motion()
+    states[:, TORQUE] = contact(time) + noise(time, states)
+    power_up = PowerUp(model(), STEP, BANDWIDTH)
+    found, variance = power_up.add(angle, states)
+    late = slice(round(10 / STEP), None)
+    assert power_up.probability < 0.01
+    assert np.abs(found[late]).max() < 0.1 * STROKE
+    assert np.sqrt(variance[late]).max() < 0.5 * STROKE
+
+
+def test_blocks_of_any_length_give_the_same(another):
+    _, angle, states, _, found, variance = another
+    parts, again = PowerUp(model(), STEP, BANDWIDTH), []
+    for first, last in ((0, 7), (7, 7), (7, 5001), (5001, None)):
+        again.append(parts.add(angle[first:last], states[first:last]))
+    torques, variances = zip(*again, strict=True)
+    np.testing.assert_array_equal(np.concatenate(torques), found)
+    np.testing.assert_array_equal(np.concatenate(variances), variance)
+
+
+def test_at_rest_nothing_is_learned_and_the_doubt_stays():
+    _, angle, states = motion(5.0)
+    angle[:], states[:, SPEED], states[:, HOUSING] = 0.5, 0.0, 0.3
+    found, variance = PowerUp(model(), STEP, BANDWIDTH).add(angle, states)
+    settled = slice(round(1 / STEP), None)
+    # half of the mean of a ripple that is all its own: minus the learned one
+    gone = -ripple(LEARNED, angle)
+    np.testing.assert_allclose(found[settled], gone[settled] / 2, rtol=0, atol=1e-6)
+    assert np.sqrt(variance[-1]) > 0.4e-3
+
+
+@pytest.mark.parametrize("stiffness", [10e-3, 30e-3])
+def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
+    """Tissue: a spring from 1.5 rad on, far larger than what a power-up draws."""
+    time, angle, states = motion()
+    spring = stiffness * np.maximum(angle - 1.5, 0.0)
+    states[:, TORQUE] = spring + noise(time, states)
+    power_up = PowerUp(model(), STEP, BANDWIDTH)
+    found, _ = power_up.add(angle, states)
+    assert power_up.probability < 1e-6
+    late = slice(round(20 / STEP), None)
+    assert np.abs(found[late]).max() < 1e-9
+    again, _ = power_up.whole(angle, states[:, TORQUE])
+    assert np.abs(again).max() < 1e-9
+    # before that, no more is taken for ripple than a power-up may draw
+    largest = 3 * FACTOR * sum(np.hypot(LEARNED[n, 0], LEARNED[n, 1]) for n in (1, 2))
+    assert np.abs(found).max() < 1.5 * largest

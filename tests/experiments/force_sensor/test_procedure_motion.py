@@ -1,0 +1,62 @@
+"""Motions for force over time."""
+
+import numpy as np
+import pytest
+
+from rigtool.errors import RecipeError
+from rigtool.experiments.force_filter.motion_states import Reach
+from rigtool.experiments.force_sensor.procedure_motion import moved, path, path_of, require_learned
+from rigtool.recipe import load_recipe
+from tests.experiments.virtual_runs import RECIPE
+
+REACH = Reach((0.0, 2.67), 10.0, 60e-3, (20.0, 50.0))
+
+
+def recipe(*sets):
+    return load_recipe(RECIPE, [f"measure_force.motion.{value}" for value in sets])[0]
+
+
+@pytest.mark.parametrize("kind", ["strokes", "sine", "hold"])
+def test_each_motion_lasts_as_long_as_asked_and_stays_within_the_range(kind):
+    start, motion = moved(recipe(f"kind={kind}"), 10.0)
+    assert motion.duration >= 10.0
+    position, _, _ = motion.setpoint(np.linspace(0, motion.duration, 5000))
+    assert position.min() + (start or 0.0) > -1e-6
+    assert position.max() + (start or 0.0) < 2.671
+    require_learned(start, motion, REACH, 1.0)
+
+
+def test_a_path_passes_through_its_points_and_begins_and_ends_at_rest():
+    time, angle = np.array([0.0, 1.0, 1.5, 3.0]), np.array([0.3, 1.2, 0.9, 2.0])
+    motion = path(time, angle)
+    position, speed, _ = motion.setpoint(time)
+    np.testing.assert_allclose(position + 0.3, angle, atol=0.01)
+    np.testing.assert_allclose(speed[[0, -1]], 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,angle\n0,1\n", "first line must be time_s,angle_deg"),
+        ("time_s,angle_deg\n0,1\n", "two points at least"),
+        ("time_s,angle_deg\n0,1\n0,2\n", "times that rise"),
+        ("time_s,angle_deg\n0,1\n1,nan\n", "numbers only"),
+        ("time_s,angle_deg\n0,1\n1,x\n", "could not convert"),
+        ("time_s,angle_deg\n0,1\n1\n", "cannot be used"),
+        ("", "cannot be used"),
+    ],
+)
+def test_a_file_that_is_no_path_is_refused(tmp_path, text, message):
+    file = tmp_path / "path.csv"
+    file.write_text(text)
+    with pytest.raises(RecipeError, match=message):
+        path_of(file)
+
+
+def test_motions_beyond_what_was_learned_are_refused():
+    start, motion = moved(recipe("kind=sine", "frequency_hz=3"), 2.0)
+    with pytest.raises(RecipeError, match="learned up to 10 rad/s"):
+        require_learned(start, motion, REACH, 0.0)
+    wide = path(np.array([0.0, 5.0]), np.array([0.0, 3.0]))
+    with pytest.raises(RecipeError, match=r"learned from 0 to 2\.67 rad"):
+        require_learned(0.0, wide, REACH, 0.0)

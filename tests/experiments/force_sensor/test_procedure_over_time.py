@@ -1,0 +1,255 @@
+"""Force over time on the virtual rig: learned, moved, observed, and read from stored runs."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from rigtool.errors import RecipeError, RunFileError, UsageError
+from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
+from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_sensor.procedure_live import LiveForce
+from rigtool.experiments.force_sensor.procedure_over_time import over_time
+from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+from rigtool.recipe import load_recipe
+from rigtool.runfile import RecordingSpec, RunWriter, open_run
+from tests.experiments.virtual_runs import RECIPE, run
+
+KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
+D = (
+    "ilc_learn.implementation=D",
+    "ilc_learn.speeds_rev_per_s=[2]",
+    "ilc_learn.low_speeds_rev_per_s=[]",
+    "ilc_learn.moves=3",
+    "ilc_learn.loads.forces=[0.5, 3]",
+    "ilc_learn.loads.speeds_rev_per_s=[1, 2]",
+    "ilc_learn.loads.cycles=6",
+)
+PULSE = '[[virtual.contact]]\nkind = "pulse"\nat = [2.0, 5.0]\nduration = 1.5\nforce = 2.0\n'
+MOMENT = 2.0 * 0.020
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """Learn the thesis's rig in short; return a function that reads force over time."""
+    folder = tmp_path_factory.mktemp("rig")
+    tables, touched = folder / "tables.h5", folder / "touched.toml"
+    touched.write_text(RECIPE.read_text(encoding="utf-8") + "\n" + PULSE, encoding="utf-8")
+    run(ILC_LEARN, RECIPE, tables, *D, kt=KT)
+
+    def measured(seconds, *sets, observed=False, source=touched, name="force.h5", tables=tables):
+        procedure = over_time(seconds, observed=observed)
+        return run(procedure, source, folder / name, *sets, kt=KT, tables=tables)
+
+    measured.folder, measured.tables, measured.touched = folder, tables, touched
+    return measured
+
+
+@pytest.fixture(scope="module")
+def strokes(rig):
+    """Eight seconds of strokes with two contacts of 40 mN m."""
+    return rig(8.0, "measure_force.speed_rev_per_s=0.5", name="strokes.h5")
+
+
+def test_a_contact_that_nothing_knows_of_is_read(strokes):
+    table = strokes.tables["force"]
+    time = table["time"] - table["time"][0]
+    within = (time > 2.3) & (time < 3.2)
+    without = (time > 3.8) & (time < 4.7)
+    assert np.nanmedian(table["torque"][within]) == pytest.approx(MOMENT, rel=0.1)
+    assert abs(np.nanmedian(table["torque"][without])) < 2e-3
+    np.testing.assert_allclose(table["force"] * 0.020, table["torque"], rtol=1e-9)
+    assert strokes.results["peak_torque"].value == pytest.approx(MOMENT, rel=0.2)
+
+
+def test_the_reference_judges_each_form(strokes):
+    results = strokes.results
+    assert results["rmse"].value < 3e-3
+    assert 0.7 < results["coverage_95"].value <= 1.0
+    assert 0.7 < results["causal_coverage_95"].value <= 1.0
+    accuracy = strokes.tables["force_accuracy"]
+    assert np.nansum(accuracy["share"]) == pytest.approx(1.0)
+
+
+def test_a_stored_run_gives_the_same_again(rig, strokes):
+    again = run(
+        MEASURE_FORCE, rig.folder / "strokes.h5", rig.folder / "again.h5", kt=KT, tables=rig.tables
+    )
+    for name in strokes.tables["force"].columns:
+        np.testing.assert_array_equal(again.tables["force"][name], strokes.tables["force"][name])
+
+
+def test_there_is_no_value_while_the_current_is_at_its_limit(rig, strokes):
+    with open_run(rig.folder / "strokes.h5") as stored:
+        current = np.abs(stored.recording("strokes_000").read("current_setpoint"))
+    limit = f"rig.current_limit={np.quantile(current, 0.9)}"
+    found = rig(8.0, "measure_force.speed_rev_per_s=0.5", limit, name="limited.h5")
+    assert 0.2 < found.results["valid_share"].value < 0.9
+    assert any("current at its limit" in note for note in found.notes)
+
+
+def test_recordings_of_learning_are_read_too(rig):
+    found = run(MEASURE_FORCE, rig.tables, rig.folder / "learned.h5", kt=KT, tables=rig.tables)
+    table = found.tables["force"]
+    with open_run(rig.tables) as stored:
+        names = [r.name for r in stored.recordings.values() if r.has("temperature") and r.size]
+        forces = [
+            stored.recording(name).conditions["force"].value
+            for name in names
+            if "force" in stored.recording(name).conditions
+        ]
+    peaks = [np.nanmax(table["torque"][table["recording"] == n]) for n in set(table["recording"])]
+    assert max(peaks) == pytest.approx(max(forces) * 0.020, rel=0.2)
+
+
+def test_observing_reads_what_somebody_else_moves(rig):
+    found = rig(8.0, observed=True, name="observed.h5")
+    assert found.results["rmse"].value < 6e-3
+    with open_run(rig.folder / "observed.h5") as stored:
+        assert not stored.recording("observed_000").has("position_setpoint")
+
+
+def test_motions_beyond_what_was_learned_are_refused_before_anything_moves(rig):
+    fast = ("measure_force.motion.kind=sine", "measure_force.motion.frequency_hz=5")
+    with pytest.raises(RecipeError, match=r"rad/s.*learned up to"):
+        rig(4.0, *fast, name="fast.h5")
+    assert not (rig.folder / "fast.h5").exists()
+    with pytest.raises(UsageError, match="time_max = 60 s"):
+        rig(61.0, "measure_force.motion.time_max=60", name="fast.h5")
+
+
+def test_a_torque_beyond_the_learned_has_no_value(rig):
+    heavy = rig.folder / "heavy.toml"
+    heavy.write_text(rig.touched.read_text().replace("force = 2.0\n", "force = 5.0\n"))
+    table = rig(5.0, source=heavy, name="heavy.h5").tables["force"]
+    time = table["time"] - table["time"][0]
+    within = (time > 2.4) & (time < 3.2)
+    assert (table["state"][within] == State.OUTSIDE).all()
+    assert np.isnan(table["torque"][within]).all()
+    assert np.isfinite(table["torque"][time < 1.5]).all()
+
+
+def test_tables_without_the_model_are_refused_with_the_remedy(rig, tmp_path):
+    plain = tmp_path / "c.h5"
+    run(ILC_LEARN, RECIPE, plain, *D[1:4], kt=KT)
+    with pytest.raises(RunFileError, match="ilc-learn --implementation D"):
+        rig(4.0, tables=plain, name="c.h5")
+
+
+def test_a_hold_stands_still_and_says_so(rig):
+    found = rig(5.0, "measure_force.motion.kind=hold", source=RECIPE, name="hold.h5")
+    states = found.tables["force"]["state"]
+    assert (states == State.STILL).mean() > 0.9
+    assert not math.isnan(found.results["mean_torque"].value)
+
+
+# -- as it comes
+
+
+def signals_of(path):
+    with open_run(path) as stored:
+        recording = next(iter(stored.recordings.values()))
+        return {name: recording.read_stored(name) for name in recording.units}
+
+
+@pytest.fixture
+def live(rig):
+    """Return what makes rows of every fifth estimate, as the table has them."""
+    recipe, _ = load_recipe(RECIPE)
+    with open_run(KT) as kt, open_run(rig.tables) as tables:
+        yield lambda every=5: LiveForce(recipe, kt=kt, tables=tables, every=every)
+
+
+def rows_of(follow, signals, edges):
+    blocks = [
+        follow({name: values[first:last] for name, values in signals.items()})
+        for first, last in pairwise([0, *edges, len(signals["time"])])
+    ]
+    return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+
+
+@pytest.mark.parametrize("edges", [[], [1, 2, 9, 4000, 4001, 30000], list(range(97, 60000, 97))])
+def test_rows_as_they_come_are_those_of_the_stored_run(rig, strokes, live, edges):
+    found = rows_of(live(), signals_of(rig.folder / "strokes.h5"), edges)
+    table = strokes.tables["force"]
+    for name, column in (
+        ("time", "time"),
+        ("torque", "causal_torque"),
+        ("u", "causal_u"),
+        ("state", "causal_state"),
+    ):
+        size = len(found[name])  # the last 8 ms may wait for more
+        assert 0 <= len(table[column]) - size <= 2
+        np.testing.assert_array_equal(found[name], table[column][:size])
+    np.testing.assert_allclose(found["high"] - found["low"], 3.92 * found["u"], rtol=1e-9)
+
+
+def broken(rig, tmp_path):
+    """Store the strokes without samples 20000 to 24000, and with NaN from 44000 to 44400."""
+    with open_run(rig.folder / "strokes.h5") as stored:
+        recording = next(iter(stored.recordings.values()))
+        spec = RecordingSpec("strokes_000", recording.channels, {})
+        signals = signals_of(rig.folder / "strokes.h5")
+        signals["current_setpoint"] = signals["current_setpoint"].copy()
+        signals["current_setpoint"][44000:44400] = np.nan
+        signals = {n: np.concatenate([v[:20000], v[24000:]]) for n, v in signals.items()}
+        path = tmp_path / "broken.h5"
+        with RunWriter(
+            path,
+            command="measure-force",
+            recipe=stored.recipe,
+            recipe_text=None,
+            recordings=[spec],
+        ) as writer:
+            writer.append("strokes_000", signals)
+            writer.finish({}, {})
+    return path, signals
+
+
+def test_gaps_and_samples_without_value_begin_anew(rig, strokes, live, tmp_path):
+    path, signals = broken(rig, tmp_path)
+    found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
+    table, rate = found.tables["force"], 8000
+    assert len(strokes.tables["force"]["time"]) > len(table["time"])
+    time = table["time"] - signals["time"][0]
+    lost = ((time > 20000 / rate) & (time < 24000 / rate)) | (
+        (time > 44000 / rate) & (time < 44400 / rate)
+    )
+    assert not lost.any()
+    assert found.results["valid_share"].value == pytest.approx(
+        1 - 4400 / (signals["time"][-1] - signals["time"][0]) / rate, abs=2e-3
+    )
+    assert any("2 times samples are missing or NaN: 0.55" in note for note in found.notes)
+    rows = rows_of(live(), signals, range(1000, len(signals["time"]), 1000))
+    size = len(rows["time"])
+    assert 0 <= len(table["time"]) - size <= 2
+    np.testing.assert_array_equal(rows["torque"], table["causal_torque"][:size])
+    np.testing.assert_array_equal(rows["time"], table["time"][:size])
+
+
+def test_contacts_are_listed_with_their_times(strokes):
+    events = strokes.tables["events"]
+    first = strokes.tables["force"]["time"][0]
+    begins = events["start"] - first
+    for at in (2.0, 5.0):
+        near = np.flatnonzero(np.abs(begins - at) < 0.15)
+        assert len(near) == 1
+        (event,) = near
+        assert at < events["found"][event] - first < at + 0.1
+        assert abs(events["mean"][event] - MOMENT) < 0.1 * MOMENT
+        assert events["end"][event] - events["start"][event] == pytest.approx(1.45, abs=0.1)
+    assert strokes.results["contacts"].value == len(begins)
+
+
+@pytest.mark.parametrize(
+    "change", ["measure_force.motion.record_every=2", "rig.sample_time=0.0005"]
+)
+def test_samples_that_are_too_coarse_give_no_force_as_it_comes(rig, change):
+    recipe, _ = load_recipe(RECIPE, [change])
+    with (
+        open_run(KT) as kt,
+        open_run(rig.tables) as tables,
+        pytest.raises(RecipeError, match="4000 Hz at least"),
+    ):
+        LiveForce(recipe, kt=kt, tables=tables)
