@@ -1,4 +1,4 @@
-"""Signals of imported runs, and the properties of the rig that their conditions state.
+"""Signals of imported runs, the effort of their motor, and properties of the rig: conditions.
 
 A property that the mapping file did not state is absent.
 """
@@ -30,21 +30,6 @@ RIG = {
     "linear_axis",
 }
 """Conditions that describe the rig, not one recording."""
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Torque, force or current of the motor: `values` (n,) in `unit`; `name` as in tables.
-
-    `relative_u` is the relative standard uncertainty of the scale, None where it is unknown;
-    `origin` states the channel and the factor that the values come from.
-    """
-
-    values: Array
-    unit: str
-    name: str
-    relative_u: float | None
-    origin: str
 
 
 def signals_of(runs: Sequence[Run]) -> list[Recording]:
@@ -84,6 +69,33 @@ def position_of(recording: Recording) -> Array:
     )
 
 
+def require_one_rig(recordings: Sequence[Recording], runs: Sequence[Run]) -> None:
+    """Raise `UsageError` where the known properties of the rig differ between runs."""
+    first = {name: known(recordings[0], name) for name in RIG}
+    for recording, run in zip(recordings, runs, strict=True):
+        for name, value in first.items():
+            if known(recording, name) != value:
+                raise UsageError(
+                    f"{run.path} has {name} {known(recording, name)}, {runs[0].path} has {value}: "
+                    "give runs of one rig, imported with one mapping"
+                )
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Torque, force or current of the motor: `values` (n,) in `unit`; `name` as in tables.
+
+    `relative_u` is the relative standard uncertainty of the scale, None where it is unknown;
+    `origin` states the channel and the factor that the values come from.
+    """
+
+    values: Array
+    unit: str
+    name: str
+    relative_u: float | None
+    origin: str
+
+
 def effort_of(recording: Recording, kt: Run | None) -> Effort:
     """Return torque (force on a linear axis), or current where no torque constant is known.
 
@@ -120,15 +132,3 @@ def effort_of(recording: Recording, kt: Run | None) -> Effort:
 def _current_name(recording: Recording) -> str:
     # The mapping may name either; the measured current is nearer to the torque.
     return "current" if recording.has("current") else "current_setpoint"
-
-
-def require_one_rig(recordings: Sequence[Recording], runs: Sequence[Run]) -> None:
-    """Raise `UsageError` where the known properties of the rig differ between runs."""
-    first = {name: known(recordings[0], name) for name in RIG}
-    for recording, run in zip(recordings, runs, strict=True):
-        for name, value in first.items():
-            if known(recording, name) != value:
-                raise UsageError(
-                    f"{run.path} has {name} {known(recording, name)}, {runs[0].path} has {value}: "
-                    "give runs of one rig, imported with one mapping"
-                )

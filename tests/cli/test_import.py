@@ -187,6 +187,16 @@ def _with_head(folder):
     return path
 
 
+def test_a_condition_is_taken_from_the_folder(folder, capsys):
+    text = TEXT + '[[conditions]]\nname = "on"\nof = "folder"\npattern = "^(on|off)"\n'
+    (folder / "map.toml").write_text(text + "values = { on = 1, off = 0 }\n")
+    source = (folder / "in").rename(folder / "off-cold") / "a.csv"
+    arguments = ("import", source, "--map", folder / "map.toml", "-o", folder / "a.h5")
+    assert call(capsys, *arguments)[0] == 0
+    with open_run(folder / "a.h5") as run:
+        assert run.recording("imported").condition("on") == 0
+
+
 @needs_data
 def test_instruments_of_the_mis_tool_set(tmp_path, capsys):
     source = DATA / "mis-tool" / "Tool_4_Maryland_L_4"

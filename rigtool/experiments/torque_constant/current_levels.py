@@ -27,10 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.temperature_fit import REFERENCE_DEGC, SAME_TEMPERATURE
+from rigtool.experiments.torque_constant.temperature_fit import SAME_TEMPERATURE
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
+from rigtool.numerics.plateaus import find_plateaus
 from rigtool.numerics.residual_covariance import independent_samples
+from rigtool.quantity import REFERENCE_DEGC
 
 BLOCKS = 2000
 """Most parts of a recording in which plateaus are looked for."""
@@ -155,8 +157,9 @@ def find_points(course: Course) -> Points:
     path = np.stack([_dahl(followed, part * span) for part in TRANSITIONS], axis=1)
     way = np.diff(followed)
     up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
-    parts = _plateaus(level, max(band, 1e-4 * span), max(LEVEL * span, 2 * band))
-    if parts is None:
+    parts = find_plateaus(level, max(band, 1e-4 * span), max(LEVEL * span, 2 * band))
+    on_them = sum(b - a for a, b in parts)
+    if len(parts) < FEWEST_PLATEAUS or on_them < ON_PLATEAUS * blocks:
         ends = np.linspace(0, blocks, min(PARTS, blocks) + 1).round().astype(np.int64)
         parts = list(pairwise(ends.tolist()))
         settled = False
@@ -181,16 +184,6 @@ def find_points(course: Course) -> Points:
 def _means(values: Array, edges: NDArray[np.int64]) -> Array:
     means: Array = np.add.reduceat(values, edges[:-1]) / np.diff(edges)
     return means
-
-
-def _plateaus(level: Array, step: float, largest: float) -> list[tuple[int, int]] | None:
-    """Return begin and end of stretches of constant level (n,); None where no staircase is."""
-    flat = np.abs(np.diff(level)) <= step
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(np.int8)))
-    stretches = [(int(a), int(b) + 1) for a, b in ends.reshape(-1, 2)]
-    kept = [(a, b) for a, b in stretches if b - a >= 3 and np.ptp(level[a:b]) <= largest]
-    whole = sum(b - a for a, b in kept) >= ON_PLATEAUS * len(level)
-    return kept if whole and len(kept) >= FEWEST_PLATEAUS else None
 
 
 def _play(values: Array, band: float) -> Array:

@@ -28,8 +28,8 @@ from rigtool.runfile import Column, Recording, Run, Table
 def analyse_imported(runs: Sequence[Run]) -> Outcome:
     """Return the torque constant from plateaus or ramps of current.
 
-    Raises `RunFileError` where a run has no current or no sensor, `InsufficientDataError` where the
-    runs do not carry a constant.
+    Raises `UsageError` for a linear axis, `RunFileError` where a run has no current or no sensor,
+    `InsufficientDataError` where the runs do not carry a constant.
     """
     recordings = signals_of(runs)
     require_one_rig(recordings, runs)
