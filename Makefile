@@ -7,10 +7,11 @@
 # make real-data      a real instrument: torque from current against a sensor; DATA=folder of mis-tool
 # make test           style, types and tests
 # make test-lowest    the tests with the lowest versions of pyproject.toml
-# make attack         kills, signals, damaged files, changed recipes; SECONDS=600 SEED=20061
+# make attack         kills, signals, damaged files, changed recipes, properties; SECONDS=600 SEED=20061
 # make docs           the documentation as a site, in build/docs
 # make bench          speed and memory of what users wait for
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
+# make coverage-short a few minutes of it, with an exit code
 # make fixtures       the runs in tests/fixtures, stored anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
 # make clean          removes build
@@ -33,7 +34,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: FORCE pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage attack release-check clean help
+.PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage coverage-short attack release-check clean help
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -197,6 +198,7 @@ test-lowest:
 
 attack: $(INSTALLED)
 	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)
+	$(BIN)/pytest -n 2 --dist worksteal -m hypothesis --hypothesis-profile luck
 
 docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
@@ -209,6 +211,9 @@ bench: $(INSTALLED)
 
 coverage: $(INSTALLED)
 	$(BIN)/python benchmarks/coverage.py
+
+coverage-short: $(INSTALLED)
+	$(BIN)/python benchmarks/coverage.py --short
 
 release-check: test docs
 	$(BIN)/python release_check.py

@@ -137,7 +137,10 @@ def true_plant(recipe: Recipe) -> dict[str, float]:
     if recipe.rig.attachment == "pulley":
         return {"inertia": motor.inertia, "viscous_friction": motor.viscous_friction}
     near_side = motor.inertia + tool.wheel_inertia
+    # What the motor feels: friction that grows with the tendon's torque adds to that torque.
+    grows = tool.tip_friction / math.hypot(tool.tip_friction, tool.load_friction_onset)
     behind = tool.grasper_inertia / (rig.angle_ratio * rig.torque_factor)
+    behind *= 1 + tool.load_friction * grows
     antiresonance = math.sqrt(tool.stiffness / tool.grasper_inertia) / (2 * math.pi)
     return {
         "inertia": near_side + behind,

@@ -20,7 +20,7 @@ from sensor import CHIP, GCC, LAYOUT, Chip, _run  # noqa: E402
 SOURCES = ROOT / "rigtool" / "rigs" / "serial" / "target" / "firmware"
 OWN = ("rigtool_target.c", "rigtool_loop.c")
 FLAGS = ["-std=c99", "-O2", "-ffp-contract=fast", "-fno-math-errno"]
-SAMPLES = 1600
+SAMPLES = 1400
 
 PROGRAM = """
 #include "rigtool_target.h"
@@ -64,7 +64,7 @@ void begin(void)
     rt_table(&target, packed, 12 + 1816 * 8);
     for (i = 0; i < 2; i++)
         for (j = 0; j < 6; j++)
-            target.section[i][j] = (rigtool_real)section[i][j];
+            target.section[i][j] = section[i][j];
     target.sections = 2;
     target.signal = (const uint8_t *)signal;
     target.signal_size = 777;

@@ -10,6 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+REFERENCE_DEGC = 20.0
+"""Temperature for which a result is stated, degC (ISO 1), a torque constant as well [7.1.1]."""
+
 
 @dataclass(frozen=True)
 class Quantity:

@@ -16,7 +16,9 @@ from hypothesis import settings
 # A job in the background of a script ignores Ctrl-C, and so would every program that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-settings.register_profile("any machine", deadline=None)
+# The same examples at each run; others with `pytest --hypothesis-profile luck`.
+settings.register_profile("luck", deadline=None)
+settings.register_profile("any machine", deadline=None, derandomize=True)
 settings.load_profile("any machine")
 
 

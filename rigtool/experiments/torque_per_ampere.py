@@ -26,9 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.experiments.imported import is_linear, known
-from rigtool.experiments.torque_constant.temperature_fit import REFERENCE_DEGC
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import REFERENCE_DEGC, Quantity
 from rigtool.runfile import Recording, Run
 
 ENDS = 1024

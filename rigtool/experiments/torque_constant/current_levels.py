@@ -27,11 +27,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.temperature_fit import REFERENCE_DEGC, SAME_TEMPERATURE
+from rigtool.experiments.torque_constant.temperature_fit import SAME_TEMPERATURE
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.plateaus import find_plateaus
 from rigtool.numerics.residual_covariance import independent_samples
+from rigtool.quantity import REFERENCE_DEGC
 
 BLOCKS = 2000
 """Most parts of a recording in which plateaus are looked for."""

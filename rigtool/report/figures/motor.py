@@ -58,8 +58,15 @@ def draw_breakaway(run: Run, table: Table) -> Figure:
         for axes in (torque, position):
             axes.axvline(time, color=style.GREY, linestyle=":")
         torque.plot([time], [MILLI * level], "o", color=style.ORANGE, label="breakaway")
-        text = f" breakaway at {MILLI * abs(level):.2f} mN m"
-        torque.annotate(text, (time, MILLI * level), ha="right", va="bottom")
+        text = f"breakaway at {MILLI * abs(level):.2f} mN m"
+        torque.annotate(
+            text,
+            (time, MILLI * level),
+            (-8, 0),
+            textcoords="offset points",
+            ha="right",
+            va="center",
+        )
     return figure
 
 

@@ -212,14 +212,17 @@ class HostedRig(SerialRig):
     def _execute(self, task: Task) -> Generator[Block, None, None]:
         if task.start is not None:
             approach = safety.slow_move(task.start - self._position(), self._limits)
-            for _ in self._run(Task(approach, load=task.load)):
+            for _ in self._run(Task(approach, load=task.load), halts=False):
                 pass
-        yield from self._run(task)
-        self.drive.halt()
+        yield from self._run(task, halts=True)
 
-    def _run(self, task: Task) -> Iterator[Block]:
-        """Drive a task in a thread of its own, and hand on its samples."""
-        loop = _Loop(self, task)
+    def _run(self, task: Task, *, halts: bool) -> Iterator[Block]:
+        """Drive a task in a thread of its own, and hand on its samples.
+
+        With `halts` the thread switches the drive off at the end: who takes the samples may be
+        slower than the drive's watchdog.
+        """
+        loop = _Loop(self, task, halts)
         try:
             yield from in_thread(loop.run)
         finally:
@@ -251,8 +254,8 @@ class HostedRig(SerialRig):
 class _Loop:
     """One motion, tick by tick."""
 
-    def __init__(self, rig: HostedRig, task: Task) -> None:
-        self._rig, self._task = rig, task
+    def __init__(self, rig: HostedRig, task: Task, halts: bool) -> None:
+        self._rig, self._task, self._halts = rig, task, halts
         self._drive, self._line = rig.drive, rig.line
         self._recipe = rig._recipe
         self._open_loop = isinstance(task.motion, OpenLoop)
@@ -279,6 +282,8 @@ class _Loop:
         self._put = put
         try:
             self._ticking(stop)
+            if self._halts:
+                self._drive.halt()
         except BaseException:
             with contextlib.suppress(HardwareError):  # leaving the rig tries again and reports
                 self._drive.halt()

@@ -49,7 +49,7 @@ class VisaPort:
     def write(self, data: bytes) -> None:
         """Send bytes; each `?` in them is a question."""
         try:
-            self._resource.write_raw(data)
+            self._resource.write_raw(data.lstrip(b"\n"))  # it holds no rest of a question
         except self._visa.Error as error:
             raise OSError(str(error)) from None
         self._questions += data.count(b"?")

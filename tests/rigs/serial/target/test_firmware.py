@@ -97,6 +97,15 @@ def test_signals_are_those_of_the_virtual_rig(log):
     assert server.error is None
 
 
+def test_floats_ask_for_the_same_currents_within_their_precision(tmp_path, monkeypatch):
+    floats = library(tmp_path, *STRICTER, "-DRIGTOOL_TARGET_FLOAT", name="floats.so")
+    monkeypatch.setattr(Bare, "c", floats)
+    device = Firmware(virtual())
+    with serve(device) as server, target_rig(server.port) as rig:
+        largest = max(np.abs(blocks_of(rig, task)["current_setpoint"]).max() for task in EXACT)
+    assert 0.0 < device.difference < 1e-3 * largest
+
+
 def test_samples_are_means():
     task = replace(EXACT[1], record_every=5)
     device, direct = Firmware(virtual()), open_rig(virtual(), KT, "test")

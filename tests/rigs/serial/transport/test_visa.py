@@ -10,6 +10,7 @@ from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.instruments import open_gauge, scpi
 from rigtool.rigs.serial.line import Line, LineTimeout
+from rigtool.rigs.serial.ports import find_devices
 
 METERS = """spec: "1.1"
 devices:
@@ -58,6 +59,11 @@ def test_instrument_is_not_read_without_a_question(backend):
         with pytest.raises(LineTimeout):
             line.read_until(b"\n", 0.05)
     assert reads == []
+
+
+def test_instrument_is_found_and_asked_for_nothing_else(backend):
+    (found,) = find_devices([f"visa:GPIB0::9::INSTR{backend}"])
+    assert (found.driver, found.identity[:8]) == ("scpi", "KEITHLEY")
 
 
 def test_reading_with_status_unit_and_time_is_understood(backend):

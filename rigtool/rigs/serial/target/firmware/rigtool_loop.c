@@ -372,13 +372,13 @@ static void finish(struct rigtool_target *t)
 
 /* --- One sample --------------------------------------------------------------------------------- */
 
-static rigtool_real controller(struct rigtool_target *t, rigtool_real u)
+static double controller(struct rigtool_target *t, double u)
 {
     int j;
     for (j = 0; j < t->sections; j++) {
-        const rigtool_real *c = t->section[j];
-        rigtool_real *state = t->section_state[j];
-        rigtool_real y = c[0] * u + state[0];
+        const double *c = t->section[j];
+        double *state = t->section_state[j];
+        double y = c[0] * u + state[0];
         state[0] = c[1] * u - c[4] * y + state[1];
         state[1] = c[2] * u - c[5] * y;
         u = y;
@@ -549,8 +549,8 @@ rigtool_real rigtool_target_loop(struct rigtool_target *t,
         t->setpoint = now[0] = now[0] + m->origin;
     }
     if (t->power && t->closed) {
-        rigtool_real torque = controller(t, (rigtool_real)(t->setpoint - rt_position(t)));
-        asked = torque / t->torque_constant;
+        double torque = controller(t, t->setpoint - rt_position(t));
+        asked = (rigtool_real)torque / t->torque_constant;
         if (recorded)
             asked = asked + feed_forward(t, now, part);
     }

@@ -337,7 +337,7 @@ static int take_controller(struct rigtool_target *t, const uint8_t *data, uint32
         return 0;
     RIGTOOL_TARGET_LOCK();
     for (i = 0; i < size / 8; i++)
-        t->section[i / 6][i % 6] = (rigtool_real)rt_number(data, i);
+        t->section[i / 6][i % 6] = rt_number(data, i);
     t->sections = (int)(size / 48);
     memset(t->section_state, 0, sizeof t->section_state);
     RIGTOOL_TARGET_UNLOCK();

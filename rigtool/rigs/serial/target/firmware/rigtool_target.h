@@ -10,8 +10,8 @@
  *     rigtool_target_receive(&target, bytes, count);     in the main loop, with what came
  *     count = rigtool_target_send(&target, bytes, room); in the main loop: what is to go out
  *
- * Set points and time are doubles. The loop itself is as well, unless RIGTOOL_TARGET_FLOAT is
- * defined for all files. RIGTOOL_TARGET_LOCK and _UNLOCK keep the interrupt of the timer away from
+ * Set points, time and the controller, whose poles lie close to 1, are doubles. All else is as well,
+ * unless RIGTOOL_TARGET_FLOAT is defined for all files. RIGTOOL_TARGET_LOCK and _UNLOCK keep the interrupt of the timer away from
  * the main loop for some microseconds; both may be defined in rigtool_port.h, with
  * RIGTOOL_TARGET_PORT. Compile without -ffast-math: a missing temperature is NaN.
  */
@@ -146,7 +146,7 @@ struct rigtool_target {
     int closed;
     double setpoint, count;
     rigtool_real torque_constant, limit;
-    rigtool_real section[RIGTOOL_TARGET_SECTIONS][6], section_state[RIGTOOL_TARGET_SECTIONS][2];
+    double section[RIGTOOL_TARGET_SECTIONS][6], section_state[RIGTOOL_TARGET_SECTIONS][2];
     int sections;
     rigtool_real inertia, coulomb, viscous;
     double limits[6]; /* current, speed, lowest and highest position, temperature, duration */
