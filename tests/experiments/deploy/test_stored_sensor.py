@@ -91,7 +91,7 @@ def test_the_sensor_of_a_run_reads_what_python_reads(tables, kt, tmp_path):
     samples = moved(0.4 - 0.3 * np.cos(4 * time), np.where(time > 0.8, 0.02, 0.0))
     recipe, model = tables.recipe, model_from(tables, tables.recipe)
     own = instrument_of(recipe, kt, model, reach_of(tables, kt, recipe), recipe.rig.sample_time)
-    wanted = expected(own, samples, np.ones(5))
+    wanted = expected(own, samples)
     found = compiled(tmp_path, text).add(samples)
     assert np.isfinite(wanted).mean() > 0.5
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * own.reach.torque)
