@@ -1,19 +1,22 @@
 # make tables         the whole chain on the virtual rig: Tables 8 and 9 beside the published ones
 # make corrected      known loads learned, Table 8 three times: published, without and with correction
 # make over-time      an unknown force in strokes, free motion and against tissue, as figures
-# make thesis         every figure and table of the thesis beside the virtual rig: docs/reproduction.md
+# make thesis         every figure and table of the thesis beside the virtual rig, in build/thesis,
+#                     and its numbers against those of docs/reproduction
+# make pages          docs/reproduction from what make thesis made
 # make real-data      a real instrument: torque from current against a sensor; DATA=folder of mis-tool
 # make test           style, types and tests
 # make test-lowest    the tests with the lowest versions of pyproject.toml
-# make attack         kills, signals, damaged files, changed recipes; SECONDS=600 SEED=20061
+# make attack         kills, signals, damaged files, changed recipes, properties; SECONDS=600 SEED=20061
 # make docs           the documentation as a site, in build/docs
 # make bench          speed and memory of what users wait for
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
+# make coverage-short a few minutes of it, with an exit code
 # make fixtures       the runs in tests/fixtures, stored anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
 # make clean          removes build
 # make help           shows this list
-# Settings: RECIPE=file, BUILD=folder, SET="table.key=value ..."
+# Settings: RECIPE=file, BUILD=folder, SET="table.key=value ..."; other settings remake what they change
 
 PYTHON ?= python3
 RECIPE ?= recipes/briaire-2006.toml
@@ -31,7 +34,7 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
-.PHONY: real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage attack release-check clean help
+.PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage coverage-short attack release-check clean help
 .DELETE_ON_ERROR:
 
 tables: $(BUILD)/report/index.html
@@ -42,7 +45,7 @@ corrected: $(BUILD)/corrected/index.html
 
 $(INSTALLED): requirements.lock pyproject.toml
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--no-deps --no-build-isolation --editable .
 	touch $@
@@ -50,34 +53,55 @@ $(INSTALLED): requirements.lock pyproject.toml
 $(BUILD):
 	mkdir -p $@
 
+# A change of RECIPE or SET remakes the runs of the commands that it concerns: a setting of a
+# command's own table concerns that command, any other all of them.
+SECTIONS := calibrate_kt stribeck fft_ripple identify_plant ilc_learn measure_force suspension
+settings_of = $(RECIPE) $(filter-out $(addsuffix .%,$(filter-out $(1),$(SECTIONS))),$(SET))
+STAMPS := $(addprefix $(BUILD)/settings-,$(SECTIONS))
+
+$(STAMPS): $(BUILD)/settings-%: FORCE | $(BUILD)
+	@$(if $(subst |$(file <$@)|,,|$(call settings_of,$*)|),$(file >$@,$(call settings_of,$*)))
+
+FORCE:
+
+$(BUILD)/kt.h5: $(BUILD)/settings-calibrate_kt
+$(BUILD)/friction.h5 $(BUILD)/thesis/idm640.h5: $(BUILD)/settings-stribeck
+$(BUILD)/ripple.h5: $(BUILD)/settings-fft_ripple
+$(addprefix $(BUILD)/,tables-instrument.h5 tables-pulley.h5 tables-loads.h5): $(BUILD)/settings-ilc_learn
+$(addprefix $(BUILD)/thesis/,a.h5 b.h5): $(BUILD)/settings-ilc_learn
+$(BUILD)/thesis/plant.h5: $(BUILD)/settings-identify_plant
+$(BUILD)/thesis/suspension.h5: $(BUILD)/settings-suspension
+$(addprefix $(BUILD)/,force-instrument.h5 force-pulley.h5 force-corrected.h5): $(BUILD)/settings-measure_force
+$(addprefix $(BUILD)/over-time/,strokes.h5 free-motion.h5 tissue.h5): $(BUILD)/settings-measure_force
+
 $(BUILD)/kt.h5: $(RECIPE) | $(INSTALLED) $(BUILD)
-	$(RIGTOOL) calibrate-kt $< -o $@ $(MEASURE)
+	$(RIGTOOL) calibrate-kt $(RECIPE) -o $@ $(MEASURE)
 
 $(BUILD)/friction.h5: $(RECIPE) $(BUILD)/kt.h5
-	$(RIGTOOL) stribeck $< --kt $(BUILD)/kt.h5 -o $@ $(MEASURE)
+	$(RIGTOOL) stribeck $(RECIPE) --kt $(BUILD)/kt.h5 -o $@ $(MEASURE)
 
 $(BUILD)/ripple.h5: $(RECIPE) $(BUILD)/kt.h5
-	$(RIGTOOL) fft-ripple $< --kt $(BUILD)/kt.h5 -o $@ $(MEASURE)
+	$(RIGTOOL) fft-ripple $(RECIPE) --kt $(BUILD)/kt.h5 -o $@ $(MEASURE)
 
 $(BUILD)/tables-instrument.h5: $(RECIPE) $(BUILD)/kt.h5
-	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 -o $@ $(MEASURE)
+	$(RIGTOOL) ilc-learn $(RECIPE) --kt $(BUILD)/kt.h5 -o $@ $(MEASURE)
 
 $(BUILD)/tables-pulley.h5: $(RECIPE) $(BUILD)/kt.h5
-	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 $(PULLEY) -o $@ $(MEASURE)
+	$(RIGTOOL) ilc-learn $(RECIPE) --kt $(BUILD)/kt.h5 $(PULLEY) -o $@ $(MEASURE)
 
 $(BUILD)/force-instrument.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/tables-instrument.h5
-	$(RIGTOOL) measure-force $< --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-instrument.h5 \
+	$(RIGTOOL) measure-force $(RECIPE) --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-instrument.h5 \
 		-o $@ $(MEASURE)
 
 $(BUILD)/force-pulley.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/tables-pulley.h5
-	$(RIGTOOL) measure-force $< --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-pulley.h5 \
+	$(RIGTOOL) measure-force $(RECIPE) --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-pulley.h5 \
 		$(PULLEY) -o $@ $(MEASURE)
 
 $(BUILD)/tables-loads.h5: $(RECIPE) $(BUILD)/kt.h5
-	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 --implementation D -o $@ $(MEASURE)
+	$(RIGTOOL) ilc-learn $(RECIPE) --kt $(BUILD)/kt.h5 --implementation D -o $@ $(MEASURE)
 
 $(BUILD)/force-corrected.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/tables-loads.h5
-	$(RIGTOOL) measure-force $< --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-loads.h5 \
+	$(RIGTOOL) measure-force $(RECIPE) --kt $(BUILD)/kt.h5 --tables $(BUILD)/tables-loads.h5 \
 		--correction full -o $@ $(MEASURE)
 
 $(BUILD)/corrected/index.html: $(addprefix $(BUILD)/,kt.h5 tables-loads.h5 force-corrected.h5)
@@ -115,31 +139,35 @@ THESIS := $(BUILD)/thesis
 THESIS_RUNS := $(RUNS) $(addprefix $(THESIS)/,plant.h5 a.h5 b.h5 suspension.h5 idm640.h5)
 
 thesis: $(THESIS_RUNS)
-	$(BIN)/python -m rigtool.report.reproduction $^ --docs docs --html $(THESIS)/reproduction.html
+	$(BIN)/python -m rigtool.report.reproduction $^ --to $(THESIS) --html $(THESIS)/reproduction.html \
+		--against docs
+
+pages: $(THESIS_RUNS)
+	$(BIN)/python -m rigtool.report.reproduction $^ --to docs --html $(THESIS)/reproduction.html
 
 $(THESIS): | $(BUILD)
 	mkdir -p $@
 
 $(THESIS)/plant.h5: $(RECIPE) $(BUILD)/kt.h5 | $(THESIS)
-	$(RIGTOOL) identify-plant $< --kt $(BUILD)/kt.h5 $(PULLEY) -o $@ $(MEASURE)
+	$(RIGTOOL) identify-plant $(RECIPE) --kt $(BUILD)/kt.h5 $(PULLEY) -o $@ $(MEASURE)
 
 $(THESIS)/a.h5: $(RECIPE) $(BUILD)/kt.h5 $(BUILD)/friction.h5 | $(THESIS)
-	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 --friction $(BUILD)/friction.h5 \
+	$(RIGTOOL) ilc-learn $(RECIPE) --kt $(BUILD)/kt.h5 --friction $(BUILD)/friction.h5 \
 		$(PULLEY) --implementation A --validate -o $@ $(MEASURE)
 
 $(THESIS)/b.h5: $(RECIPE) $(BUILD)/kt.h5 | $(THESIS)
-	$(RIGTOOL) ilc-learn $< --kt $(BUILD)/kt.h5 $(PULLEY) --implementation B --validate \
+	$(RIGTOOL) ilc-learn $(RECIPE) --kt $(BUILD)/kt.h5 $(PULLEY) --implementation B --validate \
 		-o $@ $(MEASURE)
 
 $(THESIS)/suspension.h5: $(RECIPE) | $(INSTALLED) $(THESIS)
-	$(RIGTOOL) suspension $< -o $@ $(MEASURE)
+	$(RIGTOOL) suspension $(RECIPE) -o $@ $(MEASURE)
 
 # A faulty amplifier [App. C]: exit code 4 is the result, what was recorded until then is kept.
 FAULTY = --set virtual.amplifier.distortion=0.05 --set virtual.amplifier.distortion_period=0.06
 
 $(THESIS)/idm640.h5: $(RECIPE) $(BUILD)/kt.h5 | $(THESIS)
 	rm -f $@ $@.part
-	$(RIGTOOL) stribeck $< --kt $(BUILD)/kt.h5 $(FAULTY) -o $@ $(MEASURE); test $$? -eq 4
+	$(RIGTOOL) stribeck $(RECIPE) --kt $(BUILD)/kt.h5 $(FAULTY) -o $@ $(MEASURE); test $$? -eq 4
 	$(RIGTOOL) recover $@.part -o $@ && rm $@.part
 
 DATA ?= ../shared/data/mis-tool
@@ -170,6 +198,7 @@ test-lowest:
 
 attack: $(INSTALLED)
 	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)
+	$(BIN)/pytest -n 2 --dist worksteal -m hypothesis --hypothesis-profile luck
 
 docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
@@ -182,6 +211,9 @@ bench: $(INSTALLED)
 
 coverage: $(INSTALLED)
 	$(BIN)/python benchmarks/coverage.py
+
+coverage-short: $(INSTALLED)
+	$(BIN)/python benchmarks/coverage.py --short
 
 release-check: test docs
 	$(BIN)/python release_check.py

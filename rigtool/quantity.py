@@ -10,6 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+REFERENCE_DEGC = 20.0
+"""Temperature for which a result is stated, degC (ISO 1), a torque constant as well [7.1.1]."""
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -44,11 +47,18 @@ _DISPLAY = {
     "N m/A": (1e3, "mN m/A"),
     "1/K": (1e2, "%/K"),
     "kg m2": (1e7, "g cm2"),
+    "rad": (180 / math.pi, "deg"),
 }
 
 
-def display_unit(unit: str) -> tuple[float, str]:
-    """Return the factor and the unit in which values of an SI `unit` are shown."""
+_PREFIXED = ("A", "N", "m", "s")
+"""Units that are shown with the prefix that suits a value."""
+
+
+def display_unit(unit: str, size: float = 1.0) -> tuple[float, str]:
+    """Return the factor and the unit in which values of an SI `unit`, of a `size`, are shown."""
+    if unit in _PREFIXED and 0 < abs(size) < 0.1:
+        return (1e3, f"m{unit}") if abs(size) >= 1e-4 else (1e6, f"µ{unit}")
     return _DISPLAY.get(unit, (1.0, unit))
 
 
@@ -78,7 +88,7 @@ def format_number(value: float, u: float | None) -> str:
 
 def format_quantity(quantity: Quantity) -> str:
     """Return a quantity as text in its display unit: '45.801(41) mN m/A'."""
-    factor, unit = display_unit(quantity.unit)
+    factor, unit = display_unit(quantity.unit, quantity.value)
     u = None if quantity.u is None else quantity.u * factor
     number = format_number(quantity.value * factor, u)
     return number if unit in ("", "1") else f"{number} {unit}"

@@ -4,7 +4,11 @@ The few marked `real_time` use the system's own clock, ports and processes, and 
 holds on a machine that stalls as well.
 """
 
+import os
 import signal
+
+# The tests' matrices are small: threads of BLAS only wait for each other, and for other workers.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings
@@ -12,7 +16,9 @@ from hypothesis import settings
 # A job in the background of a script ignores Ctrl-C, and so would every program that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-settings.register_profile("any machine", deadline=None)
+# The same examples at each run; others with `pytest --hypothesis-profile luck`.
+settings.register_profile("luck", deadline=None)
+settings.register_profile("any machine", deadline=None, derandomize=True)
 settings.load_profile("any machine")
 
 

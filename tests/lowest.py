@@ -8,9 +8,10 @@ PROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
 
 def lowest() -> list[str]:
-    """Return what the package needs and its extra for tables, each at its lowest version."""
+    """Return what the package and its extras need, each at its lowest version."""
     project = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]
-    needed = [*project["dependencies"], *project["optional-dependencies"]["parquet"]]
+    extras = project["optional-dependencies"]
+    needed = [*project["dependencies"], *extras["parquet"], *extras["can"], *extras["visa"]]
     return [re.sub(">=", "==", requirement) for requirement in needed]
 
 

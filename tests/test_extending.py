@@ -22,8 +22,8 @@ INTO = {"COMMANDS": ("rigtool/cli/__init__.py", "COMMANDS = {\n")}
 def copy(tmp_path_factory):
     """Return a folder with a copy of rigtool, all examples in it, and the lines to type."""
     root = tmp_path_factory.mktemp("extended")
-    for folder in ("rigtool", "recipes"):
-        shutil.copytree(ROOT / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in ("rigtool", "recipes"):  # with what is compiled already
+        shutil.copytree(ROOT / folder, root / folder)
     shutil.copy(ROOT / "pyproject.toml", root)
     shutil.copy(ROOT / "tests" / "fixtures" / "kt.h5", root)
     lines = []

@@ -156,11 +156,17 @@ def test_the_exit_codes_of_the_readme_are_those_of_the_help(capsys):
 def test_the_start_page_runs(folder, capsys):
     lines = "\n".join(
         block
-        for name in ("Measure", "Change something")
+        for name in (
+            "Measure",
+            "Change something",
+            "Leave out what is always the same",
+            "Draw one thing",
+        )
         for block in section("docs/start.md", name)
     )
     printed = run_all(lines, folder, capsys)
-    assert len(printed) == 10
+    assert len(printed) == 15
+    assert (folder / "shift.png").is_file()
     assert "torque_constant " in printed["calibrate-kt rig.toml -o kt.h5"].out
     assert json.loads(printed["info kt.h5 --json"].out)
     assert printed["diff kt.h5 again.h5"].err == "no difference\n"

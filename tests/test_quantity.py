@@ -30,6 +30,10 @@ def test_short_form_of_the_gum(value, u, expected):
 def test_display_units_are_those_of_the_bench():
     assert format_quantity(Quantity(0.0458, "N m/A", 0.00004)) == "45.800(40) mN m/A"
     assert format_quantity(Quantity(-0.00116, "1/K", 0.00002)) == "-0.1160(20) %/K"
+    assert format_quantity(Quantity(math.pi / 6, "rad", math.pi / 180)) == "30.0(10) deg"
+    assert format_quantity(Quantity(9.5e-6, "A", 4.5e-6)) == "9.5(45) µA"
+    assert format_quantity(Quantity(-0.0012, "A", 0.0001)) == "-1.20(10) mA"
+    assert format_quantity(Quantity(1.2, "A", 0.1)) == "1.20(10) A"
 
 
 def test_a_value_without_uncertainty_needs_a_reason():

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from rigtool.cli.output import Output, echo
 from rigtool.errors import RigtoolError, UsageError
-from rigtool.escapes import is_text, terminal
+from rigtool.escapes import is_text
 from rigtool.interrupts import Terminated, handled
 
 if TYPE_CHECKING:
@@ -39,15 +40,20 @@ COMMANDS = {
     "report": "Write tables, figures and one page from any run files.",
     "import": "Make run files from data that other programs recorded.",
     "info": "Show the contents of a run file.",
+    "plot": "Draw a table, a signal or a figure of a run.",
     "target-emulator": "Serve the virtual rig of a recipe over the host-target link.",
     "devices": "List serial ports and the devices that answer on them.",
     "recover": "Make a run file from the remains of an interrupted run.",
     "verify": "Check run files and everything they were made from.",
     "diff": "Show where two runs differ.",
     "export": "Write a run, or a learned table, for other programs.",
+    "config": "Show the defaults that rigtool.toml states for this folder.",
 }
 """Commands in the order of use, each with the first line of its help. The command itself is the
 object `command` in the module that `module_name` names."""
+
+STORED = ("plot", "recover", "verify", "diff", "export")
+"""Commands on stored runs, whose modules are in a room of their own."""
 
 PLUGINS = "rigtool.commands"
 """Group of the entry points with which other packages add commands: each a `click.Command`."""
@@ -56,6 +62,8 @@ PLUGINS = "rigtool.commands"
 def module_name(command: str) -> str:
     """Return the module of a command: underscores for hyphens, one behind a word of Python."""
     name = command.replace("-", "_")
+    if command in STORED:
+        return f"stored.{name}"
     return f"{name}_" if keyword.iskeyword(name) else name
 
 
@@ -85,9 +93,18 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command among the arguments; a misspelt one gets a suggestion."""
+        """Find the command among the arguments; a misspelt one gets a suggestion.
+
+        Defaults of `rigtool.toml` are looked up for this command alone, and not for its help.
+        """
         try:
-            return super().resolve_command(ctx, args)
+            found = super().resolve_command(ctx, args)
+            ctx.ensure_object(Output).command = found[0]
+            if found[0] is not None and not {"-h", "--help"} & set(args):
+                from rigtool.cli.defaults import defaults_of
+
+                ctx.default_map = {found[0]: defaults_of(found[0])}
+            return found
         except click.UsageError as error:
             import difflib  # only here: the time of `rigtool --help` counts
 
@@ -127,22 +144,25 @@ def rigtool() -> None:
     stdout, everything else to stderr.
 
     Exit codes: 0 done; 1 failed while running; 2 usage; 3 bad recipe or run file; 4 the data do
-    not support the result; 5 hardware.
+    not support the result; 5 hardware; 130 interrupted (Ctrl-C); 143 terminated (SIGTERM).
+
+    With --json each command prints one JSON document on stdout, also for an error.
     """
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code; errors become messages on stderr."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    output = Output(json="--json" in arguments)
     _keep_memory_of_blocks()
     try:
         _require_text(arguments)
         with handled():
-            code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False)
+            code = rigtool.main(arguments, prog_name="rigtool", standalone_mode=False, obj=output)
     except BaseException as error:
         if "--debug" in arguments:
             traceback.print_exc()
-        sys.exit(_report(error))
+        sys.exit(_report(error, output))
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -170,28 +190,36 @@ def _keep_memory_of_blocks() -> None:
     mallopt(m_trim_threshold, 4 * BLOCK_BYTES)
 
 
-def _report(error: BaseException) -> int:
-    """Write an error to stderr; return the exit code."""
+def _report(error: BaseException, output: Output) -> int:
+    """Write an error to stderr, and as JSON where that was asked for; return the exit code."""
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
+    if isinstance(error, click.Abort) and error.__cause__ is not None:  # click's name for Ctrl-C
+        error = error.__cause__
+    code, message = _described(error)
+    notes = getattr(error, "__notes__", ())
     if isinstance(error, click.ClickException):
         error.show()
-        return error.exit_code
-    if isinstance(error, click.Abort):  # click's name for Ctrl-C
-        return _say(error.__cause__ or error, "interrupted", 130)
-    if isinstance(error, KeyboardInterrupt):
-        return _say(error, "interrupted", 130)
-    if isinstance(error, Terminated):
-        return _say(error, "terminated", 143)
-    if isinstance(error, RigtoolError):
-        return _say(error, f"Error: {error}", error.exit_code)
-    if isinstance(error, OSError):  # e.g. stdout leads to a full disk
-        return _say(error, f"Error: the system refused: {error}; --debug shows where", 1)
-    what = f"{type(error).__name__}: {error}"
-    return _say(error, f"internal error, run with --debug to see where: {what}", 1)
-
-
-def _say(error: BaseException, message: str, code: int) -> int:
-    for line in (message, *getattr(error, "__notes__", ())):
-        click.echo(terminal(line), err=True)
+    else:
+        for line in (message, *notes):
+            echo(line, err=True)
+    if output.json and not output.printed:
+        what = {"exit_code": code, "message": message.removeprefix("Error: ")}
+        echo(output.text({"error": what, "notes": list(notes)}))
     return code
+
+
+def _described(error: BaseException) -> tuple[int, str]:
+    """Return the exit code of an error and its message."""
+    if isinstance(error, click.ClickException):
+        return error.exit_code, error.format_message()
+    if isinstance(error, click.Abort | KeyboardInterrupt):
+        return 130, "interrupted"
+    if isinstance(error, Terminated):
+        return 143, "terminated"
+    if isinstance(error, RigtoolError):
+        return error.exit_code, f"Error: {error}"
+    if isinstance(error, OSError):  # e.g. stdout leads to a full disk
+        return 1, f"Error: the system refused: {error}; --debug shows where"
+    what = f"{type(error).__name__}: {error}"
+    return 1, f"internal error, run with --debug to see where: {what}"

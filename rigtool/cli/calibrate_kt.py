@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import common_options, example, run_and_print, source_arguments
+from rigtool.cli.options import Command, common_options, example, run_and_print, source_arguments
 from rigtool.experiments.running.options import CommonOptions
 
 
 @click.command(
-    "calibrate-kt", epilog=example("rigtool calibrate-kt recipes/briaire-2006.toml -o kt.h5")
+    "calibrate-kt",
+    cls=Command,
+    epilog=example(
+        "rigtool calibrate-kt recipes/briaire-2006.toml -o kt.h5",
+        "rigtool calibrate-kt imported/*.h5 -o kt.h5",
+    ),
 )
 @source_arguments
 @common_options
@@ -20,6 +25,8 @@ def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> No
     files of this command (analyse their signals again, pooled). Reports the amplifier's linearity,
     the torque constant at 20 degC, its temperature coefficient, and the error of using one value
     over the reference range of temperature.
+
+    Imported runs hold plateaus or slow ramps of current against a torque or force sensor.
     """
     from rigtool.experiments.torque_constant.procedure import PROCEDURE
 

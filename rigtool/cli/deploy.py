@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example, open_inputs, quiet_option, run_option
+from rigtool.cli.options import (
+    FILE,
+    Command,
+    current_output,
+    example,
+    open_inputs,
+    run_option,
+    set_option,
+)
 
 
 @click.command(
+    cls=Command,
     epilog=example(
         "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --dry-run",
         "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --yes",
-    )
+    ),
 )
-@click.argument("tables", metavar="TABLES.h5")
-@click.option("--rig", "rig", required=True, metavar="RECIPE.toml", help="Recipe with the drive.")
+@click.argument("tables", type=FILE, metavar="TABLES.h5")
+@click.option(
+    "--rig", required=True, type=FILE, metavar="RECIPE.toml", help="Recipe with the drive."
+)
 @click.option("--speed", type=float, help="One of the learned motor speeds, rad/s.")
 @run_option("--kt", "Run of calibrate-kt: torque to current.")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change the recipe.")
+@set_option
 @click.option("--dry-run", is_flag=True, help="Show what would be stored; change nothing.")
 @click.option("--yes", is_flag=True, help="Store without asking first.")
-@click.option("--spy", metavar="FILE", help="Write every byte on the serial line.")
-@quiet_option
-@debug_option
+@click.option("--spy", type=FILE, metavar="FILE", help="Write every byte on the serial line.")
 def command(
     tables: str,
     rig: str,
@@ -32,7 +41,6 @@ def command(
     dry_run: bool,
     yes: bool,
     spy: str | None,
-    quiet: bool,
 ) -> None:
     """Store a learned table in the drive, which then adds it by itself.
 
@@ -59,9 +67,9 @@ def command(
             dry_run=dry_run,
             operator=Operator(yes=yes, spy=spy),
         )
-    if quiet:
-        return
+    output = current_output()
+    output.document(rig=recipe.rig.name, lines=list(done.lines), notes=list(done.remarks))
     for line in done.lines:
-        echo(line)
+        output.line(line)
     for remark in done.remarks:
-        echo(f"Note: {remark}", err=True)
+        output.note(f"Note: {remark}")

@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
+from rigtool.cli.options import (
+    Command,
+    common_options,
+    example,
+    run_and_print,
+    run_option,
+    source_arguments,
+)
 
 if TYPE_CHECKING:
     from rigtool.experiments.running.options import CommonOptions
@@ -14,6 +21,7 @@ if TYPE_CHECKING:
 
 @click.command(
     "identify-plant",
+    cls=Command,
     epilog=example(
         "rigtool identify-plant recipes/briaire-2006.toml --kt kt.h5 -o plant.h5",
         "rigtool identify-plant recipes/briaire-2006.toml --kt kt.h5 "

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 import click
 
 from rigtool.cli.options import (
+    Command,
     common_options,
+    current_output,
     example,
     open_inputs,
     run_and_print,
@@ -20,10 +22,11 @@ if TYPE_CHECKING:
 
 
 @click.command(
+    cls=Command,
     epilog=example(
         "rigtool ilc-learn recipes/briaire-2006.toml --kt kt.h5 -o tables.h5",
         "rigtool ilc-learn recipes/briaire-2006.toml --kt kt.h5 --check tables.h5 -o check.h5",
-    )
+    ),
 )
 @source_arguments
 @run_option("--kt", "Run of calibrate-kt: current to torque.")
@@ -125,7 +128,6 @@ def _check(
     """Compare tables with the disturbance of SOURCE; the exit code is the verdict."""
     from dataclasses import replace
 
-    from rigtool.cli.printing import print_outcome
     from rigtool.errors import InsufficientDataError
     from rigtool.experiments.learning.check import procedure as ilc_check
     from rigtool.experiments.running.session import run_command
@@ -133,11 +135,11 @@ def _check(
     with open_inputs(**paths) as inputs:
         options = ilc_check.as_learned(options, sources, inputs["tables"])
         outcome = run_command(ilc_check.PROCEDURE, sources, output, options=options, inputs=inputs)
+    to = current_output()
     if options.dry_run:
-        print_outcome(outcome, output, options)
+        to.outcome(outcome, output, dry=True)
         return
     fits = ilc_check.fits(outcome)
-    shown = outcome if fits or options.json else replace(outcome, notes=outcome.notes[1:])
-    print_outcome(shown, output, options)
+    to.outcome(outcome if fits else replace(outcome, notes=outcome.notes[1:]), output, dry=False)
     if not fits:  # the first note is the error message
         raise InsufficientDataError(outcome.notes[0])

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example, overwrite_option, quiet_option
+from rigtool.cli.options import FILE, Command, current_output, example
 
 
 @click.command(
     "import",
+    cls=Command,
     epilog=example(
         "rigtool import run07.csv --map recipes/import/mis-tool.toml -o run07.h5",
         "rigtool import epos-exports/ -o runs/",
         "rigtool import run07.csv --preview",
     ),
 )
-@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")
-@click.option("-o", "--output", metavar="RUN.h5|FOLDER", help="Run file, or folder for many.")
-@click.option("--map", "map_path", metavar="MAP.toml", help="Meaning of the columns.")
+@click.argument("sources", nargs=-1, required=True, type=FILE, metavar="SOURCE...")
+@click.option(
+    "-o", "--output", type=FILE, metavar="RUN.h5|FOLDER", help="Run file, or folder for many."
+)
+@click.option("--map", "map_path", type=FILE, metavar="MAP.toml", help="Meaning of the columns.")
 @click.option("--preview", is_flag=True, help="Show SOURCE as it would be read; write nothing.")
 @click.option("--skip-bad-lines", is_flag=True, help="Leave out bad lines and count them.")
 @click.option("--skip-bad-files", is_flag=True, help="Leave out bad files and name them.")
-@overwrite_option
-@quiet_option
-@debug_option
 def command(
     sources: tuple[str, ...],
     output: str | None,
@@ -31,8 +31,6 @@ def command(
     preview: bool,
     skip_bad_lines: bool,
     skip_bad_files: bool,
-    overwrite: bool,
-    quiet: bool,
 ) -> None:
     """Make run files from data that other programs recorded.
 
@@ -46,9 +44,12 @@ def command(
     from rigtool.runfile.importers.preview import preview as show
 
     mapping = None if map_path is None else load_mapping(map_path)
+    to = current_output()
     if preview:
-        for line in show(sources, None if mapping is None else mapping[0], skip_bad_lines):
-            echo(line)
+        lines = list(show(sources, None if mapping is None else mapping[0], skip_bad_lines))
+        to.document(preview=lines)
+        for line in lines:
+            to.line(line)
         return
     if output is None:
         raise click.UsageError("--output: is missing: give a run file, or a folder for many")
@@ -58,27 +59,31 @@ def command(
         mapping,
         skip_bad=skip_bad_lines,
         skip_bad_files=skip_bad_files,
-        overwrite=overwrite,
+        overwrite=to.overwrite,
         map_path=map_path,
     )
     for item in found.done:
         left_out = f", {item.left_out} bad left out" if item.left_out else ""
-        echo(f"{item.output}: {item.samples} samples{left_out}")
-    if quiet:
-        return
-    for error in found.bad.values():
-        echo(f"Note: left out: {first_of(error)}", err=True)
+        to.written(item.output, f"run of import, {item.samples} samples{left_out}")
+    notes = [f"left out: {first_of(error)}" for error in found.bad.values()]
     if others := found.of_other_names:
         names = ", ".join(path.name for path in others[:LISTED])
         more = f" and {len(others) - LISTED} more" if len(others) > LISTED else ""
-        echo(f"Note: the mapping is not for {len(others)} files: {names}{more}", err=True)
+        notes.append(f"the mapping is not for {len(others)} files: {names}{more}")
     by_note: dict[str, list[str]] = {}
     for item in found.done:
         for note in item.notes:
             by_note.setdefault(note, []).append(item.output.name)
     for note, runs in by_note.items():
         more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
-        echo(f"Note: {runs[0]}{more}: {note}", err=True)
+        notes.append(f"{runs[0]}{more}: {note}")
+    for line in notes:
+        to.note(f"Note: {line}")
+    runs_written = [
+        {"output": str(one.output), "samples": one.samples, "left_out": one.left_out}
+        for one in found.done
+    ]
+    to.document(output=output, runs=runs_written, notes=notes)
 
 
 LISTED = 5

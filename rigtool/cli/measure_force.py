@@ -6,14 +6,23 @@ from dataclasses import replace
 
 import click
 
-from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
+from rigtool.cli.options import (
+    Command,
+    common_options,
+    current_output,
+    example,
+    run_and_print,
+    run_option,
+    source_arguments,
+)
 from rigtool.experiments.running.options import CommonOptions
 
 
 @click.command(
+    cls=Command,
     epilog=example(
         "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5"
-    )
+    ),
 )
 @source_arguments
 @run_option("--kt", "Run of calibrate-kt; not needed for imported runs.")
@@ -85,7 +94,7 @@ def command(
         )
     if every is not None and not stream and options.live is None:
         raise click.UsageError(f"--every {every} thins what --stream and --live show: add one")
-    if stream and options.json:
+    if stream and current_output().json:
         raise click.UsageError(
             "--stream has stdout for itself: leave --json out, and read the results from the run"
         )
@@ -104,6 +113,7 @@ def command(
             )
         procedure = over_time_live(seconds, observed=observe is not None, every=every or 1)
         options = replace(options, stream=stream)
+        current_output().stream = stream
     if correction is not None:
         options = options.with_override(f"measure_force.correction={correction}")
     run_and_print(procedure, sources, output, options, kt=kt, tables=tables)

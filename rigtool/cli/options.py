@@ -1,12 +1,15 @@
-"""Options that commands share, defined once.
+"""Options that commands share, defined once, and the headings under which a help lists options.
 
 A measuring command reads:
 
-    @click.command(epilog=example("rigtool stribeck recipes/briaire-2006.toml --kt kt.h5 -o f.h5"))
+    @click.command(cls=Command, epilog=example("rigtool stribeck rig.toml --kt kt.h5 -o f.h5"))
     @source_arguments
     @run_option("--kt", "run file of calibrate-kt")
     @common_options
     def command(sources, output, kt, options): ...
+
+Each `Command` has the options of `OUTPUT_OPTIONS`; what they ask for is the `Output` that
+`current_output` returns.
 """
 
 from __future__ import annotations
@@ -18,8 +21,9 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
+from click.core import ParameterSource
 
-from rigtool.escapes import terminal
+from rigtool.cli.output import Output, echo
 from rigtool.experiments.running.options import CommonOptions
 
 if TYPE_CHECKING:
@@ -28,10 +32,53 @@ if TYPE_CHECKING:
 
 Function = Callable[..., Any]
 
+FILE = click.Path()
+"""Type of arguments that name a file: a shell completes them."""
 
-def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
-    """Print text on stdout or stderr; control characters in it cannot steer the terminal."""
-    click.echo(terminal(text), err=err, nl=nl)
+HEADINGS = {
+    "How it measures and analyses": ("overrides", "seed", "dry_run"),
+    "Rigs on a serial line only": ("yes", "spy"),
+    "Output": (
+        *("output", "overwrite", "as_json", "tables_in_json", "quiet", "verbose"),
+        *("no_progress", "live", "stream", "every", "debug"),
+    ),
+}
+"""Options by their parameter, under the heading of a help; all others come first."""
+
+WRITES = ("output", "plot")
+"""Parameters of a command that writes a file."""
+
+
+class Command(click.Command):
+    """A command with the options of `OUTPUT_OPTIONS`, and a help under headings."""
+
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        known = {option for parameter in self.params for option in parameter.opts}
+        self.params += [option for option in OUTPUT_OPTIONS if not known & set(option.opts)]
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options into the help, grouped; --overwrite only where a file is written."""
+        groups: dict[str, list[tuple[str, str]]] = {"Options": [], **{h: [] for h in HEADINGS}}
+        writes = any(parameter.name in WRITES for parameter in self.params)
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is None or isinstance(parameter, click.Argument):
+                continue
+            heads = [head for head, names in HEADINGS.items() if parameter.name in names]
+            if "--help" in parameter.opts:
+                heads = ["Output"]
+            if writes or parameter.name != "overwrite":
+                groups[heads[0] if heads else "Options"].append(record)
+        for head, records in groups.items():
+            if records:
+                with formatter.section(head):
+                    formatter.write_dl(records)
+
+
+def current_output() -> Output:
+    """Return how the command that runs prints."""
+    return click.get_current_context().ensure_object(Output)
 
 
 def example(*lines: str) -> str:
@@ -42,30 +89,108 @@ def example(*lines: str) -> str:
 def source_arguments(function: Function) -> Function:
     """Add `sources`, a tuple of one or more paths, and `output`, a path."""
     function = click.option(
-        "-o", "--output", required=True, metavar="RUN.h5", help="Run file to write."
+        "-o", "--output", required=True, type=FILE, metavar="RUN.h5", help="Run file to write."
     )(function)
-    return click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")(function)
+    return click.argument("sources", nargs=-1, required=True, type=FILE, metavar="SOURCE...")(
+        function
+    )
 
 
 def run_option(name: str, what: str, *, required: bool = False) -> Callable[[Function], Function]:
     """Add an option that takes one run file; its path arrives as a string or None."""
-    return click.option(name, required=required, metavar="RUN.h5", help=what)
+    return click.option(name, required=required, type=FILE, metavar="RUN.h5", help=what)
 
 
-debug_option = click.option(
-    "--debug", is_flag=True, expose_value=False, help="Show tracebacks of errors."
+def _asked(name: str, value: bool) -> Callable[[click.Context, click.Parameter, bool], None]:
+    """Return what notes a flag in the `Output` of the command."""
+
+    def note(ctx: click.Context, parameter: click.Parameter, given: bool) -> None:
+        if given:
+            setattr(ctx.ensure_object(Output), name, value)
+
+    return note
+
+
+def _verbose(ctx: click.Context, parameter: click.Parameter, given: bool) -> None:
+    """Let the steps be reported on stderr, each with the time since the start."""
+    if given:
+        import logging
+
+        handler = logging.Handler()
+        handler.emit = lambda record: echo(  # type: ignore[method-assign]
+            f"{record.relativeCreated:7.0f} ms  {record.getMessage()}", err=True
+        )
+        logger = logging.getLogger("rigtool")
+        logger.addHandler(handler)
+        logger.setLevel(logging.INFO)
+        ctx.call_on_close(lambda: logger.removeHandler(handler))
+        ctx.call_on_close(lambda: logger.setLevel(logging.NOTSET))
+
+
+def _flag(*names: str, callback: Callable[..., None], help: str) -> click.Option:
+    return click.Option(names, is_flag=True, expose_value=False, callback=callback, help=help)
+
+
+OUTPUT_OPTIONS = (
+    _flag(
+        "--overwrite",
+        callback=_asked("overwrite", True),
+        help="Replace an output that exists.",
+    ),
+    _flag("--json", "as_json", callback=_asked("json", True), help="Print one JSON document."),
+    _flag(
+        "--no-tables",
+        "tables_in_json",
+        callback=_asked("tables", False),
+        help="Leave tables out of what is printed.",
+    ),
+    _flag("-q", "--quiet", callback=_asked("quiet", True), help="Print errors only."),
+    _flag("-v", "--verbose", callback=_verbose, help="Report each step, with the time, on stderr."),
+    _flag("--debug", callback=lambda *_: None, help="Show tracebacks of errors."),
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
-quiet_option = click.option("-q", "--quiet", is_flag=True, help="Print errors only.")
-overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+
+
+def completed(names: Callable[[str], list[str]]) -> Callable[..., list[str]]:
+    """Return the completion of a value: of the names of the run file given, those that fit."""
+
+    def complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+        path = ctx.params.get("path") or (ctx.args or [""])[0]
+        return [name for name in names(path) if name.startswith(incomplete)]
+
+    return complete
+
+
+def _setting_keys(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Return the keys of a recipe that begin so, for the completion of --set."""
+    from rigtool.recipe import Recipe
+    from rigtool.recipe.mistakes import keys_at
+
+    table, dot, _ = incomplete.rpartition(".")
+    place = table.split(".") if table else []
+    ends = {True: ".", False: "="}  # of a table, of a value
+    keys = {key: ends[any(keys_at(Recipe, [*place, key]))] for key in keys_at(Recipe, place)}
+    whole = [f"{table}{dot}{key}{end}" for key, end in keys.items()]
+    return [key for key in whole if key.startswith(incomplete)]
+
+
+set_option = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    shell_complete=_setting_keys,
+    help="Set a value of the recipe, e.g. rig.attachment=pulley.",
+)
 
 
 def common_options(function: Function) -> Function:
-    """Add the shared options; they arrive together as `options`, a `CommonOptions`."""
+    """Add the options of measuring; they arrive together as `options`, a `CommonOptions`."""
 
-    @debug_option
     @click.option(
-        "--spy", metavar="FILE", help="Log every byte on the serial line, with time stamps."
+        "--spy",
+        type=FILE,
+        metavar="FILE",
+        help="Log every byte on the serial line, with time stamps.",
     )
     @click.option("--live-window", "live", flag_value="window", help="Draw signals in a window.")
     @click.option(
@@ -73,27 +198,17 @@ def common_options(function: Function) -> Function:
         flag_value="terminal",
         help="Draw signals in the terminal while they are recorded.",
     )
-    @click.option("--yes", is_flag=True, help="Move a rig on a serial line without asking first.")
+    @click.option("--yes", is_flag=True, help="Move the rig without asking first.")
     @click.option("--dry-run", is_flag=True, help="Show what would move; move nothing.")
+    @set_option
     @click.option(
-        "--set",
-        "overrides",
-        multiple=True,
-        metavar="KEY=VALUE",
-        help="Set a value of the recipe, e.g. rig.attachment=pulley.",
+        "--seed", type=click.IntRange(min=0), help="Seed of the virtual rig; no other rig has one."
     )
-    @click.option("--seed", type=click.IntRange(min=0), help="Seed of the virtual rig.")
-    @overwrite_option
     @click.option("--no-progress", is_flag=True, help="Draw no progress bars.")
-    @quiet_option
-    @json_option
     @functools.wraps(function)
     def collected(
         *args: Any,
-        as_json: bool,
-        quiet: bool,
         no_progress: bool,
-        overwrite: bool,
         seed: int | None,
         overrides: tuple[str, ...],
         dry_run: bool,
@@ -102,13 +217,13 @@ def common_options(function: Function) -> Function:
         live: Literal["terminal", "window"] | None,
         **kwargs: Any,
     ) -> Any:
+        output = current_output()
         if live == "terminal" and not sys.stderr.isatty():
             raise click.UsageError("--live draws at a terminal, and stderr is none: leave it out")
+        _state_defaults(kwargs)
         options = CommonOptions(
-            json=as_json,
-            quiet=quiet,
-            progress=sys.stderr.isatty() and not quiet and not no_progress,
-            overwrite=overwrite,
+            progress=sys.stderr.isatty() and not output.quiet and not no_progress,
+            overwrite=output.overwrite,
             seed=seed,
             overrides=overrides,
             dry_run=dry_run,
@@ -121,6 +236,36 @@ def common_options(function: Function) -> Function:
     return collected
 
 
+def _state_defaults(given: dict[str, Any]) -> None:
+    """State what `rigtool.toml` gives to this command; imported runs need no --kt of it."""
+    ctx = click.get_current_context()
+    taken = {
+        name: given[name]
+        for name in given
+        if ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
+    }
+    if "kt" in taken and _imported(given["sources"]):
+        given["kt"] = None
+        del taken["kt"]
+    if taken:
+        shown = ", ".join(
+            f"{'SOURCE' if name == 'sources' else f'--{name}'} "
+            f"{' '.join(value) if name == 'sources' else value}"
+            for name, value in taken.items()
+        )
+        current_output().note(f"From rigtool.toml: {shown}")
+
+
+def _imported(sources: tuple[str, ...]) -> bool:
+    """Return whether the first source is a run of `rigtool import`."""
+    from rigtool.runfile import open_run
+
+    if sources[0].endswith(".toml"):
+        return False
+    with open_run(sources[0]) as run:
+        return run.command == "import"
+
+
 def run_and_print(
     procedure: Procedure,
     sources: tuple[str, ...],
@@ -129,12 +274,11 @@ def run_and_print(
     **paths: str | None,
 ) -> None:
     """Run a procedure with the run files of other commands at `paths`; print its outcome."""
-    from rigtool.cli.printing import print_outcome
     from rigtool.experiments.running.session import run_command
 
     with open_inputs(**paths) as inputs:
         outcome = run_command(procedure, sources, output, options=options, inputs=inputs)
-    print_outcome(outcome, output, options)
+    current_output().outcome(outcome, output, dry=options.dry_run)
 
 
 @contextmanager

@@ -5,21 +5,30 @@ from __future__ import annotations
 import functools
 import shutil
 from pathlib import Path
+from typing import Any
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example, overwrite_option
+from rigtool.cli.options import FILE, Command, completed, current_output, example
+from rigtool.cli.output import Output
 
 
-@click.command(epilog=example("rigtool recipe briaire-2006 -o rig.toml"))
-@click.argument("name", required=False)
-@click.option("-o", "--output", metavar="FILE.toml", help="Recipe to write.")
+def _names(path: str) -> list[str]:
+    from rigtool.recipe.shipped import shipped_recipes
+
+    return list(shipped_recipes())
+
+
+@click.command(cls=Command, epilog=example("rigtool recipe briaire-2006 -o rig.toml"))
+@click.argument("name", required=False, shell_complete=completed(_names))
+@click.option("-o", "--output", type=FILE, metavar="FILE.toml", help="Recipe to write.")
 @click.option(
-    "--firmware", metavar="FOLDER", help="With own-target: folder to write its firmware in C to."
+    "--firmware",
+    type=FILE,
+    metavar="FOLDER",
+    help="With own-target: folder to write its firmware in C to.",
 )
-@overwrite_option
-@debug_option
-def command(name: str | None, output: str | None, firmware: str | None, overwrite: bool) -> None:
+def command(name: str | None, output: str | None, firmware: str | None) -> None:
     """Copy a recipe that comes with rigtool, to change it.
 
     Without NAME, lists them. Without -o, prints the recipe. Mappings of imports are among them, as
@@ -27,24 +36,30 @@ def command(name: str | None, output: str | None, firmware: str | None, overwrit
     """
     from rigtool.recipe.shipped import shipped_recipe, shipped_recipes
 
+    to = current_output()
+    found: dict[str, Any] = {}
     if firmware is not None:
-        _copy_firmware(name, Path(firmware), overwrite)
+        found["firmware"] = _copy_firmware(name, Path(firmware), to)
     if name is None:
         for known in shipped_recipes():
-            echo(known)
+            to.line(known)
+        found["recipes"] = list(shipped_recipes())
     elif output is not None:
         from rigtool.runfile.export import write_new
 
         text = shipped_recipe(name)
         inputs = [shipped_recipes()[name]]
-        write_new(Path(output), overwrite, lambda path: path.write_text(text, "utf-8"), inputs)
-        echo(f"Written: {output}", err=True)
+        write_new(Path(output), to.overwrite, lambda path: path.write_text(text, "utf-8"), inputs)
+        to.written(output, f"recipe {name}")
     elif firmware is None:
-        echo(shipped_recipe(name), nl=False)
+        to.line(shipped_recipe(name), nl=False)
+    if name is not None:
+        found["recipe"] = shipped_recipe(name)
+    to.document(output=output, **found)
 
 
-def _copy_firmware(name: str | None, folder: Path, overwrite: bool) -> None:
-    """Write the files of the firmware, or none where one of them is there."""
+def _copy_firmware(name: str | None, folder: Path, to: Output) -> list[str]:
+    """Write the files of the firmware, or none where one is there; return their names."""
     from rigtool.errors import UsageError
     from rigtool.recipe.shipped import WITH_FIRMWARE, shipped_firmware
     from rigtool.runfile.export import require_output, write_new
@@ -60,7 +75,8 @@ def _copy_firmware(name: str | None, folder: Path, overwrite: bool) -> None:
         raise UsageError(f"--firmware {folder}: cannot be made: {error.strerror}") from None
     files = shipped_firmware()
     for file in files:
-        require_output(folder / file.name, overwrite=overwrite, inputs=[file])
+        require_output(folder / file.name, overwrite=to.overwrite, inputs=[file])
     for file in files:
         write_new(folder / file.name, True, functools.partial(shutil.copyfile, file))
-        echo(f"Written: {folder / file.name}", err=True)
+        to.written(folder / file.name, "firmware of a target, in C")
+    return [str(folder / file.name) for file in files]

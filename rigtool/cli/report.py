@@ -7,31 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rigtool.cli.options import (
-    debug_option,
-    echo,
-    example,
-    json_option,
-    overwrite_option,
-    quiet_option,
-)
+from rigtool.cli.options import FILE, Command, current_output, example
+from rigtool.cli.output import table_document
 
 if TYPE_CHECKING:
     from rigtool.report.build import Report
-    from rigtool.report.formats import ReportTable
 
 
-@click.command(epilog=example("rigtool report kt.h5 tables.h5 force.h5 -o report"))
-@click.argument("paths", nargs=-1, required=True, metavar="RUN.h5...")
-@click.option("-o", "--output", required=True, metavar="FOLDER", help="Folder to write.")
+@click.command(cls=Command, epilog=example("rigtool report kt.h5 tables.h5 force.h5 -o report"))
+@click.argument("paths", nargs=-1, required=True, type=FILE, metavar="RUN.h5...")
+@click.option("-o", "--output", required=True, type=FILE, metavar="FOLDER", help="Folder to write.")
 @click.option("--pdf", is_flag=True, help="Write report.pdf too (pip install rigtool[pdf]).")
-@json_option
-@quiet_option
-@overwrite_option
-@debug_option
-def command(
-    paths: tuple[str, ...], output: str, pdf: bool, as_json: bool, quiet: bool, overwrite: bool
-) -> None:
+def command(paths: tuple[str, ...], output: str, pdf: bool) -> None:
     """Write tables, figures and one page from any run files.
 
     Writes Tables 8 and 9 beside the published ones (Markdown, CSV, LaTeX, text), those figures of
@@ -43,48 +30,32 @@ def command(
     from rigtool.report.page import require_pdf
     from rigtool.runfile import open_run
 
-    require_free(output, overwrite=overwrite, inputs=paths)
+    to = current_output()
+    require_free(output, overwrite=to.overwrite, inputs=paths)
     if pdf:
         require_pdf()
     with ExitStack() as stack:
         runs = [stack.enter_context(open_run(path)) for path in paths]
         report = build_report(runs)
-    write_report(report, output, overwrite=overwrite, pdf=pdf)
-    if as_json:
-        from rigtool.cli.printing import json_text
-
-        echo(json_text(_document(report)))
-        return
-    if quiet:
-        return
+    write_report(report, output, overwrite=to.overwrite, pdf=pdf)
+    to.written(output, f"report of {len(runs)} runs: index.html, tables and figures")
+    to.document(**_document(report, output))
     if report.force_tables:
-        echo(terminal_text(report), nl=False)
+        to.line(terminal_text(report), nl=False)
     for warning in report.warnings:
-        echo(f"Warning: {warning}", err=True)
-    echo(f"Written: {output}", err=True)
+        to.note(f"Warning: {warning}")
 
 
-def _document(report: Report) -> dict[str, Any]:
+def _document(report: Report, output: str) -> dict[str, Any]:
     required = report.requirements
     return {
+        "rig": ", ".join(report.rigs) or None,
+        "output": output,
         "title": report.title,
-        "requirements": None if required is None else _table(required),
-        "tables": {table.name: _table(table) for table in report.force_tables},
-        "results": {table.name: _table(table) for table in report.results},
+        "requirements": None if required is None else table_document(required),
+        "tables": {table.name: table_document(table) for table in report.force_tables},
+        "results": {table.name: table_document(table) for table in report.results},
         "figures": [picture.name for picture in report.pictures],
         "warnings": list(report.warnings),
         "remarks": {label: list(notes) for label, notes in report.remarks},
     }
-
-
-def _table(table: ReportTable) -> dict[str, Any]:
-    rows = []
-    for cells in table.rows:
-        row: dict[str, Any] = {}
-        for column, cell in zip(table.columns, cells, strict=True):
-            row[column.key] = cell.value
-            if column.uncertain:
-                row[f"{column.key}_u"] = cell.u
-        rows.append(row)
-    units = {column.key: column.si_unit for column in table.columns if column.si_unit}
-    return {"title": table.title, "units": units, "rows": rows}

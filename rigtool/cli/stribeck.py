@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import common_options, example, run_and_print, run_option, source_arguments
+from rigtool.cli.options import (
+    Command,
+    common_options,
+    example,
+    run_and_print,
+    run_option,
+    source_arguments,
+)
 from rigtool.experiments.running.options import CommonOptions
 
 
 @click.command(
     "stribeck",
+    cls=Command,
     epilog=example(
         "rigtool stribeck recipes/briaire-2006.toml --kt kt.h5 -o friction.h5",
         "rigtool stribeck imported/*.h5 -o friction.h5",

@@ -6,13 +6,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigtool.cli.options import common_options, example, run_and_print, source_arguments
+from rigtool.cli.options import Command, common_options, example, run_and_print, source_arguments
 
 if TYPE_CHECKING:
     from rigtool.experiments.running.options import CommonOptions
 
 
-@click.command(epilog=example("rigtool suspension recipes/briaire-2006.toml -o suspension.h5"))
+@click.command(
+    cls=Command, epilog=example("rigtool suspension recipes/briaire-2006.toml -o suspension.h5")
+)
 @source_arguments
 @common_options
 def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example
+from rigtool.cli.options import FILE, Command, current_output, example, set_option
 
 
 @click.command(
-    epilog=example("rigtool target-emulator recipes/briaire-2006.toml --tcp 127.0.0.1:0 --for 0.5")
+    cls=Command,
+    epilog=example("rigtool target-emulator recipes/briaire-2006.toml --tcp 127.0.0.1:0 --for 0.5"),
 )
-@click.argument("recipe", metavar="RECIPE.toml")
+@click.argument("recipe", type=FILE, metavar="RECIPE.toml")
 @click.option(
     "--tcp", metavar="HOST:PORT", help="Serve at this address instead of a pseudo-terminal."
 )
@@ -19,8 +20,7 @@ from rigtool.cli.options import debug_option, echo, example
 @click.option("--for", "seconds", type=click.FloatRange(min=0), help="End after this many seconds.")
 @click.option("--channels", metavar="NAME,...", help="Record these channels only, and time.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the virtual rig.")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change the recipe.")
-@debug_option
+@set_option
 def command(
     recipe: str,
     tcp: str | None,
@@ -49,7 +49,9 @@ def command(
     )
     server: Server = PtyServer(emulator) if tcp is None else TcpServer(emulator, address=tcp)
     server.start()
-    echo(server.port)
+    output = current_output()
+    output.line(server.port)
+    output.document(port=server.port)
     try:
         server.wait(seconds)
     finally:

@@ -12,9 +12,9 @@ distribution reaches to there, and a note states it. A table of `ilc-learn` is f
 current by the same constant, so that the constant cancels: uncertainties of learned tables are
 those of their scatter.
 
-`identify-plant` and `measure-force --correction full` resolve less than the change of k. They take
-k at the recorded temperature of the motor: `torque_per_ampere_at`, with the uncertainty of the
-calibration alone.
+`identify-plant`, `fft-ripple` and `measure-force --correction full` resolve less than the change of
+k. They take k at the recorded temperature of the motor: `torque_per_ampere_at`, with the
+uncertainty of the calibration alone.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rigtool.experiments.torque_constant.temperature_fit import REFERENCE_DEGC
-from rigtool.quantity import Quantity
+from rigtool.numerics.arrays import Array
+from rigtool.quantity import REFERENCE_DEGC, Quantity
 from rigtool.runfile import Recording, Run
 
 ENDS = 1024
@@ -46,7 +46,10 @@ def torque_per_ampere(
     """
     kt.require_command("calibrate-kt")
     mean = kt.result("torque_constant_mean")
-    gain = Quantity(1.0, "1", 0.0) if of_measured_current else kt.result("amplifier_gain")
+    # An imported calibration has no gain: a drive's current follows its set point.
+    gain = kt.results.get("amplifier_gain")
+    if of_measured_current or gain is None:
+        gain = Quantity(1.0, "1", 0.0)
     error = max(_known_error(kt), abs(_furthest(kt, recordings)[1]))
     own = (mean.u or 0.0) / mean.value
     relative_u = math.hypot(own, (gain.u or 0.0) / gain.value, error / math.sqrt(3))
@@ -97,21 +100,29 @@ def _known_error(kt: Run) -> float:
     return 0.0 if error is None else error.value
 
 
+def temperature_at_ends(recording: Recording) -> tuple[float, float]:
+    """Return the motor's temperature at the start and at the end, degC; NaN where none is known."""
+    first, last = (float(end.mean()) if end.size else math.nan for end in _at_ends(recording))
+    return first, last
+
+
+def _at_ends(recording: Recording) -> tuple[Array, Array]:
+    """Return the known temperatures among the first and among the last samples, degC."""
+    if not recording.has("temperature"):
+        return np.empty(0), np.empty(0)
+    first, last = (
+        recording.read_stored("temperature", start, stop).astype(np.float64)
+        for start, stop in ((0, ENDS), (max(0, recording.size - ENDS), recording.size))
+    )
+    return first[np.isfinite(first)], last[np.isfinite(last)]  # NaN where no thermometer is there
+
+
 def _furthest(kt: Run, recordings: Sequence[Recording]) -> tuple[float, float]:
     """Return the recorded temperature, degC, at which k is furthest from its mean, and how far,
     relative; NaN and 0 where nothing shows it."""
     names = ("torque_constant", "torque_constant_temperature_coefficient")
-    ends = [
-        end
-        for recording in recordings
-        if recording.has("temperature") and recording.size
-        for end in (
-            recording.read_stored("temperature", 0, ENDS),
-            recording.read_stored("temperature", max(0, recording.size - ENDS)),
-        )
-    ]
+    ends = [end for recording in recordings for end in _at_ends(recording)]
     degc = np.concatenate([*ends, np.empty(0)], dtype=np.float64)
-    degc = degc[np.isfinite(degc)]  # NaN where no thermometer is there
     if not degc.size or not all(name in kt.results for name in names):
         return math.nan, 0.0
     constant, slope = (kt.result(name).value for name in names)

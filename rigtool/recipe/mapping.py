@@ -105,6 +105,12 @@ class ImportedRig(Section):
         None, gt=0, description="nominal torque of the motor, N m, for torque in percent"
     )
     inertia: float | None = Field(None, gt=0, description="on the motor shaft, kg m2")
+    arm_length: float | None = Field(
+        None, gt=0, description="between the shaft and the force sensor on it, m"
+    )
+    reference_relative_u: float | None = Field(
+        None, gt=0, lt=1, description="standard uncertainty of the sensor's calibration, relative"
+    )
 
     @model_validator(mode="after")
     def _fits_axis(self) -> ImportedRig:
@@ -202,11 +208,12 @@ def require_quick(pattern: str) -> None:
 
 
 class Condition(Section):
-    """A condition of the recording, contained in the name of the file."""
+    """A condition of the recording, contained in the name of the file or of its folder."""
 
     name: str = Field(description="of the condition, e.g. compensation")
     unit: str = Field("1", description="SI")
-    pattern: str = Field(description="regular expression for the file's name without ending")
+    of: Literal["file", "folder"] = Field("file", description="whose name contains it")
+    pattern: str = Field(description="regular expression for that name, of a file without ending")
     values: dict[str, float] | None = Field(
         None, description="value for the text found; without it the text is the number"
     )
@@ -226,16 +233,23 @@ class Condition(Section):
 
 
 class Map(Section):
-    """A file without time: one value at each of equal steps around a turn."""
+    """A file without time: values around a turn, at equal steps or with their angles."""
 
     signal: str = Field(description="name, e.g. current")
     unit: str = Field(description="of the values")
     missing: float | None = Field(None, description="value where nothing was sampled")
+    column: int | str | None = Field(None, description="of the values, in a file with several")
+    angle: Signal | None = Field(None, description="column of the angles; default: equal steps")
 
     @model_validator(mode="after")
     def _is_known(self) -> Map:
         if self.unit not in UNITS:
             raise ValueError(f"unit {self.unit!r} is not known; known are {', '.join(UNITS)}")
+        if self.angle is not None and self.column is None:
+            raise ValueError("a map with a column of angles needs `column`, that of the values")
+        angle = self.angle
+        if angle is not None and angle.counts_per_turn is None and UNITS[angle.unit][1] != "rad":
+            raise ValueError("angle: give an angle, or counts with counts_per_turn")
         if not _NAME.fullmatch(self.signal):
             raise ValueError("signal: use letters, digits and underscores, not a digit first")
         return self

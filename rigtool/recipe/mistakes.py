@@ -73,7 +73,7 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
     if item["type"] == "missing":
         return "is missing; add it"
     if item["type"] == "extra_forbidden":
-        key, known = str(item["loc"][-1]), set(_keys_at(model, item["loc"][:-1]))
+        key, known = str(item["loc"][-1]), set(keys_at(model, item["loc"][:-1]))
         close = difflib.get_close_matches(key, known, 1)
         remedy = f"did you mean {close[0]}?" if close else "remove it or correct its spelling"
         return f"is not a key that this table knows; {remedy}"
@@ -87,7 +87,7 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
     return f"{message}, got {shown}"
 
 
-def _keys_at(model: type[BaseModel], place: Sequence[int | str]) -> Iterator[str]:
+def keys_at(model: type[BaseModel], place: Sequence[int | str]) -> Iterator[str]:
     """Yield the keys of the tables that may stand at a place."""
     models = [model]
     for part in place:

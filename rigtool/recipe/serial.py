@@ -41,8 +41,15 @@ class MeasuringInstrument(Section):
     driver: str = Field(
         description='protocol, e.g. "mark10", "scpi", "number-lines"; "operator" asks who is there'
     )
-    port: str | None = Field(None, description="its own serial port; none for the operator")
+    port: str | None = Field(
+        None,
+        description='its own serial port, or "visa:RESOURCE" for GPIB, USB and networks; none for '
+        "the operator",
+    )
     baud_rate: int | None = Field(None, gt=0, description="bit/s; none for the protocol's usual")
+    frame: str = Field(
+        "8N1", pattern="^[78][NEO][12]$", description="data bits, parity, stop bits of a character"
+    )
     scale: float = Field(
         1.0,
         ge=-1e9,
@@ -58,15 +65,28 @@ class Serial(Section):
     LARGEST_COUNT: ClassVar[int] = 2**31
 
     driver: str = Field(
-        description='"target", "odrive", "moteus", "maxon", or a driver that another package adds; '
-        '"replay" plays back a file of --spy'
+        description='"target", "odrive", "moteus", "maxon", "cia402", "simplefoc", "vesc", or one '
+        'that another package adds; "replay" plays back a file of --spy'
     )
     port: str = Field(
         min_length=1,
-        description='"/dev/ttyACM0", "COM5", any URL of pyserial; for "replay" a file of --spy',
+        description='"/dev/ttyACM0", "COM5", any URL of pyserial; "can:INTERFACE:CHANNEL?..." for '
+        'a CAN bus; for "replay" a file of --spy',
     )
     baud_rate: int | None = Field(None, gt=0, description="bit/s; none for the driver's usual")
     node: int = Field(0, ge=0, description="axis or address of the drive on this line")
+    eds: str | None = Field(None, description="file of its maker that describes a CANopen drive")
+    speed_unit_rpm: float | None = Field(
+        None,
+        gt=0,
+        le=1e5,
+        description="unit of speed of a CANopen drive that does not state it (60A9), rpm",
+    )
+    drive_torque_constant: float | None = Field(
+        None,
+        description="of an ODrive on a CAN bus, as set in the drive, negative where its direction "
+        "is -1, N m/A",
+    )
     limits: Limits
     watchdog: float = Field(
         0.25, gt=0, le=10, description="the drive stops by itself after silence this long, s"
@@ -84,7 +104,8 @@ class Serial(Section):
     )
     emergency_stop: bool = Field(
         False,
-        description="is wired, tried and within reach: a drive without watchdog (maxon) needs one",
+        description="is wired, tried and within reach: a drive without watchdog needs one "
+        "(maxon, SimpleFOC)",
     )
     operator: bool = Field(
         True, description="somebody is there to hang loads, clamp, heat and switch off"

@@ -1,4 +1,4 @@
-"""The default plot of a run: its first table, or else its first recording."""
+"""Plots of the parts of a run: a table, a signal, a figure; by default the first of them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rigtool.errors import RunFileError, UsageError
 from rigtool.escapes import figure as figure_text
 from rigtool.quantity import display_unit
+from rigtool.report.figures import PLOTS, style
 from rigtool.runfile import Recording, Run, Table
 from rigtool.runfile.outputs import replacing, require_output
 
@@ -27,39 +28,71 @@ _BLOCK = 2**17
 _MOST_LINES = 12
 
 
-def write_default_plot(run: Run, output: str | os.PathLike[str], *, overwrite: bool) -> None:
-    """Draw a run's default plot into a file.
+def write_plot(
+    run: Run, output: str | os.PathLike[str], name: str | None = None, *, overwrite: bool
+) -> str:
+    """Draw a part of a run into a file; return the name of the part.
 
-    Raises `RunFileError` where there is nothing to draw, `UsageError` for a file that cannot be.
+    `name` is one of `plot_names`, or the bare name of a table or recording; None is the default.
+    Raises `RunFileError` where there is nothing to draw, `UsageError` for a file or a name that
+    cannot be.
     """
     kind = Path(output).suffix
     if kind not in FORMATS:
         raise UsageError(f"{output}: cannot be drawn, use one of {', '.join(FORMATS)}")
     output = require_output(output, overwrite=overwrite, inputs=[run.path])
-    figure = draw_default_plot(run)
-    with replacing(output) as new:
-        figure.savefig(new, format=kind[1:])
+    shown = chosen_name(run, name)
+    with style.styled():
+        figure = draw_plot(run, shown)
+        with replacing(output) as new:
+            figure.savefig(new, format=kind[1:])
+    return shown
 
 
-def draw_default_plot(run: Run) -> Figure:
-    """Return the plot of the first table with values, else of the first recording with samples.
+def plot_names(run: Run) -> list[str]:
+    """Return what can be drawn of a run: tables, signals of recordings, figures of the report."""
+    tables = [f"tables/{name}" for name, table in run.tables.items() if table[table.signal].size]
+    signals = [
+        f"recordings/{recording.name}/{channel}"
+        for recording in run.recordings_named("")
+        for channel in recording.units
+        if channel != "time"
+    ]
+    return [*tables, *signals, *(f"figure-{n}" for n, one in PLOTS.items() if one.fits(run))]
 
-    Raises `RunFileError` where there is neither.
+
+def chosen_name(run: Run, name: str | None) -> str:
+    """Return the one of `plot_names` that a name stands for; the first one for None.
+
+    A bare name is that of a table or recording; a recording stands for its first signal. Raises
+    `RunFileError` and `UsageError` as `write_plot`.
     """
+    names = plot_names(run)
+    if not names:
+        raise RunFileError(f"{run.path}: has neither tables nor signals to draw")
+    if name is None:
+        return names[0]
+    for own in names:
+        if name in (own, own.partition("/")[2]) or own.startswith(
+            (f"{name}/", f"recordings/{name}/")
+        ):
+            return own
+    raise UsageError(f"{run.path}: has no part {name!r} to draw: choose one of {', '.join(names)}")
+
+
+def draw_plot(run: Run, name: str) -> Figure:
+    """Return the picture of one of `plot_names`."""
+    kind, _, rest = name.partition("/")
+    if not rest:
+        return PLOTS[int(kind.removeprefix("figure-"))].draw(run)
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.add_subplot()
-    tables = [(name, table) for name, table in run.tables.items() if table[table.signal].size]
-    recordings = run.recordings_named("")
-    if tables:
-        name, table = tables[0]
-        _draw_table(axes, table)
-    elif recordings:
-        name = recordings[0].name
-        _draw_recording(axes, recordings[0])
+    if kind == "tables":
+        _draw_table(axes, run.table(rest))
     else:
-        raise RunFileError(f"{run.path}: has neither tables nor signals to draw")
-    axes.set_title(figure_text(f"{run.command}: {name}" + (f" ({run.rig})" if run.rig else "")))
-    axes.grid(True, alpha=0.3)
+        recording, _, channel = rest.rpartition("/")
+        _draw_recording(axes, run.recording(recording), channel)
+    axes.set_title(figure_text(f"{run.command}: {rest}" + (f" ({run.rig})" if run.rig else "")))
     return figure
 
 
@@ -67,16 +100,25 @@ def _draw_table(axes: Axes, table: Table) -> None:
     """Draw the signal along the last axis, one line for each point of the other axes."""
     signal = table.columns[table.signal]
     along = table.axes[-1]
-    factor, unit = display_unit(signal.unit)
+    factor, unit = display_unit(signal.unit, _size(signal.values))
     lines = signal.values.reshape(-1, table.shape[-1]) * factor
     labels = _labels(table)
-    for index in _spread(len(lines)):
-        axes.plot(table[along], lines[index], ".-", ms=3, lw=1, label=labels[index])
+    scale, axis_unit = display_unit(table.columns[along].unit)
+    places = np.asarray(table[along]) * scale
+    shown = _spread(len(lines))
+    for index, colour in zip(shown, style.colours(len(shown)), strict=True):
+        axes.plot(places, lines[index], ".-", ms=3, lw=1, color=colour, label=labels[index])
     if len(lines) > 1:
         axes.legend(fontsize="small")
-    _scale(axes, np.asarray(table[along]), along, signal.values)
-    axes.set_xlabel(_label(along, table.columns[along].unit))
+    _scale(axes, places, along, signal.values)
+    axes.set_xlabel(_label(along, axis_unit))
     axes.set_ylabel(_label(table.signal, unit))
+
+
+def _size(values: NDArray[Any]) -> float:
+    """Return the largest magnitude of values, 0 where there is none."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max(initial=0.0))
 
 
 def _scale(axes: Axes, places: NDArray[Any], along: str, values: NDArray[Any]) -> None:
@@ -107,10 +149,9 @@ def _spread(count: int) -> list[int]:
     return sorted(set(np.linspace(0, count - 1, min(count, _MOST_LINES)).round().astype(int)))
 
 
-def _draw_recording(axes: Axes, recording: Recording) -> None:
+def _draw_recording(axes: Axes, recording: Recording, name: str) -> None:
     """Draw the lowest and highest value of each bin: no peak of a long recording is lost."""
-    name, unit = next((n, u) for n, u in recording.units.items() if n != "time")
-    factor, shown = display_unit(unit)
+    factor, shown = display_unit(recording.units[name])
     step = -(-recording.size // _BINS)
     block = step * max(1, _BLOCK // step)
     time, low, high = [], [], []
@@ -122,7 +163,7 @@ def _draw_recording(axes: Axes, recording: Recording) -> None:
         low.append(np.minimum.reduceat(values, bins))
         high.append(np.maximum.reduceat(values, bins))
     axes.fill_between(
-        np.concatenate(time), np.concatenate(low), np.concatenate(high), lw=1, edgecolor="C0"
+        np.concatenate(time), np.concatenate(low), np.concatenate(high), lw=1, color=style.BLUE
     )
     axes.set_xlabel(_label("time", recording.units["time"]))
     axes.set_ylabel(_label(name, shown))
@@ -130,7 +171,7 @@ def _draw_recording(axes: Axes, recording: Recording) -> None:
 
 def _label(name: str, unit: str) -> str:
     text = name.replace("_", " ")
-    return f"{text} ({_shown(unit)})" if _shown(unit) else text
+    return f"{text} [{_shown(unit)}]" if _shown(unit) else text
 
 
 def _shown(unit: str) -> str:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from rigtool.report.formats import Cell, ReportColumn, ReportTable, mean_cell, number_cell, records
 from rigtool.report.published import published_accuracy
@@ -29,17 +32,61 @@ _ACCURACY = (
     ReportColumn("coverage_95", "95 % intervals hold", "%", "1"),
 )
 
+_OVER_TIME = (
+    ReportColumn("time", "Time", "s", "s"),
+    ReportColumn("torque", "Torque", "mN m", "N m", uncertain=True),
+    ReportColumn("low", "from", "mN m", "N m"),
+    ReportColumn("high", "to", "mN m", "N m"),
+    ReportColumn("force", "Force", "N", "N"),
+)
+
+SECTIONS = 10
+"""Sections of the time of a force over time that the table shows."""
+
 _SPLITS = ("runs kept from learning", "random part of the samples")
 
 
 def instrument_tables(run: Run, label: str) -> list[ReportTable]:
-    """Return the tables of an imported run of measure-force that had a sensor, else none."""
+    """Return the tables of a run of measure-force without known loads.
+
+    For an imported run that had a sensor these are its loads and its accuracy; for force over time
+    alone, torque and force with their band.
+    """
     found = []
     if "levels" in run.tables:
         found.append(_levels_table(run, label))
     if "accuracy" in run.tables:
         found.append(_accuracy_table(run, label))
+    if not found and "force" in run.tables:
+        found.append(_over_time_table(run, label))
     return found
+
+
+def _over_time_table(run: Run, label: str) -> ReportTable:
+    """Return torque and force where the torque is largest, in each section of the time."""
+    force = run.table("force")
+    names = [name for name in (*(one.key for one in _OVER_TIME), "u") if name in force.columns]
+    rows = []
+    for section in np.array_split(np.arange(force["torque"].size), SECTIONS):
+        size = np.nan_to_num(np.abs(force["torque"][section]), nan=-1.0)
+        if not size.size or size.max() < 0:
+            continue
+        row = {name: float(force[name][section[size.argmax()]]) for name in names}
+        cells = {
+            "time": number_cell(row["time"], ".2f", 1),
+            "torque": mean_cell(row["torque"], row.get("u", math.nan)),
+            "low": number_cell(row["low"], ".4g"),
+            "high": number_cell(row["high"], ".4g"),
+            "force": number_cell(row.get("force"), ".4g", 1),
+        }
+        rows.append(tuple(cells[column.key] for column in _OVER_TIME))
+    return ReportTable(
+        name=f"table-over-time-{label}",
+        title=f"Torque and force over time, where largest in each section ({label})",
+        columns=_OVER_TIME,
+        rows=tuple(rows),
+        note="From and to are the ends of the 95 % interval of the torque.",
+    )
 
 
 def _levels_table(run: Run, label: str) -> ReportTable:

@@ -1,9 +1,10 @@
 """The page that compares rigtool with the thesis, figure by figure: `make thesis`.
 
-    python -m rigtool.report.reproduction RUN.h5... --docs docs --html page.html
+    python -m rigtool.report.reproduction RUN.h5... --to FOLDER [--html PAGE] [--against docs]
 
-`reproduction.toml` lists the rows of the page; it names a run by the stem of its file. Output is
-docs/reproduction.md, docs/reproduction/ with the pictures and numbers.json, and one HTML file.
+`reproduction.toml` lists the rows of the page; it names a run by the stem of its file. In the
+folder it writes reproduction.md and reproduction/ with the pictures and numbers.json, and one HTML
+file. `--against` compares the numbers with those of another folder, the committed ones.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rigtool.runfile import Run
+
+SAME = 1e-3
+"""Relative difference of numbers that count as the same."""
 
 LARGEST_SVG = 150_000
 """Bytes above which a picture is written as PNG."""
@@ -379,7 +383,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     parser = argparse.ArgumentParser(description="The thesis, figure by figure.")
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN.h5")
-    parser.add_argument("--docs", type=Path, required=True, help="folder of the documentation")
+    parser.add_argument("--to", type=Path, required=True, help="folder to write")
+    parser.add_argument("--against", type=Path, help="folder whose numbers these must be")
     parser.add_argument("--html", type=Path, help="the same as one HTML file")
     given = parser.parse_args(arguments)
     try:
@@ -389,12 +394,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RigtoolError as error:
         print(f"Error: {error}", file=sys.stderr)
         return error.exit_code
-    write(shown, stored, given.docs, given.html)
-    outside = [f"{row.name}: {n.name}" for row in shown for n in row.numbers if n.holds is False]
+    write(shown, stored, given.to, given.html)
+    wrong = [
+        f"outside its tolerance: {row.name}: {n.name}"
+        for row in shown
+        for n in row.numbers
+        if n.holds is False
+    ]
+    if given.against is not None:
+        text = (given.against / "reproduction" / "numbers.json").read_text("utf-8")
+        wrong += changed(stored, json.loads(text))
     print(_summary(shown))
-    for line in outside:
-        print(f"outside its tolerance: {line}", file=sys.stderr)
-    return 1 if outside else 0
+    for line in wrong:
+        print(line, file=sys.stderr)
+    return 1 if wrong else 0
+
+
+def changed(stored: Mapping[str, Any], committed: Mapping[str, Any]) -> list[str]:
+    """Return a line for each number that is not the committed one.
+
+    Equal are numbers within `SAME` of each other, or within a tenth of their standard uncertainty:
+    another computer rounds in another way.
+    """
+    lines = []
+    for row in sorted(stored.keys() | committed.keys()):
+        ours, theirs = (one.get(row, {}).get("numbers", {}) for one in (stored, committed))
+        for name in [*theirs, *(name for name in ours if name not in theirs)]:
+            here, there = ours.get(name), theirs.get(name)
+            if here is None or there is None:
+                where = "is not committed" if there is None else "is committed, but not made"
+                lines.append(f"{row}: {name}: {where}: make pages")
+                continue
+            tolerance = max(SAME * abs(there["value"]), 0.1 * (there["u"] or 0.0))
+            if not abs(here["value"] - there["value"]) <= tolerance:
+                lines.append(
+                    f"{row}: {name}: is {here['value']:.6g}, committed is {there['value']:.6g} "
+                    f"(SI), more than {tolerance:.2g} apart: find the cause, or make pages"
+                )
+    return lines
 
 
 if __name__ == "__main__":

@@ -147,12 +147,15 @@ def results_table(run: Run, label: str) -> ReportTable:
     rows = []
     for name, quantity in run.results.items():
         published = published_value(run.command, name, attachment) if compared else None
+        factor, unit = display_unit(quantity.unit, quantity.value)
         rows.append(
             (
                 Cell(name, name),
-                _quantity_cell(quantity),
-                Cell(_unit(quantity.unit), quantity.unit),
-                NO_VALUE if published is None else _published_cell(published.value, quantity.unit),
+                _quantity_cell(quantity, factor),
+                Cell("" if unit == "1" else unit, quantity.unit),
+                NO_VALUE
+                if published is None
+                else Cell(f"{published.value * factor:.4g}", published.value),
                 NO_VALUE if published is None else Cell(published.section, published.section),
                 Cell(quantity.reason or "", quantity.reason or ""),
             )
@@ -216,16 +219,6 @@ def _force_row(measured: dict[str, float], published: dict[str, float] | None) -
     )
 
 
-def _quantity_cell(quantity: Quantity) -> Cell:
-    factor = display_unit(quantity.unit)[0]
+def _quantity_cell(quantity: Quantity, factor: float) -> Cell:
     u = None if quantity.u is None else quantity.u * factor
     return Cell(format_number(quantity.value * factor, u), quantity.value, quantity.u)
-
-
-def _published_cell(value: float, unit: str) -> Cell:
-    return Cell(f"{value * display_unit(unit)[0]:.4g}", value)
-
-
-def _unit(unit: str) -> str:
-    shown = display_unit(unit)[1]
-    return "" if shown == "1" else shown

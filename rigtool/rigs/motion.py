@@ -7,6 +7,7 @@ needs no more memory than a second. Angles in rad at the motor, speeds in rad/s,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -48,13 +49,18 @@ class SpeedProfile:
         """Length of the motion, s."""
         return self.times[-1]
 
-    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
-        """Integrate the piecewise linear speed exactly; see `Motion.setpoint`."""
+    @cached_property
+    def _pieces(self) -> tuple[Array, Array, Array, Array]:
+        """Return times, speeds, slopes and angles travelled at the beginnings of the pieces."""
         times, speeds = np.asarray(self.times), np.asarray(self.speeds)
         steps = np.diff(times)
-        slopes = np.diff(speeds) / steps
         travelled = np.concatenate([[0.0], np.cumsum(steps * (speeds[1:] + speeds[:-1]) / 2)])
-        piece = np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(steps) - 1)
+        return times, speeds, np.diff(speeds) / steps, travelled
+
+    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
+        """Integrate the piecewise linear speed exactly; see `Motion.setpoint`."""
+        times, speeds, slopes, travelled = self._pieces
+        piece = np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(slopes) - 1)
         elapsed = time - times[piece]
         acceleration = slopes[piece]
         speed = speeds[piece] + acceleration * elapsed

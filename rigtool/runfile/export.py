@@ -6,6 +6,7 @@ A part is written in blocks of rows: a recording of any length needs the memory 
 from __future__ import annotations
 
 import csv
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -82,16 +83,22 @@ class ExportedPart:
     blocks: Iterator[pd.DataFrame]
 
 
-def choose(run: Run, part: str | None) -> ExportedPart:
-    """Return a part of a run by its name: `results`, `recordings/NAME`, `tables/NAME`, or NAME.
-
-    Raises `UsageError` where the choice is open.
-    """
+def run_parts(run: Run) -> dict[str, Recording | Table | Mapping[str, Quantity]]:
+    """Return the parts of a run by name: `results`, `recordings/NAME`, `tables/NAME`."""
     parts: dict[str, Recording | Table | Mapping[str, Quantity]] = {}
     if run.results:
         parts[schema.RESULTS] = run.results
     parts.update({f"{schema.RECORDINGS}/{name}": item for name, item in run.recordings.items()})
     parts.update({f"{schema.TABLES}/{name}": table for name, table in run.tables.items()})
+    return parts
+
+
+def choose(run: Run, part: str | None) -> ExportedPart:
+    """Return a part of a run by its name: `results`, `recordings/NAME`, `tables/NAME`, or NAME.
+
+    Raises `UsageError` where the choice is open.
+    """
+    parts = run_parts(run)
     found = [
         name for name in parts if part is None or name == part or name.rpartition("/")[2] == part
     ]
@@ -148,10 +155,10 @@ def write_parquet(frame: ExportedPart, path: Path) -> None:
             "`pip install rigtool[parquet]`, or write a .csv"
         ) from None
     first = next(frame.blocks)
-    first.attrs["units"] = frame.units
     plain: Any = pa.Schema.from_pandas(first, preserve_index=False)
     fields = [field.with_metadata({"units": frame.units[field.name]}) for field in plain]
-    described = pa.schema(fields, metadata=plain.metadata)
+    attributes = {"PANDAS_ATTRS": json.dumps({"units": frame.units})}
+    described = pa.schema(fields, metadata={**plain.metadata, **attributes})
     with parquet.ParquetWriter(path, described) as writer:
         writer.write_table(pa.Table.from_pandas(first, schema=described, preserve_index=False))
         for block in frame.blocks:

@@ -6,6 +6,7 @@ checksums (fletcher32) by HDF5. Any fault raises `RunFileError` with a remedy.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
@@ -23,6 +24,8 @@ from rigtool.runfile.summary import html_of, recording_lines, result_lines, tabl
 
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
+
+_log = logging.getLogger("rigtool")
 
 
 class Run:
@@ -158,6 +161,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
             root = tree.load(file)
             run = Run(shared, root, path)
             _require_hashes(root, run.provenance, path)
+            _log.info("read %s, run of %s", path, run.command)
             return run
     except BaseException:
         shared.close()

@@ -61,8 +61,10 @@ MAX_CHUNK_BYTES = 2**24
 MAX_TABLE_VALUES = 2**24
 MAX_MEMBERS = 10_000
 MAX_ATTRIBUTE_VALUES = 10_000
-MAX_OBJECTS = 200_000
+MAX_OBJECTS = 100_000
 """Groups, datasets and attributes together."""
+MAX_SAMPLE_BYTES, MAX_EXPANSION = 2**30, 100
+"""Bytes of all samples together, and times the size of the file where that is more."""
 MAX_TEXT_BYTES = 2**26
 """Of all texts together."""
 MAX_COMPRESSION = 1100

@@ -146,6 +146,9 @@ class _Loader:
             "objects and attributes": schema.MAX_OBJECTS,
             "values in tables": schema.MAX_TABLE_VALUES,
             "bytes of text": schema.MAX_TEXT_BYTES,
+            "bytes of samples": max(
+                schema.MAX_SAMPLE_BYTES, schema.MAX_EXPANSION * self._file_size
+            ),
         }
 
     def _spend(self, what: str, amount: int, path: str) -> None:
@@ -168,6 +171,8 @@ class _Loader:
                 raise self._refuse(path, f"has a link {name!r} that leads elsewhere")
             below = f"{path.rstrip('/')}/{name}"
             member = h5py.h5o.open(handle, raw)
+            if h5py.h5o.get_info(member).rc > 1:
+                raise self._refuse(below, "is linked from more than one place")
             if isinstance(member, h5py.h5g.GroupID):
                 found.groups[name] = self.group(member, below, depth + 1)
             elif isinstance(member, h5py.h5d.DatasetID):
@@ -194,6 +199,7 @@ class _Loader:
         self._check(handle, path, kind, dtype)
         attributes = self._attributes(handle, path)
         if is_signal(path) and dtype is not None:
+            self._spend("bytes of samples", math.prod(shape) * dtype.itemsize, path)
             return Values(path, attributes, dtype.str, shape, None)
         read = partial(handle.read, h5py.h5s.ALL, h5py.h5s.ALL)
         value = self._value(read, shape, kind, dtype, path)

@@ -5,7 +5,7 @@ import pytest
 from tests.attack.__main__ import attack
 from tests.attack.kinds import KINDS
 
-ROUNDS = {"kills": 2, "signals": 2}
+ROUNDS = {"kills": 2, "signals": 2, "damaged files": 4, "malicious files": 4}
 """Attacks of the kinds that take long; the others have eight."""
 
 

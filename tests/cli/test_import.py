@@ -30,7 +30,11 @@ def folder(tmp_path):
 def test_one_file(folder, capsys):
     source, output = folder / "in" / "a.csv", folder / "a.h5"
     arguments = ("import", source, "--map", folder / "map.toml", "-o", output)
-    assert call(capsys, *arguments) == (0, f"{output}: 50 samples\n", "")
+    assert call(capsys, *arguments) == (
+        0,
+        "",
+        f"Written: {output}: run of import, 50 samples\n",
+    )
     assert call(capsys, *arguments)[0] == 2
     assert call(capsys, *arguments, "--overwrite")[0] == 0
     assert call(capsys, "verify", output) == (
@@ -181,6 +185,16 @@ def _with_head(folder):
     path = folder / "head.toml"
     path.write_text(TEXT.replace("[file]", "[file]\nheader_lines = 1"))
     return path
+
+
+def test_a_condition_is_taken_from_the_folder(folder, capsys):
+    text = TEXT + '[[conditions]]\nname = "on"\nof = "folder"\npattern = "^(on|off)"\n'
+    (folder / "map.toml").write_text(text + "values = { on = 1, off = 0 }\n")
+    source = (folder / "in").rename(folder / "off-cold") / "a.csv"
+    arguments = ("import", source, "--map", folder / "map.toml", "-o", folder / "a.h5")
+    assert call(capsys, *arguments)[0] == 0
+    with open_run(folder / "a.h5") as run:
+        assert run.recording("imported").condition("on") == 0
 
 
 @needs_data

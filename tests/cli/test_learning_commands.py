@@ -1,11 +1,10 @@
 """`ilc-learn` and `fft-ripple` as a user types them, where they refuse."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from rigtool.cli import main
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter
 
@@ -45,15 +44,13 @@ def folder(tmp_path_factory):
         ),
     ],
 )
-def test_refusals(folder, arguments, code, message):
-    done = subprocess.run(
-        [sys.executable, "-m", "rigtool", *arguments, "-o", "out.h5"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == code, done.stderr
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
-    assert done.stdout == ""
+def test_refusals(folder, monkeypatch, capsys, arguments, code, message):
+    monkeypatch.chdir(folder)
+    with pytest.raises(SystemExit) as caught:
+        main([*arguments, "-o", "out.h5"])
+    out, err = capsys.readouterr()
+    assert caught.value.code == code, err
+    assert message in err
+    assert "Traceback" not in err
+    assert out == ""
     assert {path.name for path in folder.iterdir()} == {"kt.h5", "other.h5"}

@@ -13,7 +13,14 @@ import click
 import pytest
 
 import rigtool.cli as cli
-from rigtool.cli.options import common_options, example, open_inputs, source_arguments
+from rigtool.cli.options import (
+    Command,
+    common_options,
+    current_output,
+    example,
+    open_inputs,
+    source_arguments,
+)
 from rigtool.errors import (
     HardwareError,
     InsufficientDataError,
@@ -117,9 +124,10 @@ def test_every_command_has_help_with_a_runnable_example(name):
 
 
 def test_every_module_of_a_command_is_registered():
-    modules = {path.stem for path in (ROOT / "rigtool" / "cli").glob("*.py")}
-    helpers = {"__init__", "options", "printing"}
-    found = {cli.module_name(name) for name in cli.COMMANDS}
+    room = ROOT / "rigtool" / "cli"
+    modules = {path.stem for path in (*room.glob("*.py"), *room.glob("stored/*.py"))}
+    helpers = {"__init__", "defaults", "options", "output"}
+    found = {cli.module_name(name).rpartition(".")[2] for name in cli.COMMANDS}
     assert found == {name for name in modules - helpers if not name.startswith("_")}
 
 
@@ -208,11 +216,11 @@ def test_a_signal_closes_the_file_and_says_so(tmp_path, number, code, word):
 def test_options_arrive_together():
     found = {}
 
-    @click.command(epilog=example("rigtool x a.toml -o a.h5"))
+    @click.command(cls=Command, epilog=example("rigtool x a.toml -o a.h5"))
     @source_arguments
     @common_options
     def command(sources, output, options) -> None:
-        found.update(sources=sources, output=output, options=options)
+        found.update(sources=sources, output=output, options=options, to=current_output())
 
     arguments = ["a.toml", "-o", "x.h5", "--set", "rig.name=b", "--set", "c=1", "--seed", "3"]
     command.main([*arguments, "--json", "-q", "--overwrite"], standalone_mode=False)
@@ -220,8 +228,8 @@ def test_options_arrive_together():
     assert found["output"] == "x.h5"
     options = found["options"]
     assert options.overrides == ("rig.name=b", "c=1")
-    assert (options.seed, options.json, options.quiet, options.overwrite) == (3, True, True, True)
-    assert options.progress is False
+    assert (options.seed, options.overwrite, options.progress) == (3, True, False)
+    assert (found["to"].json, found["to"].quiet) == (True, True)
     assert "Example:\n    rigtool x a.toml -o a.h5" in command.get_help(click.Context(command))
 
 
@@ -232,7 +240,7 @@ def test_options_arrive_together():
 def test_progress_only_on_a_terminal(monkeypatch, arguments, terminal, drawn):
     found = []
 
-    @click.command()
+    @click.command(cls=Command)
     @common_options
     def command(options) -> None:
         found.append(options.progress)
@@ -253,14 +261,16 @@ def test_inputs_that_were_not_given_are_left_out(tmp_path):
 
 
 def test_json_is_strict():
-    from rigtool.cli.printing import to_json
+    from rigtool.cli.output import SCHEMA, Output, quantity_document
     from rigtool.quantity import Quantity
 
     results = {
         "a": Quantity(float("nan"), "N m", reason="too short"),
         "b": Quantity(1.0, "1", 0.5, float("inf")),
     }
-    text = to_json(results, {}, {}, [])
+    shown = {name: quantity_document(quantity) for name, quantity in results.items()}
+    text = Output().text({"results": shown})
+    assert json.loads(text)["schema"] == SCHEMA
 
     def refuse(name: str) -> None:
         raise AssertionError(name)

@@ -71,11 +71,12 @@ def test_diff(tmp_path, capsys):
 def test_export(tmp_path, capsys):
     path = write(tmp_path / "a.h5", size=100)
     csv = tmp_path / "a.csv"
-    assert call(capsys, "export", path, "--part", "holds", "-o", csv) == (0, "", "")
+    assert call(capsys, "export", path, "--part", "holds", "-o", csv, "-q") == (0, "", "")
     assert csv.read_text().splitlines()[0] == "time [s],torque [N m]"
     assert len(csv.read_text().splitlines()) == 101
     assert call(capsys, "export", path, "--part", "holds", "-o", csv)[0] == 2
     assert call(capsys, "export", path, "-o", tmp_path / "a.parquet")[0] == 2
     parquet = tmp_path / "holds.parquet"
-    assert call(capsys, "export", path, "--part", "holds", "-o", parquet) == (0, "", "")
+    wrote = f"Written: {parquet}: holds of {path}\n"
+    assert call(capsys, "export", path, "--part", "holds", "-o", parquet) == (0, "", wrote)
     assert call(capsys, "export", path, "-o", tmp_path / "a.xlsx")[0] == 2

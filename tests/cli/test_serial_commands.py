@@ -100,13 +100,13 @@ def test_dry_run_says_which_loads_will_hang(tmp_path, capsys):
     assert "Load the shaft with 14 mN m (weight on a cord)" in out
 
 
-@pytest.mark.parametrize(("driver", "expected"), [("odrive", 5), ("target", 0)])
+@pytest.mark.parametrize(("driver", "expected"), [("odrive", 3), ("target", 0)])
 def test_dry_run_refuses_what_no_drive_measures(tmp_path, capsys, driver, expected):
     more = [f"serial.driver={driver}"]
     code, out, err = calibrate(capsys, tmp_path, "/dev/none", "--dry-run", more=more)
     assert code == expected
     if expected:
-        assert "it records force: a odrive does not measure it: add [serial.force]" in err
+        assert "it records force, which odrive does not measure: add [serial.force]" in err
     else:
         assert "Whether the drive offers all of this is checked when it is connected" in out
 
@@ -210,9 +210,10 @@ def test_devices(tmp_path, capsys):
         code, out, _err = call(capsys, "devices", server.port, "--driver", "target")
         assert code == 0
         assert out.startswith(f"{server.port}: target: rigtool target emulator, link version 1")
-        code, out, _err = call(
+        code, out, err = call(
             capsys, "devices", "/dev/no-such", server.port, "--json", "--driver", "target"
         )
+    assert (code, err) == (5, "Error: /dev/no-such: cannot be asked\n")
     found = json.loads(out)
     assert found[0]["problem"].startswith("cannot be opened: there is no such port")
     assert found[1]["driver"] == "target"

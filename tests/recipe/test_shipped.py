@@ -60,3 +60,26 @@ def test_an_installed_wheel_knows_where_pip_put_them(tmp_path, monkeypatch):
     monkeypatch.setattr(shipped, "distribution", lambda name: Installed)
     assert set(shipped.shipped_recipes()) == {"import/x"}
     assert shipped.shipped_recipe("import/x") == "text"
+
+
+def test_firmware_comes_with_the_recipe_of_an_own_target(tmp_path, capsys):
+    folder = tmp_path / "new" / "firmware"
+    assert copied("own-target", "--firmware", folder, "-o", tmp_path / "rig.toml") == 0
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["port_example.c", "rigtool_loop.c", "rigtool_target.c", "rigtool_target.h"]
+    assert (tmp_path / "rig.toml").exists()
+    (folder / "port_example.c").write_text("mine")
+    (folder / "rigtool_loop.c").unlink()
+    assert copied("own-target", "--firmware", folder) == 2
+    assert "port_example.c" in capsys.readouterr().err
+    assert not (folder / "rigtool_loop.c").exists()  # all of it, or nothing
+    assert copied("own-target", "--firmware", folder, "--overwrite") == 0
+    assert "board_encoder" in (folder / "port_example.c").read_text()
+
+
+def test_firmware_belongs_to_one_recipe_and_into_a_folder(tmp_path, capsys):
+    assert copied("moteus-r4", "--firmware", tmp_path) == 2
+    assert "rigtool recipe own-target --firmware" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert copied("own-target", "--firmware", tmp_path / "file") == 2
+    assert "cannot be made" in capsys.readouterr().err

@@ -100,7 +100,7 @@ def test_the_order_of_the_files_does_not_matter(make, open_all, no_figures):
 
 def test_every_figure_of_the_thesis_is_there(make, open_all):
     report = build_report(open_all(*map(make, COMMANDS)))
-    numbers = [20, *range(22, 29), 30, 32, 34, 35, 39, 40, 41, 50, 56, *range(58, 64), 76, 100]
+    numbers = [20, *range(22, 29), 30, 32, 34, 35, 39, 40, 41, 50, 56, *range(58, 64), 76, 100, 107]
     assert [picture.number for picture in report.pictures] == numbers
     for picture in report.pictures:
         assert picture.png.startswith(b"\x89PNG")
@@ -114,7 +114,7 @@ def test_only_figures_whose_tables_are_there(make, open_all, tmp_path):
     ) as writer:
         writer.finish({}, {})
     report = build_report(open_all(make("calibrate-kt"), tmp_path / "empty.h5"))
-    assert [picture.number for picture in report.pictures] == [20]
+    assert [picture.number for picture in report.pictures] == [20, 107]
     assert report.force_tables == ()
     assert any("holds signals but no results" in warning for warning in report.warnings)
 

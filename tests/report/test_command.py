@@ -31,7 +31,8 @@ def test_tables_on_stdout_the_rest_on_stderr(runs, tmp_path, capsys):
     assert code == 0
     assert out == (tmp_path / "out" / "tables.txt").read_text()
     assert out.startswith("Table 8. ")
-    assert err == f"Written: {tmp_path / 'out'}\n"
+    wrote = f"report of {len(runs)} runs: index.html, tables and figures"
+    assert err == f"Written: {tmp_path / 'out'}: {wrote}\n"
 
 
 def test_json(runs, tmp_path, capsys):

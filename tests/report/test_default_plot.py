@@ -1,34 +1,34 @@
-"""The default plot shows what is in the file."""
+"""Plots show what is in the file."""
 
 import numpy as np
 import pytest
 
-from rigtool.errors import RunFileError
-from rigtool.report.default_plot import draw_default_plot
+from rigtool.errors import RunFileError, UsageError
+from rigtool.report.default_plot import chosen_name, draw_plot, plot_names
 from rigtool.runfile import RunWriter, open_run
 from tests.runfile.whole_run import SPECS, TABLES, samples
 
 
-def drawn(path, signals, tables):
+def drawn(path, signals, tables, name=None):
     with RunWriter(
         path, command="stribeck", recipe=None, recipe_text=None, recordings=SPECS
     ) as out:
-        for name, block in signals.items():
-            out.append(name, block)
+        for recording, block in signals.items():
+            out.append(recording, block)
         out.finish({}, tables)
     with open_run(path) as run:
-        return draw_default_plot(run).axes[0]
+        return draw_plot(run, chosen_name(run, name)).axes[0]
 
 
 def test_a_table_with_two_axes(tmp_path):
     axes = drawn(tmp_path / "a.h5", {}, TABLES)
     table = TABLES["friction_model"]
     assert axes.get_title() == "stribeck: friction_model"
-    assert axes.get_xlabel() == "position (rad)"
-    assert axes.get_ylabel() == "torque (mN m)"
+    assert axes.get_xlabel() == "position [deg]"
+    assert axes.get_ylabel() == "torque [mN m]"
     assert [line.get_label() for line in axes.lines] == ["speed 1 rad/s", "speed 2 rad/s"]
     for line, torque in zip(axes.lines, table["torque"], strict=True):
-        np.testing.assert_array_equal(line.get_xdata(), table["position"])
+        np.testing.assert_array_equal(line.get_xdata(), np.degrees(table["position"]))
         np.testing.assert_allclose(line.get_ydata(), torque * 1e3, rtol=1e-12, atol=0)
 
 
@@ -42,8 +42,8 @@ def test_a_recording_loses_no_peak(tmp_path):
     signals = samples(20_000)
     signals["sweep"]["current"][12_345] = 50.0
     axes = drawn(tmp_path / "a.h5", {"sweep": signals["sweep"]}, {})
-    assert axes.get_xlabel() == "time (s)"
-    assert axes.get_ylabel() == "current (A)"
+    assert axes.get_xlabel() == "time [s]"
+    assert axes.get_ylabel() == "current [A]"
     (area,) = axes.collections
     corners = area.get_paths()[0].vertices
     assert corners[:, 1].max() == 50.0
@@ -53,3 +53,18 @@ def test_a_recording_loses_no_peak(tmp_path):
 def test_nothing_to_draw(tmp_path):
     with pytest.raises(RunFileError, match="neither tables nor signals"):
         drawn(tmp_path / "a.h5", {}, {})
+
+
+def test_a_part_by_its_name(tmp_path):
+    signals = samples(200)
+    recording = {"sweep": signals["sweep"]}
+    axes = drawn(tmp_path / "a.h5", recording, TABLES, "recordings/sweep/encoder")
+    assert axes.get_title() == "stribeck: sweep/encoder"
+    assert axes.get_ylabel() == "encoder [count]"
+    assert drawn(tmp_path / "b.h5", recording, TABLES, "sweep").get_ylabel() == "current [A]"
+    axes = drawn(tmp_path / "c.h5", recording, TABLES, "breakaway")
+    assert axes.get_title() == "stribeck: breakaway"
+    with open_run(tmp_path / "a.h5") as run:
+        assert plot_names(run)[0] == f"tables/{next(iter(run.tables))}"
+    with pytest.raises(UsageError, match="has no part 'sweeps' to draw: choose one of tables/"):
+        drawn(tmp_path / "d.h5", recording, TABLES, "sweeps")

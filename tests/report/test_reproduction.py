@@ -297,7 +297,25 @@ def test_a_number_outside_its_tolerance_is_said_aloud(runs):
 
 
 def test_runs_that_are_missing_are_named(tmp_path, capsys):
-    code = reproduction.main([str(FIXTURES / "kt.h5"), "--docs", str(tmp_path)])
+    code = reproduction.main([str(FIXTURES / "kt.h5"), "--to", str(tmp_path)])
     assert code == UsageError.exit_code
     assert "suspension" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_numbers_are_held_against_the_committed_ones(committed):
+    assert reproduction.changed(committed, committed) == []
+    made = json.loads(json.dumps(committed))
+    numbers = made["figure-20"]["numbers"]
+    name, number = next((n, v) for n, v in numbers.items() if v["u"])
+    number["value"] += 0.05 * number["u"]
+    assert reproduction.changed(made, committed) == []
+    number["value"] += max(number["u"], 2e-3 * abs(number["value"]))
+    (line,) = reproduction.changed(made, committed)
+    assert line.startswith(f"figure-20: {name}: is ")
+    number["value"] = math.nan
+    assert len(reproduction.changed(made, committed)) == 1
+    del numbers[name]
+    assert reproduction.changed(made, committed) == [
+        f"figure-20: {name}: is committed, but not made: make pages"
+    ]

@@ -2,6 +2,7 @@
 
 import math
 import shutil
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -163,12 +164,24 @@ def hard_link_graph(parent: h5py.Group) -> None:
         parent = below
 
 
+def much_of_nothing(entry: h5py.Group) -> None:
+    """Add 1.1 GB of zeros, a stored chunk of 16 MiB each 16 kB, to the first recording."""
+    recording = next(iter(entry["recordings"].values()))
+    chunks, values = 66, 2**21
+    added = recording.create_dataset(
+        "nothing", (chunks * values,), "f8", chunks=(values,), compression=9
+    )
+    stored = zlib.compress(bytes(8 * values), 9)
+    for chunk in range(chunks):
+        added.id.write_direct_chunk((chunk * values,), stored)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda g: g.__setitem__("x", h5py.ExternalLink("other.h5", "/x")), "leads elsewhere"),
         (lambda g: g.__setitem__("x", h5py.SoftLink("/entry")), "leads elsewhere"),
-        (lambda g: g.__setitem__("x", g["/entry"]), "nested too deeply"),
+        (lambda g: g.__setitem__("x", g["/entry"]), "linked from more than one place"),
         (lambda g: g.create_dataset("x", (10**12,), "f8", chunks=(8192,)), "claims shape"),
         (lambda g: g.create_dataset("x", (10**9,), "f8", chunks=(8192,)), "file can hold"),
         (lambda g: g.create_dataset("x", (2**25,), "u1", chunks=(2**20,)), "file can hold"),
@@ -187,7 +200,9 @@ def hard_link_graph(parent: h5py.Group) -> None:
         (lambda g: g.create_dataset("x", data=zeros(2**25), compression=9), "beyond the values"),
         (lambda g: g.create_group("a b"), "member 'a b'"),
         (lambda g: g.create_dataset("x", shape=(), dtype="S2000000000"), "this file"),
-        (hard_link_graph, "nested too deeply|beyond the objects"),
+        (lambda g: g.create_group("1/2/3/4/5/6"), "nested too deeply"),
+        (much_of_nothing, "beyond the bytes of samples"),
+        (hard_link_graph, "linked from more than one place"),
         (lambda g: [g.create_group(f"g{i}") for i in range(10_001)], "members"),
         (lambda g: g.create_dataset("x", data=h5py.Empty("f8")), "shape None"),
         (lambda g: g.create_dataset("x", data=np.array([b"a", b"b"])), "array of texts"),

@@ -140,9 +140,9 @@ def _predict(
     """Advance mean and covariance by one step of len(torque) samples; whether a stroke began."""
     x, covariance = s.mean, s.covariance
     span = len(torque) * p.sample_time
-    rows[:] = 0.0
-    for j in range(STATES):
-        rows[j, j] = 1.0
+    for i in range(STATES):
+        for j in range(STATES):
+            rows[i, j] = 1.0 if i == j else 0.0
     spread = u.undecided * math.sqrt(covariance[SPEED, SPEED])
     outer = u.undecided * math.sqrt(covariance[GRASPER_SPEED, GRASPER_SPEED])
     for k in range(len(torque)):
@@ -194,7 +194,8 @@ def _predict(
             x[i] = 0.0
             for j in range(STATES):
                 covariance[i, j] = covariance[j, i] = 0.0
-            s.shared_covariance[i] = 0.0
+            for j in range(passed.ORDER):
+                s.shared_covariance[i, j] = 0.0
             covariance[i, i] = deviation * deviation
         return True
     return False
@@ -231,6 +232,13 @@ def _update(
 
 
 @compiled
+def _copy(source: Array, target: Array) -> None:
+    """Copy states (12,); numba takes seconds to compile an assignment of arrays."""
+    for i in range(STATES):
+        target[i] = source[i]
+
+
+@compiled
 def run(
     state: NDArray[np.void],
     plant: NDArray[np.void],
@@ -258,14 +266,15 @@ def run(
     for k in range(torque.shape[0]):
         began = _predict(s, p, u, friction_map, torque[k], viscous[k], low_pass, rows, work)
         moved, informed, before = _update(s, u, low[k], width, span, column)
-        means[k] = s.mean
+        _copy(s.mean, means[k])
         mean, spread = passed.output(s, low_pass, row)
         outputs[k, 0], outputs[k, 1] = mean, math.sqrt(max(spread, 0.0))
         if steps is not None:
             derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
-            derivative[k] = rows[:MOVING_STATES]
+            for i in range(MOVING_STATES):
+                _copy(rows[i], derivative[k, i])
             fresh[k] = began
             correction[k], weight[k], variance[k] = moved, informed, before
-            gain[k] = column
-            torque_row[k] = s.covariance[TORQUE]
-            passed_row[k] = row
+            _copy(column, gain[k])
+            _copy(s.covariance[TORQUE], torque_row[k])
+            _copy(row, passed_row[k])

@@ -37,8 +37,9 @@ SLIDING = 0.9
 BEYOND = 1.1
 """Of speed and torque that were learned: what is given nonetheless."""
 
-SLOW = 0.5
-"""Of the slowest speed that was learned under load: below, a rotor that slides creeps."""
+SLOW = 0.4999
+"""Of the slowest speed that was learned under load: below, a rotor that slides creeps. Half of a
+round speed is a whole number of counts, and rounding would choose the side."""
 
 BEYOND_ANGLE = 0.01
 """Of the range of angles, on both sides."""

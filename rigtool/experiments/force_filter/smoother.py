@@ -71,7 +71,8 @@ def _before_prediction(
     diagonal = np.ones(STATES)
     diagonal[NOISE] = kept
     if fresh:
-        diagonal[SINE : LOAD + 1] = 0.0
+        for i in range(SINE, LOAD + 1):
+            diagonal[i] = 0.0
     old = adjoint.copy()
     for j in range(STATES):
         adjoint[j] = old[j] * diagonal[j] if j >= MOVING_STATES else 0.0

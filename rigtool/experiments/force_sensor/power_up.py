@@ -236,5 +236,6 @@ def _read(s: Record, p: Record) -> None:
             square = s.learned[i] ** 2 + s.learned[i + 1] ** 2
             if first * first + second * second > LARGEST**2 * square:
                 s.other = REFUTED
-    s.row[:] = 0.0
+    for i in range(WAVES + 1):
+        s.row[i] = 0.0
     s.filled = s.slid = 0.0

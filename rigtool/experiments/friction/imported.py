@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.friction.holds import find_holds, pool
+from rigtool.experiments.friction.holds import MIN_SAMPLES, find_holds, pool
 from rigtool.experiments.friction.imported_motion import add_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion, band_limit
 from rigtool.experiments.friction.procedure_analysis import separate
@@ -21,16 +21,11 @@ from rigtool.experiments.friction.results import (
     holds_table,
 )
 from rigtool.experiments.friction.stribeck_fit import fit_directions
-from rigtool.experiments.imported import (
-    Effort,
-    effort_of,
-    is_linear,
-    known,
-    position_of,
-    require_one_rig,
-    signals_of,
-)
+from rigtool.experiments.imported import is_linear, known, position_of, require_one_rig, signals_of
+from rigtool.experiments.imported_effort import Effort, effort_of
 from rigtool.experiments.outcome import Outcome
+from rigtool.numerics.arrays import Array
+from rigtool.numerics.plateaus import find_plateaus
 from rigtool.runfile import Recording, Run
 
 SPEED_PARTS = 10
@@ -41,6 +36,18 @@ SPEED_SPREAD_LIMIT = 0.25
 
 MIN_PROGRESS = 0.1
 """Net part of the path that a hold covers at least: an oscillation covers none."""
+
+SPEED_BLOCKS = 400
+"""Most parts of a recording whose mean speeds show plateaus."""
+
+ON_STEPS = 0.5
+"""Smallest part of the time on plateaus of a staircase of speed."""
+
+OTHER_SPEED = 0.5
+"""Ratio of the speeds of a staircase at most: one speed with its scatter has no such steps."""
+
+SLOWEST = 0.005
+"""Slowest speed of a plateau, relative to the highest: below, the shaft stands still."""
 
 UNITS_BY_EFFORT = {
     "N": {"N m": "N", "N m s/rad": "N s/m", "rad/s": "m/s", "rad": "m", "kg m2": "kg"},
@@ -60,12 +67,12 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     recordings = signals_of(runs)
     require_one_rig(recordings, runs)
     efforts = [effort_of(recording, kt) for recording in recordings]
-    held = [_is_held(recording) for recording in recordings]
+    held = [_stretches(recording) for recording in recordings]
     if any(held) and not all(held):
         moving = ", ".join(run.path.name for run, item in zip(runs, held, strict=True) if not item)
         raise UsageError(
-            f"{sum(held)} runs hold a constant speed, these do not: {moving}: analyse the two "
-            "kinds one after the other"
+            f"{sum(map(bool, held))} runs hold a constant speed, these do not: {moving}: analyse "
+            "the two kinds one after the other"
         )
     first = efforts[0]
     found = Findings(Scale(1.0, first.relative_u or 0.0))
@@ -76,55 +83,91 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
             "uncertainties"
         )
     if all(held):
-        _add_holds(runs, recordings, efforts, found)
+        _add_holds(runs, recordings, efforts, held, found)
     else:
         _add_motion(runs, recordings, efforts, found)
     return _in_units(found, UNITS_BY_EFFORT[first.unit], linear=is_linear(recordings[0]))
 
 
-def _is_held(recording: Recording) -> bool:
-    """Return whether a recording holds constant speeds, once it has settled.
+def _stretches(recording: Recording) -> list[tuple[int, int]]:
+    """Return first and last + 1 sample of stretches of constant speed, none for other motions.
 
-    One with a set point may hold several speeds in a row.
+    With a set point of position, whose holds `find_holds` finds, or with one speed once it has
+    settled, that is the whole recording.
     """
     time, position = recording.read("time"), position_of(recording)
+    whole = [(0, len(time))]
     if recording.has("position_setpoint"):
         position = recording.read("position_setpoint")
         speed = np.diff(position) / np.diff(time)
         top = float(np.max(np.abs(speed)))
         steady = np.abs(np.diff(speed)) <= 1e-3 * top * np.diff(time)[1:]
-        return bool(np.mean(steady & (np.abs(speed[1:]) > 0.01 * top)) > 0.5)
+        return whole if np.mean(steady & (np.abs(speed[1:]) > 0.01 * top)) > 0.5 else []
     edges = np.linspace(time[0], time[-1], SPEED_PARTS + 1)[SPEED_PARTS // 2 :]
     speeds = np.diff(np.interp(edges, time, position)) / np.diff(edges)
     constant = np.max(np.abs(speeds - speeds.mean())) <= SPEED_SPREAD_LIMIT * abs(speeds.mean())
     # An oscillation whose period fits the parts has equal mean speeds too, all near zero.
     late = position[np.searchsorted(time, edges[0]) :]
     onwards = abs(late[-1] - late[0]) >= MIN_PROGRESS * np.sum(np.abs(np.diff(late)))
-    return bool(constant and onwards)
+    held = _steps(recording, time, position)
+    levels = [abs(position[b - 1] - position[a]) / (time[b - 1] - time[a]) for a, b in held]
+    one = not held or min(levels) > OTHER_SPEED * max(levels)
+    return whole if constant and onwards and one else held
+
+
+def _steps(recording: Recording, time: Array, position: Array) -> list[tuple[int, int]]:
+    """Return the stretches of a staircase of speed: by its set point, else by the speed itself."""
+    if recording.has("speed_setpoint"):
+        level = recording.read("speed_setpoint")
+        samples = np.arange(len(time))
+        step = largest = 1e-3 * float(np.max(np.abs(level)))
+    else:
+        count = min(SPEED_BLOCKS, len(time) // 4)
+        samples = np.linspace(0, len(time) - 1, count + 1).round().astype(np.int64)
+        level = np.diff(position[samples]) / np.diff(time[samples])
+        top = float(np.max(np.abs(level)))
+        step, largest = 0.02 * top, 0.05 * top
+    slowest = SLOWEST * float(np.max(np.abs(level)))
+    found = [
+        (int(samples[a]), int(samples[min(b, len(samples) - 1)]))
+        for a, b in find_plateaus(level, step, largest)
+        if abs(float(level[a:b].mean())) > slowest
+    ]
+    held = [(a, b) for a, b in found if b - a >= MIN_SAMPLES]
+    return held if sum(b - a for a, b in held) >= ON_STEPS * len(time) else []
 
 
 # -- holds
 
 
 def _add_holds(
-    runs: Sequence[Run], recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings
+    runs: Sequence[Run],
+    recordings: Sequence[Recording],
+    efforts: Sequence[Effort],
+    stretches: Sequence[Sequence[tuple[int, int]]],
+    found: Findings,
 ) -> None:
     parts = []
     inertia = known(recordings[0], "inertia")
-    for run, recording, effort in zip(runs, recordings, efforts, strict=True):
-        setpoint = "position_setpoint"
+    for run, recording, effort, held in zip(runs, recordings, efforts, stretches, strict=True):
+        time, angle = recording.read("time"), position_of(recording)
+        asked = None
+        if recording.has("position_setpoint"):
+            asked = recording.read("position_setpoint")
         try:
-            part = find_holds(
-                time=recording.read("time"),
-                angle=position_of(recording),
-                torque=effort.values,
-                setpoint=recording.read(setpoint) if recording.has(setpoint) else None,
-                # Without the inertia, the speed that fast torque makes is unknown.
-                inertia=math.inf if inertia is None else inertia,
-            )
+            parts += [
+                find_holds(
+                    time=time[a:b],
+                    angle=angle[a:b],
+                    torque=effort.values[a:b],
+                    setpoint=None if asked is None else asked[a:b],
+                    # Without the inertia, the speed that fast torque makes is unknown.
+                    inertia=math.inf if inertia is None else inertia,
+                )
+                for a, b in held
+            ]
         except InsufficientDataError as error:
             raise InsufficientDataError(f"{run.path}: {error}") from None
-        parts.append(part)
     holds = pool(parts)
     if inertia is None:
         found.notes.append(

@@ -9,7 +9,7 @@ import numpy as np
 
 from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
-from rigtool.experiments.friction.results import NOT_SEPARATED, Findings
+from rigtool.experiments.friction.results import Findings
 from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, separate_offset
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -37,24 +37,28 @@ def add_dynamics(motions: Sequence[SmoothedMotion], found: Findings) -> None:
     coulomb, u = dynamics.estimate("coulomb")
     found.add("coulomb_friction", (coulomb, u), "N m", dof)
     offset, offset_u = dynamics.estimate("offset")
+    found.add("friction_offset", (offset, offset_u), "N m", dof)
     # One motion has one level of friction: its asymmetry looks like a constant torque.
     level = max(coulomb, u, 1e-300)
-    separated = separate_offset(
+    unknown = separate_offset(
         np.array([level]), np.array([offset]), np.array([offset_u]), np.zeros(1)
-    )
+    ).offset[1]
     for direction in DIRECTIONS.values():
-        total = math.hypot(u, separated.offset[1])
-        found.add(f"coulomb_friction_{direction}", (coulomb, total), "N m", dof)
-    found.add("friction_offset", separated.offset, "N m", dof)
-    found.results["friction_asymmetry"] = Quantity(
-        separated.asymmetry[0], "1", separated.asymmetry[1]
+        found.add(f"coulomb_friction_{direction}", (coulomb, math.hypot(u, unknown)), "N m", dof)
+    found.notes.append(
+        "friction_offset is that of Coulomb friction that is the same in both directions: half of "
+        "a difference between them looks the same"
     )
-    found.notes.append(NOT_SEPARATED)
+    if dynamics.by_direction:
+        for direction, sign in zip(DIRECTIONS.values(), ("", "-"), strict=True):
+            value = dynamics.estimate("viscous", f"{sign}viscous_difference")
+            found.add(f"viscous_friction_{direction}", value, "N m s/rad", dof)
+        found.notes.append("viscous friction differs by direction: viscous_friction is the mean")
     found.results["residual_rms"] = Quantity(
         dynamics.residual_rms, "N m", reason="a measure of scatter itself"
     )
-    found.notes.extend(_notes(motions, dynamics))
-    found.tables["dynamics_fit"] = _fit_table(motions, dynamics)
+    found.notes.extend(_notes(dynamics))
+    found.tables["dynamics_fit"] = _fit_table(dynamics)
 
 
 def _add_inertia(dynamics: Dynamics, found: Findings) -> None:
@@ -76,14 +80,16 @@ def _add_inertia(dynamics: Dynamics, found: Findings) -> None:
         )
 
 
-def _notes(motions: Sequence[SmoothedMotion], dynamics: Dynamics) -> list[str]:
+def _notes(dynamics: Dynamics) -> list[str]:
+    motions = dynamics.motions
     cutoffs = [motion.cutoff for motion in motions]
     left_out = sum(motion.left_out for motion in motions)
     total = sum(motion.samples for motion in motions)
     notes = [
         "from the dynamics of the motion, J a + fv v + fc sign(v) + offset, that explain "
         f"{dynamics.explained:.1%} of its variance up to {min(cutoffs):.3g} Hz or more",
-        f"{left_out} of {total} samples left out: near standstill, or at an end",
+        f"{left_out} of {total} samples left out: below {dynamics.standstill:.0%} of the highest "
+        "speed, as the residuals ask for, or at an end; what that changes is part of u",
     ]
     for share, what in (
         (dynamics.by_speed, "speed: friction is no straight line over speed"),
@@ -99,8 +105,9 @@ def _notes(motions: Sequence[SmoothedMotion], dynamics: Dynamics) -> list[str]:
     return notes
 
 
-def _fit_table(motions: Sequence[SmoothedMotion], dynamics: Dynamics) -> Table:
+def _fit_table(dynamics: Dynamics) -> Table:
     """Return the means of torque and model by range of speed, over all motions."""
+    motions = dynamics.motions
     speed = np.concatenate([motion.design[motion.used, 1] for motion in motions])
     torque = np.concatenate([motion.torque[motion.used] for motion in motions])
     model = np.concatenate([dynamics.torque(motion)[motion.used] for motion in motions])

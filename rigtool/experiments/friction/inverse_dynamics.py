@@ -1,12 +1,17 @@
 """Inertia and friction from any motion, by least squares on the equation of motion.
 
-    torque = J a + fv v + fc sign(v) + offset
+    torque = J a + fv v + fc sign(v) + offset + fd |v|
 
 on the terms that `motion_terms` makes of recordings. The covariance allows for residuals that are
 correlated in time (`residual_covariance`) and for structure in the residuals (`model_doubt`):
 friction that is no straight line over speed (Stribeck), or a function of position (spring, ripple,
 load). The offset is the mean torque over the positions that were visited: on less than a turn, it
-includes a mean of the ripple.
+includes a mean of the ripple. Viscous friction is fv + fd in the positive direction and fv - fd in
+the negative one; fd is part of the model where it is significant.
+
+How much is left out around standstill is chosen by the residuals: samples at lower speeds are used
+as long as the model fits them as well as the others. What the choice changes is part of the
+uncertainties.
 
 A linear axis is the same with position in m and force in N: J in kg, fv in N s/m.
 """
@@ -15,19 +20,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction.model_doubt import TIME_PARTS, curvature, own_part, structure
-from rigtool.experiments.friction.motion_terms import SmoothedMotion
+from rigtool.experiments.friction.motion_terms import NEAR_STANDSTILL, SmoothedMotion
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.numerics.smoothing import CUTOFF
 
-DYNAMICS_PARAMETERS = ("inertia", "viscous", "coulomb", "offset")
+DYNAMICS_PARAMETERS = ("inertia", "viscous", "coulomb", "offset", "viscous_difference")
+
+SIGNIFICANT = 3.0
+"""Multiple of its uncertainty from which on the viscous friction differs by direction."""
+
+AS_WELL, ON_ONE_SIDE = 3.0, 2.0
+"""Standard deviations by which chance raises the power of residuals near standstill, and moves
+their mean along the motion: more is friction that is another one at low speed (Stribeck)."""
 
 ACCELERATION_NOISE_LIMIT = 0.1
 """Largest part of noise in the acceleration's power for which inertia is stated."""
@@ -50,9 +62,11 @@ MIN_SAMPLES_IN_MOTION = 50
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Parameters J, fv, fc, offset (4,) with covariance (4, 4) and `dof` degrees of freedom.
+    """Parameters J, fv, fc, offset, fd (5,) with covariance (5, 5) and `dof` degrees of freedom.
 
-    Inertia is NaN where the motion does not resolve it; `without_inertia` then states why.
+    Inertia is NaN where the motion does not resolve it; `without_inertia` then states why. fd is
+    NaN where viscous friction is the same in both directions. `standstill` is the part of the
+    highest speed below which samples were left out, `motions` those with the rest.
     `residual_rms` is that of the smoothed torque, `explained` the part of its variance that the
     model explains; `by_speed` and `by_position` are the parts of the residual's power that a
     function of speed, or of position, explains beyond chance. With `single_frequency`, position is
@@ -67,12 +81,26 @@ class Dynamics:
     by_speed: float
     by_position: float
     single_frequency: bool
+    standstill: float
+    motions: Sequence[SmoothedMotion]
     without_inertia: str | None = None
 
-    def estimate(self, name: str) -> tuple[float, float]:
-        """Return a parameter of `DYNAMICS_PARAMETERS` and its standard uncertainty."""
-        index = DYNAMICS_PARAMETERS.index(name)
-        return float(self.parameters[index]), math.sqrt(float(self.covariance[index, index]))
+    @property
+    def by_direction(self) -> bool:
+        """Whether viscous friction differs by direction."""
+        return bool(np.isfinite(self.parameters[-1]))
+
+    def estimate(self, *names: str) -> tuple[float, float]:
+        """Return a sum of parameters of `DYNAMICS_PARAMETERS` and its standard uncertainty.
+
+        A minus sign before a name subtracts it.
+        """
+        factor = np.zeros(len(DYNAMICS_PARAMETERS))
+        for name in names:
+            factor[DYNAMICS_PARAMETERS.index(name.lstrip("-"))] = -1.0 if name[0] == "-" else 1.0
+        there = factor != 0
+        spread = factor[there] @ self.covariance[np.ix_(there, there)] @ factor[there]
+        return float(factor[there] @ self.parameters[there]), math.sqrt(float(spread))
 
     def torque(self, motion: SmoothedMotion) -> Array:
         """Return the model's torque for each row of a motion, (n,)."""
@@ -96,30 +124,79 @@ def identify_dynamics(motions: Sequence[SmoothedMotion]) -> Dynamics:
             f"{np.count_nonzero(used)} smoothed samples are in motion, {MIN_SAMPLES_IN_MOTION} are "
             "needed: move for longer, faster, or with fewer reversals"
         )
-    # Each second has the same weight, for any spacing.
-    weight = used * np.concatenate([np.full(len(m.torque), m.spacing**0.5) for m in motions])
+    _require_friction(np.concatenate([motion.design[motion.used] for motion in motions]))
+    without = _resolves_inertia(motions)[1]
+    plain = [1, 2, 3] if without else [0, 1, 2, 3]
+    split = [*plain, 4]
+    motions, standstill = _with_all_that_fits(motions, split)
+    found = _fit(motions, split, standstill, without)
+    difference, u = found.estimate("viscous_difference")
+    if abs(difference) < SIGNIFICANT * u or own_part(_weighted(motions)[0], 4) < MIN_OWN_POWER:
+        found = _fit(motions, plain, standstill, without)
+    _require_model(found)
+    return found
+
+
+def _weighted(motions: Sequence[SmoothedMotion]) -> tuple[Array, Array, Array]:
+    """Return design (n, 5), torque (n,) and weight (n,); each second has the same weight."""
+    weight = np.concatenate([m.used * m.spacing**0.5 for m in motions])
     design = np.concatenate([motion.design for motion in motions]) * weight[:, None]
-    torque = np.concatenate([motion.torque for motion in motions]) * weight
-    _require_friction(design[used])
-    noise, without = _resolves_inertia(motions, design)
-    chosen = slice(1 if without else 0, 4)
-    solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+    return design, np.concatenate([motion.torque for motion in motions]) * weight, weight
+
+
+def _with_all_that_fits(
+    motions: Sequence[SmoothedMotion], chosen: Sequence[int]
+) -> tuple[list[SmoothedMotion], float]:
+    """Return the motions with all samples near standstill that the model fits as well as others.
+
+    And the part of the highest speed below which samples are left out.
+    """
+    here = list(motions)
+    standstill = NEAR_STANDSTILL[0]
+    for number, part in enumerate(NEAR_STANDSTILL[1:], start=1):
+        more = [replace(motion, used=motion.sliding[number]) for motion in motions]
+        design, torque, weight = _weighted(here)
+        solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+        _, _, wider = _weighted(more)
+        rows = np.concatenate([motion.design for motion in motions])[:, chosen]
+        left = np.concatenate([motion.torque for motion in motions]) - rows @ solution
+        new = (wider > 0) & (weight == 0)
+        along = (left * np.sign(_speed(motions)))[new]
+        others = float(np.mean(left[weight > 0] ** 2))
+        alike = _independent(here, torque - design[:, chosen] @ solution)
+        count = max(alike * np.count_nonzero(new) / np.count_nonzero(weight), 1.0)
+        if new.any() and (
+            float(np.mean(along**2)) > others * (1 + AS_WELL * math.sqrt(2 / count))
+            or abs(float(np.mean(along))) > ON_ONE_SIDE * math.sqrt(others / count)
+        ):
+            break
+        here, standstill = more, part
+    return here, standstill
+
+
+def _fit(
+    motions: Sequence[SmoothedMotion], chosen: list[int], standstill: float, without: str | None
+) -> Dynamics:
+    """Fit the chosen parameters to the samples in use."""
+    design, torque, weight = _weighted(motions)
+    solution = np.asarray(np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0], np.float64)
     residual = torque - design[:, chosen] @ solution
     covariance, dof = long_run_covariance(
         design[:, chosen], residual, _independent(motions, residual)
     )
     doubt, by_speed, by_position = _doubt(motions, design[:, chosen], residual, weight)
-    doubts = np.zeros(4)
-    doubts[chosen] = doubt
-    if not without:
+    doubt = np.hypot(doubt, _choice(motions, chosen, solution))
+    if 0 in chosen:
         # Noise in a regressor draws its parameter towards zero: the bias counts as uncertainty.
-        doubts[0] = math.hypot(doubts[0], noise / own_part(design, 0) * solution[0])
-    parameters, total = np.full(4, math.nan), np.full((4, 4), math.nan)
+        noise = _resolves_inertia(motions)[0]
+        doubt[0] = math.hypot(doubt[0], noise / own_part(design[:, chosen], 0) * solution[0])
+    size = len(DYNAMICS_PARAMETERS)
+    parameters, total = np.full(size, math.nan), np.full((size, size), math.nan)
     parameters[chosen] = solution
-    total[chosen, chosen] = covariance + np.diag(doubts[chosen] ** 2)
+    total[np.ix_(chosen, chosen)] = covariance + np.diag(doubt**2)
     level = torque - weight * float(np.sum(torque * weight) / np.sum(weight**2))
     power = float(np.sum(residual**2))
-    found = Dynamics(
+    return Dynamics(
         parameters=parameters,
         covariance=total,
         dof=dof,
@@ -128,10 +205,25 @@ def identify_dynamics(motions: Sequence[SmoothedMotion]) -> Dynamics:
         by_speed=by_speed,
         by_position=by_position,
         single_frequency=_single_frequency(motions),
+        standstill=standstill,
+        motions=motions,
         without_inertia=without,
     )
-    _require_model(found)
-    return found
+
+
+def _choice(motions: Sequence[SmoothedMotion], chosen: list[int], solution: Array) -> Array:
+    """Return the uncertainty (p,) from the choice of what is left out around standstill.
+
+    The largest change by leaving out more, as half the width of a rectangular distribution
+    (GUM 4.3.7).
+    """
+    change = np.zeros(len(chosen))
+    for number in range(len(NEAR_STANDSTILL)):
+        other = [replace(m, used=m.used & m.sliding[number]) for m in motions]
+        design, torque, _ = _weighted(other)
+        found = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+        change = np.maximum(change, np.abs(found - solution))
+    return change / math.sqrt(3)
 
 
 def _doubt(
@@ -145,7 +237,8 @@ def _doubt(
     speed, position = _speed(motions), _centred(motions)
     by_speed, _ = structure(speed[used], residual[used], design[used], times[used])
     by_position, doubt = structure(position[used], residual[used], design[used], times[used])
-    bent = curvature(speed, weight, residual, design, _independent(motions, residual))
+    coulomb = _weighted(motions)[0][:, DYNAMICS_PARAMETERS.index("coulomb")]
+    bent = curvature(speed, coulomb, residual, design, _independent(motions, residual))
     return np.hypot(doubt, bent), by_speed, by_position
 
 
@@ -167,8 +260,9 @@ def _require_friction(design: Array) -> None:
         )
 
 
-def _resolves_inertia(motions: Sequence[SmoothedMotion], design: Array) -> tuple[float, str | None]:
+def _resolves_inertia(motions: Sequence[SmoothedMotion]) -> tuple[float, str | None]:
     """Return the part of noise in the acceleration's power, and why inertia is not resolved."""
+    design = _weighted(motions)[0][:, :4]
     power = float(np.sum(design[:, 0] ** 2))
     noise = sum(np.sum(m.used) * m.spacing * m.noise[1] ** 2 for m in motions)
     share = float(noise / power) if power > 0 else math.inf

@@ -108,17 +108,18 @@ def _sums(labels: NDArray[np.intp], values: Array | None = None) -> Array:
 
 
 def curvature(
-    speed: Array, weight: Array, residual: Array, design: Array, independent: float
+    speed: Array, coulomb: Array, residual: Array, design: Array, independent: float
 ) -> Array:
     """Return the uncertainty (p,) from friction that is no straight line over speed.
 
     The change of each parameter if the model had the best-fitting Stribeck term
-    sign(v) exp(-(v/vs)^2), as far as the term exceeds chance. `speed` (n,), `weight` (n,) of the
-    rows of `design` (n, p) and of `residual` (n,), which amount to `independent` samples.
+    sign(v) exp(-(v/vs)^2), as far as the term exceeds chance. `speed` (n,), `coulomb` (n,) the
+    regressor of sign(v) in the weighted rows of `design` (n, p) and of `residual` (n,), which
+    amount to `independent` samples.
     """
     best, change, u = 0.0, np.zeros(design.shape[1]), 1.0
-    for velocity in STRIBECK_VELOCITIES * float(np.max(np.abs(speed[weight > 0]))):
-        bump = weight * np.sign(speed) * np.exp(-((speed / velocity) ** 2))
+    for velocity in STRIBECK_VELOCITIES * float(np.max(np.abs(speed[coulomb != 0]))):
+        bump = coulomb * np.exp(-((speed / velocity) ** 2))
         alike = np.linalg.lstsq(design, bump, rcond=None)[0]
         rest = bump - design @ alike
         power = float(np.sum(rest**2))

@@ -1,4 +1,4 @@
-"""Terms of the equation torque = J a + fv v + fc sign(v) + offset, all band-limited alike.
+"""Terms of the equation torque = J a + fv v + fc sign(v) + offset + fd |v|, band-limited alike.
 
 Torque and all regressors pass the same smoothing kernel, so that the equation still holds between
 them and the band limit biases nothing (Gautier, Proc. IEEE ICRA 1997, 3284-3289; Swevers, Verdonck
@@ -44,8 +44,9 @@ MOTION = 0.99
 HARMONICS = 10
 """Multiple of the motion's frequency that the kernel passes: sign(v) has harmonics."""
 
-NEAR_STANDSTILL = 0.05
-"""Speeds below this part of the highest, or within their noise, are near standstill."""
+NEAR_STANDSTILL = (0.05, 0.02, 0.01, 0.0)
+"""Speeds below one of these parts of the highest, or within their noise, are near standstill; at
+the last one, all of the motion counts as sliding, and so does the noise."""
 
 SURE_SIGN = 5.0
 """Standard deviations of its noise beyond which the sign of a speed is known."""
@@ -61,22 +62,28 @@ MIN_SAMPLES = 50
 class SmoothedMotion:
     """One recording, smoothed: rows are equally far apart in time, `spacing` s.
 
-    `design` (n, 4) for J, fv, fc, offset; `torque` (n,); `position` (n,); `used` (n,); `noise` are
-    the standard deviations of speed and acceleration that the position's noise makes; `cutoff` in
-    Hz; of the recorded `samples`, `left_out` are not used; `resampled` where the time axis was
-    irregular.
+    `design` (n, 5) for J, fv, fc, offset, fd; `torque` (n,); `position` (n,); `used` (n,) is one of
+    `sliding` (k, n), those for each of `NEAR_STANDSTILL`; `noise` are the standard deviations of
+    speed and acceleration that the position's noise makes; `cutoff` in Hz; of the recorded
+    `samples` a row stands for `every`; `resampled` where the time axis was irregular.
     """
 
     design: Array
     torque: Array
     position: Array
     used: Mask
+    sliding: Mask
     spacing: float
     noise: tuple[float, float]
     cutoff: float
     samples: int
-    left_out: int
+    every: int
     resampled: bool
+
+    @property
+    def left_out(self) -> int:
+        """Number of samples that are not used."""
+        return max(0, self.samples - int(self.used.sum()) * self.every)
 
 
 def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> SmoothedMotion:
@@ -100,21 +107,35 @@ def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> Sm
     # The speed between its samples, to place its change of sign.
     places = smoother.places(len(shaft))
     everywhere = np.interp(np.arange(len(shaft)), places, speed)
-    sliding = known & (np.abs(everywhere) >= max(NEAR_STANDSTILL * highest, SURE_SIGN * noise[0]))
-    used = smoother(sliding.astype(np.float64)) >= SLIDING
+    limits = [
+        max(part * highest, SURE_SIGN * noise[0]) if part else 0.0 for part in NEAR_STANDSTILL
+    ]
+    sliding = np.stack(
+        [
+            smoother((known & (np.abs(everywhere) >= limit)).astype(np.float64)) >= SLIDING
+            for limit in limits
+        ]
+    )
     design = np.column_stack(
-        [smoother(shaft, 2), speed, smoother(np.sign(everywhere)), np.ones(len(speed))]
+        [
+            smoother(shaft, 2),
+            speed,
+            smoother(np.sign(everywhere)),
+            np.ones(len(speed)),
+            smoother(np.abs(everywhere)),
+        ]
     )
     return SmoothedMotion(
         design=design,
         torque=smoother(effort),
         position=shaft[places],
-        used=used,
+        used=sliding[0],
+        sliding=sliding,
         spacing=smoother.every * step,
         noise=noise,
         cutoff=smoother.cutoff,
         samples=len(t),
-        left_out=max(0, len(t) - int(used.sum()) * smoother.every),
+        every=smoother.every,
         resampled=len(shaft) != len(t) or not known.all(),
     )
 

@@ -215,6 +215,7 @@ def torque_speed_table(curve: TorqueSpeed, label: str) -> Table:
         {
             "speed": Column(curve.speed, "rad/s"),
             "torque": Column(curve.torque, "N m", "of the controller, without feed-forward"),
+            "u": Column(curve.u, "N m", "standard uncertainty from the scatter of turns"),
             "revolutions": Column(curve.revolutions, "1", "whole turns averaged"),
         },
         signal="torque",

@@ -6,6 +6,7 @@ shaft turns more than once the mean covers whole revolutions only, so that rippl
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -25,11 +26,16 @@ ACCELERATION_LIMIT = 2.0
 
 @dataclass(frozen=True)
 class TorqueSpeed:
-    """Means by bin, (n,): `speed` in rad/s, `torque` in N m, whole `revolutions` averaged."""
+    """Means by bin, (n,): `speed` in rad/s, `torque` in N m, whole `revolutions` averaged.
+
+    `u` is the standard uncertainty of the torque, N m, from the scatter of the single turns in a
+    bin (GUM 4.2.3); NaN where a bin has less than two.
+    """
 
     speed: Array
     torque: Array
     revolutions: Array
+    u: Array
 
 
 def torque_speed_curve(
@@ -56,18 +62,28 @@ def torque_speed_curve(
     label = np.where(swept, number, -1)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])
     rows = []
+    single: dict[int, list[float]] = defaultdict(list)
     for first, last in pairwise(starts.tolist()):
         if label[first] >= 0 and last - first >= 2:
             kept, whole = _whole_turns(angle[first:last])
             part = slice(first + kept.start, first + kept.stop)
             corrected = effort[part] - inertia * acceleration[part]
             rows.append((label[first], np.mean(speed[part]), np.mean(corrected), whole))
+            for turn in np.array_split(corrected, whole) if whole else ():
+                single[int(label[first])].append(float(np.mean(turn)))
     passes = np.array(rows)
     # A sweep up and down passes each bin twice: average the passes.
     _, index = np.unique(passes[:, 0], return_inverse=True)
     count = np.bincount(index)
     speed, torque, turns = (np.bincount(index, weights=passes[:, k]) for k in (1, 2, 3))
-    return TorqueSpeed(speed / count, torque / count, turns.astype(np.float64))
+    u = np.array([_standard_error(single[number]) for number in np.unique(passes[:, 0]).tolist()])
+    return TorqueSpeed(speed / count, torque / count, turns.astype(np.float64), u)
+
+
+def _standard_error(means: list[float]) -> float:
+    if len(means) < 2:
+        return float("nan")
+    return float(np.std(means, ddof=1) / np.sqrt(len(means)))
 
 
 def _whole_turns(angle: Array) -> tuple[slice, int]:

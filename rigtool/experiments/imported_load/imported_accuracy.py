@@ -10,7 +10,8 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.imported import effort_of, position_of
+from rigtool.experiments.imported import position_of
+from rigtool.experiments.imported_effort import effort_of
 from rigtool.experiments.imported_load.basis import ShaftPath, follow
 from rigtool.experiments.imported_load.learning import Observation, level_numbers
 from rigtool.experiments.imported_load.model import NORMAL_95, TorqueEstimate

@@ -14,13 +14,8 @@ import numpy as np
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import (
-    Effort,
-    effort_of,
-    is_linear,
-    require_one_rig,
-    signals_of,
-)
+from rigtool.experiments.imported import is_linear, require_one_rig, signals_of
+from rigtool.experiments.imported_effort import Effort, effort_of
 from rigtool.experiments.learning.stored_table import period_results
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import (

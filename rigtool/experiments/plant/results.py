@@ -292,6 +292,7 @@ def _model_note(fit: PlantFit) -> str:
         model = (
             "a rigid inertia does not explain the response (F test, p = "
             f"{fit.rigid_rejected:.1g}): two masses were fitted; `inertia` moves below the "
-            f"resonance at {fit.model.resonance_hz:.3g} Hz, `inertia_motor_side` above it"
+            f"resonance at {fit.model.resonance_hz:.3g} Hz, friction that grows with the torque "
+            "between them included, `inertia_motor_side` above it"
         )
     return f"{model}; deviations are {fit.misfit:.3g} times their expected scatter"

@@ -14,15 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import (
-    RIG,
-    Effort,
-    effort_of,
-    is_linear,
-    position_of,
-    require_one_rig,
-    signals_of,
-)
+from rigtool.experiments.imported import RIG, is_linear, position_of, require_one_rig, signals_of
+from rigtool.experiments.imported_effort import Effort, effort_of
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported_maps import MAP, compare_maps
 from rigtool.experiments.ripple.imported_turns import (
@@ -38,8 +31,17 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
 from rigtool.runfile.importers.convert import irregular
 
+NEAR_SPEED = 0.3
+"""Runs whose speeds differ by less than this part may have been meant as one speed."""
+
 GROUP_SPEED_TOLERANCE = 0.1
 """Runs whose speeds differ by less than this part count as one speed."""
+
+EFFORTS = ("torque", "current", "current_setpoint", "relative_torque")
+"""Signals of a rotary motor's effort."""
+
+SAME_SETPOINT = 1e-3
+"""Relative difference of speeds that were asked for up to which they are one."""
 
 ORDERS_REPORTED = 10
 """Number of orders among the results: the strongest of the significant ones."""
@@ -59,6 +61,7 @@ class RepeatedRuns:
     deviation: Array
     orders: int
     turns: float
+    setpoint: float | None = None
     spectra: dict[str, Spectrum] = field(default_factory=dict)
 
     def label(self) -> str:
@@ -81,7 +84,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     require_one_rig(recordings, runs)
     if is_linear(recordings[0]):
         raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to lay over")
-    effort = effort_of(recordings[0], kt)
+    effort = _effort_of(recordings[0], kt)
     turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
     groups = groups_of(recordings, turns)
     orders = min(group.orders for group in groups)
@@ -100,6 +103,13 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     return Outcome(_results(groups, pairs, effort), tables, tuple(notes))
 
 
+def _effort_of(recording: Recording, kt: Run | None) -> Effort:
+    """Return the motor's effort, or its speed where nothing else was recorded."""
+    if not recording.has("speed") or any(map(recording.has, EFFORTS)):
+        return effort_of(recording, kt)
+    return Effort(recording.read("speed"), "rad/s", "speed", 0.0, "speed as in the file")
+
+
 def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
     """Return the turns of a recording in `POSITIONS` cells, with the motor's effort as torque.
 
@@ -107,17 +117,19 @@ def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
     """
     angle = position_of(recording) / (2 * math.pi)
     try:
-        return find_turns(recording.read("time"), angle, effort_of(recording, kt).values, POSITIONS)
+        return find_turns(
+            recording.read("time"), angle, _effort_of(recording, kt).values, POSITIONS
+        )
     except InsufficientDataError as error:
         raise InsufficientDataError(f"{run.path}: {error}") from None
 
 
 def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[RepeatedRuns]:
     """Return the recordings in groups of the same conditions and speed."""
-    found: list[tuple[dict[str, float], list[Turns]]] = []
+    found: list[tuple[dict[str, float], list[Turns], float | None]] = []
     for recording, here in zip(recordings, turns, strict=True):
         conditions = {n: q.value for n, q in recording.conditions.items() if n not in RIG}
-        for others, members in found:
+        for others, members, _ in found:
             same_speed = abs(here.speed - members[0].speed) < GROUP_SPEED_TOLERANCE * abs(
                 members[0].speed
             )
@@ -125,9 +137,9 @@ def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[R
                 members.append(here)
                 break
         else:
-            found.append((conditions, [here]))
+            found.append((conditions, [here], _setpoint(recording)))
     groups = []
-    for conditions, members in found:
+    for conditions, members, setpoint in found:
         torque, gap = fill(np.concatenate([member.torque for member in members]))
         deviation, _ = fill(np.concatenate([member.deviation for member in members]))
         speed = float(np.mean([member.speed for member in members]))
@@ -136,7 +148,9 @@ def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[R
             orders = min(orders, int(1 / (2 * gap)))
         count = sum(len(member.torque) * member.turns_a_row for member in members)
         groups.append(
-            RepeatedRuns(conditions, speed, len(members), torque, deviation, orders, count)
+            RepeatedRuns(
+                conditions, speed, len(members), torque, deviation, orders, count, setpoint
+            )
         )
     return groups
 
@@ -148,14 +162,29 @@ def _pairs(groups: Sequence[RepeatedRuns]) -> list[tuple[RepeatedRuns, RepeatedR
         for high in groups:
             names = low.conditions.keys() | high.conditions.keys()
             differing = [n for n in names if low.conditions.get(n) != high.conditions.get(n)]
-            if len(differing) != 1 or abs(low.speed - high.speed) > GROUP_SPEED_TOLERANCE * abs(
-                low.speed
-            ):
+            if len(differing) != 1 or not _same_speed(low, high):
                 continue
             (name,) = differing
             if low.conditions.get(name, math.nan) < high.conditions.get(name, math.nan):
                 pairs.append((low, high, name))
     return sorted(pairs, key=_rank)
+
+
+def _same_speed(low: RepeatedRuns, high: RepeatedRuns) -> bool:
+    """Return whether groups were to turn at one speed: by set point where both have one."""
+    if low.setpoint is not None and high.setpoint is not None:
+        return math.isclose(low.setpoint, high.setpoint, rel_tol=SAME_SETPOINT)
+    return abs(low.speed - high.speed) <= GROUP_SPEED_TOLERANCE * abs(low.speed)
+
+
+def _setpoint(recording: Recording) -> float | None:
+    """Return the speed that was asked for, rad/s, None where it is unknown or changes."""
+    if not recording.has("speed_setpoint"):
+        return None
+    asked = recording.read("speed_setpoint")
+    middle = float(np.median(asked))
+    same = np.mean(np.abs(asked - middle) <= SAME_SETPOINT * abs(middle))
+    return middle if same > 0.5 else None
 
 
 def _rank(pair: tuple[RepeatedRuns, RepeatedRuns, str]) -> tuple[float, float, float]:
@@ -179,7 +208,7 @@ def _results(
     effort: Effort,
 ) -> dict[str, Quantity]:
     """Return the strongest orders of the reference, and their reduction."""
-    reference = pairs[0][0] if pairs else max(groups, key=lambda group: len(group.torque))
+    reference = _reference(groups, pairs)
     spectrum = reference.spectra["torque"]
     strongest = spectrum.strongest()
     results = {"strongest_order": Quantity(float(strongest), "1", reason="a whole number")}
@@ -205,6 +234,13 @@ def _results(
     return results
 
 
+def _reference(
+    groups: Sequence[RepeatedRuns], pairs: Sequence[tuple[RepeatedRuns, RepeatedRuns, str]]
+) -> RepeatedRuns:
+    """Return the group that the results are of."""
+    return pairs[0][0] if pairs else max(groups, key=lambda group: len(group.torque))
+
+
 def _notes(
     groups: Sequence[RepeatedRuns],
     pairs: Sequence[tuple[RepeatedRuns, RepeatedRuns, str]],
@@ -228,6 +264,9 @@ def _notes(
                 f"group {number} is one turn, so the repeatable part is unknown: the noise of an "
                 "order is taken from the orders around it"
             )
+    if len(groups) > 1:
+        notes.append(f"the results are of group {groups.index(_reference(groups, pairs))}")
+    notes += _unpaired(groups)
     for number, (low, high, condition) in enumerate(pairs):
         notes.append(
             f"pair {number}: {condition} {high.conditions[condition]:g} against "
@@ -242,13 +281,30 @@ def _reduction_text(low: RepeatedRuns, high: RepeatedRuns, name: str) -> str:
     texts = []
     for quantity, what in (("deviation", "motion"), ("torque", name)):
         values, _ = reduction(low.spectra[quantity], high.spectra[quantity])
-        reductions = [
-            f"{order}: {values[order - 1]:.0%}"
+        factors = [
+            f"{order}: {1 - values[order - 1]:.3g}"
             for order in _strongest(low)
             if math.isfinite(values[order - 1])
         ]
-        texts.append(f"ripple of the {what} reduced by, order by order, {', '.join(reductions)}")
+        texts.append(f"ripple of the {what} times, order by order, {', '.join(factors)}")
     return "; ".join(texts)
+
+
+def _unpaired(groups: Sequence[RepeatedRuns]) -> list[str]:
+    """Return why groups that differ in one condition are not compared."""
+    return [
+        f"groups {first} and {second} are not compared: they turn at {low.speed:.4g} and "
+        f"{high.speed:.4g} rad/s, and nothing shows that one speed was asked for (speed_setpoint)"
+        for first, low in enumerate(groups)
+        for second, high in enumerate(groups[first + 1 :], start=first + 1)
+        if sum(
+            low.conditions.get(n) != high.conditions.get(n)
+            for n in {*low.conditions, *high.conditions}
+        )
+        == 1
+        and not _same_speed(low, high)
+        and abs(low.speed - high.speed) < NEAR_SPEED * abs(low.speed)
+    ]
 
 
 def _spectrum_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:

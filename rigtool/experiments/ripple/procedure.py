@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 import numpy as np
 
+from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.controller_torque import naming, require_unlimited
@@ -24,16 +27,21 @@ from rigtool.experiments.ripple.orders import (
     Ripple,
     RippleComparison,
     Sampling,
+    Spectrum,
     compare,
     remove_offset,
     spectrum,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
+from rigtool.experiments.ripple.winding_heat import Lowered, Turns, winding_heat
 from rigtool.experiments.torque_per_ampere import (
     mean_constant_note,
+    temperature_at_ends,
     torque_per_ampere,
+    torque_per_ampere_at,
     with_constant,
 )
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.numerics.welch import Welch
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -52,6 +60,12 @@ MAX_SEGMENT = 4096
 
 MIN_STEADY_SAMPLES = 4
 """Smallest number of samples at constant speed, however few turns they make."""
+
+LOWEST_FOLLOWED = 0.5
+"""Smallest |T| at which the torque that the loop asks for shows the motor's."""
+
+INERTIA_U = 0.1 / math.sqrt(3)
+"""Relative standard uncertainty of an inertia from data sheets: at most a tenth off."""
 
 # -- measuring
 
@@ -132,36 +146,40 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     torques = sorted(run.recordings_named("torque_"), key=lambda r: r.condition("torque"))
     cycles = run.recordings_named("power_cycle_")
     recorded = [*speeds, *torques, *cycles]
-    per_ampere = torque_per_ampere(kt, recorded)
-    constant = per_ampere.value
     segment = _segment(speeds)
     welches = [Welch(segment) for _ in speeds]
-    by_speed = [
-        _ripple(recording, recipe, constant, welch)
-        for recording, welch in zip(speeds, welches, strict=True)
+    found = [
+        _collected(recording, recipe, welch) for recording, welch in zip_longest(recorded, welches)
     ]
-    by_torque = [_ripple(recording, recipe, constant) for recording in torques]
-    by_cycle = [_ripple(recording, recipe, constant) for recording in cycles]
+    constants, per_amperes, heat_note = _constants(kt, recorded, found)
+    ripples = [
+        remove_offset(own.waveforms * per_ampere, own.sampling)
+        for own, per_ampere in zip(found, per_amperes, strict=True)
+    ]
+    by_speed, by_torque = ripples[: len(speeds)], ripples[len(speeds) :][: len(torques)]
+    by_cycle = ripples[len(speeds) + len(torques) :]
     comparisons = [compare(by_cycle[0], other, HIGHEST_ORDER) for other in by_cycle[1:]]
+    known = dict(zip((recording.name for recording in recorded), constants, strict=True))
     tables = {
-        **_tables("speed", "speed", "rad/s", speeds, by_speed),
-        "speed_psd": _psd_table(speeds, welches, segment),
+        **_tables("speed", "speed", "rad/s", speeds, by_speed, known, recipe),
+        "speed_psd": _psd_table(speeds, welches, segment, known),
         "revolutions": _revolutions_table((by_cycle or by_speed)[0]),
     }
     if torques:
-        tables |= _tables("torque", "torque", "N m", torques, by_torque)
+        tables |= _tables("torque", "torque", "N m", torques, by_torque, known, recipe)
     if cycles:
-        tables |= _tables("power", "power_cycle", "1", cycles, by_cycle)
+        tables |= _tables("power", "power_cycle", "1", cycles, by_cycle, known, recipe)
     if comparisons:
         tables["power_comparison"] = _comparison_table(comparisons)
     results = {**_ripple_results(by_speed), **_comparison_results(comparisons)}
     for name in ("repeatable_rms", "non_repeatable_rms"):
-        results[name] = with_constant(results[name], per_ampere)
+        results[name] = with_constant(results[name], constants[0])
     notes = [
-        mean_constant_note(kt, recorded),
+        heat_note,
+        _loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
-        *unsampled_note(runs, constant),
+        *unsampled_note(runs, constants[0].value),
     ]
     if not comparisons:
         notes.append("fewer than two power cycles: nothing to compare")
@@ -180,27 +198,121 @@ def _resolution_notes(
     ]
 
 
-def _ripple(
-    recording: Recording, recipe: Recipe, torque_constant: float, welch: Welch | None = None
-) -> Ripple:
-    """Return the ripple of a recording's steady revolutions; add their torque to `welch`."""
+@dataclass(frozen=True, eq=False)
+class _Collected:
+    """Steady revolutions of a recording: `waveforms` (revolutions, positions), A."""
+
+    waveforms: Array
+    forward: bool
+    sampling: Sampling
+    passed: Array
+    current: Array
+
+
+def _collected(recording: Recording, recipe: Recipe, welch: Welch | None) -> _Collected:
+    """Return a recording's steady revolutions; add their current to `welch`."""
     steady, largest = _steady(recording), 0.0
     with naming(recording):
         first, last = _ends(recording, "encoder", steady)
-        collected = Revolutions(POSITIONS, forward=last > first)
+        revolutions = Revolutions(POSITIONS, forward=last > first)
         for time, encoder, current in recording.blocks(
             "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
         ):
             largest = max(largest, float(np.abs(current).max()))
             encoder /= recipe.rig.encoder_counts
-            current *= torque_constant
-            collected.add(time, encoder, current)
+            revolutions.add(time, encoder, current)
             if welch is not None:
                 welch.add(current)
         require_unlimited(largest, recipe, "lower fft_ripple.torques, or turn more slowly")
         settings = recipe.fft_ripple
-        sampling = Sampling(collected.step, settings.record_every)
-        return remove_offset(collected.waveforms(settings.revolutions), sampling)
+        sampling = Sampling(revolutions.step, settings.record_every)
+        waveforms = revolutions.waveforms(settings.revolutions)
+    return _Collected(waveforms, last > first, sampling, *revolutions.turns())
+
+
+def _constants(
+    kt: Run, recorded: Sequence[Recording], found: Sequence[_Collected]
+) -> tuple[list[Quantity], list[Array], str]:
+    """Return the torque per ampere of each recording, by turn and cell, and a note on it.
+
+    At the temperature of the housing while it was recorded, lowered by the heat of the winding.
+    """
+    degrees = [temperature_at_ends(recording) for recording in recorded]
+    if not np.isfinite(degrees).all():
+        constant = torque_per_ampere(kt, recorded)
+        alike = [np.full((1, 1), constant.value)] * len(recorded)
+        return [constant] * len(recorded), alike, mean_constant_note(kt, recorded)
+    falls = [math.log(begin / end) for begin, end in _constants_at(kt, degrees)]
+    heat = winding_heat(
+        [
+            Turns(own.passed, own.current, "torque" in recording.conditions, fall)
+            for own, recording, fall in zip(found, recorded, falls, strict=True)
+        ]
+    )
+    constants, by_cell = [], []
+    for own, ends, lowered, fall in zip(found, degrees, heat, falls, strict=True):
+        housing = torque_per_ampere_at(kt, sum(ends) / 2)
+        u = math.hypot((housing.u or 0.0) / housing.value, lowered.u)
+        turns, (count, cells) = own.current.size, own.waveforms.shape
+        place = turns - count + (np.arange(count * cells) + 0.5) / cells
+        lower = np.interp(place, np.arange(turns + 1), lowered.fall) + fall * (place / turns - 0.5)
+        by_turn = housing.value * (1 - lower.reshape(count, cells))
+        by_cell.append(by_turn if own.forward else by_turn[:, ::-1])
+        value = float(by_turn.mean())
+        constants.append(Quantity(value, housing.unit, value * u))
+    return constants, by_cell, _heat_note(recorded, heat)
+
+
+def _constants_at(kt: Run, degrees: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
+    """Yield the torque per ampere at both temperatures of each recording."""
+    for begin, end in degrees:
+        yield torque_per_ampere_at(kt, begin).value, torque_per_ampere_at(kt, end).value
+
+
+def _heat_note(recorded: Sequence[Recording], heat: Sequence[Lowered]) -> str:
+    note = "torque by the torque constant at the recorded temperature of the motor"
+    means = [float(lowered.fall.mean()) for lowered in heat]
+    worst = int(np.argmax(means))
+    if means[worst] <= heat[worst].u:
+        return note
+    return (
+        f"{note}; {recorded[worst].name}: the current that holds its torque shows that the "
+        f"winding's heat lowers the constant by another {means[worst]:.2%}, with a standard "
+        f"uncertainty of {heat[worst].u:.2%}"
+    )
+
+
+def _loop_note(recipe: Recipe, fastest: float) -> str:
+    """State up to which order the loop follows ripple at the highest speed, turns a second."""
+    order = np.arange(1.0, HIGHEST_ORDER + 1)
+    followed = int(np.sum(np.abs(_loop(recipe, order * fastest)) >= LOWEST_FOLLOWED))
+    return (
+        "amplitudes are those of the motor's torque: what the loop asks for, divided by the "
+        "complementary sensitivity T of the recipe's controller and inertia; waveforms are what it "
+        f"asks for. Where |T| is below {LOWEST_FOLLOWED:g} there is no value: at the highest speed "
+        f"above order {followed}"
+    )
+
+
+def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
+    """Return T of the recipe's loop at these frequencies, Hz: from the motor's ripple to the torque
+    that the loop asks for against it."""
+    return position_loop(**recipe.rig.loop_design).complementary_sensitivity.response(frequency)
+
+
+def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array]:
+    """Return the orders of the motor's torque, and the relative u of their amplitudes by T.
+
+    T has the relative error |1 - T| times that of the inertia.
+    """
+    asked = spectrum(ripple, HIGHEST_ORDER)
+    loop = _loop(recipe, asked.order * turns_per_s)
+    gain = np.where(np.abs(loop) >= LOWEST_FOLLOWED, np.abs(loop), np.nan)
+    phase = np.angle(np.exp(1j * (asked.phase - np.angle(loop))))
+    motor = replace(
+        asked, amplitude=asked.amplitude / gain, phase=phase, noise_floor=asked.noise_floor / gain
+    )
+    return motor, np.abs(1 - loop) * INERTIA_U
 
 
 def _steady(recording: Recording) -> range:
@@ -265,13 +377,32 @@ def _comparison_results(comparisons: Sequence[RippleComparison]) -> dict[str, Qu
 
 
 def _tables(
-    kind: str, axis: str, unit: str, recordings: Sequence[Recording], ripples: Sequence[Ripple]
+    kind: str,
+    axis: str,
+    unit: str,
+    recordings: Sequence[Recording],
+    ripples: Sequence[Ripple],
+    constants: Mapping[str, Quantity],
+    recipe: Recipe,
 ) -> dict[str, Table]:
-    """Return waveforms and spectra over the condition that was varied."""
+    """Return waveforms and spectra over the condition that was varied.
+
+    `constants` are the torque per ampere by the name of a recording.
+    """
     varied = {axis: Column(np.array([r.condition(axis) for r in recordings]), unit)}
     # Where the constant torque is the axis, its ripple needs another name.
     signal = "ripple" if axis == "torque" else "torque"
-    spectra = [spectrum(ripple, HIGHEST_ORDER) for ripple in ripples]
+    turns = [recording.condition("speed") / (2 * math.pi) for recording in recordings]
+    found = [_spectrum(*own) for own in zip(ripples, [recipe] * len(ripples), turns, strict=True)]
+    spectra = [own for own, _ in found]
+    relative = [
+        np.hypot(by_loop, (constants[recording.name].u or 0.0) / constants[recording.name].value)
+        for (_, by_loop), recording in zip(found, recordings, strict=True)
+    ]
+    u = [
+        np.hypot(own.noise_floor / math.sqrt(2), own.amplitude * by_scale)
+        for own, by_scale in zip(spectra, relative, strict=True)
+    ]
     waveforms = Table(
         (axis, "position"),
         {
@@ -296,9 +427,16 @@ def _tables(
                 "N m",
                 "amplitude that scatter between revolutions alone would show",
             ),
+            "u": Column(np.stack(u), "N m", "standard, of the amplitude: scatter, constant, T"),
+            "loop_gain": Column(
+                np.stack([np.abs(_loop(recipe, spectra[0].order * n)) for n in turns]),
+                "1",
+                "|T| by the recipe's controller and inertia: asked for over amplitude",
+            ),
         },
         "amplitude",
-        "repeatable ripple by order of rotation; no value where samples lie too far apart",
+        "repeatable ripple by order of rotation; no value where samples lie too far apart, or the "
+        "loop does not follow",
     )
     return {f"{kind}_waveforms": waveforms, f"{kind}_spectrum": orders}
 
@@ -309,19 +447,25 @@ def _segment(recordings: Sequence[Recording]) -> int:
     return min(MAX_SEGMENT, 2 ** int(math.log2(shortest / 2)))
 
 
-def _psd_table(recordings: Sequence[Recording], welches: Sequence[Welch], segment: int) -> Table:
+def _psd_table(
+    recordings: Sequence[Recording],
+    welches: Sequence[Welch],
+    segment: int,
+    constants: Mapping[str, Quantity],
+) -> Table:
     """Return the PSD of the steady torque by speed, all on one frequency axis."""
-    spectra = []
+    spectra, psd = [], []
     for recording, welch in zip(recordings, welches, strict=True):
         steady = _steady(recording)
         first, last = _ends(recording, "time", steady)
         spectra.append(welch.spectrum((last - first) / (len(steady) - 1)))
+        psd.append(spectra[-1].psd * constants[recording.name].value ** 2)
     return Table(
         ("speed", "frequency"),
         {
             "speed": Column(np.array([r.condition("speed") for r in recordings]), "rad/s"),
             "frequency": Column(spectra[0].frequency, "Hz"),
-            "psd": Column(np.stack([s.psd for s in spectra]), "N2 m2/Hz", "one-sided"),
+            "psd": Column(np.stack(psd), "N2 m2/Hz", "one-sided"),
         },
         "psd",
         f"power spectral density of the motor torque, Welch's method, segments of {segment}",

@@ -88,6 +88,15 @@ class Revolutions:
             return 0.0
         return (float(self._advance[-1]) - self._start) / (self._samples - 1)
 
+    def turns(self) -> tuple[Array, Array]:
+        """Return when each whole turn began, and the last one ended, (turns + 1,) s, and the mean
+        torque of each, (turns,)."""
+        passed, integral = (
+            np.concatenate([np.zeros(0), *parts])[:: self._positions]
+            for parts in (self._passed, self._integrals)
+        )
+        return passed, np.diff(integral) / np.diff(passed)
+
     def waveforms(self, revolutions: int) -> Array:
         """Return the mean torque by revolution and cell, of the last `revolutions` whole turns.
 

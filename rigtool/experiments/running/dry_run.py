@@ -221,8 +221,7 @@ def dry_run(
     if _on_line(recipe) and recipe.serial is not None:
         plan.check(recipe.serial.limits)
         found = None if recipe.serial.driver == REPLAY else driver(recipe.serial.driver)
-        if found is not None and found.make_drive is not None:
-            _require_gauges(plan, recipe.serial, procedure.command)
+        require_gauges(plan, recipe.serial, procedure.command)
         low, high = recipe.serial.limits.position
         limits = recipe.serial.limits
         notes.append(
@@ -239,13 +238,15 @@ def dry_run(
     return Outcome(results={}, tables={}, notes=tuple(notes))
 
 
-def _require_gauges(plan: MotionPlan, settings: Serial, command: str) -> None:
-    """Raise `HardwareError` for a gauge that no drive has and the recipe does not name."""
+def require_gauges(plan: MotionPlan, settings: Serial, command: str) -> None:
+    """Raise `RecipeError` for a gauge that no drive has and the recipe does not name."""
+    if settings.driver == REPLAY or driver(settings.driver).make_drive is None:
+        return
     for need in ("force", "deflection"):
         if need in plan.needs and getattr(settings, need) is None:
-            raise HardwareError(
-                f"{command} cannot run on this rig: it records {need}: a {settings.driver} does "
-                f"not measure it: add [serial.{need}]"
+            raise RecipeError(
+                f"{command} cannot run on this rig: it records {need}, which {settings.driver} "
+                f"does not measure: add [serial.{need}]"
             )
 
 

@@ -17,8 +17,6 @@ class CommonOptions:
     values go to stdout as lines of JSON meanwhile, and nothing else does.
     """
 
-    json: bool = False
-    quiet: bool = False
     progress: bool = False
     overwrite: bool = False
     seed: int | None = None

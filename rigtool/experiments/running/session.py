@@ -5,6 +5,7 @@ A source is a recipe (measure on its rig, then analyse) or run files (analyse th
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import sys
@@ -18,7 +19,12 @@ from typing import Any
 from rigtool.errors import RecipeError, RunFileError, UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
-from rigtool.experiments.running.dry_run import dry_run, rehearse, require_offered
+from rigtool.experiments.running.dry_run import (
+    dry_run,
+    rehearse,
+    require_gauges,
+    require_offered,
+)
 from rigtool.experiments.running.lines import open_lines
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.terminal import open_live
@@ -28,6 +34,8 @@ from rigtool.rigs import Block, Rig, open_rig
 from rigtool.rigs.operator import Operator
 from rigtool.runfile import RecordingSpec, Run, RunWriter, chunk_of, open_run
 from rigtool.runfile.outputs import require_output
+
+_log = logging.getLogger("rigtool")
 
 IMPORTED = "import"
 """Command of the runs that hold measurements of other rigs."""
@@ -74,6 +82,7 @@ def _measure(
     if options.seed is not None:
         overrides.append(f"virtual.seed={options.seed}")
     recipe, text = load_recipe(source, overrides)
+    _log.info("recipe %s, rig %s", source, recipe.rig.name)
     if procedure.bare_motor:
         recipe = override_recipe(recipe, ["rig.attachment=pulley"])
     on_line = recipe.rig.source == "serial"
@@ -120,6 +129,7 @@ def _measure(
                 _permit(rig, procedure, recipe, constant, inputs)
             procedure.measure(rig, recipe, writer, **inputs)
         run = writer.recorded()
+        _log.info("analysing %d recordings", len(run.recordings))
         if (report := rig.report()) is not None:
             run.provenance["line"] = report
             writer.note_line(report)
@@ -197,6 +207,7 @@ def _permit(
     """Refuse motions beyond the rig's abilities or limits, show the plan, and ask for consent."""
     assert recipe.serial is not None
     plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
+    require_gauges(plan, recipe.serial, procedure.command)
     require_offered(rig, plan, procedure.command)
     plan.check(recipe.serial.limits)
     rig.permit(str(plan))
@@ -335,6 +346,7 @@ class _WatchedWriter(RunWriter):
 
     show: Callable[[str, Block], None] | None = None
     _bar: Any = None
+    _current: str | None = None
 
     def watch(self, bar: Any, order: Mapping[str, int]) -> None:
         """Advance a progress bar by one for each new recording."""
@@ -342,6 +354,9 @@ class _WatchedWriter(RunWriter):
 
     def append(self, recording: str, block: Mapping[str, Any]) -> None:
         """Append as the writer does, then move the bar."""
+        if recording != self._current:
+            self._current = recording
+            _log.info("measuring: %s", recording)
         super().append(recording, block)
         if self.show is not None:
             self.show(recording, dict(block))

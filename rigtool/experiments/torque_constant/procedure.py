@@ -10,6 +10,7 @@ import numpy as np
 from rigtool.errors import RecipeError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
+from rigtool.experiments.torque_constant.imported import analyse_imported
 from rigtool.experiments.torque_constant.staircase import Plateaus, find_plateaus
 from rigtool.experiments.torque_constant.temperature_fit import (
     SAME_TEMPERATURE,
@@ -236,6 +237,7 @@ PROCEDURE = Procedure(
     measure,
     analyse,
     bare_motor=True,
+    analyse_imported=analyse_imported,
     analysis_settings=(
         "calibrate_kt.settle_time",
         "calibrate_kt.reference_range_degc",

@@ -24,10 +24,7 @@ from rigtool.experiments.torque_constant.staircase_fit import Slopes, fit_stairc
 from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import group_angles
-from rigtool.quantity import Quantity
-
-REFERENCE_DEGC = 20.0
-"""Temperature for which a torque constant is stated, degC [7.1.1]."""
+from rigtool.quantity import REFERENCE_DEGC, Quantity
 
 SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""

@@ -47,16 +47,10 @@ def draw_headline(run: Run, loads: Table) -> Figure:
         applied = table["applied_torque"]
         rows = (applied > 0) & np.isfinite(table["mean_torque"])
         x, bar = MILLI * applied[rows], COVERAGE_FACTOR * table["mean_torque_u"][rows]
-        drawn: dict[str, Any] = {
-            "fmt": marker,
-            "color": colour,
-            "markersize": 4,
-            "capsize": 2,
-            "linewidth": 0.9,
-        }
-        above.errorbar(x, MILLI * table["mean_torque"][rows], MILLI * bar, label=label, **drawn)
+        drawn: dict[str, Any] = {"fmt": marker, "color": colour}
+        style.points(above, x, MILLI * table["mean_torque"][rows], MILLI * bar, label, **drawn)
         percent = 100 * bar / applied[rows]
-        below.errorbar(x, table["error_percent"][rows], percent, **drawn)
+        style.points(below, x, table["error_percent"][rows], percent, "", **drawn)
         largest = max(largest, float(x.max(initial=0.0)))
     above.plot([0, largest], [0, largest], color=style.GREY, linewidth=0.8, label="equal")
     below.axhline(0, color=style.GREY, linewidth=0.8)

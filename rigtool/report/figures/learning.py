@@ -20,7 +20,7 @@ from rigtool.report.figures.axes import (
     thin,
     up_and_down,
 )
-from rigtool.report.figures.plots import plot
+from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,31 +38,68 @@ PUBLISHED_SPEEDS_REV_PER_S = (1.0, 2.0)
     implementations=("B", "C", "D"),
 )
 def draw_lookup_table(run: Run, table: Table) -> Figure:
-    """Fig. 50: content of the two-dimensional table, torque by position and speed."""
+    """Fig. 50: content of the two-dimensional table, torque by position and speed, as two views."""
     from matplotlib.figure import Figure as NewFigure
 
     position, torque = thin(120, counts(run, table, "position"), MILLI * table["torque"])
     speeds = table["speed"]
-    rows = np.arange(len(speeds))
-    figure = NewFigure(figsize=(style.WIDTH, 4.2))
-    axes: Any = figure.add_axes((0, 0, 1, 1), projection="3d")
+    figure = NewFigure(figsize=(style.WIDTH, 6.4))
+    axes: Any = figure.add_axes((0, 0.42, 1, 0.58), projection="3d")
     axes.plot_surface(
-        *np.meshgrid(position, rows),
+        *np.meshgrid(position, speeds),
         torque,
         cmap=style.COLOUR_MAP,
-        rcount=len(rows),
+        rcount=len(speeds),
         ccount=80,
         antialiased=False,  # no light seams between facets
     )
     axes.view_init(elev=28, azim=-128)
     axes.set_box_aspect((1.4, 1.1, 0.8), zoom=0.98)
-    axes.locator_params(axis="x", nbins=5)
+    axes.locator_params(axis="both", nbins=5)
     axes.set_xlabel(COUNTS, labelpad=6)
     axes.set_ylabel("speed [rad/s]", labelpad=8)
-    shown = rows[:: max(1, -(-len(rows) // 6))]
-    axes.set_yticks(shown, [f"{speeds[row]:.3g}".replace("-", "−") for row in shown])
     axes.zaxis.set_rotate_label(False)
     axes.set_zlabel(TORQUE, rotation=90)
+    flat = figure.add_axes((0.1, 0.08, 0.86, 0.3))
+    drawn = flat.pcolormesh(position, speeds, torque, cmap=style.COLOUR_MAP, rasterized=True)
+    flat.grid(visible=False)
+    flat.set_xlabel(COUNTS)
+    flat.set_ylabel("speed [rad/s]")
+    figure.colorbar(drawn, ax=flat, label=TORQUE, pad=0.02)
+    return figure
+
+
+@plot(
+    FIRST_OWN_NUMBER + 11, "ilc-learn", "Disturbance before and after learning", "residual_by_speed"
+)
+def draw_residual_by_speed(run: Run, table: Table) -> Figure:
+    """Disturbance by speed: before, with the table on, and what does not repeat."""
+    figure, axes = style.one_panel("motor speed [rad/s]", "rms [mN m]")
+    speed = table["speed"]
+    for name, colour, marker, label in (
+        ("before_rms", style.ORANGE, "s", "before learning"),
+        ("residual_rms", style.BLUE, "o", "with the table"),
+        ("non_repeatable_rms", style.GREY, "_", "does not repeat, single move"),
+    ):
+        axes.plot(speed, MILLI * table[name], marker, color=colour, markersize=5, label=label)
+    axes.set_yscale("log")
+    style.legend_above(axes)
+    return figure
+
+
+@plot(FIRST_OWN_NUMBER + 12, "ilc-check", "Health of the learned table", "table_health")
+def draw_health(run: Run, table: Table) -> Figure:
+    """Mismatch of the table by speed beside the scatter of one move, and the change of the mean."""
+    labels = ["rms [mN m]", "change of mean [mN m]"]
+    figure, (size, mean) = style.panels(2, "motor speed [rad/s]", labels, 4.2)
+    speed = table["speed"]
+    label = "scatter of a single move"
+    size.plot(speed, MILLI * table["mismatch_rms"], "o", color=style.BLUE, label="now less table")
+    size.plot(speed, MILLI * table["non_repeatable_rms"], "_", color=style.GREY, label=label)
+    size.set_ylim(bottom=0)
+    mean.plot(speed, MILLI * table["mean_change"], "o", color=style.BLUE)
+    mean.axhline(0, color=style.GREY, linewidth=0.8)
+    style.legend_above(size)
     return figure
 
 

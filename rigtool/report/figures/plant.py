@@ -98,9 +98,13 @@ def draw_learning_filter(run: Run, whole: Table) -> Figure:
     magnitude.plot(frequency, decibel(table["t_magnitude"]), color=style.BLUE, label="T")
     magnitude.plot(frequency, decibel(table["l_magnitude"]), color=style.ORANGE, label="L")
     phase.plot(frequency, degrees(table["t_phase"]), color=style.BLUE)
-    phase.plot(frequency, degrees(table["l_phase"]), color=style.ORANGE, ls=":")
-    phase.plot(frequency, degrees(table["l_shifted_phase"]), color=style.ORANGE)
+    advanced = "L with its phase advance"
+    phase.plot(frequency, degrees(table["l_shifted_phase"]), color=style.ORANGE, label=advanced)
+    phase.plot(
+        frequency, degrees(table["l_phase"]), color=style.ORANGE, ls=":", label="L without it"
+    )
     style.legend_above(magnitude, 2)
+    style.legend_above(phase, 2)
     return figure
 
 

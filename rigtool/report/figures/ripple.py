@@ -116,11 +116,13 @@ def draw_psd_by_speed(run: Run, table: Table) -> Figure:
     for panel, row in zip(axes, rows, strict=True):
         first = speeds[row] / (2 * np.pi)
         for order in (1, 2):
-            panel.axvline(order * first, color=style.GREY, linewidth=0.8, linestyle=":")
+            label = "first and second order of rotation" if order == 1 else None
+            panel.axvline(order * first, color=style.GREY, lw=0.8, linestyle=":", label=label)
         panel.semilogy(frequency[shown], levels[row], color=style.BLUE)
         panel.set_ylim(levels[levels > 0].min() / 2, levels.max() * 3)
         panel.set_title(f"{speeds[row]:.3g} rad/s", loc="right", pad=2)
     axes[-1].set_xlim(0, highest)
+    style.legend_above(axes[0])
     return figure
 
 

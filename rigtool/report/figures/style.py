@@ -87,9 +87,30 @@ def panels(
     return figure, axes
 
 
+def points(axes: Axes, x: Any, y: Any, bar: Any, label: str, **options: Any) -> None:
+    """Draw measured points with error bars; `bar` None draws none."""
+    drawn: dict[str, Any] = {
+        "fmt": "o",
+        "color": BLUE,
+        "markersize": 3.5,
+        "capsize": 2,
+        "linewidth": 0.9,
+    }
+    axes.errorbar(x, y, bar, label=label, **(drawn | options))
+
+
 def legend_above(axes: Axes, columns: int = 3) -> None:
     """Place the legend above the plot, where it covers nothing."""
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, borderaxespad=0.2)
+
+
+def colours(count: int) -> list[Any]:
+    """Return distinct colours: those of `CYCLE`, or shades of `COLOUR_MAP` where it has too few."""
+    from matplotlib import colormaps
+
+    if count <= len(CYCLE):
+        return list(CYCLE[:count])
+    return [colormaps[COLOUR_MAP](index / (count - 1) * 0.92) for index in range(count)]
 
 
 def render(figure: Figure) -> tuple[str, bytes]:

@@ -78,7 +78,7 @@ def _as_recorded(recipe: Recipe) -> Recipe:
     """Return a recipe whose driver is the one of the record, where it plays one back."""
     from rigtool.rigs.serial.drivers import REPLAY as REPLAY_DRIVER
     from rigtool.rigs.serial.line import REPLAY
-    from rigtool.rigs.serial.spy import read_spy
+    from rigtool.rigs.serial.transport.spy import read_spy
 
     assert recipe.serial is not None
     if recipe.serial.driver != REPLAY_DRIVER:

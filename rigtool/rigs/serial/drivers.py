@@ -31,6 +31,10 @@ MODULES = {
     "vesc": "rigtool.rigs.serial.hobby.vesc",
     "target": "rigtool.rigs.serial.target.driver",
     "maxon": "rigtool.rigs.serial.maxon.driver",
+    "maxon-can": "rigtool.rigs.serial.maxon.can",
+    "odrive-can": "rigtool.rigs.serial.odrive.can",
+    "moteus-can": "rigtool.rigs.serial.moteus.can",
+    "cia402": "rigtool.rigs.serial.cia402.driver",
 }
 """Modules of rigtool's own drivers, each with its `DRIVER`, in the order in which `rigtool devices`
 asks: those that ask in lines of text first, because others leave an incomplete line in the buffers
@@ -53,7 +57,7 @@ class Driver:
     yet; `make_rig(recipe, torque_constant, use, operator)` the rig of a device that runs whole
     motions by itself. `make_table_store(line, recipe)` is there where the drive keeps a table. A
     drive without watchdog goes on where computer or cable fail; `switch_off(line, node)` is called
-    by the process beside rigtool where rigtool alone fails.
+    by the process beside rigtool where rigtool alone fails. One with `can` is on a CAN bus.
     """
 
     probe: Callable[[Line], str | None]
@@ -62,6 +66,7 @@ class Driver:
     make_rig: Callable[[Recipe, float, str, Operator], SerialRig] | None = None
     make_table_store: Callable[[Line, Recipe], TableStore] | None = None
     has_watchdog: bool = True
+    can: bool = False
     switch_off: Callable[[Line, int], None] | None = None
 
 

@@ -37,7 +37,7 @@ from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.between import ROOM, Between, usual_time
 from rigtool.rigs.serial.drive import Drive, Mode, Sample, SetPoint
 from rigtool.rigs.serial.drivers import Driver
-from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.line import CAN, REPLAY, Line
 from rigtool.rigs.serial.rig import SerialRig, in_thread
 from rigtool.rigs.serial.ticks import Clock
 
@@ -92,6 +92,12 @@ class HostedRig(SerialRig):
         return self._drive
 
     def _open_line(self) -> Line:
+        port = self._settings.port
+        if not port.startswith(REPLAY) and port.startswith(CAN) != self._driver.can:
+            needed = "a CAN bus: can:INTERFACE:CHANNEL" if self._driver.can else "a serial port"
+            raise RecipeError(
+                f"serial.port is {port!r}, and {self._settings.driver} is on {needed}"
+            )
         return Line(
             self._settings.port,
             self._settings.baud_rate or self._driver.baud_rates[0],
@@ -119,7 +125,24 @@ class HostedRig(SerialRig):
             if note not in self.notes:
                 self.notes.append(note)
         self._require_rate()
+        self._state_runaway()
         return identity
+
+    def _state_runaway(self) -> None:
+        """Note how fast the shaft gets where a loop runs away, before the host notices."""
+        rig, limits = self._recipe.rig, self._limits
+        torque = self._torque_constant * limits.current
+        fastest = safety.runaway(
+            limits, rig.encoder_counts, rig.sample_time, torque / rig.inertia.total(rig.attachment)
+        )
+        note = (
+            f"where a loop runs away (a wrong sign, a lost encoder) with {limits.current:g} A, the "
+            f"host notices it at up to {fastest:.3g} rad/s, {fastest / limits.speed:.2g} times the "
+            "limit of speed, unless the drive limits it: lower serial.limits.current where that is "
+            "too fast"
+        )
+        if note not in self.notes:
+            self.notes.append(note)
 
     def _require_rate(self) -> None:
         """Refuse a period that is too short for the line."""
@@ -189,14 +212,17 @@ class HostedRig(SerialRig):
     def _execute(self, task: Task) -> Generator[Block, None, None]:
         if task.start is not None:
             approach = safety.slow_move(task.start - self._position(), self._limits)
-            for _ in self._run(Task(approach, load=task.load)):
+            for _ in self._run(Task(approach, load=task.load), halts=False):
                 pass
-        yield from self._run(task)
-        self.drive.halt()
+        yield from self._run(task, halts=True)
 
-    def _run(self, task: Task) -> Iterator[Block]:
-        """Drive a task in a thread of its own, and hand on its samples."""
-        loop = _Loop(self, task)
+    def _run(self, task: Task, *, halts: bool) -> Iterator[Block]:
+        """Drive a task in a thread of its own, and hand on its samples.
+
+        With `halts` the thread switches the drive off at the end: who takes the samples may be
+        slower than the drive's watchdog.
+        """
+        loop = _Loop(self, task, halts)
         try:
             yield from in_thread(loop.run)
         finally:
@@ -228,8 +254,8 @@ class HostedRig(SerialRig):
 class _Loop:
     """One motion, tick by tick."""
 
-    def __init__(self, rig: HostedRig, task: Task) -> None:
-        self._rig, self._task = rig, task
+    def __init__(self, rig: HostedRig, task: Task, halts: bool) -> None:
+        self._rig, self._task, self._halts = rig, task, halts
         self._drive, self._line = rig.drive, rig.line
         self._recipe = rig._recipe
         self._open_loop = isinstance(task.motion, OpenLoop)
@@ -256,6 +282,8 @@ class _Loop:
         self._put = put
         try:
             self._ticking(stop)
+            if self._halts:
+                self._drive.halt()
         except BaseException:
             with contextlib.suppress(HardwareError):  # leaving the rig tries again and reports
                 self._drive.halt()

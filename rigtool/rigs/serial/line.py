@@ -17,13 +17,21 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.sockets import Socket
-from rigtool.rigs.serial.spy import Event, Replay, Spy
+from rigtool.rigs.serial.transport import can_frames
+from rigtool.rigs.serial.transport.can import CanPort
+from rigtool.rigs.serial.transport.sockets import Socket
+from rigtool.rigs.serial.transport.spy import Event, Replay, Spy
+from rigtool.rigs.serial.transport.visa import VisaPort
 
 T = TypeVar("T")
 
 REPLAY = "replay://"
 SOCKET = "socket://"
+CAN = "can:"
+VISA = "visa:"
+FRAME = "8N1"
+"""Data bits, parity and stop bits of a character, where nothing else is stated."""
+
 POLL = 0.01
 """Longest that one read of the port waits, s: deadlines are kept as closely."""
 
@@ -80,7 +88,7 @@ class Line:
     Raises `HardwareError` where it cannot be opened, with the remedy. Timeouts are in s. A line
     `beside` another shares its clock and its spy file, in which `role` marks its events; beside a
     line that is played back it is played back as well, whatever its port. A line that is not
-    `exclusive` is opened although another program has the port.
+    `exclusive` is opened although another program has the port. `frame` is that of a character.
     """
 
     def __init__(
@@ -95,18 +103,19 @@ class Line:
         beside: Line | None = None,
         role: str = "",
         exclusive: bool = True,
+        frame: str = FRAME,
     ) -> None:
         self.port = port
         self.timeout = timeout
         self.retries = retries
         self.counts = LineCounts()
         self.opened: float = time.monotonic() if beside is None else beside.opened
-        self._baud_rate = baud_rate
+        self._baud_rate, self._frame = baud_rate, frame
         self._role = role
         if beside is not None:
             self._port = beside._open_beside(self)
         else:
-            self._port = _open(port, baud_rate) if exclusive else _open(port, baud_rate, None)
+            self._port = _open(port, baud_rate, frame, exclusive or None)
         self._buffer = bytearray()
         self._snatched = 0
         self._spy: Spy | None = None if beside is None else beside._spy
@@ -147,7 +156,7 @@ class Line:
         deadline = time.monotonic() + patience
         while True:
             try:
-                self._port = _open(self.port, self._baud_rate)
+                self._port = _open(self.port, self._baud_rate, self._frame)
                 return
             except HardwareError:
                 if time.monotonic() > deadline:
@@ -167,7 +176,7 @@ class Line:
     def _open_beside(self, line: Line) -> Any:
         if isinstance(self._port, Replay):
             return Replay(self._port.path, line._role)
-        return _open(line.port, line._baud_rate)
+        return _open(line.port, line._baud_rate, line._frame)
 
     # -- time
 
@@ -224,6 +233,14 @@ class Line:
         self._fill(lambda: end in self._buffer, f"the end {end!r}", timeout)
         return self._take(self._buffer.index(end) + len(end))
 
+    def read_frame(self, timeout: float | None = None) -> can_frames.Frame:
+        """Return the next frame of a CAN bus; raises `LineTimeout` or `DamagedReply`."""
+        text = self.read_until(can_frames.END, timeout)
+        try:
+            return can_frames.decode(text)
+        except ValueError as error:
+            raise DamagedReply(f"{self.port}: {error}") from None
+
     def give_back(self, data: bytes) -> None:
         """Put back bytes that belong to the next reading."""
         self._buffer[:0] = data
@@ -255,8 +272,8 @@ class Line:
 
         `receive` reads from this line and raises `LineTimeout` or `DamagedReply` where there is no
         valid reply; then the line is left to settle and the request is repeated, `retries` times,
-        which is counted. A request that must not be done twice has `retries=0`. Raises `LineLost`
-        at last.
+        which is counted. Where `request` is empty, `receive` sends it by itself. A request that
+        must not be done twice has `retries=0`. Raises `LineLost` at last.
         """
         attempts = 1 + (self.retries if retries is None else retries)
         self.counts.requests += 1
@@ -265,7 +282,8 @@ class Line:
                 self.counts.retries += 1
                 if settle:
                     self.settle()
-            self.write(request)
+            if request:
+                self.write(request)
             try:
                 return receive()
             except LineTimeout as error:
@@ -367,7 +385,7 @@ class Line:
         )
 
 
-def _open(port: str, baud_rate: int, exclusive: bool | None = True) -> Any:
+def _open(port: str, baud_rate: int, frame: str, exclusive: bool | None = True) -> Any:
     if port.startswith(REPLAY):
         return Replay(port.removeprefix(REPLAY))
     import serial
@@ -375,8 +393,19 @@ def _open(port: str, baud_rate: int, exclusive: bool | None = True) -> Any:
     try:
         if port.startswith(SOCKET):
             return Socket(port.removeprefix(SOCKET), POLL)
+        if port.startswith(CAN):
+            return CanPort(port.removeprefix(CAN), baud_rate, POLL)
+        if port.startswith(VISA):
+            return VisaPort(port.removeprefix(VISA), POLL)
         return serial.serial_for_url(
-            port, baudrate=baud_rate, timeout=POLL, write_timeout=1.0, exclusive=exclusive
+            port,
+            baudrate=baud_rate,
+            bytesize=int(frame[0]),
+            parity=frame[1],
+            stopbits=int(frame[2]),
+            timeout=POLL,
+            write_timeout=1.0,
+            exclusive=exclusive,
         )
     except (OSError, ValueError) as error:
         raise HardwareError(f"{port}: cannot be opened: {_why(error)}") from None

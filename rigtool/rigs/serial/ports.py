@@ -10,7 +10,7 @@ from rigtool.errors import HardwareError
 from rigtool.rigs.serial.drivers import driver, known
 from rigtool.rigs.serial.instruments import BY_CHARACTER, instrument_module
 from rigtool.rigs.serial.instruments import MODULES as INSTRUMENTS
-from rigtool.rigs.serial.line import Line
+from rigtool.rigs.serial.line import CAN, VISA, Line
 
 PROBE_TIME = 0.15
 """Longest wait for an answer to a question that only one kind of device understands, s."""
@@ -49,7 +49,8 @@ def _asked_by_default() -> list[str]:
 def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iterator[Device]:
     """Probe these ports, or all of this computer, for the devices of these drivers.
 
-    Probing only reads: nothing moves and nothing is changed. Instruments that take each character
+    Only drives of a CAN bus are asked on one, and only SCPI on a port of VISA. Probing only reads:
+    nothing moves and nothing is changed. Instruments that take each character
     for a command are probed only where they are named, and alone.
     """
     described = dict(list_ports())
@@ -59,7 +60,9 @@ def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iter
 
 def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
     for name in drivers:
-        probe, baud_rates = _how_to_ask(name)
+        probe, baud_rates, can = _how_to_ask(name)
+        if can != port.startswith(CAN) or (port.startswith(VISA) and name != "scpi"):
+            continue
         for baud_rate in baud_rates:
             try:
                 with Line(port, baud_rate, timeout=PROBE_TIME, retries=0) as line:
@@ -75,10 +78,10 @@ def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
     return Device(port, description)
 
 
-def _how_to_ask(name: str) -> tuple[Callable[[Line], str | None], tuple[int, ...]]:
-    """Return the probe of a drive or an instrument, and the baud rates to try."""
+def _how_to_ask(name: str) -> tuple[Callable[[Line], str | None], tuple[int, ...], bool]:
+    """Return the probe of a drive or an instrument, the baud rates to try, and whether on CAN."""
     if name in INSTRUMENTS:
         module = instrument_module(name)
-        return module.probe, (module.BAUD_RATE,)
+        return module.probe, (module.BAUD_RATE,), False
     found = driver(name)
-    return found.probe, found.baud_rates
+    return found.probe, found.baud_rates, found.can

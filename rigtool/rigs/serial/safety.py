@@ -39,6 +39,10 @@ ROUNDING = 1e-6
 """Angle by which a set point may pass a limit of position: it is computed, rad."""
 
 
+SLOW_RUNAWAY = 2.0
+"""Time to the limit of speed, s, from which on a shaft that runs away is noticed near the limit."""
+
+
 SETTLE_TIME = 0.5
 """Added to each move between recordings, s."""
 
@@ -302,6 +306,24 @@ class Watch:
         if largest <= self._limits.current * (1 + CURRENT_TOLERANCE):
             return None
         return _beyond("current", largest, self._limits.current, "A")
+
+
+def runaway(limits: Limits, encoder_counts: int, period: float, acceleration: float) -> float:
+    """Return the speed at which `Watch` notices a shaft that runs away from rest, rad/s.
+
+    It accelerates evenly, rad/s2, and is sampled each `period`, s, without a delay: with friction
+    it is slower, with late samples faster.
+    """
+    if acceleration * SLOW_RUNAWAY < limits.speed:
+        return limits.speed
+    anywhere = limits.model_copy(update={"position": (-math.inf, math.inf)})
+    watch, time = Watch(anywhere, encoder_counts), 0.0
+    while True:
+        turned = acceleration * time**2 / 2
+        encoder = math.floor(turned / (2 * math.pi) * encoder_counts)
+        if watch.problem({"time": np.array([time]), "encoder": np.array([float(encoder)])}):
+            return acceleration * time
+        time += period
 
 
 class _Tail:

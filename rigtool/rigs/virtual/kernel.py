@@ -7,7 +7,8 @@ Friction is a bristle model: each contact has a deflection z in -1..1 with x0 dz
 the torque level*z, after Dahl (1968) and Canudas de Wit et al., IEEE TAC 40(3) 419-425, 1995; the
 level follows Stribeck. Pre-sliding, breakaway and reversal come from it. Integration is
 semi-implicit Euler at the sample time of the loop; the bristles implicit, which keeps them stable
-at any speed. SI units; temperatures in degC.
+at any speed; the tendon exact for torques held over a step (`tendon`). SI units; temperatures in
+degC.
 
 Contacts at the output (grasper, or pulley without an instrument) enter its equation of motion:
 
@@ -55,6 +56,7 @@ STATE = np.dtype(
             "stroke_sine",
             "stroke_cosine",
             "stroke_load",
+            "contact",
         )
     ]
     # random numbers of each direction's last stroke: (negative, positive) x (sine, cosine, load)
@@ -103,6 +105,9 @@ PARAMETERS = np.dtype(
             "torque_factor",
             "stiffness",
             "damping",
+            "tendon_angle",
+            "tendon_speed",
+            "tendon_share",
             "grasper_inertia",
             "load_moment",
             "housing_friction",
@@ -186,8 +191,9 @@ def _touched(
     driving: float,
     load: float,
     inertia: float,
-) -> tuple[float, float]:
-    """Return the output's speed one step later and the torque that acted on it from outside.
+) -> tuple[float, float, float]:
+    """Return the output's speed one step later, the torque that acted on it from outside, and that
+    of the contacts alone, without load and inertia.
 
     `lever` is the sine of the angle at which weights hang, `driving` the rig's own torque on the
     output, `load` that of the recipe's load, `inertia` the rig's with that load.
@@ -211,8 +217,9 @@ def _touched(
         push = yielding = 0.0
         after = free / (1.0 + p.dt * per_speed / total)
     outside += grip + push + (per_speed + yielding) * after
+    contact = outside - load
     outside += (p.load_inertia + hung) * (after - speed) / p.dt
-    return after, outside
+    return after, outside, contact
 
 
 @compiled
@@ -345,13 +352,22 @@ def run(
                 + s.stroke_cosine * cosine
                 + s.drift
             )
-            torque -= twist / p.torque_factor + level * z + p.housing_viscous * speed
+            torque -= level * z + p.housing_viscous * speed
             s.tip_bristle = _bristle(s.tip_bristle, grasper_speed, dt, p.tip_presliding_angle)
+            tip = p.tip_friction * s.tip_bristle
             if touch is None:
-                grasper_torque = twist - p.tip_friction * s.tip_bristle - p.load_moment * sine
-                grasper_speed += dt * grasper_torque / p.grasper_inertia
+                s.contact = 0.0
+            held = p.load_moment * sine + tip + s.contact
+            carried = (
+                p.tendon_angle * (angle / p.angle_ratio - grasper_angle)
+                + p.tendon_speed * (speed / p.angle_ratio - grasper_speed)
+                + p.tendon_share * (torque / (p.angle_ratio * p.inertia) + held / p.grasper_inertia)
+            )
+            torque -= carried / p.torque_factor
+            if touch is None:
+                grasper_speed += dt * (carried - tip - p.load_moment * sine) / p.grasper_inertia
             else:
-                grasper_speed, outside = _touched(
+                grasper_speed, outside, s.contact = _touched(
                     p,
                     touch[k],
                     tissues,
@@ -359,7 +375,7 @@ def run(
                     grasper_angle,
                     grasper_speed,
                     sine,
-                    twist - p.tip_friction * s.tip_bristle,
+                    carried - tip,
                     p.load_moment * sine,
                     p.grasper_inertia,
                 )
@@ -369,7 +385,7 @@ def run(
         if touch is None or instrument:
             speed += dt * torque / p.inertia
         else:
-            speed, outside = _touched(
+            speed, outside, _ = _touched(
                 p,
                 touch[k],
                 tissues,

@@ -21,6 +21,7 @@ from rigtool.rigs.virtual import contacts, hand, kernel
 from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
 from rigtool.rigs.virtual.stability import require_stable
+from rigtool.rigs.virtual.tendon import step_terms
 
 BLOCK = 16384
 """Approximate number of samples simulated at a time: they fit a processor's cache."""
@@ -345,6 +346,11 @@ class VirtualRig(Rig):
             inertia += v.instrument.wheel_inertia
         else:
             inertia += mass * rig.pulley_radius**2
+        grasper_inertia = v.instrument.grasper_inertia + mass * rig.instrument.grasper_length**2
+        mobility = 1 / (rig.instrument.angle_ratio * rig.instrument.torque_factor * inertia)
+        tendon_angle, tendon_speed, tendon_share = step_terms(
+            v.instrument.stiffness, v.instrument.damping, mobility + 1 / grasper_inertia, dt
+        )
         noise_decay = math.exp(-tick / motor.friction_noise_time)
         drift_decay = math.exp(-tick / v.instrument.drift_time)
         radial = motor.radial_friction * load.radial_force
@@ -387,8 +393,10 @@ class VirtualRig(Rig):
             "torque_factor": rig.instrument.torque_factor,
             "stiffness": v.instrument.stiffness,
             "damping": v.instrument.damping,
-            "grasper_inertia": v.instrument.grasper_inertia
-            + mass * rig.instrument.grasper_length**2,
+            "tendon_angle": tendon_angle,
+            "tendon_speed": tendon_speed,
+            "tendon_share": tendon_share,
+            "grasper_inertia": grasper_inertia,
             "load_moment": load.force * rig.instrument.grasper_length,
             "housing_friction": v.instrument.friction,
             "housing_asymmetry": v.instrument.friction_asymmetry,

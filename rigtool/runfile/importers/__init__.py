@@ -7,7 +7,6 @@ runs', describes the output.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Mapping as MappingType
@@ -15,19 +14,19 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from rigtool.errors import RigtoolError, RunFileError
 from rigtool.plugins import load_all, warn
 from rigtool.quantity import Quantity
-from rigtool.recipe.mapping import UNITS, Mapping
+from rigtool.recipe.mapping import Mapping
 from rigtool.runfile.importers import epos
-from rigtool.runfile.importers.arrays import read_arrays, read_vector
+from rigtool.runfile.importers.arrays import read_arrays
+from rigtool.runfile.importers.contradictions import contradictions
 from rigtool.runfile.importers.convert import conditions, irregular, stem, to_si
-from rigtool.runfile.importers.plan import BINARY, is_binary, plan
+from rigtool.runfile.importers.maps import read_map
+from rigtool.runfile.importers.plan import is_binary, plan
 from rigtool.runfile.importers.raw import Array, Importer, Raw
 from rigtool.runfile.importers.text import read_text
-from rigtool.runfile.model import Channel, Column, RecordingSpec, Table
+from rigtool.runfile.model import Channel, RecordingSpec
 from rigtool.runfile.outputs import own_folder, require_output
 from rigtool.runfile.provenance import Source, file_sha256
 from rigtool.runfile.writer import RunWriter
@@ -212,6 +211,7 @@ def understand(
     raw, known, notes = _read(source, mapping, skip_bad)
     signals, raw = to_si(source, raw, known, skip_bad)
     notes += [note for note in (irregular(signals["time"]), _left_out_note(raw)) if note]
+    notes += contradictions(signals, known)
     return signals, raw, known, notes
 
 
@@ -284,32 +284,7 @@ def _import_map(
     source: Path, here: Path, final: Path, mapping: Mapping, origin: Source, overwrite: bool
 ) -> Imported:
     """Write a series around a turn as a table."""
-    assert mapping.map is not None
-    signal = mapping.map.signal
-    factor, unit = UNITS[mapping.map.unit]
-    if not is_binary(source):
-        raise RunFileError(f"{source}: a [map] is read from {', '.join(BINARY)}: convert the file")
-    values = read_vector(source, mapping.file.variable)
-    sampled = np.isfinite(values)
-    if mapping.map.missing is not None:
-        sampled &= values != mapping.map.missing
-    if np.count_nonzero(sampled) < 2:
-        raise RunFileError(
-            f"{source}: holds {np.count_nonzero(sampled)} values, at least 2 are needed"
-        )
-    position = np.flatnonzero(sampled) * (2 * math.pi / len(values))
-    table = Table(
-        ("position",),
-        {
-            "position": Column(position, "rad", "of the rotor"),
-            signal: Column(values[sampled] * factor, unit),
-        },
-        signal,
-        f"{signal} around a turn, {stem(source)}",
-    )
-    notes = []
-    if not sampled.all():
-        notes.append(f"{len(position)} of {len(values)} steps around the turn were sampled")
+    table, notes = read_map(source, mapping)
     with RunWriter(
         here,
         command=COMMAND,
@@ -320,4 +295,4 @@ def _import_map(
         source=origin,
     ) as writer:
         writer.finish(_results(0), {MAP: table}, notes)
-    return Imported(source, final, len(position), 0, tuple(notes))
+    return Imported(source, final, table.shape[0], 0, tuple(notes))

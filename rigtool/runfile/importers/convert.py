@@ -10,6 +10,7 @@ import numpy as np
 
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import Mapping
+from rigtool.runfile.importers.contradictions import require_same_motion
 from rigtool.runfile.importers.raw import Array, Raw, require_good
 from rigtool.runfile.schema import TIME
 
@@ -22,15 +23,6 @@ as any later one, is no measurement."""
 
 STEPS = 10
 """Smallest number of samples that show how a signal moves."""
-
-PIECES = 100
-"""Of a recording over which ways by position and by speed are compared."""
-
-STRAIGHT = 0.9
-"""Correlation of these ways from which on their ratio has a meaning."""
-
-OTHER_MOTION = 1.5
-"""Ratio of position and speed that no sensor's error explains."""
 
 
 def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[str, Array], Raw]:
@@ -68,34 +60,8 @@ def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[
                 f"{path}: {name} is beyond the numbers of a computer with this scale and offset: "
                 "correct them in the mapping"
             )
-    _require_same_motion(path, signals)
+    require_same_motion(path, signals)
     return signals, raw
-
-
-def _require_same_motion(path: Path, signals: dict[str, Array]) -> None:
-    """Raise `RunFileError` where a speed is not the derivative of its position.
-
-    Over `PIECES` of the recording, the way by position x and the way by speed w have the slope
-    sum(x w) / sum(w^2); where they have no straight line in common nothing is concluded.
-    """
-    time = signals[TIME]
-    for name, of in (("position", "speed"), ("position_setpoint", "speed_setpoint")):
-        if name not in signals or of not in signals:
-            continue
-        way = np.diff(time) * (signals[of][1:] + signals[of][:-1]) / 2
-        ends = np.unique(np.linspace(0, len(time) - 1, PIECES + 1).round().astype(int))
-        moved = np.diff(signals[name][ends])
-        expected = np.diff(np.concatenate([[0.0], np.cumsum(way)])[ends])
-        alike = float(moved @ expected)
-        squares = float(expected @ expected)
-        if squares == 0 or alike**2 < STRAIGHT**2 * squares * float(moved @ moved):
-            continue
-        ratio = alike / squares
-        if not 1 / OTHER_MOTION < ratio < OTHER_MOTION:
-            raise RunFileError(
-                f"{path}: {name} moves {ratio:.3g} times as far as {of} states: correct the "
-                "sampling rate, the time, or a unit, scale, sign or counts_per_turn in the mapping"
-            )
 
 
 def _wrong_start(time: Array, raw: Raw, mapping: Mapping) -> str | None:
@@ -169,9 +135,9 @@ def irregular(time: Array) -> str | None:
 
 
 def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str]], list[str]]:
-    """Return properties of the rig and conditions from the file's name, by name: (value, unit).
+    """Return properties of the rig and conditions from names, by name: (value, unit).
 
-    Also returns notes on conditions that the name does not contain; those are left out.
+    Also returns notes on conditions that a name does not contain; those are left out.
     """
     notes = []
     rig = mapping.rig
@@ -181,20 +147,25 @@ def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str
         "torque_constant_u": (rig.torque_constant_u, "N m/A"),
         "rated_torque": (rig.rated_torque, "N m"),
         "inertia": (rig.inertia, "kg m2"),
+        "arm_length": (rig.arm_length, "m"),
+        "reference_relative_u": (rig.reference_relative_u, "1"),
         "linear_axis": (1.0 if rig.axis == "linear" else None, "1"),
     }
     found = {
         name: (float(value), unit) for name, (value, unit) in known.items() if value is not None
     }
     for condition in mapping.conditions:
-        match = re.search(condition.pattern, stem(path))
+        what = "name" if condition.of == "file" else "folder's name"
+        where = stem(path) if condition.of == "file" else path.resolve().parent.name
+        match = re.search(condition.pattern, where)
         text = None if match is None else match[1]
         try:
             value = float(text or "") if condition.values is None else condition.values[text or ""]
         except (KeyError, ValueError):
+            shown = "nothing" if text is None else repr(text)
             notes.append(
-                f"its name does not state the condition {condition.name!r}: {condition.pattern!r} "
-                f"finds {'nothing' if text is None else repr(text)}"
+                f"its {what} does not state the condition {condition.name!r}: "
+                f"{condition.pattern!r} finds {shown}"
             )
             continue
         found[condition.name] = (value, condition.unit)

@@ -103,7 +103,7 @@ def moved(wanted, contact, seed=1):
 
 def motions():
     """Return samples by the name of the motion: strokes and free motion with contacts, and rest."""
-    time = np.arange(round(6.0 / INTERVAL)) * INTERVAL
+    time = np.arange(round(4.0 / INTERVAL)) * INTERVAL
     pulse = 0.04 * np.clip(np.minimum((time % 2 - 0.7) / 0.05, (1.3 - time % 2) / 0.05), 0, 1)
     sines = np.sin(3.1 * time) + 0.6 * np.sin(7.3 * time + 1) + 0.2 * np.sin(23.0 * time)
     free = 0.5 * sines * np.clip(np.abs((time % 3) - 1.5) / 0.3 - 1, 0, 1)
@@ -116,10 +116,10 @@ def motions():
 
 
 def compiled(folder, text, *flags, name="sensor"):
-    """Return a library of the exported header, strictly compiled."""
+    """Return a library of the exported header, strictly compiled; soon, without `-O` in `flags`."""
     (folder / "sensor.h").write_text(text)
     library = folder / f"{name}.so"
-    build = ["cc", *STRICT, *flags, "-O2", "-shared", "-fPIC", f"-I{folder}", HOST, "-o", library]
+    build = ["cc", *STRICT, *flags, "-shared", "-fPIC", f"-I{folder}", HOST, "-o", library]
     subprocess.run([*build, "-lm"], check=True, timeout=120)
     return CSensor(library)
 

@@ -42,8 +42,8 @@ def samples():
 def libraries(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sensor")
     return {
-        "double": compiled(folder, header(), name="double"),
-        "float": compiled(folder, header(), FLOAT, "-Wdouble-promotion", name="float"),
+        "double": compiled(folder, header(), "-O2", name="double"),
+        "float": compiled(folder, header(), FLOAT, "-O2", "-Wdouble-promotion", name="float"),
     }
 
 
@@ -121,7 +121,7 @@ def test_a_current_at_its_limit_has_no_value(tmp_path, samples):
 @pytest.mark.parametrize("kind", [(), (FLOAT,)])
 def test_sanitizers_find_nothing(tmp_path, samples, kind):
     (tmp_path / "sensor.h").write_text(header())
-    build = ["cc", *STRICT, *kind, "-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow"]
+    build = ["cc", *STRICT, *kind, "-g", "-fsanitize=address,undefined,float-cast-overflow"]
     build += ["-fno-sanitize-recover=all", f"-I{tmp_path}", HOST, "-o", tmp_path / "host", "-lm"]
     subprocess.run(build, check=True, timeout=120)
     part = np.concatenate([samples["free"][:, :12000], extremes()], axis=1)

@@ -261,7 +261,7 @@ def check_rows(tables, position, speed, torque):
 def test_csv_is_read_back_whole(tables, tmp_path):
     remarks = take_away(tables, tmp_path / "t.csv")
     assert remarks == ("lost nothing: 8-byte numbers, as they were learned",)
-    frame = pd.read_csv(tmp_path / "t.csv", comment="#")
+    frame = pd.read_csv(tmp_path / "t.csv", comment="#", dtype=str).map(float)  # exact
     wide = frame.pivot(index="speed [rad/s]", columns="position [rad]", values="torque [N m]")
     check_rows(tables, wide.columns.to_numpy(), wide.index.to_list(), wide.to_numpy())
     assert (frame["u [N m]"] >= 0).all()

@@ -1,12 +1,13 @@
 """measure-force on the virtual rig, from recipe to force."""
 
+import functools
 import math
-import subprocess
-import sys
+import shutil
 
 import numpy as np
 import pytest
 
+from rigtool.cli import main
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt
@@ -30,14 +31,15 @@ SHORT = (
 )
 
 
-@pytest.fixture
-def force(tmp_path):
-    """Learn and measure with these recipe values; return the outcome."""
+@pytest.fixture(scope="module")
+def force(tmp_path_factory):
+    """Learn and measure with these recipe values, once; return the outcome."""
+    folder = tmp_path_factory.mktemp("force")
+    kt = write_kt(folder)
 
-    kt = write_kt(tmp_path)
-
+    @functools.cache
     def measured(*sets, seed=None):
-        tables, output = tmp_path / "tables.h5", tmp_path / "force.h5"
+        tables, output = folder / "tables.h5", folder / "force.h5"
         run(ILC_LEARN, RECIPE, tables, *SHORT, *sets, seed=seed, kt=kt)
         return run(MEASURE_FORCE, RECIPE, output, *SHORT, *sets, seed=seed, kt=kt, tables=tables)
 
@@ -86,20 +88,17 @@ def test_load_friction_is_told_from_the_rest(force):
         ),
     ],
 )
-def test_refusals(tmp_path, arguments, code, message):
-    kt = write_kt(tmp_path)
-    run(ILC_LEARN, RECIPE, tmp_path / "tables.h5", *SHORT, kt=kt)
-    before = {path.name for path in tmp_path.iterdir()}
-    done = subprocess.run(
-        [sys.executable, "-m", "rigtool", "measure-force", str(RECIPE), *arguments, "-o", "o.h5"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == code, done.stderr
-    assert message in done.stderr
-    assert done.stdout == ""
-    assert {path.name for path in tmp_path.iterdir()} == before
+def test_refusals(tmp_path, monkeypatch, capsys, arguments, code, message):
+    for name in ("kt.h5", "tables.h5"):
+        shutil.copy(RECIPE.parents[1] / "tests" / "fixtures" / name, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as caught:
+        main(["measure-force", str(RECIPE), *arguments, "-o", "o.h5"])
+    out, err = capsys.readouterr()
+    assert caught.value.code == code, err
+    assert message in err
+    assert out == ""
+    assert {path.name for path in tmp_path.iterdir()} == {"kt.h5", "tables.h5"}
 
 
 def test_radians_and_counts_of_the_shift_agree(force):

@@ -91,6 +91,27 @@ def moved(seed=0, sign=1.0):
     return {"t": time, "x": position, "f": sign * torque}
 
 
+@pytest.mark.parametrize("asked", [True, False])
+@pytest.mark.parametrize("ways", [1, 2])
+def test_a_staircase_of_speed_in_one_run(tmp_path, asked, ways):
+    """By its set point, or by the speed itself; one way gives the curve of one direction."""
+    random = np.random.default_rng(1)
+    steps = np.repeat([5.0, 10.0, 20.0, 30.0, 40.0, 50.0], 500)
+    steps = np.concatenate([steps, -steps])[: ways * len(steps)]
+    speed = np.convolve(steps, np.ones(20) / 20, "same")
+    torque = np.sign(speed) * (2 + 0.05 * np.abs(speed)) + 0.05 * random.normal(size=len(steps))
+    text = HELD.replace('"rpm"', '"rad/s"')
+    if asked:
+        text += 'speed_setpoint = { column = "w", unit = "rad/s" }\n'
+    arrays = {"t": np.arange(len(steps)) * 0.01, "v": speed, "f": torque, "w": steps}
+    outcome = analyse(take(tmp_path, text, {"a": arrays}), tmp_path / "f.h5")
+    assert outcome.tables["holds"].shape == (6 * ways,)
+    for name, expected in (("coulomb_friction", 2e-3), ("viscous_friction", 5e-5)):
+        found = outcome.results[f"{name}_positive"]
+        assert found.value == pytest.approx(expected, rel=0.02, abs=0)
+    assert ("viscous_friction_negative" in outcome.results) == (ways == 2)
+
+
 @pytest.mark.parametrize("settling", [0, 1])
 def test_holds_in_both_directions_with_settling_left_out(tmp_path, settling):
     outcome = analyse(take(tmp_path, HELD, holds(settling)), tmp_path / "f.h5")

@@ -39,9 +39,27 @@ def fit(*signals):
 
 def test_all_parameters_come_back():
     found = fit(moving())
-    expected = [INERTIA, VISCOUS, COULOMB, OFFSET]
+    expected = [INERTIA, VISCOUS, COULOMB, OFFSET, np.nan]
     np.testing.assert_allclose(found.parameters, expected, rtol=0.01, atol=0)
     assert found.explained > 0.999
+
+
+def test_viscous_friction_by_direction_and_all_that_moves_is_used():
+    """Nothing is left out where the model holds through standstill."""
+    time, position, torque = moving()
+    speed = np.gradient(position, time)
+    torque = torque + 0.2 * VISCOUS * np.abs(speed)
+    torque = torque + np.random.default_rng(2).normal(0, 2e-4, len(time))
+    found = fit((time, position, torque))
+    assert found.by_direction
+    assert found.standstill < 0.05
+    for sign, factor in (("", 1.2), ("-", 0.8)):
+        value, u = found.estimate("viscous", f"{sign}viscous_difference")
+        assert abs(value - factor * VISCOUS) < 3 * u
+        assert u < 0.02 * VISCOUS
+    value, u = found.estimate("offset")
+    assert abs(value - OFFSET) < 3 * u
+    assert u < 0.05 * OFFSET
 
 
 def test_they_come_back_from_counts_with_noise():
@@ -49,7 +67,7 @@ def test_they_come_back_from_counts_with_noise():
     counts = np.round(position * 4000 / (2 * np.pi)) * 2 * np.pi / 4000
     noisy = torque + np.random.default_rng(1).normal(0, 1e-3, len(time))
     found = fit((time, counts, noisy))
-    expected = [INERTIA, VISCOUS, COULOMB, OFFSET]
+    expected = [INERTIA, VISCOUS, COULOMB, OFFSET, np.nan]
     np.testing.assert_allclose(found.parameters, expected, rtol=0.05, atol=0)
 
 
@@ -112,8 +130,8 @@ def test_uncertainties_are_not_larger_than_the_scatter_asks_for():
         random = np.random.default_rng([seed, 8])
         time, position, torque = moving(seed=0)
         found = fit((time, position, torque + 1e-4 * noise_with_memory(random, len(time), 0.05)))
-        values.append(found.parameters)
-        claimed.append(np.diag(found.covariance))
+        values.append(found.parameters[:4])
+        claimed.append(np.diag(found.covariance)[:4])
     ratio = np.sqrt(np.median(claimed, axis=0)) / np.std(values, axis=0)
     assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio
 
@@ -171,8 +189,8 @@ def test_an_irregular_time_axis_is_resampled():
 def test_units_and_direction_scale_the_result(length, force, sign):
     """The same in other units, or with both axes turned round."""
     time, position, torque = moving(seconds=10)
-    first = fit((time, position, torque)).parameters
-    other = fit((time, sign * position * length, sign * torque * force)).parameters
+    first = fit((time, position, torque)).parameters[:4]
+    other = fit((time, sign * position * length, sign * torque * force)).parameters[:4]
     expected = first * force * np.array([1 / length, 1 / length, 1, sign])
     np.testing.assert_allclose(other, expected, rtol=1e-6, atol=0)
 

@@ -104,7 +104,7 @@ def test_curvature_is_the_error_of_the_straight_line():
     def error_and_doubt(height):
         torque = weight * (friction_of(speed, height) + random.normal(0, 0.01, COUNT))
         line = np.linalg.lstsq(design, torque, rcond=None)[0]
-        return np.abs(line), curvature(speed, weight, torque - design @ line, design, 1000.0)
+        return np.abs(line), curvature(speed, design[:, 1], torque - design @ line, design, 1000.0)
 
     error, doubt = error_and_doubt(1.0)
     np.testing.assert_allclose(doubt[:2], error[:2], rtol=0.02)

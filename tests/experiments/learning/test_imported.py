@@ -177,6 +177,7 @@ def test_the_odrive_set_learned_and_held_out(tmp_path):
     results = outcome.results
     assert ilc_check.fits(outcome)
     assert results["removed"].value == pytest.approx(0.973, rel=0, abs=0.01)
+    assert 0.9 < results["record_variance_removed"].value < 1
     for order in (7, 14, 28, 12, 36):
         removed = results[f"order_{order}_removed"]
         assert removed.value > 0.95

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
 from rigtool.recipe import load_recipe
@@ -66,6 +67,14 @@ def test_with_a_plant_its_inertia_and_a_bound(plant, kind):
     assert any("inverse of the measured response" in note for note in found.notes()) == (
         kind == "frf"
     )
+
+
+def test_the_measured_inertia_is_fed_forward(plant, tmp_path):
+    with open_run(write_kt(tmp_path)) as kt:
+        without = LimitedAngle(recipe(), kt=kt)
+        found = LimitedAngle(recipe(), kt=kt, plant=plant)
+    assert without.plain.inertia == recipe().rig.nominal_inertia
+    assert found.plain.inertia == plant.result("inertia").value
 
 
 def test_the_model_of_two_masses_is_taken_over(instrument):

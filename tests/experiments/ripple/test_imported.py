@@ -88,6 +88,37 @@ def test_a_torque_constant_makes_torque_of_current(tmp_path):
     assert found.value == pytest.approx(0.4, rel=0.05, abs=0)
 
 
+def test_ripple_of_the_speed_alone_at_few_samples_a_turn(tmp_path):
+    random = np.random.default_rng(4)
+    time = np.arange(8000) * 1e-3
+    angle = 2 * np.pi * 7.3 * time
+    speed = 46 + 0.8 * np.cos(6 * angle + 0.3) + random.normal(0, 0.2, len(time))
+    text = SLOW.replace('{ column = "i", unit = "A" }', '{ column = "i", unit = "rad/s" }')
+    text = text.replace("current =", "speed =")
+    arrays = {"t": time, "q": np.mod(angle / (2 * np.pi) * 8192, 8192), "i": speed}
+    outcome = analyse(take(tmp_path, text, {"off_0": arrays}), tmp_path / "r.h5")
+    found = outcome.results["order_6_amplitude"]
+    assert found.unit == "rad/s"
+    assert abs(found.value - 0.8) < 3 * found.u
+    assert found.u < 0.01
+    assert any("58 turns" in note for note in outcome.notes)
+
+
+def test_groups_of_one_speed_that_was_asked_for_are_compared(tmp_path):
+    """14 % apart in speed: by set point they are a pair, without one a note states why not."""
+    turns = {"off_0": slow_turn(1, 0), "off_1": slow_turn(2, 0), "on_0": slow_turn(3, 0.8, 0.114)}
+    for arrays in turns.values():
+        arrays["w"] = np.full(len(arrays["t"]), 0.65)
+    outcome = analyse(take(tmp_path, SLOW, turns), tmp_path / "r.h5")
+    assert "reduction" not in outcome.tables
+    assert any("are not compared" in note for note in outcome.notes)
+    asked = SLOW.replace("[[cond", 'speed_setpoint = { column = "w", unit = "rad/s" }\n[[cond')
+    (tmp_path / "asked").mkdir()
+    outcome = analyse(take(tmp_path / "asked", asked, turns), tmp_path / "r.h5")
+    reduced = outcome.results["order_7_motion_reduction"]
+    assert reduced.value == pytest.approx(0.8, rel=0, abs=0.05)
+
+
 def test_sources_that_do_not_go_together(turns, tmp_path):
     _, paths = turns
     np.save(tmp_path / "map.npy", np.arange(1.0, 65))

@@ -8,7 +8,14 @@ from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.recipe import override_recipe
 from rigtool.runfile import open_run
-from tests.experiments.virtual_runs import QUIET, RECIPE, run, write_kt
+from tests.experiments.virtual_runs import (
+    QUIET,
+    RECIPE,
+    TORQUE_CONSTANT,
+    run,
+    write_kt,
+    write_results,
+)
 
 SHORT = (
     "fft_ripple.speeds=[3, 30]",
@@ -166,3 +173,31 @@ def test_how_a_run_was_recorded_cannot_be_changed_afterwards(measured, folder, k
     with pytest.raises(UsageError, match="record_every=1: a stored run stays as it was recorded"):
         run(FFT_RIPPLE, measured[0], folder / "no.h5", "fft_ripple.record_every=1", kt=kt)
     assert not (folder / "no.h5").exists()
+
+
+def test_heat_of_the_winding_and_the_loop_are_taken_off_the_amplitudes(folder):
+    """The heat of 160 mN m costs 3 % of k here, and at 30 rad/s the loop asks for 1.3 times it."""
+    slope = -4e-3
+    kt = write_results(
+        folder / "slope.h5",
+        "calibrate-kt",
+        torque_constant=(TORQUE_CONSTANT, "N m/A"),
+        torque_constant_temperature_coefficient=(slope, "1/K"),
+        torque_constant_mean=(TORQUE_CONSTANT * (1 + 7.5 * slope), "N m/A"),
+        amplifier_gain=(1.0, "1"),
+    )
+    sets = (
+        "virtual.motor.cogging=[{ order = 4, amplitude = 1e-3 }]",
+        f"virtual.motor.torque_constant_temperature_coefficient={slope}",
+        "virtual.thermal.winding_capacity=15",
+        "virtual.thermal.winding_to_housing=1.5",
+        "fft_ripple.torques=[0.16]",
+        "fft_ripple.power_cycles=0",
+        "fft_ripple.revolutions=10",
+    )
+    outcome = run(FFT_RIPPLE, RECIPE, folder / "heat.h5", *SHORT, *QUIET, *sets, kt=kt)
+    for kind, row in (("torque", 0), ("speed", 1)):
+        table = outcome.tables[f"{kind}_spectrum"]
+        assert table["amplitude"][row, 3] == pytest.approx(1e-3, rel=0.006, abs=0), kind
+    assert outcome.tables["speed_spectrum"]["loop_gain"][1, 3] > 1.1
+    assert any("torque_000: the current that holds" in note for note in outcome.notes)

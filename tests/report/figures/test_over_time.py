@@ -8,6 +8,7 @@ import pytest
 from rigtool.recipe import load_recipe
 from rigtool.report import build
 from rigtool.report.figures import PLOTS, style
+from rigtool.report.tables import force_tables
 from rigtool.runfile import Column, RunWriter, Table, open_run
 
 ROOT = Path(__file__).parents[3]
@@ -105,3 +106,15 @@ def test_all_are_drawn_to_the_end(judged):
 def test_a_run_that_was_analysed_again_is_not_called_foreign(tmp_path, judged):
     with stored(tmp_path / "again.h5", judged=True, inputs=[judged]) as again:
         assert build.build_report([again]).warnings == ()
+
+
+def test_the_table_shows_the_largest_torque_of_each_section(judged):
+    (table,) = force_tables(judged, "f")
+    assert len(table.rows) == 10
+    columns = [column.key for column in table.columns]
+    rows = [dict(zip(columns, (cell.value for cell in row), strict=True)) for row in table.rows]
+    shown = max(rows, key=lambda row: row["torque"])
+    torque = judged.table("force")["torque"]
+    assert shown["torque"] == pytest.approx(np.nanmax(torque), rel=1e-12)
+    assert 112 <= shown["time"] <= 113
+    assert (shown["torque"] - shown["low"], shown["force"]) == (pytest.approx(2e-3, rel=1e-9), None)

@@ -19,6 +19,8 @@ import time
 import types
 from pathlib import Path
 
+import can.bus
+import can.interfaces.slcan
 import serial
 
 import rigtool.rigs.serial
@@ -52,13 +54,15 @@ class World:
     """The time [s] with the threads and devices in it.
 
     `delay` [s] is that of wires, each way, `rate` what they carry, byte/s; `stalls` maps times
-    since the begin to how long the host is held up where it sleeps then, s.
+    since the begin to how long the host is held up where it sleeps then, s. Devices that nobody
+    asks anything look around every `tick` s.
     """
 
     def __init__(self):
         self.begin = self.now = 1000.0
         self.delay, self.rate = 1e-4, math.inf
         self.stalls = {}
+        self.tick = server.TICK
         self.servers, self.ports = [], {}
         self._ended = False
         self._number = itertools.count(9000)
@@ -290,6 +294,7 @@ class Port:
 
     def __init__(self, world, wire, timeout):
         self._world, self._wire, self._timeout = world, wire, timeout
+        self.write_timeout = None
         wire.hosts += 1
         self._open = True
 
@@ -323,6 +328,12 @@ class Port:
         self._require()
         self._wire.send(self._wire.to_device, data)
 
+    def flush(self):
+        self._require()
+
+    def reset_input_buffer(self):
+        self._wire.to_host.clear()
+
     def close(self):
         if self._open:
             self._open = False
@@ -347,7 +358,7 @@ def server_kind(world, name):
             if self.emulator.busy and not self._waiting:
                 return world.now
             arrivals = [moment for moment, _ in self._wire.to_device[:1]]
-            return min(self._tick + server.TICK, *arrivals, math.inf)
+            return min(self._tick + world.tick, *arrivals, math.inf)
 
         def run(self):
             """Do what the thread does in one round."""
@@ -395,6 +406,9 @@ def emulated_time(monkeypatch):
     monkeypatch.setattr(server, "PtyServer", server_kind(world, "/dev/pts/"))
     monkeypatch.setattr(server, "TcpServer", server_kind(world, "socket://127.0.0.1:"))
     monkeypatch.setattr(serial, "serial_for_url", world.open_port)
+    monkeypatch.setattr(serial.Timeout, "TIME", world.monotonic)
+    monkeypatch.setattr(can.bus, "time", world.monotonic)
+    monkeypatch.setattr(can.interfaces.slcan, "time", replaced[time])
     monkeypatch.setattr(line, "Socket", world.open_socket)
     # A process of its own lives in real time: it would hear nothing for long, and switch off.
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)

@@ -46,8 +46,7 @@ def test_each_driver_of_rigtool_makes_a_drive_or_a_rig(name, monkeypatch):
 
 
 def test_unknown_driver_is_refused_with_the_known_ones():
-    names = "odrive, moteus, simplefoc, vesc, target, maxon, replay"
-    known = f"'toaster' is unknown: use one of {names}, or install"
+    known = f"'toaster' is unknown: use one of {', '.join(drivers.MODULES)}, replay, or install"
     with pytest.raises(RecipeError, match=known):
         open_rig(serial_recipe("/dev/none", driver="toaster"), 0.045, "test")
 
@@ -55,7 +54,7 @@ def test_unknown_driver_is_refused_with_the_known_ones():
 @pytest.mark.usefixtures("package")
 def test_driver_of_another_package_is_found_opened_and_asked():
     assert "toy" in askable()
-    with pytest.raises(RecipeError, match="maxon, text, toy, replay"):
+    with pytest.raises(RecipeError, match="cia402, text, toy, replay"):
         drivers.driver("toaster")
     with serve(toy.ToyEmulator()) as server:
         rig = open_rig(serial_recipe(server.port, driver="toy", sample_time=0.01), 0.045, "test")

@@ -80,7 +80,7 @@ SLOW_LOOP = (
     "rig.controller.lowpass_hz=10",
     "rig.controller.integrator_hz=0.2",
     f"measure_force.forces={list(FORCES)}",
-    "measure_force.cycles=5",
+    "measure_force.cycles=3",
     "measure_force.record_every=1",
 )
 
@@ -138,7 +138,11 @@ def test_loads_that_are_moved_too_fast_are_refused(world, chain, period, rev_per
 def test_fast_loads_are_read_with_a_low_pass_and_a_gain_that_fit(
     world, chain, period, rev_per_s, lowpass_hz, gain
 ):
-    more = (f"measure_force.lowpass_hz={lowpass_hz}", f"serial.position_gain={gain}")
+    more = (
+        f"measure_force.lowpass_hz={lowpass_hz}",
+        f"serial.position_gain={gain}",
+        "measure_force.cycles=5",
+    )
     device, rig = force_rig(world, "toy", period, rev_per_s, *more)
     loads = chain(MEASURE_FORCE, device, rig).tables["loads"]
     assert (np.abs(loads["error_torque"][1:]) <= 2 * loads["mean_torque_u"][1:]).all()
@@ -162,10 +166,10 @@ HOLDS = (
     "rig.controller.crossover_hz=2",
     "rig.controller.lowpass_hz=10",
     "stribeck.speed_max=30",
-    "stribeck.hold_speeds=[2, 5, 10, 20, 30]",
+    "stribeck.hold_speeds=[5, 10, 20, 30]",
     "stribeck.hold_time=0.5",
     "stribeck.hold_revolutions=1",
-    "stribeck.sweep_time=6",
+    "stribeck.sweep_time=3",
     "stribeck.breakaway_positions=3",
     "stribeck.breakaway_rate=0.004",
     "stribeck.radial_force=0",
@@ -179,8 +183,8 @@ HOLDS = (
     [
         ("toy", 0.01, 0.01),
         ("toy", 0.004, 0.01),
-        ("odrive", 0.004, 0.01),
-        ("moteus", 0.004, 0.01),
+        ("odrive", 0.01, 0.01),
+        ("moteus", 0.01, 0.01),
         ("maxon", 0.02, 0.05),
     ],
 )

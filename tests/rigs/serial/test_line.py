@@ -11,7 +11,7 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import Emulator, serve
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
-from rigtool.rigs.serial.spy import Event, Spy, read_spy
+from rigtool.rigs.serial.transport.spy import Event, Spy, read_spy
 
 
 class Echo(Emulator):

@@ -384,3 +384,19 @@ def test_loads_are_described_as_requests():
     text = describe_load(Load(torque=0.014, radial_force=22.0), "pulley")
     assert text.startswith("Load the shaft with 14 mN m (weight on a cord), pull the shaft")
     assert describe_load(Load(clamped=True), "pulley").startswith("Remove all loads")
+
+
+@pytest.mark.parametrize("period", [0.002, 0.004, 0.01])
+def test_runaway_is_noticed_at_the_speed_that_is_stated(period):
+    limits, acceleration = LIMITS, 2000.0
+    stated = safety.runaway(limits, 4000, period, acceleration)
+    watch = safety.Watch(limits, 4000)
+    time = np.arange(0.0, 1.0, period)
+    encoder = np.floor(acceleration * time**2 / 2 / (2 * math.pi) * 4000)
+    problems = [
+        watch.problem({"time": time[n : n + 1], "encoder": encoder[n : n + 1]})
+        for n in range(len(time))
+    ]
+    first = next(n for n, problem in enumerate(problems) if problem)
+    assert stated == pytest.approx(acceleration * time[first], rel=1e-9)
+    assert stated > limits.speed

@@ -8,7 +8,6 @@ from rigtool.recipe import load_recipe
 from rigtool.rigs import Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.rigs.virtual import VirtualRig
-from rigtool.rigs.virtual import rig as virtual_rig
 
 RECIPE = "recipes/briaire-2006.toml"
 FREE = ("virtual.instrument.tip_friction=0", "virtual.instrument.load_friction=0")
@@ -31,17 +30,10 @@ def bound(*overrides):
     return float(str(caught.value).split("inertias, ")[1].split(" N m/rad")[0])
 
 
-@pytest.mark.parametrize("damping", [0.0, 8e-4])
-def test_the_bound_is_where_the_equations_begin_to_grow(monkeypatch, damping):
-    overrides = (*FREE, f"virtual.instrument.damping={damping}")
-    highest = bound(*overrides)
+def test_the_bound_is_where_samples_still_show_the_oscillation():
+    highest = bound(*FREE)
     assert 300 < highest < 600
-    below = rig_with(*overrides, f"{TENDON}={0.98 * highest}")
-    assert np.abs(kicked(below)).max() < 1e5
-    monkeypatch.setattr(virtual_rig, "require_stable", lambda parameters: None)
-    beyond = rig_with(*overrides, f"{TENDON}={1.2 * highest}")
-    with pytest.raises(RecipeError, match="left all bounds"):
-        kicked(beyond)
+    assert np.abs(kicked(rig_with(*FREE, f"{TENDON}={0.98 * highest}"))).max() < 1e5
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,9 @@ class Implementation(ABC, Generic[T]):
         self.filters = design_filters(recipe, plant)
         self.torque_constant = torque_per_ampere(kt).value
         self.friction = friction_results(friction)
-        self.plain = feedforward(recipe.rig.nominal_inertia, self.friction)
+        # An inertia that is off leaves a torque of every turn-around in the first positions.
+        inertia = recipe.rig.nominal_inertia if plant is None else plant.result("inertia").value
+        self.plain = feedforward(inertia, self.friction)
 
     # -- given by each implementation
 

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 
-from rigtool.errors import HardwareError
+from rigtool.errors import HardwareError, UsageError
 from rigtool.rigs.serial.emulators.faults import Fault, Faults, Pulled
 
 TICK = 0.002
@@ -24,6 +24,8 @@ BACKLOG = 1 << 14
 
 An answer waits behind them: few enough that it comes in time on any line that carries the stream.
 """
+
+MAX_PORT = 65535
 
 PATIENCE = 1.0
 """Time after which bytes that nobody reads are dropped, s."""
@@ -199,9 +201,14 @@ class TcpServer(Server):
 
     def _open(self) -> None:
         name, _, number = self._address.rpartition(":")
+        if not name or not number.isdecimal() or int(number) > MAX_PORT:
+            raise UsageError(
+                f"--tcp {self._address}: is no address: give HOST:PORT, PORT from 0 to {MAX_PORT}, "
+                "e.g. 127.0.0.1:7077"
+            )
         try:
             self._listening = socket.create_server((name, int(number)))
-        except (OSError, ValueError, OverflowError) as error:
+        except OSError as error:
             raise HardwareError(
                 f"--tcp {self._address}: cannot listen there: {error}; give HOST:PORT"
             ) from None

@@ -95,7 +95,10 @@ class SimpleFoc:
         return label
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
-        """Lower the limit of current, silence the monitor; return what the drive cannot watch."""
+        """Lower the limit of current, silence the monitor; return what the drive cannot watch.
+
+        Raises `HardwareError` where the drive keeps another limit.
+        """
         self._before.setdefault("C", str(self._motion()))
         limit = self._get("LC")
         self._before.setdefault("LC", limit)
@@ -123,7 +126,10 @@ class SimpleFoc:
     # -- states
 
     def enable(self, mode: Mode) -> None:
-        """Switch on, following currents, with a target of zero."""
+        """Switch on, following currents, with a target of zero.
+
+        Raises `HardwareError` where the drive stays off, or does not follow torque targets.
+        """
         if self._on:
             return
         if self._guard is not None:

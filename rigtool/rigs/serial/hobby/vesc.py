@@ -217,7 +217,10 @@ class Vesc:
             )
 
     def halt(self) -> None:
-        """Set the current to zero, and see the timeout come: then the motor is released."""
+        """Set the current to zero, and see the timeout come: then the motor is released.
+
+        Raises `HardwareError` where it does not come.
+        """
         self._setpoint = 0.0
         for attempt in range(HALTS):
             try:
@@ -320,7 +323,7 @@ class Vesc:
 
 
 def identify(line: Line, retries: int | None = None) -> str:
-    """Return hardware and firmware of the VESC that answers."""
+    """Return hardware and firmware of the VESC that answers; `HardwareError` for another device."""
     reply = line.exchange(frame(bytes([FIRMWARE])), lambda: read_frame(line), retries=retries)
     hardware, end, rest = reply[3:].partition(b"\0")
     if reply[:1] != bytes([FIRMWARE]) or not end:

@@ -17,7 +17,7 @@ from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.serial.instruments.readings import UNSTABLE, Reader, Reading
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
-from rigtool.rigs.serial.spy import RecordEnd
+from rigtool.rigs.serial.transport.spy import RecordEnd
 
 NEAR = {"force": 0.5, "deflection": 0.5, "temperature": 10.0}
 """Longest time for which a reading holds, s."""
@@ -102,6 +102,7 @@ class LineGauge:
                 driver=self._settings.driver,
                 beside=self._beside(),
                 role=self._channel,
+                frame=self._settings.frame,
             )
             self._reader = self._make_reader(self._line, self._channel)
             if not self._reader.streams:

@@ -25,7 +25,7 @@ from rigtool.rigs.serial.instruments.readings import (
     number,
     to_si,
 )
-from rigtool.rigs.serial.line import DamagedReply, Line
+from rigtool.rigs.serial.line import VISA, DamagedReply, Line
 
 BAUD_RATE = 9600
 
@@ -37,7 +37,15 @@ QUICK = 0.5
 
 OVERRANGE = 9.9e37
 NOT_A_NUMBER = 9.91e37
-_REPLY = re.compile(r"(?:t: *)?(\S+?)(?: +([A-Za-z]+))?", re.ASCII)
+_REPLY = re.compile(
+    r"(?:t: *)?(\S+?)(?: +([A-Za-z]+)|(?P<status>[NOUZR])(?P<unit>[AV][AD]C|OHM))?(?:,.*)?",
+    re.ASCII,
+)
+STATUS = {"O": OVERLOAD, "U": UNDERRANGE, "Z": NO_VALUE}
+"""Letters before a unit that flag a reading: overflow, underflow, zero check [Keithley 6517]."""
+
+REMOTE = "34401"
+"""A multimeter that measures over RS232 only once it is set to remote [Agilent 34401A]."""
 
 
 def parse(line: bytes, channel: str, unit: str, form: Form) -> Reading:
@@ -51,7 +59,9 @@ def parse(line: bytes, channel: str, unit: str, form: Form) -> Reading:
     found = _REPLY.fullmatch(text)
     if found is None:
         raise DamagedReply(f"{text!r} is not a reading")
-    value, said = number(found.group(1)), found.group(2)
+    if flag := STATUS.get(found["status"] or ""):
+        return Reading(math.nan, flag)
+    value, said = number(found.group(1)), found.group(2) or found["unit"]
     form.require_unit(found.group(1), said or "")
     if abs(value) >= OVERRANGE:
         missing = NO_VALUE if abs(value) == NOT_A_NUMBER else OVERLOAD
@@ -81,6 +91,8 @@ class Scpi(Polled):
         """
         self.timeout = QUICK
         identity = self.agreed(b"*IDN?\n")
+        if REMOTE in (identity or "") and not self._line.port.startswith(VISA):
+            self._line.write(b"SYST:REM\n")
         if self._channel == "temperature" and identity:
             self._require_temperature()
         self.timeout = SLOW

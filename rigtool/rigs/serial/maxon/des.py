@@ -7,8 +7,9 @@ import struct
 
 from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Limits
+from rigtool.rigs.serial.cia402.states import RPM
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
-from rigtool.rigs.serial.maxon.drive import NO_WATCHDOG, RPM, MaxonDrive
+from rigtool.rigs.serial.maxon.drive import NO_WATCHDOG, MaxonDrive
 from rigtool.rigs.serial.maxon.frames import LockStepFrames
 
 ENABLE, READ, WRITE, SET_SPEED, SET_CURRENT = 0x05, 0x14, 0x15, 0x21, 0x22
@@ -51,7 +52,7 @@ class DesDrive(MaxonDrive[int]):
         """See that the drive reports no error and has the recipe's encoder."""
         self._last = None
         self._require_no_error(self._read(STATUS))
-        self._require_encoder(self._read(ENCODER))
+        self._require_encoder(4 * self._read(ENCODER))
         return "maxon DES 70/10"
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
+from rigtool.rigs.serial.cia402.objects import DEVICE_TYPE
+from rigtool.rigs.serial.cia402.states import identity
 from rigtool.rigs.serial.drive import Drive
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
@@ -28,7 +30,7 @@ from rigtool.rigs.serial.maxon.guard import (
     Guard,
     require_emergency_stop,
 )
-from rigtool.rigs.serial.maxon.objects import DEVICE_TYPE, EPOS2_ACCESS, EPOS4_ACCESS, Objects
+from rigtool.rigs.serial.maxon.objects import EPOS2_ACCESS, EPOS4_ACCESS, EposObjects
 
 BAUD_RATES = (115200, 38400)
 """Of an EPOS and of a DES, as they are delivered, bit/s."""
@@ -42,9 +44,9 @@ def probe(line: Line) -> str | None:
     found = _find(line, FACTORY_NODE)
     if found is None:
         return None
-    if isinstance(found, Objects):
+    if isinstance(found, EposObjects):
         family = "EPOS4" if isinstance(found.frames, DleFrames) else "EPOS2"
-        return EposDrive.identity(found, family)
+        return identity(found, f"maxon {family}")
     return "maxon DES"
 
 
@@ -71,14 +73,14 @@ def drive_on(line: Line, node: int, encoder_counts: int) -> DesDrive | EposDrive
             f"{line.port}: no maxon drive answers: check power and cable; an EPOS talks at 115200 "
             "bit/s, a DES at 38400: set serial.baud_rate"
         )
-    if not isinstance(found, Objects):
+    if not isinstance(found, EposObjects):
         return DesDrive(found, counts)
     if isinstance(found.frames, DleFrames):
         return Epos4Drive(found, counts)
     return Epos2Drive(found, counts)
 
 
-def _find(line: Line, node: int) -> Objects | LockStepFrames | None:
+def _find(line: Line, node: int) -> EposObjects | LockStepFrames | None:
     """Ask twice for the device: an earlier question may have left an incomplete frame."""
     for attempt in range(2):
         if attempt:
@@ -98,17 +100,17 @@ def _find(line: Line, node: int) -> Objects | LockStepFrames | None:
     return None
 
 
-def _introduced(line: Line, ready: bytes, node: int) -> Objects | LockStepFrames | None:
+def _introduced(line: Line, ready: bytes, node: int) -> EposObjects | LockStepFrames | None:
     """Return who answered so to the op code of an EPOS2, once it has answered a whole question."""
     frames = LockStepFrames(line, FRAME_TIMEOUT)
     if ready == FAILED:  # it knows acknowledges, and no objects
         read_status(frames)
         return frames
     if ready == OKAY:
-        objects = Objects(frames, EPOS2_ACCESS, node)
+        objects = EposObjects(frames, EPOS2_ACCESS, node)
         frames.complete(EPOS2_ACCESS.read, EPOS2_ACCESS.address(node, DEVICE_TYPE), 8)
         return objects
-    objects = Objects(DleFrames(line), EPOS4_ACCESS, node)
+    objects = EposObjects(DleFrames(line), EPOS4_ACCESS, node)
     objects.read(DEVICE_TYPE, retries=0)
     return objects
 

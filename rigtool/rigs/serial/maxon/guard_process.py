@@ -19,6 +19,8 @@ from rigtool.rigs.serial.drivers import driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.maxon.guard import ON, READY
 
+WINDOWS = os.name == "nt"
+
 PATIENCE = 30.0
 """Time for which the process tries to switch the drive off, s: the port may be gone for a while."""
 
@@ -42,12 +44,19 @@ def main(kind: str, port: str, baud_rate: str, node: str, silence: str) -> None:
         try:
             word = words.get(timeout=float(silence) if on else None)
         except queue.Empty:
+            _free_port()
             break
         if not word:
             break
         on = word[-1:] == ON
     if on:
         switch_off(off, port, int(baud_rate), int(node))
+
+
+def _free_port() -> None:
+    """End a rigtool that hangs on Windows, where it keeps its port from everybody else."""
+    if WINDOWS:
+        os.kill(os.getppid(), signal.SIGTERM)
 
 
 def _listen(words: queue.Queue[bytes]) -> None:

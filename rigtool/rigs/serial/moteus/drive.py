@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
-from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.moteus.link import Link
 from rigtool.rigs.serial.moteus.registers import (
@@ -117,9 +116,8 @@ class MotorSettings:
 class Moteus:
     """A `Drive`."""
 
-    def __init__(self, line: Line, node: int) -> None:
-        self.line = line
-        self.link = Link(line, node)
+    def __init__(self, link: Link) -> None:
+        self.line, self.link = link.line, link
         self._motor: MotorSettings | None = None
         self._limits: Limits | None = None
         self._watchdog = math.nan
@@ -141,9 +139,8 @@ class Moteus:
             )
         self.link.command("tel stop")
         self._motor = motor = self._read_motor()
-        wire = "UART with checksums" if self.link.sealed else "fdcanusb"
         table = f"; its cogging table is on, scale {motor.table_scale:g} A"
-        return f"{identity}, {wire}{table if motor.table_scale else ''}"
+        return f"{identity}, {self.link.wire}{table if motor.table_scale else ''}"
 
     def _read_motor(self) -> MotorSettings:
         number = self.link.number

@@ -21,8 +21,13 @@ PROBED_NODES = range(1, 5)
 
 def probe(line: Line) -> str | None:
     """Return the identity of the moteus that answers, None for another device."""
+    return first_answer(line, Link)
+
+
+def first_answer(line: Line, kind: type[Link]) -> str | None:
+    """Return the identity of the first drive that answers by such a link."""
     for node in PROBED_NODES:
-        link = Link(line, node)
+        link = kind(line, node)
         with contextlib.suppress(HardwareError):
             return read_identity(link)
         if line.counts.bytes_received == 0:
@@ -33,7 +38,7 @@ def probe(line: Line) -> str | None:
 def make_drive(line: Line, recipe: Recipe) -> Moteus:
     """Return the drive that a recipe's [serial] names, not connected yet."""
     assert recipe.serial is not None
-    return Moteus(line, recipe.serial.node or USUAL_NODE)
+    return Moteus(Link(line, recipe.serial.node or USUAL_NODE))
 
 
 def make_table_store(line: Line, recipe: Recipe) -> TableStore:

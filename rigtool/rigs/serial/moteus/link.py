@@ -39,6 +39,11 @@ class Link:
         self.sealed = False
         self._source = 0
 
+    @property
+    def wire(self) -> str:
+        """What is at the other end of the line, for the operator."""
+        return "UART with checksums" if self.sealed else "fdcanusb"
+
     # -- frames
 
     def find_seal(self, question: bytes) -> None:
@@ -81,10 +86,15 @@ class Link:
         return self._exchange(frame, understand, retries=retries)
 
     def _request(self, frame: bytes, *, reply: bool) -> tuple[bytes, int]:
+        identifier, source = self._address(reply=reply)
+        line = frames.send_line(identifier, frame)
+        return (frames.sealed(line) if self.sealed else line) + b"\n", source
+
+    def _address(self, *, reply: bool) -> tuple[int, int]:
+        """Return the identifier of the next request, and the source in it."""
         self._source = self._source % SOURCES + 1
         identifier = (REPLY_WANTED if reply else 0) | self._source << 8 | self.node
-        line = frames.send_line(identifier, frame)
-        return (frames.sealed(line) if self.sealed else line) + b"\n", self._source
+        return identifier, self._source
 
     def _exchange(
         self,
@@ -98,18 +108,14 @@ class Link:
 
         def receive() -> T:
             for _ in range(STRAY_LINES):
-                line = self._line()
-                if line == b"OK" and understand is None:
+                got = self._received()
+                if got is None and understand is None:
                     return None  # type: ignore[return-value]
-                if line.startswith(b"ERR"):
-                    raise DamagedReply(f"{self.line.port}: {line.decode('latin-1')}")
-                if line.startswith(b"rcv "):
-                    identifier, reply = frames.received(line)
-                    from_to = identifier >> 8 & 0x7F, identifier & 0x7F
-                    if understand is not None and from_to == (self.node, source):
-                        return understand(reply)
-                elif line and line != b"OK":
-                    raise DamagedReply(f"{line[:60]!r}: is no answer of an fdcanusb")
+                if got is None or understand is None:
+                    continue
+                identifier, reply = got
+                if (identifier >> 8 & 0x7F, identifier & 0x7F) == (self.node, source):
+                    return understand(reply)
             raise DamagedReply(f"{STRAY_LINES} lines, none of them the answer")
 
         def checked() -> T:
@@ -119,6 +125,17 @@ class Link:
                 raise DamagedReply(str(error)) from None
 
         return self.line.exchange(request, checked, retries=retries)
+
+    def _received(self) -> tuple[int, bytes] | None:
+        """Return identifier and data of the next frame, None where one was sent."""
+        line = self._line()
+        if line.startswith(b"rcv "):
+            return frames.received(line)
+        if line.startswith(b"ERR"):
+            raise DamagedReply(f"{self.line.port}: {line.decode('latin-1')}")
+        if line and line != b"OK":
+            raise DamagedReply(f"{line[:60]!r}: is no answer of an fdcanusb")
+        return None
 
     def _line(self) -> bytes:
         line = self.line.read_until(b"\n").rstrip(b"\r\n")

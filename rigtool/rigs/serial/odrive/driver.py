@@ -27,6 +27,7 @@ from rigtool.rigs.serial.odrive.text import (
     Dialect,
     OdriveProtocol,
     agrees,
+    describe_errors,
     identify,
     number,
 )
@@ -41,7 +42,8 @@ COMMANDS = {1: ("c", "input_torque"), 2: ("v", "input_vel"), 3: ("p", "input_pos
 WATCHDOG = "config.enable_watchdog"
 CONTROL_MODE = "controller.config.control_mode"
 PASSTHROUGH = 1
-GIMBAL = 2
+MOTORS = {2: "a gimbal motor, whose current is not measured", 3: "an induction motor (ACIM)"}
+"""Types of motor other than 0."""
 
 HALTS = 2
 """Attempts to stop and to restore, each with the retries of the line."""
@@ -92,9 +94,10 @@ class ODrive:
         self._dialect = identity.dialect
         self._protocol.at_once = BUFFERED <= identity.firmware < (0, 6, 0)
         self._require_no_fault()
-        if self._number(self._dialect.motor_type) == GIMBAL:
+        if kind := self._number(self._dialect.motor_type):
             raise HardwareError(
-                f"axis {self._axis} drives a gimbal motor: its current is not measured"
+                f"axis {self._axis} drives {MOTORS.get(int(kind), f'a motor of type {kind:g}')}: "
+                "torque does not follow from its current by a constant"
             )
         self._torque_constant = self._number(self._dialect.torque_constant)
         if not self._torque_constant > 0:
@@ -150,7 +153,7 @@ class ODrive:
         found = []
         for name, code in self._errors().items():
             if name == self._dialect.errors[0]:
-                found += [text for bit, text in self._dialect.error_names.items() if code & bit]
+                found += describe_errors(code, self._dialect.error_names)
                 continue
             if code:
                 found.append(f"{name} {code:#x}")

@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 import operator
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -64,6 +64,7 @@ AXIS_ERRORS_06 = {
     0x4000: "INVERTER_OVER_TEMP",
     0x8000: "VELOCITY_LIMIT_VIOLATION",
     0x10000: "POSITION_LIMIT_VIOLATION",
+    0x20000: "CURRENT_SET_POINT_TOO_HIGH",
     0x1000000: "WATCHDOG_TIMER_EXPIRED",
     0x2000000: "ESTOP_REQUESTED",
     0x4000000: "SPINOUT_DETECTED",
@@ -71,6 +72,13 @@ AXIS_ERRORS_06 = {
     0x10000000: "THERMISTOR_DISCONNECTED",
     0x40000000: "CALIBRATION_ERROR",
 }
+
+
+def describe_errors(code: int, names: Mapping[int, str]) -> list[str]:
+    """Return the names of the bits of an error, the rest as a number."""
+    found = [name for bit, name in names.items() if code & bit]
+    rest = code & ~sum(names)
+    return [*found, f"{rest:#x}"] if rest else found
 
 
 class Missing(RequestRefused):

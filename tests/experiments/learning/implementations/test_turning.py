@@ -29,7 +29,7 @@ SHORT = (
     "ilc_learn.validation=true",
 )
 COULOMB, VISCOUS = 2.3e-3, 5.33e-5
-SEEDS = (1, 2, 3, 4, 5)
+SEEDS = (1, 2, 3)
 REV = 2 * np.pi
 
 

@@ -27,7 +27,7 @@ SOURCES = Path(link.__file__).with_name("firmware")
 HOST = Path(__file__).parents[1] / "target" / "firmware_host.c"
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror")
 NAMES = ("encoder", "current", "temperature")
-AT_ONCE = 2048
+AT_ONCE = 1 << 14
 
 
 def build(folder, name, *flags, source=HOST):
@@ -92,27 +92,21 @@ class Twin(TargetEmulator):
         return self.shown.popleft()
 
 
-class Firmware(Emulator):
-    """The target in C; `difference` is the largest of its currents from the virtual rig's, A."""
+class Bare(Emulator):
+    """The target in C with a shaft that is always at its set point."""
 
     c = None
     """The library, set by the tests."""
 
-    def __init__(self, recipe, *, paced=False, keeps_log=True, log_bytes=1 << 26):
-        self._twin, self._paced = Twin(recipe), paced
-        self._period = recipe.rig.sample_time
+    def __init__(self, *, keeps_log=True, log_bytes=1 << 24):
+        self._boot = 0
         self._keeps_log, self._log_bytes = keeps_log, log_bytes
-        self._boot, self.difference = 0, 0.0
         self.reset()
 
     def reset(self):
         """Start anew, as after a loss of power."""
         self._boot += 1
         self.c.firmware_begin(self._boot, self._log_bytes, int(self._keeps_log))
-        self._twin.reset()
-        self._samples, self._wanted = np.zeros((0, 3)), np.zeros(0)
-        self._last = np.array([[0.0, 0.0, 25.0]])
-        self._heard = self._then = time.monotonic()
 
     def refuse(self, count):
         """Have a fault of the drive."""
@@ -121,6 +115,42 @@ class Firmware(Emulator):
     @property
     def state(self):
         return TargetState(self.c.firmware_state())
+
+    def receive(self, data):
+        self.c.firmware_receive(data, len(data))
+        return self._out()
+
+    def idle(self):
+        self.c.firmware_follow(AT_ONCE, clock())
+        return self._out()
+
+    def _out(self):
+        out = ctypes.create_string_buffer(1 << 14)
+        count = self.c.firmware_send(out, len(out))
+        return out.raw[:count]
+
+
+def clock():
+    return int(time.monotonic() * 1e3) & 0xFFFFFFFF
+
+
+class Firmware(Bare):
+    """Its samples are those of the virtual rig.
+
+    `difference` is the largest of its currents from the virtual rig's, A.
+    """
+
+    def __init__(self, recipe, *, paced=False, **options):
+        self._twin, self._paced = Twin(recipe), paced
+        self._period, self.difference = recipe.rig.sample_time, 0.0
+        super().__init__(**options)
+
+    def reset(self):
+        super().reset()
+        self._twin.reset()
+        self._samples, self._wanted = np.zeros((0, 3)), np.zeros(0)
+        self._last = np.array([[0.0, 0.0, 25.0]])
+        self._heard = self._then = time.monotonic()
 
     def receive(self, data):
         running = self.state is TargetState.RUNNING
@@ -144,11 +174,6 @@ class Firmware(Emulator):
         self.busy = self.state is TargetState.RUNNING and not self._paced
         return self._out()
 
-    def _out(self):
-        out = ctypes.create_string_buffer(1 << 14)
-        count = self.c.firmware_send(out, len(out))
-        return out.raw[:count]
-
     def _advance(self, count):
         """Let the loop in C see the next samples of the virtual rig."""
         while count > 0 and self.state is TargetState.RUNNING:
@@ -168,7 +193,6 @@ class Firmware(Emulator):
 
     def _run(self, samples):
         samples, asked = np.ascontiguousarray(samples), np.zeros(len(samples))
-        clock = int(time.monotonic() * 1e3) & 0xFFFFFFFF
-        self.c.firmware_run(len(samples), pointer(samples), clock, pointer(asked))
+        self.c.firmware_run(len(samples), pointer(samples), clock(), pointer(asked))
         self._last = samples[-1:]
         return asked

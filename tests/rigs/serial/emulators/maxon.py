@@ -217,7 +217,9 @@ class Epos(Device):
         """Change the state as the control word asks."""
         if self.status & 0x08:
             return
-        if word & 0x0F == 0x0F and self.status & 0x6F == 0x21:
+        if word & 0x0F == 0x07 and self.status & 0x6F == 0x21:
+            self.status = 0x0233
+        elif word & 0x0F == 0x0F and self.status & 0x6F == 0x23:
             self.status = 0x0237
             self.switch(self.modes.get(self.objects[0x6060, 0]))
         elif word & 0x07 == 0x06:

@@ -43,7 +43,32 @@ FLOATS = {
     "servopos.position_min": math.nan,
     "servopos.position_max": math.nan,
 }
+VELOCITY_DERATE = 2.0
+"""Speeds beyond servo.max_velocity over which torque ends, turns a second."""
 NO_COMMAND = {0x20: 0.0, 0x21: 0.0, 0x22: 0.0, 0x23: 1.0, 0x24: 1.0, 0x25: math.nan, 0x27: 0.0}
+
+
+SCALES = {
+    (0x001, 0x020): (0.01, 1e-4, 1e-5),
+    (0x002, 0x021): (0.1, 2.5e-4, 1e-5),
+    (0x003, 0x022, 0x025, 0x034): (0.5, 0.01, 1e-3),
+    (0x004,): (1.0, 0.1, 1e-3),
+    (0x00A,): (1.0, 0.1, 1e-3),
+    (0x023, 0x024, 0x02B): (1 / 127, 1 / 32767, 1 / 2147483647),
+    (0x027,): (0.01, 1e-3, 1e-6),
+    (0x050,): (0.01, 1e-4, 1e-5),
+}
+"""A step of a register as int8, int16 and int32, docs/reference of mjbots; others are whole."""
+
+NOT_A_NUMBER = (-(2**7), -(2**15), -(2**31))
+"""The smallest integer stands for NaN."""
+
+
+def step_of(register, resolution):
+    """Return the step of a register in one of the formats, 1 for a float."""
+    if resolution == frames.FLOAT:
+        return 1.0
+    return next((steps[resolution] for all_, steps in SCALES.items() if register in all_), 1.0)
 
 
 class MoteusEmulator(Emulator):
@@ -158,7 +183,11 @@ class MoteusEmulator(Emulator):
                     out += self._read(first, count, resolution)
                 else:
                     values = parts.values(resolution, count)
-                    commanded |= {first + i: value for i, value in enumerate(values)}
+                    for register, value in enumerate(values, start=first):
+                        whole = resolution != frames.FLOAT
+                        missing = whole and value == NOT_A_NUMBER[resolution]
+                        step = step_of(register, resolution)
+                        commanded[register] = math.nan if missing else value * step
             else:
                 raise frames.BadFrame(f"subframe {code:02x}")
         if self.refusals and frame[0] != frames.ASK_TEXT and out:
@@ -185,11 +214,17 @@ class MoteusEmulator(Emulator):
 
     def _read(self, first: int, count: int, resolution: int) -> bytes:
         values = [self._register(first + i) for i in range(count)]
+        if None in values:  # the firmware refuses a register that it does not have
+            return bytes([0x31]) + frames.varuint(first + values.index(None)) + b"\x01"
         if resolution != frames.FLOAT:
-            values = [int(value) for value in values]
+            largest = -NOT_A_NUMBER[resolution] - 1
+            values = [
+                max(-largest, min(largest, round(value / step_of(first + i, resolution))))
+                for i, value in enumerate(values)
+            ]
         return frames.reply(first, values, resolution)
 
-    def _register(self, number: int) -> float:
+    def _register(self, number: int) -> float | None:
         m, ratio = self.motor, self.config["motor_position.rotor_to_output_ratio"]
         constant = m.torque_constant / ratio
         registers: dict[int, float] = {
@@ -209,7 +244,7 @@ class MoteusEmulator(Emulator):
             0x121: 0x0042,
             0x122: 0x3000,
         }
-        return registers.get(number, 0.0)
+        return registers.get(number)
 
     # -- text
 
@@ -273,10 +308,13 @@ class MoteusEmulator(Emulator):
         current = self.command[0x22] / constant
         most = self.config["servo.max_current_A"]
         self.motor.current_limit = most if math.isnan(largest) else min(most, largest)
+        ratio = self.config["motor_position.rotor_to_output_ratio"]
+        # beyond its highest speed the firmware lets go, over a range of speeds
+        beyond = abs(self.motor.speed) / TURN * ratio - self.config["servo.max_velocity"]
+        self.motor.current_limit *= min(max(1 - beyond / VELOCITY_DERATE, 0.0), 1.0)
         mode: str | None = None
         if self.mode == 10:
             mode = "position" if self.command[0x23] else "current"
-        ratio = self.config["motor_position.rotor_to_output_ratio"]
         self.motor.advance(
             mode, position * TURN / ratio, speed * TURN / ratio, current + added, moving=True
         )

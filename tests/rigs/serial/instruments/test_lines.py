@@ -76,6 +76,7 @@ def test_vectors(name, line, value):
         ("number-lines", b"nan", NO_VALUE),
         ("number-lines", b"OL", OVERLOAD),
         ("scpi", b"+9.90000000E+37", OVERLOAD),
+        ("scpi", b"+9.90000000E+20OADC,+0001SECS", OVERLOAD),
         ("scpi", b"-9.90000000E+37", UNDERRANGE),
         ("scpi", b"+9.91000000E+37", NO_VALUE),
     ],

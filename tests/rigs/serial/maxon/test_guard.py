@@ -1,5 +1,6 @@
 """A maxon drive is switched off although rigtool was killed, or hangs: by a process beside it."""
 
+import os
 import re
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.maxon import driver as maxon
+from rigtool.rigs.serial.maxon import guard_process
 from rigtool.rigs.serial.maxon.guard import Guard
 from tests.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4Emulator
 from tests.rigs.serial.maxon.test_driver import maxon_rig
@@ -212,3 +214,13 @@ def test_a_guard_that_was_stopped_does_not_stop_the_loop_with_it():
     finally:
         guard.process.kill()
     assert "is gone" in said[0]
+
+
+def test_rigtool_that_hangs_is_ended_where_it_keeps_its_port_to_itself(monkeypatch):
+    ended = []
+    monkeypatch.setattr(guard_process.os, "kill", lambda *process: ended.append(process))
+    guard_process._free_port()
+    assert ended == []
+    monkeypatch.setattr(guard_process, "WINDOWS", True)
+    guard_process._free_port()
+    assert ended == [(os.getppid(), signal.SIGTERM)]

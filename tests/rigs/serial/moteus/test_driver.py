@@ -455,3 +455,18 @@ def test_recipe_has_a_loop_that_can_be_learned_with():
     assert recipe.rig.controller.crossover_hz == pytest.approx(crossover, rel=0.02)
     lead = 2 * math.pi * crossover * kd / kp
     assert recipe.rig.controller.lead_ratio == pytest.approx(lead, rel=0.05)
+
+
+def test_emulator_scales_integers_and_refuses_unknown_registers():
+    """A quarter of a turn as int16 is 2500; the documented steps of mjbots' protocol."""
+    device = MoteusEmulator(uart=False)
+    turned = frames.write(0, [10], frames.INT8) + frames.write(0x20, [2500], frames.INT16)
+    device._frame(turned)
+    device.mode = 10
+    device._frame(turned)
+    assert device.command[0x20] == pytest.approx(0.25, rel=1e-12)
+    device.motor.position = math.pi / 2
+    found = frames.registers_of(device._frame(frames.read(1, 1, frames.INT16)))
+    assert found[1] == pytest.approx(2500, abs=1)
+    with pytest.raises(frames.RegisterError, match="read of register 0x0ab"):
+        frames.registers_of(device._frame(frames.read(0x0AB)))

@@ -22,7 +22,15 @@ from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import HostedRig
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, RequestRefused
 from rigtool.rigs.serial.odrive import driver as odrive
-from rigtool.rigs.serial.odrive.text import OdriveProtocol, agrees, checksum, seal, unseal
+from rigtool.rigs.serial.odrive.text import (
+    DIALECT_06,
+    OdriveProtocol,
+    agrees,
+    checksum,
+    describe_errors,
+    seal,
+    unseal,
+)
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
 from tests.rigs.serial.emulators.odrive import CLOSED_LOOP, IDLE, ODriveEmulator
@@ -170,6 +178,7 @@ def set_to(name, value):
     [
         (lambda device: setattr(device, "firmware", (0, 4, 12)), "positions were counts"),
         (set_to("motor.config.motor_type", 2), "gimbal"),
+        (set_to("motor.config.motor_type", 3), "an induction motor"),
         (set_to("motor.config.torque_constant", 0.0), "torque_constant is 0 N m/A"),
         (lambda device: device.trip(0x140), "reports MOTOR_FAILED, ENCODER_FAILED"),
         (set_to("controller.error", 1), r"reports controller.error 0x1"),
@@ -558,3 +567,16 @@ def test_recipe_of_a_hobby_motor_says_what_it_would_do(tmp_path, capsys, command
     assert code == 0, err
     assert "Within the limits 5 A, 40 rad/s" in out
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("code", "told"),
+    [
+        (0x20000, ["CURRENT_SET_POINT_TOO_HIGH"]),
+        (0x1000020, ["DRV_FAULT", "WATCHDOG_TIMER_EXPIRED"]),
+        (0x20400020, ["DRV_FAULT", "0x20400000"]),
+        (0, []),
+    ],
+)
+def test_each_bit_of_an_error_is_named_or_counted(code, told):
+    assert describe_errors(code, DIALECT_06.error_names) == told

@@ -46,6 +46,19 @@ void firmware_run(uint32_t count, const double *samples, uint32_t milliseconds, 
     }
 }
 
+/* Run the interrupt with a shaft that is always at the set point. */
+void firmware_follow(uint32_t count, uint32_t milliseconds)
+{
+    while (count--) {
+        struct rigtool_target_reading now;
+        now.encoder = (int32_t)floor(target.setpoint / target.count);
+        now.current = 0;
+        now.degc = 25;
+        now.milliseconds = milliseconds;
+        rigtool_target_loop(&target, &now);
+    }
+}
+
 int firmware_state(void)
 {
     return target.state;

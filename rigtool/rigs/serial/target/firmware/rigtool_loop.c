@@ -126,23 +126,28 @@ static void profile(struct rigtool_target_motion *m, double time, double out[3])
     out[2] = slope;
 }
 
-static void triangle(const struct rigtool_target_motion *m, double time, double out[3])
+static void triangle(struct rigtool_target_motion *m, double time, double out[3])
 {
-    double low = m->number[0], high = m->number[1], v = m->number[2];
-    double number = floor(time / m->stroke);
-    double sign = 1.0 - 2.0 * fmod(number, 2.0);
-    double late = time - number * m->stroke - m->stroke / 2;
-    double travelled = v * late, speed = v, acceleration = 0.0;
-    if (fabs(late) > m->stroke / 2 - m->turn) {
-        double end = late > 0 ? 1.0 : -1.0;
-        double phase = RT_PI / m->turn * (m->stroke / 2 - fabs(late)), sine = sin(phase);
-        travelled = end * ((high - low) / 2 - v * m->turn / (2 * RT_PI) * (phase - sine));
-        speed = v * (1 - cos(phase)) / 2;
-        acceleration = -end * v * RT_PI / (2 * m->turn) * sine;
+    double middle = (m->number[1] - m->number[0]) / 2, v = m->number[2], half = m->stroke / 2;
+    double late, travelled;
+    int falling;
+    while (time >= (m->piece + 1) * m->stroke)
+        m->piece++;
+    falling = m->piece % 2;
+    late = time - m->piece * m->stroke - half;
+    travelled = v * late;
+    out[1] = v;
+    out[2] = 0.0;
+    if (fabs(late) > half - m->turn) {
+        double end = late > 0 ? 1.0 : -1.0, phase = RT_PI / m->turn * (half - fabs(late));
+        rigtool_real sine = RT_MATH(sin)((rigtool_real)phase);
+        travelled = end * (middle - v * m->turn / (2 * RT_PI) * (phase - sine));
+        out[1] = v * (1 - RT_MATH(cos)((rigtool_real)phase)) / 2;
+        out[2] = -end * v * RT_PI / (2 * m->turn) * sine;
     }
-    out[0] = (high - low) / 2 + sign * travelled;
-    out[1] = sign * speed;
-    out[2] = sign * acceleration;
+    out[0] = falling ? middle - travelled : middle + travelled;
+    out[1] = falling ? -out[1] : out[1];
+    out[2] = falling ? -out[2] : out[2];
 }
 
 static void move(const struct rigtool_target_motion *m, double time, double out[3])
@@ -201,7 +206,9 @@ int rt_table(struct rigtool_target *t, const uint8_t *data, uint32_t size)
     t->table_low = k;
     t->table_negative = negative;
     t->table_lines = m + 1 + (negative ? k - 2 : 0) + (positive ? k - 2 : 0);
-    t->table_line = 0;
+    t->table_start = rt_number(data, 0);
+    t->table_step = (rt_number(data, n - 1) - t->table_start) / (n - 1);
+    memset(&t->lines, 0, sizeof t->lines);
     t->table = data;
     return 1;
 }
@@ -237,51 +244,67 @@ static double line_speed(const struct rigtool_target *t, uint32_t line, int32_t 
     return rt_number(speeds, (uint32_t)*row);
 }
 
-static rigtool_real entry(const struct rigtool_target *t, int32_t row, double factor, uint32_t column)
+/* Find the lines on either side of a speed; most samples stay between those of the last one. */
+static void find_line(struct rigtool_target *t, rigtool_real speed)
+{
+    struct rigtool_target_lines *l = &t->lines;
+    uint32_t line = l->line;
+    int32_t row;
+    double factor, low, high;
+    if (l->valid && speed >= l->low && speed < l->high)
+        return;
+    while (line > 0 && speed < line_speed(t, line, &row, &factor))
+        line--;
+    while (line + 2 < t->table_lines && speed >= line_speed(t, line + 1, &row, &factor))
+        line++;
+    low = line_speed(t, line, &l->row[0], &factor);
+    l->factor[0] = (rigtool_real)factor;
+    high = line_speed(t, line + 1, &l->row[1], &factor);
+    l->factor[1] = (rigtool_real)factor;
+    l->low = (rigtool_real)low;
+    l->high = (rigtool_real)high;
+    l->slope = (rigtool_real)(1.0 / (high - low));
+    l->line = line;
+    l->valid = 1;
+}
+
+static rigtool_real entry(const struct rigtool_target *t, int side, uint32_t column)
 {
     const uint8_t *torque = t->table + 8u * (t->table_columns + t->table_rows + 2 * t->table_low);
+    int32_t row = t->lines.row[side];
     if (row < 0)
         return 0;
-    return (rigtool_real)factor *
+    return t->lines.factor[side] *
            (rigtool_real)rt_number(torque, (uint32_t)row * t->table_columns + column);
 }
 
-rigtool_real rt_table_torque(struct rigtool_target *t, double position, double speed)
+rigtool_real rt_table_torque(struct rigtool_target *t, double position, double at_speed)
 {
-    uint32_t last = t->table_columns - 1, column, line = t->table_line;
-    double start = rt_number(t->table, 0), factor[2], low, high;
-    double step = (rt_number(t->table, last) - start) / last;
-    double place = (position - start) / step, place_along;
-    rigtool_real across, along, lower, upper, left;
-    int32_t row[2];
-    place = place > 0 ? (place < last ? place : last) : 0;
+    uint32_t last = t->table_columns - 1, column;
+    rigtool_real place = (rigtool_real)(position - t->table_start) / (rigtool_real)t->table_step;
+    rigtool_real across, along, lower, upper, left, speed = (rigtool_real)at_speed;
+    const struct rigtool_target_lines *l = &t->lines;
+    place = place > 0 ? (place < (rigtool_real)last ? place : (rigtool_real)last) : 0;
     column = (uint32_t)place;
     column = column > last - 1 ? last - 1 : column;
-    across = (rigtool_real)(place - column);
-    if (t->table_lines < 2)
-        return 0;
-    while (line > 0 && speed < line_speed(t, line, &row[0], &factor[0]))
-        line--;
-    while (line + 2 < t->table_lines && speed >= line_speed(t, line + 1, &row[0], &factor[0]))
-        line++;
-    t->table_line = line;
-    low = line_speed(t, line, &row[0], &factor[0]);
-    high = line_speed(t, line + 1, &row[1], &factor[1]);
-    if (speed <= low)
-        place_along = line;
-    else if (speed >= high)
-        place_along = line + 1;
+    across = place - (rigtool_real)column;
+    find_line(t, speed);
+    if (speed <= l->low)
+        along = 0;
+    else if (speed >= l->high)
+        along = 1;
     else
-        place_along = 1.0 / (high - low) * (speed - low) + line;
-    along = (rigtool_real)(place_along - line);
-    left = entry(t, row[0], factor[0], column);
-    lower = left + across * (entry(t, row[0], factor[0], column + 1) - left);
-    left = entry(t, row[1], factor[1], column);
-    upper = left + across * (entry(t, row[1], factor[1], column + 1) - left);
+        along = (l->slope * (speed - l->low) + (rigtool_real)l->line) - (rigtool_real)l->line;
+    left = entry(t, 0, column);
+    lower = left + across * (entry(t, 0, column + 1) - left);
+    left = entry(t, 1, column);
+    upper = left + across * (entry(t, 1, column + 1) - left);
     return lower + (upper - lower) * along;
 }
 
 /* --- Starting and stopping ---------------------------------------------------------------------- */
+
+static int32_t in_counts(double value);
 
 /* Begin the motion that is armed, or the move alone; the approach comes first. */
 void rt_begin(struct rigtool_target *t)
@@ -313,6 +336,11 @@ void rt_begin(struct rigtool_target *t)
     t->signal_at = t->summed = t->recorded = t->sent = 0;
     t->ring_filled = t->current_samples = 0;
     t->current_sum = 0;
+    t->most_moved = in_counts(t->limits[1] * RIGTOOL_TARGET_RING * dt / t->count);
+    t->lowest = in_counts(ceil(t->limits[2] / t->count));
+    t->highest = in_counts(floor(t->limits[3] / t->count));
+    t->hottest = (rigtool_real)t->limits[4];
+    t->current_window = (uint32_t)(RT_CURRENT_TIME / dt + 0.5);
     memset(t->sum, 0, sizeof t->sum);
     t->heard = 1;
     t->power = 1;
@@ -344,13 +372,13 @@ static void finish(struct rigtool_target *t)
 
 /* --- One sample --------------------------------------------------------------------------------- */
 
-static rigtool_real controller(struct rigtool_target *t, rigtool_real u)
+static double controller(struct rigtool_target *t, double u)
 {
     int j;
     for (j = 0; j < t->sections; j++) {
-        const rigtool_real *c = t->section[j];
-        rigtool_real *state = t->section_state[j];
-        rigtool_real y = c[0] * u + state[0];
+        const double *c = t->section[j];
+        double *state = t->section_state[j];
+        double y = c[0] * u + state[0];
         state[0] = c[1] * u - c[4] * y + state[1];
         state[1] = c[2] * u - c[5] * y;
         u = y;
@@ -358,36 +386,42 @@ static rigtool_real controller(struct rigtool_target *t, rigtool_real u)
     return u;
 }
 
-/* Trip where a limit is passed. */
+/* Trip where a limit is passed. Position and speed are compared in counts. */
 static void watch(struct rigtool_target *t)
 {
     const struct rigtool_target_reading *now = &t->reading;
-    double position = rt_position(t), degc = now->degc;
-    uint32_t window = (uint32_t)(RT_CURRENT_TIME / t->config.sample_time + 0.5);
+    int32_t moved = now->encoder - t->ring[t->ring_at];
+    rigtool_real degc = now->degc;
     if (t->ring_filled == RIGTOOL_TARGET_RING) {
-        double counts = fabs((double)now->encoder - t->ring[t->ring_at]) - 1;
-        double speed = counts * t->count / (RIGTOOL_TARGET_RING * t->config.sample_time);
-        if (speed > t->limits[1])
-            trip(t, RIGTOOL_TARGET_BY_SPEED, speed, t->limits[1]);
+        int32_t counts = (moved < 0 ? -moved : moved) - 1;
+        if (counts > t->most_moved)
+            trip(t, RIGTOOL_TARGET_BY_SPEED,
+                 counts * t->count / (RIGTOOL_TARGET_RING * t->config.sample_time), t->limits[1]);
     } else {
         t->ring_filled++;
     }
     t->ring[t->ring_at] = now->encoder;
     t->ring_at = (t->ring_at + 1) % RIGTOOL_TARGET_RING;
-    if (position < t->limits[2])
-        trip(t, RIGTOOL_TARGET_BY_POSITION, position, t->limits[2]);
-    if (position > t->limits[3])
-        trip(t, RIGTOOL_TARGET_BY_POSITION, position, t->limits[3]);
-    if (degc > t->limits[4])
+    if (now->encoder < t->lowest)
+        trip(t, RIGTOOL_TARGET_BY_POSITION, rt_position(t), t->limits[2]);
+    if (now->encoder > t->highest)
+        trip(t, RIGTOOL_TARGET_BY_POSITION, rt_position(t), t->limits[3]);
+    if (degc > t->hottest)
         trip(t, RIGTOOL_TARGET_BY_TEMPERATURE, degc, t->limits[4]);
     t->current_sum += RT_MATH(fabs)(now->current);
-    if (++t->current_samples >= window) {
-        double mean = t->current_sum / (rigtool_real)t->current_samples;
-        if (!(mean <= RT_CURRENT_TOLERANCE * t->limits[0]))
+    if (++t->current_samples >= t->current_window) {
+        rigtool_real mean = t->current_sum / (rigtool_real)t->current_samples;
+        if (!(mean <= (rigtool_real)(RT_CURRENT_TOLERANCE * t->limits[0])))
             trip(t, RIGTOOL_TARGET_BY_CURRENT, mean, t->limits[0]);
         t->current_sum = 0;
         t->current_samples = 0;
     }
+}
+
+/* A limit in counts, as far as counts reach. */
+static int32_t in_counts(double value)
+{
+    return value < -2147483647.0 ? -2147483647 : value > 2147483647.0 ? 2147483647 : (int32_t)value;
 }
 
 /* Append the sums as a sample of the log. */
@@ -400,9 +434,10 @@ static void record(struct rigtool_target *t, double degc)
         return;
     }
     for (channel = 0; channel < RIGTOOL_TARGET_CHANNELS; channel++) {
-        double value = channel == 8 ? degc : t->sum[channel] / t->every;
+        double value;
         if (!(t->mask >> channel & 1))
             continue;
+        value = channel == 8 ? degc : t->every == 1 ? t->sum[channel] : t->sum[channel] / t->every;
         if (channel < 3) {
             memcpy(place, &value, 8);
             place += 8;
@@ -456,16 +491,16 @@ static rigtool_real feed_forward(struct rigtool_target *t, const double now[3], 
 /* Whether the host is silent for too long: then the motor goes off. */
 static void guard(struct rigtool_target *t)
 {
-    double silence;
+    uint32_t silence;
     if (t->heard) {
         t->heard = 0;
         t->fed = t->reading.milliseconds;
     }
-    silence = (t->reading.milliseconds - t->fed) * 1e-3;
-    if (silence <= t->watchdog || !(t->watchdog > 0))
+    silence = t->reading.milliseconds - t->fed;
+    if (silence <= t->watchdog_ms || t->watchdog_ms == 0)
         return;
     if (t->state == RIGTOOL_TARGET_RUNNING)
-        trip(t, RIGTOOL_TARGET_BY_WATCHDOG, silence, t->watchdog);
+        trip(t, RIGTOOL_TARGET_BY_WATCHDOG, silence * 1e-3, t->watchdog_ms * 1e-3);
     else if (t->state == RIGTOOL_TARGET_DONE || t->state == RIGTOOL_TARGET_ARMED)
         rt_stop(t, RIGTOOL_TARGET_OFF);
 }
@@ -486,13 +521,15 @@ rigtool_real rigtool_target_loop(struct rigtool_target *t,
 {
     struct rigtool_target_motion *m;
     rigtool_real asked = 0, part[3] = {0, 0, 0};
-    double now[3] = {0.0, 0.0, 0.0}, time = rt_time(t);
+    double now[3] = {0.0, 0.0, 0.0}, time = 0.0;
     int recorded;
     t->reading = *reading;
+    m = now_moving(t);
+    if (m == &t->motion)
+        time = rt_time(t);
     if (++t->ticks_low == 0)
         t->ticks_high++;
     guard(t);
-    m = now_moving(t);
     if (m)
         watch(t);
     if (!t->power)
@@ -512,8 +549,8 @@ rigtool_real rigtool_target_loop(struct rigtool_target *t,
         t->setpoint = now[0] = now[0] + m->origin;
     }
     if (t->power && t->closed) {
-        rigtool_real torque = controller(t, (rigtool_real)(t->setpoint - rt_position(t)));
-        asked = torque / t->torque_constant;
+        double torque = controller(t, t->setpoint - rt_position(t));
+        asked = (rigtool_real)torque / t->torque_constant;
         if (recorded)
             asked = asked + feed_forward(t, now, part);
     }
@@ -529,8 +566,12 @@ rigtool_real rigtool_target_loop(struct rigtool_target *t,
         value[5] = part[0];
         value[6] = part[1];
         value[7] = part[2];
-        for (channel = 0; channel < 8; channel++)
-            t->sum[channel] += value[channel];
+        for (channel = 0; channel < 8; channel++) {
+            if (t->every == 1)
+                t->sum[channel] = value[channel];
+            else
+                t->sum[channel] += value[channel];
+        }
         if (++t->summed >= t->every)
             record(t, reading->degc);
         if (m->kind > 3 && fabs(rt_position(t) - t->begin) > t->stop_angle)

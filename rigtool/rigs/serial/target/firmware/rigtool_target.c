@@ -232,7 +232,7 @@ static void hello(struct rigtool_target *t, struct out *o)
     RIGTOOL_TARGET_LOCK();
     t->state = RIGTOOL_TARGET_OFF;
     t->recorded = t->sent = 0;
-    t->watchdog = 0;
+    t->watchdog_ms = 0;
     RIGTOOL_TARGET_UNLOCK();
     memset(t->object_size, 0, sizeof t->object_size);
     t->objects_used = 0;
@@ -324,7 +324,7 @@ static int take_limits(struct rigtool_target *t, const uint8_t *data, uint32_t s
     RIGTOOL_TARGET_LOCK();
     for (i = 0; i < 6; i++)
         t->limits[i] = rt_number(data, i);
-    t->watchdog = rt_number(data, 6);
+    t->watchdog_ms = (uint32_t)(rt_number(data, 6) < 4e6 ? rt_number(data, 6) * 1e3 + 1 : 4e9);
     RIGTOOL_TARGET_UNLOCK();
     return 1;
 }
@@ -337,7 +337,7 @@ static int take_controller(struct rigtool_target *t, const uint8_t *data, uint32
         return 0;
     RIGTOOL_TARGET_LOCK();
     for (i = 0; i < size / 8; i++)
-        t->section[i / 6][i % 6] = (rigtool_real)rt_number(data, i);
+        t->section[i / 6][i % 6] = rt_number(data, i);
     t->sections = (int)(size / 48);
     memset(t->section_state, 0, sizeof t->section_state);
     RIGTOOL_TARGET_UNLOCK();
@@ -347,7 +347,6 @@ static int take_controller(struct rigtool_target *t, const uint8_t *data, uint32
 /* Check an object and let it take effect; 0 where it cannot. A size of 0 removes it. */
 static int take(struct rigtool_target *t, int slot, const uint8_t *data, uint32_t size)
 {
-    struct rigtool_target_motion motion;
     switch (slot) {
     case RT_RIG:
         return take_rig(t, data, size);
@@ -369,8 +368,8 @@ static int take(struct rigtool_target *t, int slot, const uint8_t *data, uint32_
                              rt_table(t, data, size));
     case RT_SIGNAL:
         return size % 8 == 0 && all_finite(data, size / 8);
-    default:
-        return size % 8 == 1 && all_finite(data + 1, size / 8) && rt_motion(&motion, data, size);
+    default: /* whether it can be followed is seen by ARM */
+        return size % 8 == 1 && data[0] >= 1 && data[0] <= 5 && all_finite(data + 1, size / 8);
     }
 }
 

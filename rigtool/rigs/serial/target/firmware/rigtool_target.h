@@ -10,8 +10,8 @@
  *     rigtool_target_receive(&target, bytes, count);     in the main loop, with what came
  *     count = rigtool_target_send(&target, bytes, room); in the main loop: what is to go out
  *
- * Set points and time are doubles. The loop itself is as well, unless RIGTOOL_TARGET_FLOAT is
- * defined for all files. RIGTOOL_TARGET_LOCK and _UNLOCK keep the interrupt of the timer away from
+ * Set points, time and the controller, whose poles lie close to 1, are doubles. All else is as well,
+ * unless RIGTOOL_TARGET_FLOAT is defined for all files. RIGTOOL_TARGET_LOCK and _UNLOCK keep the interrupt of the timer away from
  * the main loop for some microseconds; both may be defined in rigtool_port.h, with
  * RIGTOOL_TARGET_PORT. Compile without -ffast-math: a missing temperature is NaN.
  */
@@ -98,11 +98,19 @@ struct rigtool_target_motion {
     const uint8_t *data; /* its numbers */
     uint32_t count;
     double number[5];
-    uint32_t piece; /* of a speed profile, with the way travelled before it */
+    uint32_t piece; /* or stroke; with the way travelled before it */
     double travelled;
     double stroke, turn; /* of a triangle, s */
     double origin;       /* added to positions, rad */
     uint32_t step, steps;
+};
+
+/* The lines of the table on either side of the last speed. */
+struct rigtool_target_lines {
+    int valid;
+    uint32_t line;
+    int32_t row[2];
+    rigtool_real factor[2], low, high, slope;
 };
 
 /* Everything below changes under the functions of rigtool_target.c alone. */
@@ -131,25 +139,29 @@ struct rigtool_target {
     double trip_value, trip_limit;
     const char *fault; /* of the drive */
     uint32_t fed;      /* ms */
-    double watchdog;
+    uint32_t watchdog_ms;
     struct rigtool_target_reading reading;
     uint32_t ticks_low, ticks_high; /* samples since the start */
     /* the loop */
     int closed;
     double setpoint, count;
     rigtool_real torque_constant, limit;
-    rigtool_real section[RIGTOOL_TARGET_SECTIONS][6], section_state[RIGTOOL_TARGET_SECTIONS][2];
+    double section[RIGTOOL_TARGET_SECTIONS][6], section_state[RIGTOOL_TARGET_SECTIONS][2];
     int sections;
     rigtool_real inertia, coulomb, viscous;
     double limits[6]; /* current, speed, lowest and highest position, temperature, duration */
     struct rigtool_target_motion approach, settle, motion;
     int phase; /* 0 approach, 1 settle, 2 motion */
     double stop_angle, begin;
-    uint32_t table_columns, table_rows, table_low, table_negative, table_lines, table_line;
+    uint32_t table_columns, table_rows, table_low, table_negative, table_lines;
+    double table_start, table_step;
+    struct rigtool_target_lines lines;
     const uint8_t *table, *signal;
     uint32_t signal_size, signal_at;
     int32_t ring[RIGTOOL_TARGET_RING];
-    uint32_t ring_filled, ring_at, current_samples;
+    uint32_t ring_filled, ring_at, current_samples, current_window;
+    int32_t most_moved, lowest, highest; /* counts */
+    rigtool_real hottest;
     rigtool_real current_sum;
     double sum[RIGTOOL_TARGET_CHANNELS];
     uint32_t summed;

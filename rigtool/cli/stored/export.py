@@ -6,24 +6,49 @@ from pathlib import Path
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example, open_inputs, run_option
+from rigtool.cli.options import (
+    FILE,
+    Command,
+    completed,
+    current_output,
+    example,
+    open_inputs,
+    run_option,
+)
+
+
+def _parts(path: str) -> list[str]:
+    from rigtool.runfile import open_run
+    from rigtool.runfile.export import run_parts
+
+    with open_run(path) as run:
+        return list(run_parts(run))
 
 
 @click.command(
+    cls=Command,
     epilog=example(
         "rigtool export friction.h5 --part tables/friction_model -o friction.csv",
         "rigtool export friction.h5 --part recordings/holds -o holds.parquet",
         "rigtool export friction.h5 -o friction.mat",
         "rigtool export tables.h5 -o table.h",
         "rigtool export tables-loads.h5 --kt kt.h5 --format c-sensor -o sensor.h",
-    )
+    ),
 )
-@click.argument("path", metavar="RUN.h5")
+@click.argument("path", type=FILE, metavar="RUN.h5")
 @click.option(
-    "-o", "--output", required=True, metavar="FILE", help=".csv, .parquet, .mat, .nc, .h, .json."
+    "-o",
+    "--output",
+    required=True,
+    type=FILE,
+    metavar="FILE",
+    help=".csv, .parquet, .mat, .nc, .h, .json.",
 )
 @click.option(
-    "--part", metavar="NAME", help="For .csv, .parquet: results, recordings/NAME or tables/NAME."
+    "--part",
+    metavar="NAME",
+    shell_complete=completed(_parts),
+    help="For .csv, .parquet: results, recordings/NAME or tables/NAME.",
 )
 @click.option(
     "--format",
@@ -33,8 +58,6 @@ from rigtool.cli.options import debug_option, echo, example, open_inputs, run_op
 )
 @click.option("--speed", type=float, help="For moteus, odrive, fourier: speed of the motor, rad/s.")
 @run_option("--kt", "For moteus, odrive, c-sensor: run of calibrate-kt, current to torque.")
-@click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
-@debug_option
 def command(
     path: str,
     output: str,
@@ -42,7 +65,6 @@ def command(
     wanted: str | None,
     speed: float | None,
     kt: str | None,
-    overwrite: bool,
 ) -> None:
     """Write a run, or a learned table, for other programs.
 
@@ -64,15 +86,20 @@ def command(
     from rigtool.runfile import open_run
     from rigtool.runfile.export import export
 
+    remarks: tuple[str, ...] = ()
+    to = current_output()
     with open_run(path) as run, open_inputs(kt=kt) as inputs:
         chosen = chosen_format(run, Path(output), part, wanted)
         if chosen is None:
             if speed is not None or kt is not None:
                 raise click.UsageError("--speed and --kt are for learned tables: give --format")
-            export(run, output, part, overwrite)
-            return
-        remarks = export_table(
-            run, Path(output), chosen, speed=speed, kt=inputs.get("kt"), overwrite=overwrite
-        )
+            export(run, output, part, to.overwrite)
+        else:
+            remarks = export_table(
+                run, Path(output), chosen, speed=speed, kt=inputs.get("kt"), overwrite=to.overwrite
+            )
+        what = part or ("the whole run" if chosen is None else f"learned table, format {chosen}")
+        to.written(output, f"{what} of {path}")
+        to.document(rig=run.rig, output=output, notes=list(remarks))
     for remark in remarks:
-        echo(f"Note: {remark}", err=True)
+        to.note(f"Note: {remark}")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example
+from rigtool.cli.options import FILE, Command, current_output, example
 
 
-@click.command(epilog=example("rigtool diff kt.h5 kt-again.h5 --rtol 1e-6"))
-@click.argument("first", metavar="RUN.h5")
-@click.argument("second", metavar="RUN.h5")
+@click.command(cls=Command, epilog=example("rigtool diff kt.h5 kt-again.h5 --rtol 1e-6"))
+@click.argument("first", type=FILE, metavar="RUN.h5")
+@click.argument("second", type=FILE, metavar="RUN.h5")
 @click.option("--rtol", type=click.FloatRange(min=0), default=0.0, help="Relative tolerance.")
 @click.option("--atol", type=click.FloatRange(min=0), default=0.0, help="Absolute tolerance, SI.")
-@debug_option
 @click.pass_context
 def command(ctx: click.Context, first: str, second: str, rtol: float, atol: float) -> None:
     """Show where two runs differ.
@@ -24,11 +23,12 @@ def command(ctx: click.Context, first: str, second: str, rtol: float, atol: floa
     from rigtool.runfile import open_run
     from rigtool.runfile.comparison import Tolerance, differences
 
-    differ = False
+    to, found = current_output(), []
     with open_run(first) as one, open_run(second) as other:
         for line in differences(one, other, Tolerance(rtol, atol)):
-            echo(line)
-            differ = True
-    if differ:
+            to.line(line)
+            found.append(line)
+    to.document(differences=found)
+    if found:
         ctx.exit(1)
-    echo("no difference", err=True)
+    to.note("no difference")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import debug_option, echo, example
+from rigtool.cli.options import FILE, Command, current_output, example
 
 
-@click.command(epilog=example("rigtool verify force.h5", "rigtool verify kt.h5 tables.h5"))
-@click.argument("paths", nargs=-1, required=True, metavar="RUN.h5...")
-@debug_option
+@click.command(
+    cls=Command, epilog=example("rigtool verify force.h5", "rigtool verify kt.h5 tables.h5")
+)
+@click.argument("paths", nargs=-1, required=True, type=FILE, metavar="RUN.h5...")
 def command(paths: tuple[str, ...]) -> None:
     """Check run files and everything they were made from.
 
@@ -20,14 +21,18 @@ def command(paths: tuple[str, ...]) -> None:
     from rigtool.errors import RunFileError
     from rigtool.runfile.verification import verify
 
-    broken = []
+    to, broken, links = current_output(), [], []
     for path in paths:
         for link in verify(path):
             state = "BROKEN" if link.problem else "ok"
             text = link.problem or link.remark or link.command
-            echo(f"{'  ' * link.depth}{link.path}: {state}: {text}")
+            to.line(f"{'  ' * link.depth}{link.path}: {state}: {text}")
+            links.append(
+                {"path": str(link.path), "depth": link.depth, "state": state, "text": text}
+            )
             if link.problem:
                 broken.append(str(link.path))
+    to.document(links=links)
     if broken:
         raise RunFileError(
             f"broken: {', '.join(dict.fromkeys(broken))}; make the runs that depend on it again"

@@ -1,0 +1,31 @@
+"""`rigtool config`: the defaults that hold in this folder."""
+
+from __future__ import annotations
+
+import click
+
+from rigtool.cli.options import Command, current_output, example
+
+
+@click.command(cls=Command, epilog=example("rigtool config --json"))
+def command() -> None:
+    """Show the defaults that rigtool.toml states for this folder.
+
+    \b
+    recipe = "rig.toml"        SOURCE of the commands that measure
+    kt = "runs/kt.h5"          --kt, and the output of calibrate-kt
+    tables = "runs/tables.h5"  --tables of measure-force, and the output of ilc-learn
+    output = "runs"            folder of all other outputs, COMMAND.h5
+
+    Names are relative to this folder. What the command line states comes first.
+    """
+    from pathlib import Path
+
+    from rigtool.cli.defaults import KEYS, NAME, stated
+
+    found, to = stated(), current_output()
+    file = Path(NAME).resolve()
+    to.document(file=str(file) if file.exists() else None, defaults=found)
+    to.note(f"{file}: {'' if file.exists() else 'is not there: '}{len(found)} defaults")
+    for key, meaning in KEYS.items():
+        to.line(f"{key:7} {found.get(key, 'none'):24} {meaning}")

@@ -1,0 +1,63 @@
+"""Defaults of commands from `rigtool.toml` in the working folder.
+
+recipe = "rig.toml"      # SOURCE of measuring commands
+kt = "runs/kt.h5"        # --kt; where calibrate-kt writes
+tables = "runs/tables.h5"  # --tables; where ilc-learn writes
+output = "runs"          # folder where other measuring commands write, as COMMAND.h5
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+NAME = "rigtool.toml"
+
+COMMANDS = (
+    *("calibrate-kt", "stribeck", "fft-ripple", "identify-plant"),
+    *("ilc-learn", "measure-force", "suspension"),
+)
+"""Commands that take the defaults: those that measure."""
+
+WRITE = {"calibrate-kt": "kt", "ilc-learn": "tables"}
+"""The key that names the output of a command."""
+
+KEYS = {
+    "recipe": "SOURCE of the commands that measure",
+    "kt": "--kt, and the output of calibrate-kt",
+    "tables": "--tables of measure-force, and the output of ilc-learn",
+    "output": "folder of all other outputs, COMMAND.h5",
+}
+
+
+def stated() -> dict[str, str]:
+    """Return what `rigtool.toml` states by its keys; nothing where there is no such file.
+
+    Raises `RecipeError` where it cannot be read, or a key is unknown or no text.
+    """
+    if not Path(NAME).exists():
+        return {}
+    from rigtool.errors import RecipeError
+    from rigtool.recipe.load import parse_toml, read_document
+
+    data = parse_toml(read_document(NAME, "file of defaults", "docs/start.md"), NAME)
+    for key, value in data.items():
+        if key not in KEYS:
+            raise RecipeError(f"{NAME}: {key!r} is no default: use one of {', '.join(KEYS)}")
+        if not isinstance(value, str) or not value:
+            raise RecipeError(f'{NAME}: {key}: must be a text, e.g. {key} = "name", got {value!r}')
+    return data
+
+
+def defaults_of(command: str) -> dict[str, Any]:
+    """Return the defaults of a command, by its parameters."""
+    if command not in COMMANDS:
+        return {}
+    found: dict[str, Any] = stated()
+    given: dict[str, Any] = {name: found[name] for name in ("kt", "tables") if name in found}
+    if "recipe" in found:
+        given["sources"] = (found["recipe"],)
+    written = found.get(WRITE.get(command, ""))
+    if written is None and "output" in found:
+        written = str(Path(found["output"]) / f"{command}.h5")
+    return given if written is None else {**given, "output": written}

@@ -1,0 +1,1 @@
+"""Commands on stored runs: compare, check, bring back, write for other programs, draw."""

@@ -1,0 +1,22 @@
+"""Stretches of a signal in which it hardly changes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rigtool.numerics.arrays import Array
+
+SHORTEST = 3
+"""Smallest number of values on a plateau."""
+
+
+def find_plateaus(level: Array, step: float, largest: float) -> list[tuple[int, int]]:
+    """Return first and last + 1 value of each plateau of a signal (n,).
+
+    On a plateau values differ by at most `step` from one to the next, and by at most `largest` in
+    all: a slow ramp is none.
+    """
+    flat = np.abs(np.diff(level)) <= step
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(np.int8)))
+    stretches = ((int(a), int(b) + 1) for a, b in ends.reshape(-1, 2))
+    return [(a, b) for a, b in stretches if b - a >= SHORTEST and np.ptp(level[a:b]) <= largest]

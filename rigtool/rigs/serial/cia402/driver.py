@@ -1,0 +1,46 @@
+"""The driver of CiA 402 drives on a CAN bus; docs/bench-canopen.md."""
+
+from __future__ import annotations
+
+from rigtool.recipe import Recipe
+from rigtool.rigs.serial.cia402 import objects as od
+from rigtool.rigs.serial.cia402.drive import PROFILE, CanDrive
+from rigtool.rigs.serial.cia402.network import CanObjects
+from rigtool.rigs.serial.cia402.states import identity
+from rigtool.rigs.serial.drive import Drive
+from rigtool.rigs.serial.drivers import Driver
+from rigtool.rigs.serial.line import Line
+
+BIT_RATES = (1_000_000,)
+"""Bit rate where the port names none, bit/s."""
+
+USUAL_NODE = 1
+"""Address that stands for 0, the default of the recipe, in `serial.node`."""
+
+
+def probe(line: Line) -> str | None:
+    """Return the identity of the drive at node 1, None for another device."""
+    objects = CanObjects(line, USUAL_NODE)
+    if objects.read(od.DEVICE_TYPE) & 0xFFFF != PROFILE:
+        return None
+    return identity(objects, f"CiA 402 drive, node {USUAL_NODE}")
+
+
+def make_can_drive(kind: type[CanDrive], line: Line, recipe: Recipe) -> Drive:
+    """Return the drive of this kind that a recipe's [serial] names, not connected yet."""
+    settings = recipe.serial
+    assert settings is not None
+    return kind(
+        CanObjects(line, settings.node or USUAL_NODE, settings.eds),
+        recipe.rig.encoder_counts,
+        emergency_stop=settings.emergency_stop,
+        speed_unit_rpm=settings.speed_unit_rpm,
+    )
+
+
+def make_drive(line: Line, recipe: Recipe) -> Drive:
+    """Return the drive that a recipe's [serial] names, not connected yet."""
+    return make_can_drive(CanDrive, line, recipe)
+
+
+DRIVER = Driver(probe, BIT_RATES, make_drive, can=True)

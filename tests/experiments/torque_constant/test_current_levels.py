@@ -1,0 +1,94 @@
+"""Torque constants from plateaus and ramps of drawn motors: u covers the error."""
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.torque_constant.current_levels import Course, find_points, fit_constant
+
+PER_LEVEL = 60
+
+
+def course(kind, top):
+    """Current (n,) of a course up to a largest one."""
+    up = np.linspace(0, top, 8)
+    if kind == "staircase":
+        return np.repeat(np.concatenate([up, up[-2::-1]]), PER_LEVEL)
+    if kind == "one way":
+        return np.repeat(np.linspace(top / 8, top, 8), 2 * PER_LEVEL)
+    return top * np.concatenate([np.linspace(0, 1, 600), np.linspace(1, 0, 600)])
+
+
+def draw(kind, seed):
+    """Constant at 20 degC and coefficient of a motor, and what a bench of others would record."""
+    random = np.random.default_rng(seed)
+    constant, change = random.uniform(0.02, 0.2), -random.uniform(2e-4, 2e-3)
+    top = random.uniform(1, 10)
+    span, current = constant * top, course(kind, top)
+    friction, length = span * random.uniform(0.005, 0.05), top * random.uniform(0.005, 0.2)
+    state, states = 0.0, np.zeros(len(current))
+    for index, step in enumerate(np.diff(current, prepend=current[0])):
+        if step:
+            state = np.sign(step) + (state - np.sign(step)) * np.exp(-abs(step) / length)
+        states[index] = state
+    degc = 22 + (60 if kind == "one way" else 15) * np.cumsum(current**2) / np.sum(current**2)
+    saturation = random.uniform(0, 0.02)
+    iron = 1 - saturation * (current / top) ** 2
+    torque = constant * (1 + change * (degc - 20)) * current * iron - friction * states
+    drift = np.cumsum(random.normal(size=len(current)))
+    torque = torque + 0.1 * span + 0.001 * span * drift / drift.std()
+    torque = torque + random.normal(0, 0.005 * span, len(current))
+    measured = current + random.normal(0, 0.003 * top, len(current))
+    time = np.arange(len(current)) * 0.1
+    return (constant * (1 - saturation / 3), change), Course(time, measured, torque, degc.round(1))
+
+
+@pytest.mark.parametrize(
+    ("kind", "plateaus", "largest"),
+    [("staircase", True, 0.015), ("one way", True, 0.06), ("ramp", False, 0.04)],
+)
+def test_intervals_of_drawn_motors_hold(kind, plateaus, largest):
+    errors, held, draws = [], 0, 20
+    for seed in range(draws):
+        (constant, change), recorded = draw(kind, seed)
+        points = find_points(recorded)
+        assert points.plateaus == plateaus
+        fit = fit_constant([points])
+        true = constant * (1 + change * (fit.temperature - 20))
+        u = np.hypot(fit.constant_u, fit.constant * fit.curvature_u)
+        errors.append(fit.constant / true - 1)
+        held += abs(fit.constant - true) < student.ppf(0.975, fit.dof) * u
+        assert fit.one_way == (kind == "one way")
+    assert held >= draws - 2
+    assert np.max(np.abs(errors)) < largest
+
+
+def test_a_turning_shaft_has_friction_by_its_speed():
+    """A dynamometer: current of both signs at speeds of both signs."""
+    random = np.random.default_rng(3)
+    levels = random.permutation(np.linspace(-2, 2, 20)), random.permutation([50.0, -80.0] * 10)
+    current, speed = (np.repeat(level, PER_LEVEL) for level in levels)
+    torque = 0.05 * current - 0.004 * np.sign(speed) - 1e-4 * speed
+    torque = torque + random.normal(0, 1e-4, len(current))
+    time = np.arange(len(current)) * 0.01
+    fit = fit_constant([find_points(Course(time, current, torque, speed=speed))])
+    assert fit.turning
+    assert fit.hysteresis is None
+    assert fit.constant == pytest.approx(0.05, rel=0, abs=3 * fit.constant_u)
+    assert fit.constant_u < 0.01 * fit.constant
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda i, y: (i * 0 + 1, y), "step it, or ramp it"),
+        (lambda i, y: (i, -y), "correct a sign"),
+        (lambda i, y: (i, np.random.default_rng(1).normal(size=len(y))), "residuals"),
+    ],
+)
+def test_data_that_do_not_carry_it(change, message):
+    _, recorded = draw("staircase", 1)
+    current, torque = change(recorded.current, recorded.torque)
+    with pytest.raises(InsufficientDataError, match=message):
+        fit_constant([find_points(Course(recorded.time, current, torque))])

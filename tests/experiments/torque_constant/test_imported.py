@@ -1,0 +1,60 @@
+"""`calibrate-kt` on imported runs, and its result as --kt of another command."""
+
+import pytest
+
+from rigtool.errors import RunFileError
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.experiments.running.session import run_command
+from rigtool.experiments.torque_constant.procedure import PROCEDURE
+from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.runfile import open_run
+from tests.experiments.imported_runs import take
+from tests.experiments.torque_constant.test_current_levels import draw
+
+TEXT = """mapping = 1
+[rig]
+name = "bench of others"
+arm_length = 0.5
+reference_relative_u = 0.002
+[signals]
+time = { column = "t", unit = "s" }
+current = { column = "i", unit = "A" }
+temperature = { column = "degc", unit = "degC" }
+force = { column = "f", unit = "N" }
+"""
+
+
+LEFT_OUT = ("force", "temperature")
+
+
+def calibrate(paths, output):
+    options = CommonOptions(overwrite=True)
+    return run_command(PROCEDURE, paths, str(output), options=options, inputs={})
+
+
+def test_a_force_on_an_arm_gives_a_constant_for_other_commands(tmp_path):
+    (constant, change), recorded = draw("staircase", 5)
+    arrays = {"t": recorded.time, "i": recorded.current, "f": recorded.torque / 0.5}
+    paths = take(tmp_path, TEXT, {"a": {**arrays, "degc": recorded.temperature}})
+    outcome = calibrate(paths, tmp_path / "kt.h5")
+    found = outcome.results["torque_constant"]
+    assert abs(found.value - constant) < 2.5 * found.u
+    coefficient = outcome.results["torque_constant_temperature_coefficient"]
+    assert abs(coefficient.value - change) < 2.5 * coefficient.u
+    assert outcome.results["torque_constant_mean"].u > 0.002 * constant
+    assert outcome.results["hysteresis_torque"].value > 0
+    assert outcome.tables["calibration_points"].shape == (15,)
+    with open_run(tmp_path / "kt.h5") as run:
+        mean = torque_per_ampere(run)
+    assert mean.value == outcome.results["torque_constant_mean"].value
+
+
+def test_a_run_without_a_sensor_is_refused(tmp_path):
+    _, recorded = draw("staircase", 5)
+    text = "\n".join(
+        line for line in TEXT.splitlines() if "force" not in line and "degC" not in line
+    )
+    paths = take(tmp_path, text, {"a": {"t": recorded.time, "i": recorded.current}})
+    with pytest.raises(RunFileError, match="no torque of a sensor"):
+        calibrate(paths, tmp_path / "kt.h5")
+    assert not (tmp_path / "kt.h5").exists()

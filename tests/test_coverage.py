@@ -1,0 +1,25 @@
+"""Rigs drawn as `make coverage` draws them: their results lie within what is stated."""
+
+import math
+from pathlib import Path
+
+from scipy import stats
+
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+FAR = 5.0
+
+
+def test_a_drawn_rig_is_within_what_is_stated(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    from designs import DESIGNS
+    from trials import trial
+
+    (number,) = (n for n, design in enumerate(DESIGNS) if design.name == "calibrate-kt, 3 x 2")
+    tried = trial(number, seed=2)
+    assert tried.refusal is None
+    names = {name for name, _ in tried.found}
+    assert {"torque_constant", "torque_constant_ripple", "amplifier_gain"} <= names
+    for error, u, dof in tried.found.values():
+        width = u * stats.t.ppf(0.975, dof) / stats.norm.ppf(0.975)
+        assert abs(error) < FAR * width
+        assert 0 < u < math.inf
