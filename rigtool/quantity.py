@@ -8,10 +8,14 @@ Notation of uncertainty: GUM (JCGM 100:2008) 7.2.2, the short form 45.80(4).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 REFERENCE_DEGC = 20.0
 """Temperature for which a result is stated, degC (ISO 1), a torque constant as well [7.1.1]."""
+
+CURRENT_READING, THERMOMETER = "gain of the current reading", "thermometer"
+"""Lines of a budget that cancel where the same instrument is read again."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +23,8 @@ class Quantity:
     """A value with its unit and standard uncertainty (GUM 2.3.1).
 
     `u` is None where no uncertainty can be stated; `reason` then gives the reason. `dof` is None
-    where the degrees of freedom are unknown or infinite. Raises `ValueError` for neither `u` nor
-    `reason`, and for a negative `u`.
+    where the degrees of freedom are unknown or infinite. `budget` lists what `u` is made of, where
+    that is known. Raises `ValueError` for neither `u` nor `reason`, and for a negative `u`.
     """
 
     value: float
@@ -28,6 +32,7 @@ class Quantity:
     u: float | None = None
     dof: float | None = None
     reason: str | None = None
+    budget: tuple[Component, ...] = ()
 
     def __post_init__(self) -> None:
         if self.u is None and self.reason is None:
@@ -40,6 +45,92 @@ class Quantity:
 
     def __str__(self) -> str:
         return format_quantity(self)
+
+
+@dataclass(frozen=True)
+class Component:
+    """A line of an uncertainty budget (GUM 5.1.3, table H.1): an input and what it contributes.
+
+    `value` in `unit` with the standard uncertainty `u` and its `dof` is the input's estimate;
+    `sensitivity` is the derivative of the result by it. An error that is corrected for, or that is
+    zero on average, has the value 0.
+    """
+
+    name: str
+    value: float
+    unit: str
+    u: float
+    dof: float | None = None
+    sensitivity: float = 1.0
+
+    @property
+    def contribution(self) -> float:
+        """Standard uncertainty of the result by this input alone, in the result's unit."""
+        return abs(self.sensitivity) * self.u
+
+
+ROUNDING = 1e-9
+"""Part of an uncertainty below which a contribution is the rounding of a sum that cancels."""
+
+
+def error_line(name: str, u: float, unit: str, dof: float | None = None) -> Component:
+    """Return the line of an error that is zero on average, in the unit of the result."""
+    return Component(name, 0.0, unit, u, _finite(dof))
+
+
+def input_line(name: str, source: Quantity, sensitivity: float) -> Component:
+    """Return the line of an input that is a quantity itself."""
+    u, dof = source.u or 0.0, _finite(source.dof)
+    return Component(name, source.value, source.unit, u, dof, sensitivity)
+
+
+def _finite(dof: float | None) -> float | None:
+    return dof if dof is not None and math.isfinite(dof) else None
+
+
+def inherited(source: Quantity, sensitivity: float, name: str) -> list[Component]:
+    """Return the lines of an input: those of its own budget, or a single one of this name."""
+    if not source.budget:
+        return [input_line(name, source, sensitivity)]
+    return [replace(line, sensitivity=sensitivity * line.sensitivity) for line in source.budget]
+
+
+def difference(first: Quantity, second: Quantity) -> Quantity:
+    """Return first - second; an input that both budgets name is one and the same."""
+    lines = {line.name: line for line in first.budget}
+    for line in second.budget:
+        own = lines[line.name].sensitivity if line.name in lines else 0.0
+        lines[line.name] = replace(line, sensitivity=own - line.sensitivity)
+    return combined(first.value - second.value, first.unit, lines.values())
+
+
+def combined(value: float, unit: str, lines: Iterable[Component]) -> Quantity:
+    """Return a value with the uncertainty of independent inputs.
+
+    The law of propagation, u2 = sum of (c u(x))2 (GUM 5.1.2); degrees of freedom by Welch and
+    Satterthwaite, dof = u4 / sum of (c u(x))4/dof(x) (GUM G.4.1). Inputs that contribute nothing
+    but the rounding of a derivative are left out.
+    """
+    every = tuple(lines)
+    u = math.hypot(*(line.contribution for line in every))
+    budget = tuple(line for line in every if line.contribution > ROUNDING * u)
+    spread = sum(line.contribution**4 / line.dof for line in budget if line.dof)
+    return Quantity(value, unit, u, u**4 / spread if spread > 0 else None, budget=budget)
+
+
+def scaled(quantity: Quantity, factor: float, unit: str) -> Quantity:
+    """Return a quantity times a number that is known exactly."""
+    u = None if quantity.u is None else quantity.u * abs(factor)
+    budget = tuple(inherited(quantity, factor, "")) if quantity.budget else ()
+    return Quantity(quantity.value * factor, unit, u, quantity.dof, quantity.reason, budget)
+
+
+def without(quantity: Quantity, name: str) -> Quantity:
+    """Return a quantity without one line of its budget: of an error that cancels."""
+    if all(line.name != name for line in quantity.budget):
+        return quantity
+    rest = [line for line in quantity.budget if line.name != name]
+    return combined(quantity.value, quantity.unit, rest)
 
 
 _DISPLAY = {

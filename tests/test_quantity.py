@@ -2,11 +2,24 @@
 
 import math
 
+import GTC
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigtool.quantity import Quantity, format_number, format_quantity
+from rigtool.quantity import (
+    Component,
+    Quantity,
+    combined,
+    difference,
+    error_line,
+    format_number,
+    format_quantity,
+    inherited,
+    input_line,
+    scaled,
+    without,
+)
 
 
 @pytest.mark.parametrize(
@@ -54,3 +67,66 @@ def test_the_short_form_keeps_the_value_within_its_uncertainty(value, relative):
     exponent = int(rest.partition("e")[2] or 0)
     shown = float(number) * 10.0**exponent
     assert math.isclose(shown, value, rel_tol=0, abs_tol=0.051 * u)
+
+
+def test_the_end_gauge_of_the_gum():
+    """JCGM 100:2008, H.1: contributions in nm, u(l) = 32 nm, 16 degrees of freedom (16.7)."""
+    lines = [
+        error_line("standard", 25.0, "nm", 18),
+        error_line("comparison", 9.7, "nm", 25.6),
+        Component("expansion coefficients", 0.0, "1/K", 0.58e-6, 50, sensitivity=-5e6),
+        error_line("temperatures", 16.6, "nm", 2),
+        error_line("temperature of the bed", 0.0, "nm"),
+    ]
+    found = combined(50000838.0, "nm", lines)
+    assert found.u == pytest.approx(31.7, abs=0.1)
+    assert found.dof == pytest.approx(16.7, abs=0.1)
+    assert [line.name for line in found.budget] == [line.name for line in lines[:-1]]
+    assert found.budget[2].contribution == pytest.approx(2.9, rel=1e-12)
+    assert combined(1.0, "m", []).u == 0
+
+
+numbers = st.floats(-10, 10).filter(lambda x: abs(x) > 0.1)
+inputs = st.tuples(numbers, st.floats(1e-3, 1), st.none() | st.floats(1, 100), numbers, numbers)
+
+
+@given(st.lists(inputs, min_size=1, max_size=5))
+def test_sums_and_differences_are_those_of_gtc(drawn):
+    """f = sum a x and g = sum b x of the same inputs x, against GTC's own propagation."""
+    quantities = [Quantity(x, "m", u, dof) for x, u, dof, _, _ in drawn]
+    x = [GTC.ureal(q.value, q.u, q.dof or math.inf) for q in quantities]
+
+    def line(which):
+        value = sum(row[which] * q.value for row, q in zip(drawn, quantities, strict=True))
+        lines = [
+            input_line(str(n), q, row[which])
+            for n, (row, q) in enumerate(zip(drawn, quantities, strict=True))
+        ]
+        return combined(value, "m", lines), sum(
+            row[which] * i for row, i in zip(drawn, x, strict=True)
+        )
+
+    (f, f_gtc), (g, g_gtc) = line(3), line(4)
+    for found, expected in ((f, f_gtc), (difference(f, g), f_gtc - g_gtc)):
+        assert found.value == pytest.approx(GTC.value(expected), rel=1e-9, abs=1e-9)
+        u = GTC.uncertainty(expected)
+        assert found.u == pytest.approx(u, rel=1e-9, abs=1e-12)
+        if u > 1e-9:
+            dof = GTC.dof(expected)
+            assert (found.dof or math.inf) == pytest.approx(dof, rel=1e-6)
+
+
+def test_lines_follow_their_quantity():
+    constant = Quantity(2.0, "N m/A", 0.1, 7.0)
+    known = combined(
+        2.0, "N m/A", [input_line("k", constant, 1.0), error_line("z", 0.3, "N m/A", 5)]
+    )
+    assert inherited(constant, 3.0, "k") == [Component("k", 2.0, "N m/A", 0.1, 7.0, 3.0)]
+    assert [line.contribution for line in inherited(known, -2.0, "k")] == [0.2, 0.6]
+    doubled = scaled(known, -2.0, "N m")
+    assert (doubled.value, doubled.dof) == (-4.0, known.dof)
+    assert doubled.u == pytest.approx(2 * known.u, rel=1e-12)
+    assert math.hypot(*(line.contribution for line in doubled.budget)) == pytest.approx(doubled.u)
+    assert without(known, "k").u == pytest.approx(0.3, rel=1e-12)
+    assert without(known, "k").dof == pytest.approx(5.0, rel=1e-12)
+    assert without(known, "none of it") is known

@@ -16,6 +16,7 @@ from pydantic.fields import FieldInfo
 
 import rigtool as rigtool_package
 from rigtool.cli import COMMANDS, rigtool
+from rigtool.cli.options import Command
 
 OPTION = re.compile(r"(?<![\w`-])--?[a-z][\w-]*")
 """An option in a text, which Markdown would set as a dash."""
@@ -31,7 +32,7 @@ MARKUP = re.compile(r"(`[^`]*`)|([*_<>$\[\]|#])")
 def command_page(name: str) -> str:
     """Return the page of a command: its help, as the command prints it, and its options."""
     command = rigtool.get_command(click.Context(rigtool), name)
-    assert command is not None
+    assert isinstance(command, Command)
     context = click.Context(command, info_name=f"rigtool {name}")
     usage = " ".join(["rigtool", name, *command.collect_usage_pieces(context)])
     lines = [
@@ -41,10 +42,9 @@ def command_page(name: str) -> str:
         "",
         *_help(inspect.cleandoc(command.help or "")),
     ]
-    lines += ["## Options", "", "| option | meaning |", "| --- | --- |"]
-    for parameter in command.get_params(context):
-        record = parameter.get_help_record(context)
-        if record is not None and isinstance(parameter, click.Option):
+    for heading, records in command.grouped(context).items():
+        lines += ["", f"## {heading}", "", "| option | meaning |", "| --- | --- |"]
+        for record in records:
             option, meaning = (_in_table(part) for part in record)
             lines.append(f"| `{option}` | {OPTION.sub(CODE, meaning)} |")
     lines += ["", "## Example", "", "```sh", *examples(command), "```", ""]

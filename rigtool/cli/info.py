@@ -10,23 +10,36 @@ from rigtool.cli.options import FILE, Command, current_output, example
 @click.command(
     cls=Command,
     epilog=example(
-        "rigtool info kt.h5", "rigtool info kt.h5 --json", "rigtool info kt.h5 --plot kt.svg"
+        "rigtool info kt.h5",
+        "rigtool info kt.h5 --json",
+        "rigtool info kt.h5 --plot kt.svg",
+        "rigtool info kt.h5 --budget torque_constant_mean",
     ),
 )
 @click.argument("path", type=FILE, metavar="RUN.h5")
 @click.option(
     "--plot", type=FILE, metavar="FILE", help="Draw its default plot: .png, .svg or .pdf."
 )
-def command(path: str, plot: str | None) -> None:
+@click.option("--budget", metavar="RESULT", help="Show the uncertainty budget of a result.")
+def command(path: str, plot: str | None, budget: str | None) -> None:
     """Show the contents of a run file.
 
     Who made it, when and from what; results with units and uncertainty; recorded signals with
-    rate and duration; tables and remarks.
+    rate and duration; tables and remarks. Or the uncertainty budget of one result: its components,
+    their values, sensitivities, contributions, degrees of freedom and shares of the variance.
     """
+    from rigtool.cli.output import quantity_document
     from rigtool.runfile import open_run
+    from rigtool.runfile.summary import budget_lines
 
     to = current_output()
     with open_run(path) as run:
+        if budget is not None:
+            found = run.result(budget)
+            results = {budget: quantity_document(found)}
+            to.document(command=run.command, rig=run.rig, results=results)
+            to.line("\n".join(budget_lines(budget, found)))
+            return
         if plot is not None:
             from rigtool.report.default_plot import write_plot
 

@@ -58,7 +58,13 @@ class Command(click.Command):
         self.params += [option for option in OUTPUT_OPTIONS if not known & set(option.opts)]
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options into the help, grouped; --overwrite only where a file is written."""
+        """Write the options into the help, under their headings."""
+        for heading, records in self.grouped(ctx).items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
+
+    def grouped(self, ctx: click.Context) -> dict[str, list[tuple[str, str]]]:
+        """Return option and meaning by heading; --overwrite only where a file is written."""
         groups: dict[str, list[tuple[str, str]]] = {"Options": [], **{h: [] for h in HEADINGS}}
         writes = any(parameter.name in WRITES for parameter in self.params)
         for parameter in self.get_params(ctx):
@@ -70,10 +76,7 @@ class Command(click.Command):
                 heads = ["Output"]
             if writes or parameter.name != "overwrite":
                 groups[heads[0] if heads else "Options"].append(record)
-        for head, records in groups.items():
-            if records:
-                with formatter.section(head):
-                    formatter.write_dl(records)
+        return {heading: records for heading, records in groups.items() if records}
 
 
 def current_output() -> Output:

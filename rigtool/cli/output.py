@@ -173,14 +173,20 @@ def table_document(table: ReportTable) -> dict[str, Any]:
 
 
 def quantity_document(quantity: Quantity) -> dict[str, Any]:
-    """Return a quantity for JSON."""
-    found = {
+    """Return a quantity for JSON, with its budget where that is known."""
+    from dataclasses import asdict
+
+    found: dict[str, Any] = {
         "value": quantity.value,
         "unit": quantity.unit,
         "u": quantity.u,
         "dof": quantity.dof,
     }
-    return found if quantity.reason is None else {**found, "reason": quantity.reason}
+    if quantity.reason is not None:
+        found["reason"] = quantity.reason
+    if quantity.budget:
+        found["budget"] = [asdict(line) for line in quantity.budget]
+    return found
 
 
 def _table(table: Table) -> dict[str, Any]:

@@ -21,12 +21,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from rigtool.experiments.imported import is_linear, known
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import REFERENCE_DEGC, Quantity
+from rigtool.quantity import (
+    CURRENT_READING,
+    REFERENCE_DEGC,
+    THERMOMETER,
+    Quantity,
+    combined,
+    error_line,
+    inherited,
+    input_line,
+    without,
+)
 from rigtool.runfile import Recording, Run
 
 ENDS = 1024
@@ -45,18 +56,16 @@ def torque_per_ampere(
     is no calibration.
     """
     kt.require_command("calibrate-kt")
-    mean = kt.result("torque_constant_mean")
-    # An imported calibration has no gain: a drive's current follows its set point.
-    gain = kt.results.get("amplifier_gain")
-    if of_measured_current or gain is None:
-        gain = Quantity(1.0, "1", 0.0)
-    error = max(_known_error(kt), abs(_furthest(kt, recordings)[1]))
-    own = (mean.u or 0.0) / mean.value
-    relative_u = math.hypot(own, (gain.u or 0.0) / gain.value, error / math.sqrt(3))
-    # Welch-Satterthwaite (GUM G.4.1): only the mean has finite degrees of freedom.
-    dof = mean.dof * (relative_u / own) ** 4 if mean.dof is not None and own else None
+    mean = without(kt.result("torque_constant_mean"), CURRENT_READING)
+    gain = Quantity(1.0, "1", 0.0) if of_measured_current else _gain(kt)
+    away = max(_known_error(kt), abs(_furthest(kt, recordings)[1]))
     value = mean.value * gain.value
-    return Quantity(value, mean.unit, value * relative_u, dof)
+    lines = [
+        input_line("torque constant", mean, gain.value),
+        input_line("gain of the amplifier", gain, mean.value),
+        error_line("temperature of the motor", value * away / math.sqrt(3), mean.unit),
+    ]
+    return combined(value, mean.unit, lines)
 
 
 def torque_per_ampere_at(kt: Run, temperature_degc: float) -> Quantity:
@@ -68,16 +77,27 @@ def torque_per_ampere_at(kt: Run, temperature_degc: float) -> Quantity:
     mean = torque_per_ampere(kt)
     if not all(name in kt.results for name in names):
         return mean
-    constant, slope, gain = (kt.result(name) for name in names)
+    constant, slope, gain = kt.result(names[0]), kt.result(names[1]), _gain(kt)
+    for cancels in (CURRENT_READING, THERMOMETER):
+        constant = without(constant, cancels)
     warmer = temperature_degc - REFERENCE_DEGC
     factor = 1 + slope.value * warmer
-    parts = (
-        (constant.u or 0.0) / constant.value,
-        (slope.u or 0.0) * warmer / factor,
-        (gain.u or 0.0) / gain.value,
-    )
-    value = constant.value * factor * gain.value
-    return Quantity(value, constant.unit, value * math.hypot(*parts), constant.dof)
+    lines = [
+        input_line("torque constant at 20 degC", constant, factor * gain.value),
+        input_line("temperature coefficient", slope, constant.value * warmer * gain.value),
+        input_line("gain of the amplifier", gain, constant.value * factor),
+    ]
+    return combined(constant.value * factor * gain.value, constant.unit, lines)
+
+
+def _gain(kt: Run) -> Quantity:
+    """Return the gain of the amplifier; an error of the reading is in the constant, too, inversely.
+
+    Both divide the same measured current, so that it cancels in their product.
+    """
+    if "amplifier_gain" not in kt.results:  # imported: a drive's current follows its set point
+        return Quantity(1.0, "1", 0.0)
+    return without(kt.result("amplifier_gain"), CURRENT_READING)
 
 
 def with_constant(quantity: Quantity, constant: Quantity) -> Quantity:
@@ -87,11 +107,9 @@ def with_constant(quantity: Quantity, constant: Quantity) -> Quantity:
     """
     if quantity.u is None:
         return quantity
-    u = math.hypot(quantity.u, quantity.value * (constant.u or 0.0) / constant.value)
-    dof = quantity.dof
-    if dof is not None and quantity.u:
-        dof *= (u / quantity.u) ** 4  # Welch-Satterthwaite, those of the constant being many
-    return replace(quantity, u=u, dof=dof)
+    own = error_line("scatter", quantity.u, quantity.unit, quantity.dof)
+    scale = inherited(constant, quantity.value / constant.value, "torque constant")
+    return combined(quantity.value, quantity.unit, [own, *scale])
 
 
 def _known_error(kt: Run) -> float:
@@ -150,3 +168,59 @@ def mean_constant_note(kt: Run, recordings: Sequence[Recording] = ()) -> str:
         f"uncertainty, {(constant.u or 0.0) / constant.value:.2%}, includes its change over the "
         "temperatures of the calibration"
     )
+
+
+# -- imported runs
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Torque, force or current of the motor: `values` (n,) in `unit`; `name` as in tables.
+
+    `relative_u` is the relative standard uncertainty of the scale, None where it is unknown;
+    `origin` states the channel and the factor that the values come from.
+    """
+
+    values: Array
+    unit: str
+    name: str
+    relative_u: float | None
+    origin: str
+
+
+def effort_of(recording: Recording, kt: Run | None) -> Effort:
+    """Return torque (force on a linear axis), or current where no torque constant is known.
+
+    With `kt`, current times its torque constant; else the torque that the drive or a sensor
+    reports, else current times the torque constant of the mapping, else torque relative to the
+    rated one, else current alone. Raises `RunFileError` where there is none of them.
+    """
+    has_current = recording.has("current") or recording.has("current_setpoint")
+    if kt is not None and has_current:
+        scale = torque_per_ampere(kt, of_measured_current=recording.has("current"))
+        current = recording.read(_current_name(recording)) * scale.value
+        relative = None if scale.u is None else scale.u / scale.value
+        return Effort(current, "N m", "torque", relative, "current times the constant of --kt")
+    name, unit = ("force", "N") if is_linear(recording) else ("torque", "N m")
+    if recording.has(name):
+        return Effort(recording.read(name), unit, name, None, f"{name} as in the file")
+    if recording.has("relative_torque") and not has_current:
+        origin = "torque relative to the rated one, which the mapping does not state (rated_torque)"
+        return Effort(recording.read("relative_torque"), "1", "relative_torque", 0.0, origin)
+    current = recording.read(_current_name(recording))
+    constant = known(recording, "torque_constant")
+    if constant is None or is_linear(recording):
+        return Effort(current, "A", "current", 0.0, "current as in the file")
+    u = known(recording, "torque_constant_u")
+    return Effort(
+        current * constant,
+        "N m",
+        "torque",
+        None if u is None else u / constant,
+        "current times the torque constant of the mapping",
+    )
+
+
+def _current_name(recording: Recording) -> str:
+    # The mapping may name either; the measured current is nearer to the torque.
+    return "current" if recording.has("current") else "current_setpoint"

@@ -1,4 +1,4 @@
-"""Stretches of a signal in which it hardly changes."""
+"""Plateaus of a signal x: |x_(i+1) - x_i| <= step, and max x - min x <= largest."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ SHORTEST = 3
 def find_plateaus(level: Array, step: float, largest: float) -> list[tuple[int, int]]:
     """Return first and last + 1 value of each plateau of a signal (n,).
 
-    On a plateau values differ by at most `step` from one to the next, and by at most `largest` in
-    all: a slow ramp is none.
+    On a plateau |x_(i+1) - x_i| <= `step` and max x - min x <= `largest`: a slow ramp is none.
     """
     flat = np.abs(np.diff(level)) <= step
     ends = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(np.int8)))

@@ -60,6 +60,13 @@ class Instrument(Section):
         description="grasper torque per motor torque, as the thesis multiplies",
     )
     grasper_length: float = Field(0.020, gt=0, description="axis to where the load hangs, m")
+    angle_ratio_relative_u: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="relative uncertainty of angle_ratio and torque_factor",
+    )
+    grasper_length_u: float = Field(0.0, ge=0, description="standard uncertainty of the length, m")
 
 
 class ForceArm(Section):
@@ -115,6 +122,16 @@ class RigDescription(Section):
     torque_constant: float = Field(0.045, gt=0, description="of the data sheet, N m/A")
     current_limit: float = Field(10.0, gt=0, description="of the amplifier, A")
     pulley_radius: float = Field(0.014, gt=0, description="effective, where a load hangs, m")
+    pulley_radius_u: float = Field(0.0, ge=0, description="its standard uncertainty, m")
+    weights_relative_u: float = Field(
+        0.0, ge=0, le=1, description="relative standard uncertainty common to all applied forces"
+    )
+    thermometer_u: float = Field(
+        0.0, ge=0, description="standard uncertainty common to all readings, K"
+    )
+    current_reading_relative_u: float = Field(
+        0.0, ge=0, le=1, description="relative standard uncertainty of the gain of the reading"
+    )
     inertia: Inertia = Inertia()
     controller: Controller = Controller()
     instrument: Instrument = Instrument()
@@ -157,3 +174,15 @@ class RigDescription(Section):
         if self.attachment == "instrument":
             return self.instrument.grasper_length
         return self.pulley_radius
+
+    @property
+    def load_arm_u(self) -> float:
+        """Standard uncertainty of that length, m."""
+        if self.attachment == "instrument":
+            return self.instrument.grasper_length_u
+        return self.pulley_radius_u
+
+    @property
+    def angle_ratio_relative_u(self) -> float:
+        """Relative standard uncertainty of angle ratio and torque factor."""
+        return self.instrument.angle_ratio_relative_u if self.attachment == "instrument" else 0.0

@@ -87,8 +87,25 @@ class Sensors(Section):
         0.0, ge=-1, le=1, description="change of that gain with the force, 1/N"
     )
     force_resolution: float = Field(1e-3, ge=0, description="N")
+    current_gain: float = Field(1.0, ge=0.1, le=10, description="current reading per ampere")
     temperature_noise: float = Field(0.0, ge=0, description="std a sample, K")
+    temperature_offset: float = Field(0.0, description="of the thermometer, K")
     micrometer_error: float = Field(0.0, ge=0, description="std of a reading, m")
+
+
+Relative = Annotated[float, Field(gt=-0.5, le=0.5)]
+
+
+class Misstated(Section):
+    """By how much the truth differs from what [rig] and the plan state, relative to that."""
+
+    arm_length: Relative = Field(0.0, description="of rig.arm.length")
+    pulley_radius: Relative = Field(0.0, description="of rig.pulley_radius")
+    grasper_length: Relative = Field(0.0, description="of rig.instrument.grasper_length")
+    angle_ratio: Relative = Field(
+        0.0, description="of rig.instrument.angle_ratio; its torque_factor by the inverse"
+    )
+    weights: Relative = Field(0.0, description="of all forces that are hung or pulled with")
 
 
 class Arm(Section):
@@ -280,6 +297,7 @@ class Virtual(Section):
     thermal: Thermal
     amplifier: Amplifier
     sensors: Sensors = Sensors()
+    misstated: Misstated = Misstated()
     arm: Arm
     eccentricity: Eccentricity = Eccentricity()
     instrument: VirtualInstrument

@@ -16,7 +16,7 @@ from rigtool.report.figures.plots import HEADLINE
 from rigtool.report.formats import ReportTable
 from rigtool.report.published import is_of_thesis
 from rigtool.report.requirements import requirements_table
-from rigtool.report.tables import attachment_of, force_tables, results_table
+from rigtool.report.tables import attachment_of, budget_tables, force_tables, results_table
 from rigtool.runfile.provenance import file_sha256
 
 if TYPE_CHECKING:
@@ -69,7 +69,8 @@ class Report:
 
     `requirements` are those of the recipes, with verdicts; `warnings` concern runs that do not
     belong together; `remarks` are the notes of each run, by its label. `force_tables` are Tables 8
-    and 9, `results` all results of each run; `compared` where published values are beside them.
+    and 9, `budgets` what the headline results' uncertainty is made of, `results` all results of
+    each run; `compared` where published values are beside them.
     """
 
     title: str
@@ -80,6 +81,7 @@ class Report:
     warnings: tuple[str, ...]
     remarks: tuple[tuple[str, tuple[str, ...]], ...]
     force_tables: tuple[ReportTable, ...]
+    budgets: tuple[ReportTable, ...]
     results: tuple[ReportTable, ...]
     pictures: tuple[Picture, ...]
     origins: tuple[Origin, ...]
@@ -114,6 +116,7 @@ def build_report(runs: Sequence[Run]) -> Report:
         warnings=tuple(_warnings(labelled)),
         remarks=tuple((label, run.notes) for label, run in labelled if run.notes),
         force_tables=tuple(sorted(tables, key=lambda table: table.title)),
+        budgets=tuple(table for label, run in labelled for table in budget_tables(run, label)),
         results=tuple(results_table(run, label) for label, run in labelled if run.results),
         pictures=tuple(sorted(pictures, key=lambda picture: picture.number)),
         origins=origins,

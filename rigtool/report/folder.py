@@ -76,7 +76,7 @@ def _contents(report: Report, pdf: bool) -> dict[str, bytes]:
     """Return every file of the report by its path within the folder."""
     texts = {"index.html": render_page(report), "tables.txt": terminal_text(report)}
     required = () if report.requirements is None else (report.requirements,)
-    for table in (*required, *report.force_tables, *report.results):
+    for table in (*required, *report.force_tables, *report.budgets, *report.results):
         texts[f"tables/{table.name}.md"] = markdown_table(table)
         texts[f"tables/{table.name}.csv"] = csv_table(table)
         texts[f"tables/{table.name}.tex"] = latex_table(table)

@@ -17,6 +17,7 @@ from rigtool.report.formats import (
 )
 from rigtool.report.instrument_tables import instrument_tables
 from rigtool.report.published import is_of_thesis, published_table, published_value
+from rigtool.runfile.summary import budget_shares
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
@@ -175,6 +176,65 @@ def results_table(run: Run, label: str) -> ReportTable:
         tuple(columns[n] for n in kept),
         tuple(tuple(row[n] for n in kept) for row in rows),
     )
+
+
+HEADLINES = {
+    "calibrate-kt": "torque_constant_mean",
+    "stribeck": "coulomb_friction",
+    "identify-plant": "inertia",
+    "suspension": "spring_constant",
+    "measure-force": "mean_torque_load_",
+}
+"""Result of each command whose budget the report shows; of loads the one with the most force."""
+
+_BUDGET_COLUMNS = (
+    ReportColumn("component", "Component", numeric=False),
+    ReportColumn("value", "Estimate"),
+    ReportColumn("u", "u"),
+    ReportColumn("unit", "Unit", numeric=False),
+    ReportColumn("sensitivity", "Sensitivity"),
+    ReportColumn("contribution", "Contribution"),
+    ReportColumn("dof", "Degrees of freedom"),
+    ReportColumn("share", "Share of the variance"),
+)
+
+
+def budget_tables(run: Run, label: str) -> list[ReportTable]:
+    """Return the uncertainty budget of the run's headline result, where the run holds one."""
+    start = HEADLINES.get(run.command)
+    named = [name for name, q in run.results.items() if start and name.startswith(start)]
+    found = [name for name in named if run.results[name].budget]
+    if not found:
+        return []
+    name = found[-1] if run.command == "measure-force" else found[0]
+    quantity = run.results[name]
+    rows = []
+    for line, share in budget_shares(quantity):
+        numbers = (line.u, line.sensitivity, line.contribution)
+        u, sensitivity, contribution = (number_cell(number, ".3g", 1) for number in numbers)
+        rows.append(
+            (
+                Cell(line.name, line.name),
+                Cell(f"{line.value:.5g}", line.value),
+                u,
+                Cell("" if line.unit == "1" else line.unit, line.unit),
+                sensitivity,
+                contribution,
+                Cell("inf", None) if line.dof is None else number_cell(line.dof, ".3g", 1),
+                Cell(f"{share:.1%}", share),
+            )
+        )
+    dof = "inf" if quantity.dof is None else f"{quantity.dof:.3g}"
+    return [
+        ReportTable(
+            f"budget-{label}",
+            f"Uncertainty budget of {name} ({label})",
+            _BUDGET_COLUMNS,
+            tuple(rows),
+            f"Together {format_quantity(quantity)}, {dof} degrees of freedom; contributions, "
+            f"sensitivity times u, are in {quantity.unit} (JCGM 100, table H.1).",
+        )
+    ]
 
 
 def attachment_of(run: Run) -> str | None:

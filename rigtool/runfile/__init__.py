@@ -1,6 +1,6 @@
 """Run files: HDF5 that NeXus viewers, xarray, MATLAB and h5dump open (docs/run-file-format.md)."""
 
-from rigtool.runfile.model import Channel, Column, RecordingSpec, Table
+from rigtool.runfile.model import Channel, Column, RecordingSpec, Table, dof_column
 from rigtool.runfile.reader import Run, open_run
 from rigtool.runfile.recording import Recording
 from rigtool.runfile.schema import chunk_of
@@ -15,5 +15,6 @@ __all__ = [
     "RunWriter",
     "Table",
     "chunk_of",
+    "dof_column",
     "open_run",
 ]

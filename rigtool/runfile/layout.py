@@ -87,6 +87,12 @@ def _write_result(parent: h5py.Group, name: str, quantity: Quantity) -> None:
         set_attribute(dataset, "degrees_of_freedom", float(quantity.dof))
     if quantity.reason is not None:
         set_attribute(dataset, "reason", quantity.reason)
+    if quantity.budget:
+        for name in schema.BUDGET:
+            column = [getattr(line, name) for line in quantity.budget]
+            if name not in schema.BUDGET_TEXTS:
+                column = [math.inf if number is None else float(number) for number in column]
+            set_attribute(dataset, f"budget_{name}", column)
 
 
 def _write_recording(parent: h5py.Group, spec: RecordingSpec) -> None:

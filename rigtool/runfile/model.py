@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import UsageError
 from rigtool.runfile import schema
@@ -83,6 +83,11 @@ class Column:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _storable(np.asarray(self.values)))
+
+
+def dof_column(values: ArrayLike) -> Column:
+    """Return the degrees of freedom of a column `u`; infinite where they are so or not known."""
+    return Column(np.asarray(values, dtype=np.float64), "1", "degrees of freedom of u")
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,13 +27,21 @@ def make_group(parent: h5py.Group, name: str, nx_class: str) -> h5py.Group:
 
 
 def set_attribute(
-    node: h5py.Group | h5py.Dataset, name: str, value: str | float | Sequence[str]
+    node: h5py.Group | h5py.Dataset,
+    name: str,
+    value: str | float | Sequence[str] | Sequence[float],
 ) -> None:
-    """Write an attribute: a text, a number (f8), or a list of texts."""
+    """Write an attribute: a text, a number (f8), or a list of texts or of numbers."""
     if isinstance(value, float):
         node.attrs[name] = value
         return
-    texts = np.array(value.encode() if isinstance(value, str) else [t.encode() for t in value])
+    if isinstance(value, str):
+        texts = np.array(value.encode())
+    elif isinstance(value[0], float):
+        node.attrs[name] = np.array(value, dtype=schema.DTYPES["f8"])
+        return
+    else:
+        texts = np.array([str(text).encode() for text in value])
     node.attrs.create(name, texts, dtype=_text_type(texts.dtype.itemsize))
 
 

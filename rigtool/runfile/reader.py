@@ -7,6 +7,7 @@ checksums (fletcher32) by HDF5. Any fault raises `RunFileError` with a remedy.
 from __future__ import annotations
 
 import logging
+import math
 import os
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
@@ -15,7 +16,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 from rigtool.errors import RigtoolError, RunFileError
-from rigtool.quantity import Quantity
+from rigtool.quantity import Component, Quantity
 from rigtool.runfile import provenance, schema, tree
 from rigtool.runfile.model import Column, Table, description_of
 from rigtool.runfile.opened import DAMAGED, OpenFile, SharedFile, guard, require_schema
@@ -207,9 +208,23 @@ def _results(entry: tree.Group) -> dict[str, Quantity]:
             tree.number_of(item.attributes, "standard_uncertainty"),
             tree.number_of(item.attributes, "degrees_of_freedom"),
             tree.text_of(item.attributes, "reason") if "reason" in item.attributes else None,
+            _budget(item.attributes),
         )
         for name, item in results.values.items()
     }
+
+
+def _budget(attributes: Mapping[str, Any]) -> tuple[Component, ...]:
+    if "budget_name" not in attributes:
+        return ()
+    columns = [
+        tree.list_of(attributes, f"budget_{name}", str if name in schema.BUDGET_TEXTS else float)
+        for name in schema.BUDGET
+    ]
+    return tuple(
+        Component(name, value, unit, u, None if math.isinf(dof) else dof, sensitivity)
+        for name, value, unit, u, dof, sensitivity in zip(*columns, strict=True)
+    )
 
 
 def _table(group: tree.Group) -> Table:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 SCHEMA = "rigtool-run"
-VERSION = (1, 1)
+VERSION = (1, 2)
 
 ENTRY = "entry"
 RECORDINGS = "recordings"
@@ -23,6 +23,11 @@ PROVENANCE = "provenance"
 CONDITIONS = "conditions"
 INPUTS = "inputs"
 TIME = "time"
+
+BUDGET = ("name", "value", "unit", "u", "dof", "sensitivity")
+"""Fields of `Component`: each is an attribute `budget_FIELD` of a result, one value a line."""
+
+BUDGET_TEXTS = ("name", "unit")
 
 CHUNK = 8192
 """Most samples in a chunk of a signal: one second at 8 kHz."""

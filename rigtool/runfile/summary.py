@@ -6,7 +6,7 @@ import html
 from collections.abc import Iterable, Mapping
 from itertools import groupby
 
-from rigtool.quantity import Quantity, format_quantity
+from rigtool.quantity import Component, Quantity, format_quantity
 from rigtool.runfile.model import Table
 from rigtool.runfile.recording import Recording
 
@@ -21,6 +21,44 @@ def result_lines(results: Mapping[str, Quantity]) -> list[str]:
             line += f"  (no uncertainty: {quantity.reason})"
         lines.append(line)
     return lines
+
+
+def budget_lines(name: str, quantity: Quantity) -> list[str]:
+    """Return the uncertainty budget of a result as aligned lines, the largest share first."""
+    head = f"{name}  {format_quantity(quantity)}"
+    if quantity.u is None:
+        return [f"{head}  (no uncertainty: {quantity.reason})"]
+    if not quantity.budget:
+        return [head, "  the run states this uncertainty as a whole, without its components"]
+    rows = [("component", "value", "u", "sensitivity", "contribution", "dof", "share")]
+    for line, share in budget_shares(quantity):
+        unit = "" if line.unit == "1" else f" {line.unit}"
+        rows.append(
+            (
+                line.name,
+                f"{line.value:.5g}{unit}",
+                f"{line.u:.2g}{unit}",
+                f"{line.sensitivity:.3g}",
+                f"{line.contribution:.2g}",
+                "inf" if line.dof is None else f"{line.dof:.3g}",
+                f"{share:.1%}",
+            )
+        )
+    dof = "inf" if quantity.dof is None else f"{quantity.dof:.3g}"
+    rows.append(("together", f"{quantity.value:.5g}", "", "", f"{quantity.u:.2g}", dof, ""))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    aligned = [
+        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip()
+        for row in rows
+    ]
+    return [f"{head}; contributions in {quantity.unit}", *(f"  {line}" for line in aligned)]
+
+
+def budget_shares(quantity: Quantity) -> list[tuple[Component, float]]:
+    """Return the lines of a budget with their shares of the variance, the largest first."""
+    total = sum(line.contribution**2 for line in quantity.budget)
+    shares = [(line, line.contribution**2 / total) for line in quantity.budget]
+    return sorted(shares, key=lambda item: -item[1])
 
 
 def recording_lines(recordings: Iterable[Recording]) -> list[str]:

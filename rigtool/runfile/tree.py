@@ -85,6 +85,14 @@ def number_of(attributes: Mapping[str, Any], name: str) -> float | None:
     return found
 
 
+def list_of(attributes: Mapping[str, Any], name: str, kind: type) -> list[Any]:
+    """Return an attribute that is a list of one kind; raises ValueError where it is none."""
+    found = attributes.get(name)
+    if not isinstance(found, list) or not all(isinstance(item, kind) for item in found):
+        raise ValueError(f"the attribute {name!r} must be a list of {kind.__name__}")
+    return found
+
+
 def load(file: h5py.File, path: str = "/") -> Group:
     """Read a group of a file and all below; `RunFileError` for anything that no run file holds."""
     return _Loader(file).group(file[path].id, path, 0)

@@ -117,3 +117,11 @@ def test_info_prints_the_document_of_the_command_that_wrote_the_run(tmp_path, ca
     written = json.loads(out)
     shown = json.loads(called(capsys, "info", output, "--json")[1])
     assert shown == {**written, "output": None}
+
+
+def test_options_stand_under_headings(capsys):
+    out = called(capsys, "stribeck", "--help")[1]
+    parts = ["Options:", "--kt", "How it measures and analyses:", "--seed"]
+    parts += ["Rigs on a serial line only:", "--yes", "Output:", "--overwrite"]
+    assert parts == sorted(parts, key=out.index)
+    assert "--overwrite" not in called(capsys, "diff", "--help")[1]

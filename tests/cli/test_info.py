@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from rigtool.cli.info import command
-from rigtool.errors import UsageError
+from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import open_run
 from tests.runfile.whole_run import SIZE, write
 
@@ -47,6 +47,24 @@ def test_json(path):
         "unit": "N m/A",
         "u": 4e-5,
         "dof": 12.0,
+        "budget": [
+            {
+                "name": "arm length",
+                "value": 0.54,
+                "unit": "m",
+                "u": 0.2e-3,
+                "dof": None,
+                "sensitivity": 0.0848,
+            },
+            {
+                "name": "scatter",
+                "value": 0.0,
+                "unit": "N m/A",
+                "u": 3.6e-5,
+                "dof": 9.0,
+                "sensitivity": 1.0,
+            },
+        ],
     }
     assert data["results"]["not_found"]["value"] is None
     assert data["tables"]["breakaway"]["axes"] == ["position"]
@@ -58,6 +76,45 @@ def test_json(path):
     assert sweep["rate"] == pytest.approx(1000, rel=1e-9)
     assert sweep["conditions"]["speed"] == {"value": 3.0, "unit": "rad/s"}
     assert sweep["channels"]["encoder"] == "count"
+
+
+def test_budget(path):
+    def shown(*options):
+        arguments = [str(path), "--budget", *options]
+        return CliRunner().invoke(command, arguments, catch_exceptions=False).output
+
+    head, titles, *lines = shown("torque_constant").splitlines()
+    assert head == "torque_constant  45.800(40) mN m/A; contributions in N m/A"
+    assert titles.split() == [
+        "component",
+        "value",
+        "u",
+        "sensitivity",
+        "contribution",
+        "dof",
+        "share",
+    ]
+    # the largest share first: 3.6e-5 against 0.0848 N/A times 0.2 mm
+    assert lines[0].split() == [
+        "scatter",
+        "0",
+        "N",
+        "m/A",
+        "3.6e-05",
+        "N",
+        "m/A",
+        "1",
+        "3.6e-05",
+        "9",
+        "81.8%",
+    ]
+    assert lines[1].split()[-4:] == ["0.0848", "1.7e-05", "inf", "18.2%"]
+    assert lines[2].split() == ["together", "0.0458", "4e-05", "12"]
+    document = json.loads(shown("torque_constant", "--json"))
+    assert document["results"]["torque_constant"]["dof"] == 12.0
+    assert "no uncertainty: from the drawing" in shown("arm_length")
+    with pytest.raises(RunFileError, match="has no result 'mass', only torque_constant"):
+        shown("mass")
 
 
 def test_plot(path, tmp_path):

@@ -53,7 +53,7 @@ def test_it_measures_with_yes_and_tells_of_the_line(tmp_path, capsys):
     assert code == 0, err
     assert "rigtool target emulator, link version 1, 8000 Hz" in err
     assert "4 times CurrentSteps: 5.2 s, current up to 4 A" in err
-    line = json.loads(json.loads(out)["provenance"]["line"])
+    line = json.loads(out)["provenance"]["line"]
     assert line["driver"] == "target"
     assert line["port"] == server.port
     assert line["retries"] >= 1
@@ -214,7 +214,7 @@ def test_devices(tmp_path, capsys):
             capsys, "devices", "/dev/no-such", server.port, "--json", "--driver", "target"
         )
     assert (code, err) == (5, "Error: /dev/no-such: cannot be asked\n")
-    found = json.loads(out)
+    found = json.loads(out)["devices"]
     assert found[0]["problem"].startswith("cannot be opened: there is no such port")
     assert found[1]["driver"] == "target"
     assert call(capsys, "devices", "--driver", "toaster")[0] == 2

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from rigtool.quantity import Quantity
+from rigtool.quantity import Component, Quantity
 from rigtool.runfile import Channel, Column, RecordingSpec, RunWriter, Table, open_run
 from tests.runfile.whole_run import NOTES, RESULTS, SIZE, SPECS, TABLES, samples, write
 
@@ -123,7 +123,9 @@ def quantities(draw: st.DrawFn) -> Quantity:
     u = draw(st.none() | st.floats(0, 1e300))
     dof = draw(st.none() | st.floats(1, 1e6))
     reason = draw(texts) if u is None else draw(st.none() | texts)
-    return Quantity(draw(finite), draw(texts), u, dof, reason)
+    line = st.builds(Component, texts, finite, texts, finite, st.none() | st.floats(1, 1e6), finite)
+    budget = tuple(draw(st.lists(line, max_size=3)))
+    return Quantity(draw(finite), draw(texts), u, dof, reason, budget)
 
 
 @settings(deadline=None, max_examples=40)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rigtool.quantity import Quantity
+from rigtool.quantity import Component, Quantity
 from rigtool.recipe import load_recipe
 from rigtool.runfile import Channel, Column, RecordingSpec, RunWriter, Table, open_run
 from rigtool.runfile.provenance import Source
@@ -28,7 +28,16 @@ SPECS = (
     ),
 )
 RESULTS = {
-    "torque_constant": Quantity(0.0458, "N m/A", 4e-5, 12.0),
+    "torque_constant": Quantity(
+        0.0458,
+        "N m/A",
+        4e-5,
+        12.0,
+        budget=(
+            Component("arm length", 0.54, "m", 0.2e-3, None, 0.0848),
+            Component("scatter", 0.0, "N m/A", 3.6e-5, 9.0),
+        ),
+    ),
     "arm_length": Quantity(0.54, "m", reason="from the drawing"),
     "not_found": Quantity(float("nan"), "1", reason="the sweep was too short"),
 }

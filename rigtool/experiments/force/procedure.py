@@ -31,7 +31,7 @@ from rigtool.experiments.learning.stored_table import feedforward_from, require_
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import mean_constant_note, torque_per_ampere
-from rigtool.quantity import Quantity
+from rigtool.quantity import Component, Quantity, combined, inherited
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import Triangle
@@ -204,19 +204,12 @@ def _constant_at_one_angle(mean: Quantity, kt: Run) -> Quantity:
     The calibration states the mean over a turn; where torque is read the amplifier's ripple makes
     it differ by `torque_constant_ripple` (relative, one standard deviation).
     """
-    from GTC import dof, uncertainty, ureal
-
+    lines = inherited(mean, 1.0, "torque constant")
     ripple = kt.results.get("torque_constant_ripple")
-    constant = ureal(mean.value, mean.u or 0.0, mean.dof or math.inf)
     if ripple is not None:
-        constant = constant * ureal(1.0, ripple.value, ripple.dof or math.inf)
-    degrees = float(dof(constant))
-    return Quantity(
-        mean.value,
-        mean.unit,
-        float(uncertainty(constant)),
-        degrees if math.isfinite(degrees) else None,
-    )
+        name = "torque constant at one rotor angle"
+        lines.append(Component(name, 1.0, "1", ripple.value, ripple.dof, mean.value))
+    return combined(mean.value, mean.unit, lines)
 
 
 def _input_notes(kt: Run, tables: Run) -> tuple[str, ...]:

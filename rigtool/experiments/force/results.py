@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,7 +19,14 @@ from rigtool.experiments.force.cycles import (
 from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import (
+    Component,
+    Quantity,
+    combined,
+    difference,
+    error_line,
+    inherited,
+)
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
 
@@ -64,26 +71,40 @@ class LoadRow:
     """One load of Table 8 or 9, as `COLUMNS` describes its numbers; NaN where there is no value."""
 
     applied_force: float
-    applied_torque: float
-    mean_torque: float
-    mean_torque_u: float
-    mean_torque_dof: float
+    applied: Quantity
+    mean: Quantity
     std_torque: float
     std_torque_u: float
-    error_torque: float
-    error_percent: float
     cycles: float
     effective_cycles: float
 
     def blank(self) -> LoadRow:
         """Return the row without what was measured."""
-        measured = (f.name for f in fields(self) if not f.name.startswith("applied_"))
-        return replace(self, **dict.fromkeys(measured, math.nan))
+        none = Quantity(math.nan, "N m", reason="outside what was learned")
+        return LoadRow(self.applied_force, self.applied, none, *[math.nan] * 4)
+
+    @property
+    def error(self) -> Quantity:
+        """Mean less applied torque; where both rest on the same length, it cancels."""
+        return difference(self.mean, self.applied)
+
+    def column(self, name: str) -> float:
+        """Return a number of the row by the name of its column."""
+        if hasattr(self, name):
+            return float(getattr(self, name))
+        if name == "error_percent":
+            applied = self.applied.value
+            return 100 * self.error.value / applied if applied else math.nan
+        quantity, _, what = name.partition("_torque")
+        found: Quantity = getattr(self, quantity)
+        number = getattr(found, what.removeprefix("_") or "value")
+        return math.nan if number is None else float(number)
 
 
 COLUMNS = {
     "applied_force": ("N", ""),
     "applied_torque": ("N m", "at the angle of the reading"),
+    "applied_torque_u": ("N m", "standard uncertainty: weights, length, angle ratio"),
     "mean_torque": ("N m", "at the output"),
     "mean_torque_u": (
         "N m",
@@ -93,6 +114,7 @@ COLUMNS = {
     "std_torque": ("N m", "S of single readings"),
     "std_torque_u": ("N m", ""),
     "error_torque": ("N m", "mean - applied"),
+    "error_torque_u": ("N m", "standard uncertainty of both; what they share cancels"),
     "error_percent": ("%", "of the applied torque"),
     "cycles": ("1", "readings"),
     "effective_cycles": ("1", "independent readings among them"),
@@ -136,21 +158,15 @@ def load_rows(
         if load is loads[0]:
             found, own_u = unloaded, table_u
         else:
-            applied = float(applied_torque(recipe, load.force, angle))
-            found, own_u = statistics(load.values - zero, applied), offset_u
-        mean = _mean_quantity(found, recipe, constant, own_u, load.method_u)
+            found, own_u = statistics(load.values - zero, 0.0), offset_u
         rows.append(
             LoadRow(
                 applied_force=load.force,
-                applied_torque=found.mean - found.error,
-                mean_torque=mean.value,
-                mean_torque_u=mean.u or 0.0,
-                mean_torque_dof=math.nan if mean.dof is None else mean.dof,
+                applied=_applied_quantity(recipe, load.force, angle),
+                mean=_mean_quantity(found, recipe, constant, own_u, load.method_u),
                 std_torque=found.std,
                 # S / sqrt(2 (n - 1)) for normal readings (GUM E.4.3)
                 std_torque_u=found.std / math.sqrt(2 * (found.count - 1)),
-                error_torque=found.error,
-                error_percent=found.error_percent,
                 cycles=found.count,
                 effective_cycles=found.effective_count,
             )
@@ -158,17 +174,20 @@ def load_rows(
     return rows
 
 
+def mean_results(rows: Sequence[LoadRow]) -> dict[str, Quantity]:
+    """Return the mean torque of each load as a result, with its budget."""
+    loads = {f"mean_torque_load_{number:03d}": row.mean for number, row in enumerate(rows)}
+    return {"mean_torque_no_load": loads.pop("mean_torque_load_000"), **loads}
+
+
 def loads_outcome(loads: Sequence[Reading], rows: Sequence[LoadRow], recipe: Recipe) -> Outcome:
     """Return Table 8 or 9 and the figures of the unloaded cycles, from readings and their rows."""
     unloaded, judged = rows[0], normality(loads[0].values)
-    mean_dof = None if math.isnan(unloaded.mean_torque_dof) else unloaded.mean_torque_dof
     results = {
         "std_torque_no_load": Quantity(
             unloaded.std_torque, "N m", unloaded.std_torque_u, float(unloaded.cycles - 1)
         ),
-        "mean_torque_no_load": Quantity(
-            unloaded.mean_torque, "N m", unloaded.mean_torque_u, mean_dof
-        ),
+        **mean_results(rows),
         "normality_p": Quantity(judged.p, "1", reason="a probability is not measured"),
     }
     probability = Table(
@@ -201,7 +220,7 @@ def loads_table(
         columns={
             "load": Column(np.arange(len(rows)), "1", "in the order of measurement"),
             **{
-                name: Column(np.array([getattr(row, name) for row in rows]), unit, about)
+                name: Column(np.array([row.column(name) for row in rows]), unit, about)
                 for name, (unit, about) in columns.items()
             },
         },
@@ -210,26 +229,58 @@ def loads_table(
     )
 
 
+ANGLE_RATIO, WEIGHTS, LOAD_ARM = "angle ratio", "weights", "length to the load"
+"""Lines of budgets that a torque and its reference share."""
+
+
 def _mean_quantity(
     row: LoadStatistics, recipe: Recipe, constant: Quantity, offset_u: float, method_u: float
 ) -> Quantity:
     """Return the mean torque with its whole uncertainty; `constant` is that at one rotor angle.
 
-    torque = factor * (Kt * current + offset) + method (GUM 5.1.2, by GTC). The offset is zero;
+    torque = factor * (Kt * current + offset) + method (GUM 5.1.2). The offset is zero;
     `offset_u`, N m at the motor, is how well that is known: from the zero reading, or from the
     learned table. `method_u` is that of `Reading`.
     """
-    from GTC import dof, uncertainty, ureal
+    rig, mean = recipe.rig, row.mean
+    lines = [
+        error_line("scatter", row.u, "N m", row.dof),
+        *inherited(constant, mean / constant.value, "torque constant"),
+        Component("zero reading or learned table", 0.0, "N m", offset_u, None, rig.torque_factor),
+        error_line("method of the reading", method_u, "N m"),
+        _ratio_line(recipe, -mean),
+    ]
+    return combined(mean, "N m", lines)
 
-    factor = recipe.rig.torque_factor
-    scale = factor * constant.value
-    current = ureal(row.mean / scale, row.u / scale, row.dof)
-    kt = ureal(constant.value, constant.u or 0.0, constant.dof or math.inf)
-    torque = factor * (kt * current + ureal(0.0, offset_u)) + ureal(0.0, method_u)
-    degrees = float(dof(torque))
-    return Quantity(
-        row.mean, "N m", float(uncertainty(torque)), degrees if math.isfinite(degrees) else None
+
+def _applied_quantity(recipe: Recipe, force: float, angle: float) -> Quantity:
+    """Return the torque that a force takes at an output angle, rad, with its uncertainty.
+
+    The angle is that of the motor over the angle ratio.
+    """
+    value = float(applied_torque(recipe, force, angle))
+    if force == 0:
+        return Quantity(value, "N m", 0.0)
+    turned = force * recipe.rig.load_arm * math.cos(angle) * angle
+    return combined(
+        value, "N m", [*reference_lines(recipe, force, value), _ratio_line(recipe, -turned)]
     )
+
+
+def reference_lines(recipe: Recipe, force: float, torque: float) -> list[Component]:
+    """Return what makes a torque uncertain that is known by weights on a length."""
+    rig = recipe.rig
+    return [
+        Component(WEIGHTS, force, "N", force * rig.weights_relative_u, None, torque / force),
+        Component(LOAD_ARM, rig.load_arm, "m", rig.load_arm_u, None, torque / rig.load_arm),
+    ]
+
+
+def _ratio_line(recipe: Recipe, relative: float) -> Component:
+    """Return the line of the angle ratio, by which a torque changes by `relative` N m."""
+    rig = recipe.rig
+    u = rig.angle_ratio * rig.angle_ratio_relative_u
+    return Component(ANGLE_RATIO, rig.angle_ratio, "1", u, None, relative / rig.angle_ratio)
 
 
 def _values_table(loads: Sequence[Reading]) -> Table:

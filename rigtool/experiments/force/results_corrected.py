@@ -17,7 +17,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force.results import COLUMNS, LoadRow, Reading, loads_table
+from rigtool.experiments.force.results import (
+    COLUMNS,
+    LoadRow,
+    Reading,
+    loads_table,
+    mean_results,
+    reference_lines,
+)
 from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.load_disturbance.reading import (
     LoadedPair,
@@ -28,13 +35,14 @@ from rigtool.experiments.load_disturbance.reading import (
 from rigtool.experiments.load_disturbance.stored import Disturbance, disturbance_from, rising_load
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import Component, Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
 BEYOND = 1.05
 """Loads up to this many times the largest learned one are still read."""
 
+LOAD_FRICTION = "friction that grows with load"
 SPEED_SLACK = 1.01
 ITERATIONS = 50
 
@@ -84,7 +92,9 @@ def load_outcome(
     rows = [
         row.blank()
         if math.isnan(u)
-        else replace(row, mean_torque_u=math.hypot(row.mean_torque_u, u))
+        else replace(
+            row, mean=_also(row.mean, error_line("friction that grows with load", u, "N m"))
+        )
         for row, u in zip(found, added_u.tolist(), strict=True)
     ]
     described = {
@@ -101,6 +111,10 @@ def load_outcome(
     )
 
 
+def _also(quantity: Quantity, *lines: Component) -> Quantity:
+    return combined(quantity.value, quantity.unit, [*quantity.budget, *lines])
+
+
 def _with_rows(
     base: Outcome,
     rows: Sequence[LoadRow],
@@ -112,9 +126,10 @@ def _with_rows(
     """Return an outcome with corrected rows, and those of the thesis under a name of their own."""
     units = COLUMNS | (WHOLE_COLUMNS if isinstance(rows[-1], WholeRow) else {})
     columns = {name: (unit, described.get(name, text)) for name, (unit, text) in units.items()}
-    outside = sum(math.isnan(row.mean_torque) for row in rows)
+    outside = sum(math.isnan(row.mean.value) for row in rows)
+    count = Quantity(float(outside), "1", reason="a count")
     return Outcome(
-        {**base.results, "loads_outside": Quantity(float(outside), "1", reason="a count")},
+        {**base.results, **mean_results(rows), "loads_outside": count},
         {
             **base.tables,
             "loads": loads_table(rows, columns, about),
@@ -149,7 +164,7 @@ WHOLE_COLUMNS = {
 WHOLE_TEXTS = {
     "mean_torque": "load at the angle of the reading, from whole strokes up and down",
     "mean_torque_u": "standard uncertainty: scatter, zero, disturbance, misfit, temperature, "
-    "samples of current",
+    "samples of current, weights and length of the learned loads",
     "std_torque": "S of single cycles",
     "cycles": "cycles read",
 }
@@ -195,7 +210,10 @@ def full_outcome(
             rows.append(blank)
             reasons.append(reason if slow else f"{load.name}: {reason}")
             continue
-        rows.append(_row(blank, reading, math.sin(angle), drift.u, sampled_u))
+        sine = math.sin(angle)
+        mean = _whole_quantity(reading, sine, drift.u, sampled_u)
+        known = reference_lines(recipe, load.force, mean.value)
+        rows.append(_row(blank, reading, sine, _also(mean, *known)))
     if len(reasons) == len(pairs) and not slow:
         raise InsufficientDataError(f"no load can be read: {reasons[0]}")
     notes = (
@@ -229,23 +247,30 @@ def _outside(disturbance: Disturbance, reading: LoadReading | InsufficientDataEr
     )
 
 
-def _row(
-    blank: WholeRow, reading: LoadReading, sine: float, drift_u: float, sampled_u: float
-) -> WholeRow:
+def _whole_quantity(
+    reading: LoadReading, sine: float, drift_u: float, sampled_u: float
+) -> Quantity:
+    """Return the torque of a load read from whole strokes, at an angle of this sine."""
+    mean = sine * reading.moment
+    lines = [
+        *inherited(reading.quantity, sine, ""),
+        error_line("temperature since learning", abs(drift_u * mean), "N m"),
+        error_line("samples of current", sampled_u, "N m"),
+    ]
+    return combined(mean, "N m", lines)
+
+
+def _row(blank: WholeRow, reading: LoadReading, sine: float, mean: Quantity) -> WholeRow:
     """Return the row of a load that was read, at an angle of this sine."""
-    mean, applied, count = sine * reading.moment, blank.applied_torque, len(reading.cycles)
+    applied, count = blank.applied.value, len(reading.cycles)
     scatter = sine * float(reading.cycles.std(ddof=1))
     at_angle = sine * reading.at_angle
-    own = sine * reading.components["scatter"]
+    own = sine * reading.scatter_u
     return replace(
         blank,
-        mean_torque=mean,
-        mean_torque_u=math.hypot(sine * reading.u, drift_u * mean, sampled_u),
-        mean_torque_dof=reading.dof,
+        mean=mean,
         std_torque=scatter,
         std_torque_u=scatter / math.sqrt(2 * (count - 1)),
-        error_torque=mean - applied,
-        error_percent=100 * (mean / applied - 1),
         cycles=float(count),
         effective_cycles=(scatter / own) ** 2 if own else math.nan,
         angle_mean_torque=float(at_angle.mean()),

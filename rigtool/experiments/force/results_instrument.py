@@ -12,7 +12,7 @@ from rigtool.experiments.force.cycles import Peaks, peaks
 from rigtool.experiments.force.results import Reading, applied_torque, stroke_grid
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, combined, error_line, inherited, scaled
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
 
@@ -98,7 +98,7 @@ def _stiffness_results(found: Peaks, force: float, recipe: Recipe) -> dict[str, 
     counts = rig.angle_ratio * rig.encoder_counts / (2 * math.pi)
     results = {
         "peak_angle_shift": lifting,
-        "peak_shift_counts": _scaled(lifting, counts, "count"),
+        "peak_shift_counts": scaled(lifting, counts, "count"),
         "peak_angle_shift_mean": mean,
     }
     if mean.value > 0:
@@ -111,21 +111,11 @@ def _of_cycles(
     values: Array, unit: str, constant: Quantity | None = None, torque: float = 0.0
 ) -> Quantity:
     """Return the mean over cycles; the relative uncertainty of `constant` acts on `torque`."""
-    from GTC import dof, uncertainty, ureal
-
     mean = float(values.mean())
     if values.size < 2:
         return Quantity(mean, unit, reason="one cycle shows no scatter")
-    found = ureal(mean, float(values.std(ddof=1)) / math.sqrt(values.size), values.size - 1)
+    scatter = float(values.std(ddof=1)) / math.sqrt(values.size)
+    lines = [error_line("scatter", scatter, unit, values.size - 1)]
     if constant is not None:
-        common = abs(torque / constant.value) * (constant.u or 0.0)
-        found = found + ureal(0.0, common, constant.dof or math.inf)
-    degrees = float(dof(found))
-    return Quantity(
-        mean, unit, float(uncertainty(found)), degrees if math.isfinite(degrees) else None
-    )
-
-
-def _scaled(quantity: Quantity, factor: float, unit: str) -> Quantity:
-    u = None if quantity.u is None else quantity.u * factor
-    return Quantity(quantity.value * factor, unit, u, quantity.dof, quantity.reason)
+        lines += inherited(constant, torque / constant.value, "torque constant")
+    return combined(mean, unit, lines)

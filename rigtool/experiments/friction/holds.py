@@ -1,13 +1,16 @@
 """Mean torque at constant speeds (holds) over whole revolutions, and its uncertainty.
 
 Cogging and the amplifier's ripple repeat with the rotor's angle: over whole revolutions they
-average out [7.1.3]. Noise that varies more slowly than the samples makes the mean of n samples
-uncertain by
+average out [7.1.3]. Noise that varies more slowly than the samples makes the mean of n samples over
+the time T uncertain by
 
-    u2 = S(0) / n,   S(0) = mean of |X_k|2 / n over the lowest k
+    u2 = S0/n (1 - (1 - exp(-2 pi K))/(2 pi K)),   S(k) = S0/(1 + (k/K)^2)
 
-with X the discrete Fourier transform of the torque (Heidelberger and Welch, Communications of the
-ACM 24(4) 233-245, 1981); of N revolutions the k that are multiples of N are ripple and left out.
+with S the power |X_k|2/n of the torque's discrete Fourier transform at k/T, taken as that of noise
+with one corner, K/T (S0/n where K is large): a corner near 1/T is no flat spectrum. S0 for each K
+by Whittle's likelihood of the lowest k (Arkiv for Matematik 2, 423, 1953); the logarithm of u2 is
+averaged over K by likelihood. Of N revolutions the k that are multiples of N are ripple and left
+out.
 """
 
 from __future__ import annotations
@@ -26,8 +29,11 @@ from rigtool.numerics.settling import settled_from
 STEADY_ACCELERATION = 1e-3
 """Acceleration in a hold, relative to the highest speed, stays below this, 1/s."""
 
-ORDINATES = 6
-"""Lowest Fourier components from which the noise at zero frequency is taken."""
+ORDINATES = 24
+"""Lowest Fourier components from which noise is taken."""
+
+CORNERS = np.append(np.geomspace(0.5, 200.0, 24), 1e9)
+"""Corners of the noise, K in cycles a hold; the last one is that of white noise."""
 
 SHAKING_TIME = 0.05
 """Torque that varies faster than this, s, comes from the speed loop, not from friction."""
@@ -172,12 +178,23 @@ def _warm_up(values: Array) -> int:
 def _uncertainty(torque: Array, revolutions: int) -> tuple[float, float]:
     """Return the standard uncertainty of the mean of correlated samples, and its dof."""
     n = len(torque)
-    power = np.abs(np.fft.rfft(torque - np.mean(torque))) ** 2
+    power = np.abs(np.fft.rfft(torque - np.mean(torque))) ** 2 / n
     k = np.arange(1, len(power))
     if revolutions >= 2:
         k = k[k % revolutions != 0]
-    lowest = power[k[:ORDINATES]]
-    return math.sqrt(float(np.mean(lowest))) / n, 2.0 * len(lowest)
+    k = k[:ORDINATES]
+    if not power[k].any():
+        return 0.0, 2.0 * len(k)
+    shape = 1 + (k / CORNERS[:, None]) ** 2
+    level = (power[k] * shape).mean(axis=1)
+    log_likelihood = np.log(shape).sum(axis=1) - len(k) * np.log(level)
+    likelihood = np.exp(log_likelihood - log_likelihood.max())
+    likelihood /= likelihood.sum()
+    cycles = 2 * np.pi * CORNERS
+    log_u2 = np.log(level * (1 + np.expm1(-cycles) / cycles) / n)
+    mean = float(likelihood @ log_u2)
+    spread = float(likelihood @ (log_u2 - mean) ** 2) + 1 / len(k)
+    return math.exp(mean / 2), 2 / spread
 
 
 def _shaking(torque: Array, sample: float, inertia: float) -> float:

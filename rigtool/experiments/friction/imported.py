@@ -22,10 +22,11 @@ from rigtool.experiments.friction.results import (
 )
 from rigtool.experiments.friction.stribeck_fit import fit_directions
 from rigtool.experiments.imported import is_linear, known, position_of, require_one_rig, signals_of
-from rigtool.experiments.imported_effort import Effort, effort_of
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.plateaus import find_plateaus
+from rigtool.quantity import Quantity
 from rigtool.runfile import Recording, Run
 
 SPEED_PARTS = 10
@@ -75,7 +76,7 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
             "the two kinds one after the other"
         )
     first = efforts[0]
-    found = Findings(Scale(1.0, first.relative_u or 0.0))
+    found = Findings(Scale(Quantity(1.0, "1", first.relative_u or 0.0)))
     found.notes.append(f"torque is {first.origin}")
     if first.relative_u is None:
         found.notes.append(

@@ -110,7 +110,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         add_breakaway(unloaded, found)
     if unloaded is not None and loaded is not None:
         force = recordings[BREAKAWAY_LOADED][0].condition("radial_force")
-        add_radial_load(unloaded, loaded, force, found)
+        add_radial_load(unloaded, loaded, force, found, recipe.rig.weights_relative_u)
     if "sweep_viscous" in curves:
         add_flatness(curves["sweep_viscous"], found)
     return Outcome(found.results, found.tables, tuple(found.notes))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,11 +14,21 @@ from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, DirectionFit, 
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Recording, Run, Table
+from rigtool.quantity import (
+    Component,
+    Quantity,
+    combined,
+    error_line,
+    inherited,
+    scaled,
+)
+from rigtool.runfile import Column, Recording, Run, Table, dof_column
 
 Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""
+
+SCATTER = "scatter"
+"""Line of a budget: what the data themselves scatter, or a fit to them."""
 
 MODEL_POINTS = 120
 """Points of the curve of the friction model in each direction."""
@@ -38,24 +48,24 @@ NOT_SEPARATED = (
 
 @dataclass(frozen=True)
 class Scale:
-    """Torque for each ampere of set point: `value` in N m/A, `relative_u` its uncertainty."""
+    """Torque for each ampere of set point, with the uncertainty that all torques share."""
 
-    value: float
-    relative_u: float
+    constant: Quantity
 
     @classmethod
     def of(cls, kt: Run, recordings: Sequence[Recording]) -> Scale:
         """Take the mean torque constant of a calibration [7.1.1], for recordings to be read."""
-        mean = torque_per_ampere(kt, recordings)
-        return cls(mean.value, (mean.u or 0.0) / mean.value)
+        return cls(torque_per_ampere(kt, recordings))
 
-    def quantity(self, estimate: Uncertain, unit: str, dof: float | None) -> Quantity:
-        """Return a quantity from its scatter and the uncertainty common to all torques."""
-        value, u = estimate
-        total = math.hypot(u, value * self.relative_u)
-        # Welch-Satterthwaite (GUM G.4.1), the scale having infinite degrees of freedom
-        effective = None if dof is None or u == 0 else dof * (total / u) ** 4
-        return Quantity(value, unit, total, effective)
+    @property
+    def value(self) -> float:
+        """In N m/A."""
+        return self.constant.value
+
+    def quantity(self, value: float, unit: str, lines: Iterable[Component]) -> Quantity:
+        """Return a quantity that scales with the constant, with further lines of its budget."""
+        scale = inherited(self.constant, value / self.constant.value, "torque constant")
+        return combined(value, unit, [*lines, *scale])
 
 
 @dataclass
@@ -74,7 +84,8 @@ class Findings:
 
     def add(self, name: str, estimate: Uncertain, unit: str, dof: float | None = None) -> None:
         """Add a result that scales with the torque constant."""
-        self.results[name] = self.scale.quantity(estimate, unit, dof)
+        value, u = estimate
+        self.results[name] = self.scale.quantity(value, unit, [error_line(SCATTER, u, unit, dof)])
 
 
 def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Findings) -> None:
@@ -105,7 +116,7 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fi
             f"the data do not resolve a Stribeck effect in {without} direction: Coulomb and "
             f"viscous friction are a line above {lowest:.3g} rad/s"
         )
-    _add_directions(found, "stribeck_velocity", velocity, "rad/s", dof, scaled=False)
+    _add_directions(found, "stribeck_velocity", velocity, "rad/s", dof, by_constant=False)
     _add_directions(found, "stribeck_static_friction", static, "N m", dof, offset)
     found.tables["friction_model"] = model_table(fits)
 
@@ -117,7 +128,7 @@ def _add_directions(
     unit: str,
     dof: float | None,
     offset: Offset | None = None,
-    scaled: bool = True,
+    by_constant: bool = True,
     common_u: float = 0.0,
 ) -> None:
     """Add the mean over directions, and each direction without the offset.
@@ -126,19 +137,23 @@ def _add_directions(
     """
     if not values:
         return
-    scale = found.scale if scaled else Scale(1.0, 0.0)
+
+    def state(name: str, value: float, u: float, sign: int | None) -> None:
+        lines = [
+            error_line(SCATTER, u, unit, dof),
+            error_line("current between set points", common_u, unit),
+        ]
+        if offset is not None and sign is not None:
+            value -= sign * offset.offset[0]
+            lines.append(error_line("constant torque", offset.offset[1], unit))
+        quantity = found.scale.quantity if by_constant else combined
+        found.results[name] = quantity(value, unit, lines)
+
     mean = float(np.mean([value for value, _ in values.values()]))
-    u = math.hypot(math.hypot(*(u for _, u in values.values())) / len(values), common_u)
-    if offset is not None and len(values) == 1:
-        sign = next(iter(values))
-        mean -= sign * offset.offset[0]
-        u = math.hypot(u, offset.offset[1])
-    found.results[name] = scale.quantity((mean, u), unit, dof)
+    u = math.hypot(*(u for _, u in values.values())) / len(values)
+    state(name, mean, u, next(iter(values)) if len(values) == 1 else None)
     for sign, (value, own) in values.items():
-        here = (value, math.hypot(own, common_u))
-        if offset is not None:
-            here = (value - sign * offset.offset[0], math.hypot(here[1], offset.offset[1]))
-        found.results[f"{name}_{DIRECTIONS[sign]}"] = scale.quantity(here, unit, dof)
+        state(f"{name}_{DIRECTIONS[sign]}", value, own, sign)
 
 
 def add_breakaway(unloaded: Breakaway, found: Findings) -> None:
@@ -160,8 +175,13 @@ def add_flatness(curve: TorqueSpeed, found: Findings) -> None:
         )
 
 
-def add_radial_load(unloaded: Breakaway, loaded: Breakaway, force: float, found: Findings) -> None:
-    """Add the increase of breakaway torque by a radial force, paired by position [7.1.2.2]."""
+def add_radial_load(
+    unloaded: Breakaway, loaded: Breakaway, force: float, found: Findings, weights_u: float = 0.0
+) -> None:
+    """Add the increase of breakaway torque by a radial force, paired by position [7.1.2.2].
+
+    `weights_u` is the relative standard uncertainty of the force.
+    """
     added = np.concatenate(
         [loaded.positive - unloaded.positive, loaded.negative - unloaded.negative]
     )
@@ -175,8 +195,10 @@ def add_radial_load(unloaded: Breakaway, loaded: Breakaway, force: float, found:
     dof = float(len(added) - 1)
     found.add("radial_load_friction", estimate, "N m", dof)
     if force > 0:
-        per_force = (estimate[0] / force, estimate[1] / force)
-        found.add("radial_friction_coefficient", per_force, "N m/N", dof)
+        added_torque = found.results["radial_load_friction"]
+        weights = error_line("hung weights", estimate[0] * weights_u, "N m")
+        both = combined(estimate[0], "N m", [*added_torque.budget, weights])
+        found.results["radial_friction_coefficient"] = scaled(both, 1 / force, "N m/N")
 
 
 def add_static_friction(
@@ -230,6 +252,7 @@ def holds_table(holds: Holds, *, settled: bool = False) -> Table:
         "speed": Column(holds.speed[order], "rad/s"),
         "torque": Column(holds.torque[order], "N m", "mean over whole turns"),
         "u": Column(holds.u[order], "N m", "standard uncertainty from scatter"),
+        "dof": dof_column(holds.dof[order]),
         "revolutions": Column(holds.revolutions[order], "1", "whole turns averaged"),
     }
     if settled:

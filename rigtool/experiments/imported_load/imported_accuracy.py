@@ -11,10 +11,10 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.imported import position_of
-from rigtool.experiments.imported_effort import effort_of
 from rigtool.experiments.imported_load.basis import ShaftPath, follow
 from rigtool.experiments.imported_load.learning import Observation, level_numbers
 from rigtool.experiments.imported_load.model import NORMAL_95, TorqueEstimate
+from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.runfile import Column, Recording, Run
 

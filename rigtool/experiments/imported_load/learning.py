@@ -94,7 +94,7 @@ class Validation:
 
 @dataclass(frozen=True, eq=False)
 class LoadFriction:
-    """Part mu (n,) of the load that friction takes, with u, along the position (n,).
+    """Part mu (n,) of the load that friction takes, with u and its dof, along the position (n,).
 
     Effort goes as torque * (1 + mu) while the load resists the motion and torque * (1 - mu) while
     it drives it; beyond 1 the load alone would not move the drive backwards.
@@ -103,6 +103,7 @@ class LoadFriction:
     position: Array
     mu: Array
     u: Array
+    dof: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,7 +370,7 @@ def _friction(moving: _Moving, slope: Array, each: Sequence[Array], direction: i
     scales, place = moving.scales, (np.arange(CELLS) + 0.5) / CELLS
     known = np.isfinite(mu + u)
     position = scales.low + place * (scales.high - scales.low)
-    return LoadFriction(position[known], mu[known], u[known])
+    return LoadFriction(position[known], mu[known], u[known], len(each) - 1)
 
 
 def _paces(observations: Sequence[Observation]) -> list[int]:

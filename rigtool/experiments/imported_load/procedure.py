@@ -43,7 +43,7 @@ from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.recipe.commands import MeasureForce
-from rigtool.runfile import Column, Run, Table
+from rigtool.runfile import Column, Run, Table, dof_column
 
 
 def analyse_imported(
@@ -185,6 +185,7 @@ def _friction_table(learned: Learned) -> Table:
             "position": Column(friction.position, "rad", "of the motor"),
             "mu": Column(friction.mu, "1", "effort = ratio*torque*(1 + mu) against the load"),
             "u": Column(friction.u, "1", "standard uncertainty, from leaving out levels"),
+            "dof": dof_column(np.full(friction.u.size, friction.dof)),
         },
         "mu",
         "friction that grows with load, as part of it",

@@ -15,7 +15,6 @@ import numpy as np
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import is_linear, require_one_rig, signals_of
-from rigtool.experiments.imported_effort import Effort, effort_of
 from rigtool.experiments.learning.stored_table import period_results
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import (
@@ -26,9 +25,10 @@ from rigtool.experiments.ripple.imported import (
 )
 from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, turn_spectrum
 from rigtool.experiments.ripple.orders import CLEAR, coefficients
+from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Run, Table
+from rigtool.runfile import Column, Run, Table, dof_column
 
 ENTRIES = 2000
 """Positions of a learned map: twenty to a cycle of the highest order."""
@@ -128,6 +128,12 @@ class _Row:
         return math.hypot(self.mean_u, float(np.linalg.norm(self.floor)) / math.sqrt(2))
 
     @property
+    def u_dof(self) -> float:
+        """Degrees of freedom of `u`, by Welch and Satterthwaite (GUM G.4.1)."""
+        orders = float(np.sum(self.floor**4)) / 4 / self.dof
+        return self.u**4 / (self.mean_u**4 / (self.dof / 2) + orders)
+
+    @property
     def ripple(self) -> tuple[float, float]:
         """Rms of the orders and its standard uncertainty."""
         rms = float(np.linalg.norm(self.amplitude)) / math.sqrt(2)
@@ -197,6 +203,7 @@ def _tables(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[st
             "position": Column(table.position, "rad", "of the rotor, as measured"),
             effort.name: Column(table.torque, effort.unit, "that was learned, mean included"),
             "u": Column(u, effort.unit, "standard uncertainty: scatter of the turns"),
+            "dof": dof_column([row.u_dof for row in rows]),
         },
         effort.name,
         "repeatable part, by speed and position; bilinear between entries, periodic",
@@ -207,6 +214,7 @@ def _tables(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[st
             "low_speed": Column(table.low_speed, "rad/s", "of the rotor, either direction"),
             "amplitude": Column(table.amplitude, "1", "factor on the lowest speed's row"),
             "u": Column(np.zeros(2), "1", "both are by definition"),
+            "dof": dof_column([math.inf, math.inf]),
         },
         "amplitude",
         "by definition zero at rest: no lower speed was recorded",

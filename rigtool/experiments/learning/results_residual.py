@@ -11,7 +11,7 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.learning.rows import Row, residual
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Table
+from rigtool.runfile import Column, Table, dof_column
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,11 @@ class Remaining:
         return {
             "residual_by_speed": Table(
                 ("speed",),
-                {"speed": speed, **self._numbers()},
+                {
+                    "speed": speed,
+                    **self._numbers(),
+                    "dof": dof_column([row.dof for row in self.after]),
+                },
                 "residual_peak",
                 "controller torque before and after learning, mean of the moves, within the band "
                 "of Q, ends of the angle left out",

@@ -50,6 +50,11 @@ class Row:
         return u
 
     @property
+    def dof(self) -> int:
+        """Degrees of freedom of `u`: the moves but one."""
+        return len(self.moves) - 1
+
+    @property
     def non_repeatable_rms(self) -> float:
         """Rms scatter of a single move around the mean, N m."""
         return float(np.sqrt(self.moves.var(axis=0, ddof=1).mean()))
@@ -87,16 +92,19 @@ class Amplitudes:
     """Amplitude table: factor on the lowest learned speed's row, by speed, rad/s (k,).
 
     Zero at rest and one at the lowest learned speed by definition, with uncertainty zero there.
+    `dof` (k,) are those of `u`.
     """
 
     speed: Array
     amplitude: Array
     u: Array
+    dof: Array
 
     @staticmethod
     def fading(lowest: float) -> Amplitudes:
         """Return the table that fades to zero in proportion to speed, from the lowest speed."""
-        return Amplitudes(np.array([0.0, lowest]), np.array([0.0, 1.0]), np.zeros(2))
+        ends, exact = np.array([0.0, 1.0]), np.zeros(2)
+        return Amplitudes(lowest * ends, ends, exact, np.full(2, math.inf))
 
 
 def fit_amplitudes(low: Sequence[Row], learned: Sequence[Row]) -> Amplitudes:
@@ -109,7 +117,7 @@ def fit_amplitudes(low: Sequence[Row], learned: Sequence[Row]) -> Amplitudes:
     lowest = min(abs(row.speed) for row in learned)
     reference = {np.sign(row.speed): row.mean for row in learned if abs(row.speed) == lowest}
     speeds = sorted({abs(row.speed) for row in low})
-    factors, us = [], []
+    factors, us, dof = [], [], []
     for speed in speeds:
         each: list[float] = []
         for row in (row for row in low if abs(row.speed) == speed):
@@ -123,10 +131,12 @@ def fit_amplitudes(low: Sequence[Row], learned: Sequence[Row]) -> Amplitudes:
             each.extend(row.moves @ shape / energy)
         factors.append(float(np.mean(each)))
         us.append(float(np.std(each, ddof=1) / math.sqrt(len(each))))
+        dof.append(len(each) - 1.0)
     return Amplitudes(
         np.array([0.0, *speeds, lowest]),
         np.array([0.0, *factors, 1.0]),
         np.array([0.0, *us, 0.0]),
+        np.array([math.inf, *dof, math.inf]),
     )
 
 

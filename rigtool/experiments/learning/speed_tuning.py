@@ -41,7 +41,8 @@ NEWTON_STEPS = 5
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """Amplitude and shift by speed, rad/s (k,), rising; `u` where they are estimated, else zero.
+    """Amplitude and shift by speed, rad/s (k,), rising; `u` where they are estimated, else zero,
+    with `dof`.
 
     `correlation` is that of the shifted map with the repeatable part at the speed; 1 where the map
     was learned.
@@ -53,6 +54,7 @@ class Tuning:
     shift: Array
     shift_u: Array
     correlation: Array
+    dof: Array
 
     def at(self, speed: Array) -> tuple[Array, Array]:
         """Return amplitude and shift at other speeds (n,), linear in between, constant beyond."""
@@ -69,7 +71,7 @@ def tune(learned: Row, others: Sequence[Row]) -> Tuning:
     amplitude that is not above its uncertainty, or negative, is zero, with the shift before it.
     """
     wave = _orders(learned.mean)
-    found = {learned.speed: (1.0, 0.0, 0.0, 0.0, 1.0)}
+    found: dict[float, tuple[float, ...]] = {learned.speed: (1.0, 0.0, 0.0, 0.0, 1.0, math.inf)}
     for side in _outwards(learned.speed, others):
         near = 0.0
         for row in side:
@@ -97,11 +99,11 @@ def leading_order(wave: Orders) -> int:
     return int(np.argmax(np.abs(wave) * np.arange(1, wave.size + 1))) + 1
 
 
-def _fit(wave: Orders, row: Row, near: float) -> tuple[float, float, float, float, float]:
-    """Return amplitude, its u, shift, its u and correlation at the speed of a row."""
+def _fit(wave: Orders, row: Row, near: float) -> tuple[float, ...]:
+    """Return amplitude, its u, shift, its u, correlation and dof at the speed of a row."""
     power = float(np.sum(np.abs(wave) ** 2))
     if power == 0:
-        return 0.0, 0.0, near, 0.0, 0.0
+        return 0.0, 0.0, near, 0.0, 0.0, row.dof
     reach = math.pi / leading_order(wave)
     measured = _orders(row.moves)
 
@@ -119,8 +121,8 @@ def _fit(wave: Orders, row: Row, near: float) -> tuple[float, float, float, floa
     norm = math.sqrt(power * float(np.sum(np.abs(mean) ** 2)))
     correlation = amplitude * power / norm if norm > 0 else 0.0
     if amplitude < SIGNIFICANT * amplitude_u or amplitude <= 0:
-        return 0.0, amplitude_u, near, shift_u, correlation
-    return amplitude, amplitude_u, shift, shift_u, correlation
+        return 0.0, amplitude_u, near, shift_u, correlation, row.dof
+    return amplitude, amplitude_u, shift, shift_u, correlation, row.dof
 
 
 def best_shift(wave: Orders, other: Orders, near: float, reach: float) -> float:

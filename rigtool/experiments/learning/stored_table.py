@@ -15,7 +15,7 @@ from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward
-from rigtool.runfile import Column, Run, Table
+from rigtool.runfile import Column, Run, Table, dof_column
 
 PERIOD = "lookup_period"
 LEARNING_CUTOFF = "learning_cutoff"
@@ -26,10 +26,10 @@ TRAJECTORY = "trajectory"
 """Table that a run has instead of a learned table, where it was learned by time."""
 
 
-def tables_of(table: LookupTable, u: Array, amplitudes: Amplitudes) -> dict[str, Table]:
+def tables_of(table: LookupTable, u: Array, amplitudes: Amplitudes, dof: Array) -> dict[str, Table]:
     """Return the tables `lookup` and `amplitude` of a learned table.
 
-    `u` is the standard uncertainty of its torque, of the same shape, N m.
+    `u` is the standard uncertainty of its torque, of the same shape, N m, with `dof` (speeds,).
     """
     lookup = Table(
         axes=("speed", "position"),
@@ -38,6 +38,7 @@ def tables_of(table: LookupTable, u: Array, amplitudes: Amplitudes) -> dict[str,
             "position": Column(table.position, "rad", "set point of the motor shaft"),
             "torque": Column(table.torque, "N m", "feed-forward torque that was learned"),
             "u": Column(u, "N m", "standard uncertainty: scatter of the moves/sqrt(moves)"),
+            "dof": dof_column(dof),
         },
         signal="torque",
         description="learned torque by speed and position, one entry a quad count; bilinear "
@@ -49,6 +50,7 @@ def tables_of(table: LookupTable, u: Array, amplitudes: Amplitudes) -> dict[str,
             "low_speed": Column(amplitudes.speed, "rad/s", "of the motor shaft, either direction"),
             "amplitude": Column(amplitudes.amplitude, "1", "factor on the lowest speed's row"),
             "u": Column(amplitudes.u, "1", "standard uncertainty; the ends are by definition"),
+            "dof": dof_column(amplitudes.dof),
         },
         signal="amplitude",
         description="scales the row of the lowest learned speed at speeds below it; linear between",

@@ -32,6 +32,7 @@ from rigtool.experiments.force_model.model import Prediction, State, functions
 from rigtool.experiments.force_model.records import Record, lowpassed_rows
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_mean, steady_us
+from rigtool.quantity import Quantity, combined, error_line
 
 STEP = 0.01
 """Change of the load for a derivative, relative, or as part of the largest learned load."""
@@ -58,18 +59,21 @@ class LoadedPair:
 class LoadReading:
     """A load, N m at 90 degrees, by whole strokes and at one angle.
 
-    `moment` and its standard uncertainty `u` with `dof`; `components` of u by source. `cycles` (m,)
-    are single readings of it, `at_angle` (m,) those at one angle of each rising stroke. `rms` N m,
-    at the motor, is what the model leaves.
+    `quantity` states it with its budget, of which `scatter_u` is a line. `cycles` (m,) are single
+    readings of it, `at_angle` (m,) those at one angle of each rising stroke. `rms` N m, at the
+    motor, is what the model leaves.
     """
 
-    moment: float
-    u: float
-    dof: float
-    components: dict[str, float]
+    quantity: Quantity
+    scatter_u: float
     cycles: Array
     at_angle: Array
     rms: float
+
+    @property
+    def moment(self) -> float:
+        """Value of the load, N m."""
+        return self.quantity.value
 
 
 @dataclass(frozen=True)
@@ -159,18 +163,14 @@ def _stated(found: _Found, us: Iterator[tuple[float, float]]) -> LoadReading:
     """Return a reading with its uncertainty; `us` yields those of cycles and zeros, and dof."""
     scatter_u, scatter_dof = next(us)
     zeros = [next(us) for _ in found.zeros]
-    zero_u = math.hypot(*(u for u, _ in zeros)) / len(zeros)
-    components = {
-        "scatter": scatter_u,
-        "zero": zero_u,
-        "disturbance": found.model_u,
-        "misfit": found.misfit_u,
-    }
-    u = math.hypot(*components.values())
-    spread = scatter_u**4 / scatter_dof
-    spread += sum((own / len(zeros)) ** 4 / dof for own, dof in zeros)
-    dof = u**4 / spread if spread else math.inf
-    return LoadReading(found.moment, u, dof, components, found.cycles, found.at_angle, found.rms)
+    lines = [
+        error_line("scatter", scatter_u, "N m", scatter_dof),
+        *(error_line("reading without load", u / len(zeros), "N m", dof) for u, dof in zeros),
+        error_line("disturbance as learned", found.model_u, "N m"),
+        error_line("what the disturbance leaves", found.misfit_u, "N m"),
+    ]
+    stated = combined(found.moment, "N m", lines)
+    return LoadReading(stated, scatter_u, found.cycles, found.at_angle, found.rms)
 
 
 def _zero(model: Learned, pair: LoadedPair) -> tuple[Array, Array]:

@@ -14,9 +14,9 @@ from rigtool.experiments.plant.fit import MIN_COHERENCE, PlantFit
 from rigtool.experiments.plant.frequency_response import FrequencyResponse
 from rigtool.experiments.plant.margins import Margins, margins
 from rigtool.numerics.arrays import Array, ComplexArray
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
-from rigtool.runfile import Column, Table
+from rigtool.runfile import Column, Table, dof_column
 
 RESPONSE = "rad/(N m)"
 TABLE_POINTS = 200
@@ -56,12 +56,25 @@ class IdentifiedPlant:
         if self.torque_constant is None:
             return Quantity(value, unit, reason=NOT_CALIBRATED)
         scatter = self.fit.uncertainty(statistic)
+        own = error_line("scatter between experiments", scatter, unit, len(self.fit.without) - 1)
         scale = statistic(_scaled(self.fit, 1 + self.scale_u)) - value
-        u = math.hypot(scatter, scale)
-        # Welch-Satterthwaite (GUM G.4.1)
-        known = self.torque_constant.dof
-        share = scatter**4 / (len(self.fit.without) - 1) + (scale**4 / known if known else 0.0)
-        return Quantity(value, unit, u, u**4 / share if share > 0 else None)
+        constant = self.torque_constant
+        per_constant = scale / constant.u if constant.u else 0.0
+        return combined(value, unit, [own, *inherited(constant, per_constant, "torque constant")])
+
+    def columns(self, magnitude: Array, scatter: Array, dof: float, what: str) -> dict[str, Column]:
+        """Return u and its degrees of freedom for responses (k,), by Welch and Satterthwaite.
+
+        `scatter` (k,) has `dof`; the torque constant is common to all lines.
+        """
+        scale = self.scale_u * magnitude
+        constant = self.torque_constant
+        common = 0.0 if constant is None or not constant.dof else 1 / constant.dof
+        u = np.hypot(scatter, scale)
+        return {
+            "u": Column(u, RESPONSE, f"standard, {what}"),
+            "dof": dof_column(u**4 / (scatter**4 / dof + scale**4 * common)),
+        }
 
 
 def _scaled(fit: PlantFit, factor: float) -> PlantFit:
@@ -125,7 +138,7 @@ def _response_table(found: IdentifiedPlant) -> Table:
             "frequency": Column(response.frequency, "Hz"),
             "magnitude": Column(np.abs(value), RESPONSE, "angle for each torque"),
             "phase": Column(unwrapped(value), "rad"),
-            "u": Column(np.hypot(response.u, scale), RESPONSE, "standard, of the magnitude"),
+            **found.columns(np.abs(value), response.u, response.dof, "of the magnitude"),
             "u_phase": Column(response.u / np.abs(value), "rad", "standard, of the phase"),
             "radius": Column(
                 np.hypot(response.radius, 2 * scale),
@@ -161,10 +174,8 @@ def _fit_table(found: IdentifiedPlant, frequency: Array) -> Table:
             "frequency": Column(frequency, "Hz"),
             "magnitude": Column(np.abs(value), RESPONSE, "fit, with delay and roll-off"),
             "phase": Column(unwrapped(value), "rad"),
-            "u": Column(
-                np.hypot(scatter, found.scale_u * np.abs(value)),
-                RESPONSE,
-                "standard, of the magnitude, if the model is right",
+            **found.columns(
+                np.abs(value), scatter, count - 1, "of the magnitude, if the model is right"
             ),
             "mass_line": Column(
                 1 / (fit.model.inertia * omega**2), RESPONSE, "1/(J w2): -40 dB a decade"

@@ -15,7 +15,6 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import RIG, is_linear, position_of, require_one_rig, signals_of
-from rigtool.experiments.imported_effort import Effort, effort_of
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported_maps import MAP, compare_maps
 from rigtool.experiments.ripple.imported_turns import (
@@ -26,6 +25,7 @@ from rigtool.experiments.ripple.imported_turns import (
     turn_spectrum,
 )
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER, POSITIONS, Spectrum, cell_centres
+from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table

@@ -47,7 +47,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import SpeedProfile
-from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
+from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table, dof_column
 
 ACCELERATION = 30.0
 """During run-up and stop, rad/s2."""
@@ -403,6 +403,10 @@ def _tables(
         np.hypot(own.noise_floor / math.sqrt(2), own.amplitude * by_scale)
         for own, by_scale in zip(spectra, relative, strict=True)
     ]
+    dof = [
+        _freedom(total, own.noise_floor / math.sqrt(2), 2 * (len(ripple.waveforms) - 1))
+        for total, own, ripple in zip(u, spectra, ripples, strict=True)
+    ]
     waveforms = Table(
         (axis, "position"),
         {
@@ -428,6 +432,7 @@ def _tables(
                 "amplitude that scatter between revolutions alone would show",
             ),
             "u": Column(np.stack(u), "N m", "standard, of the amplitude: scatter, constant, T"),
+            "dof": dof_column(np.stack(dof)),
             "loop_gain": Column(
                 np.stack([np.abs(_loop(recipe, spectra[0].order * n)) for n in turns]),
                 "1",
@@ -439,6 +444,13 @@ def _tables(
         "loop does not follow",
     )
     return {f"{kind}_waveforms": waveforms, f"{kind}_spectrum": orders}
+
+
+def _freedom(u: Array, scatter: Array, dof: float) -> Array:
+    """Return the degrees of freedom of u (m,), of which the part `scatter` has finite ones."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom: Array = dof * (u / scatter) ** 4
+    return freedom
 
 
 def _segment(recordings: Sequence[Recording]) -> int:

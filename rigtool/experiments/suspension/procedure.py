@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from rigtool.experiments.suspension.springs import (
     eigenfrequency,
     spring_curve,
 )
-from rigtool.quantity import Quantity
+from rigtool.quantity import Component, Quantity, combined, error_line
 from rigtool.recipe import Recipe
 from rigtool.recipe.rig import MotorSuspension
 from rigtool.rigs import Load, Rig, Task
@@ -68,7 +69,10 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
     curve = spring_curve(force, deflection)
     speeds = [2 * math.pi * speed for speed in recipe.suspension.speeds_rev_per_s]
     return Outcome(
-        {**_stiffness(springs, curve), **_torques(springs, curve, speeds)},
+        {
+            **_stiffness(springs, curve, recipe.rig.weights_relative_u),
+            **_torques(springs, curve, speeds),
+        },
         {
             "spring_curve": Table(
                 ("force",),
@@ -98,32 +102,40 @@ def _described(recipe: Recipe) -> MotorSuspension:
     return recipe.rig.suspension
 
 
-def _stiffness(springs: MotorSuspension, curve: SpringCurve) -> dict[str, Quantity]:
+def _stiffness(
+    springs: MotorSuspension, curve: SpringCurve, weights_relative_u: float
+) -> dict[str, Quantity]:
     computed = LeafSprings(
         springs.elasticity, springs.length, springs.width, springs.thickness
     ).stiffness
-    relative_u = math.hypot(
-        springs.elasticity_relative_u,
-        springs.dimension_u / springs.width,
-        3 * springs.dimension_u / springs.length,
-        3 * springs.thickness_u / springs.thickness,
-    )
+    elasticity_u = springs.elasticity * springs.elasticity_relative_u
+    parts = [  # k = 2 E b t^3 / a^3
+        ("elasticity", springs.elasticity, "Pa", elasticity_u, 1),
+        ("width", springs.width, "m", springs.dimension_u, 1),
+        ("length", springs.length, "m", springs.dimension_u, -3),
+        ("thickness", springs.thickness, "m", springs.thickness_u, 3),
+    ]
+    dimensions = [
+        Component(name, value, unit, u, None, power * computed / value)
+        for name, value, unit, u, power in parts
+    ]
     measured = curve.stiffness
+    stiffness = [
+        error_line("scatter about the line", curve.stiffness_u, "N/m", float(curve.dof)),
+        Component("weights", 1.0, "1", weights_relative_u, None, measured),
+    ]
+
+    def by_stiffness(value: float, unit: str, power: float) -> Quantity:
+        """Return what is proportional to a power of the measured stiffness."""
+        per_stiffness = power * value / measured
+        lines = [replace(x, sensitivity=per_stiffness * x.sensitivity) for x in stiffness]
+        return combined(value, unit, lines)
+
     return {
-        "spring_constant": Quantity(measured, "N/m", curve.stiffness_u, float(curve.dof)),
-        "spring_constant_computed": Quantity(computed, "N/m", computed * relative_u),
-        "pretension_deflection": Quantity(
-            springs.pretension / measured,
-            "m",
-            springs.pretension / measured**2 * curve.stiffness_u,
-            float(curve.dof),
-        ),
-        "eigenfrequency": Quantity(
-            eigenfrequency(measured, springs.mass),
-            "Hz",
-            eigenfrequency(measured, springs.mass) * curve.stiffness_u / measured / 2,
-            float(curve.dof),
-        ),
+        "spring_constant": by_stiffness(measured, "N/m", 1.0),
+        "spring_constant_computed": combined(computed, "N/m", dimensions),
+        "pretension_deflection": by_stiffness(springs.pretension / measured, "m", -1.0),
+        "eigenfrequency": by_stiffness(eigenfrequency(measured, springs.mass), "Hz", 0.5),
     }
 
 
@@ -184,5 +196,6 @@ PROCEDURE = Procedure(
         "rig.suspension.elasticity_relative_u",
         "rig.suspension.dimension_u",
         "rig.suspension.thickness_u",
+        "rig.weights_relative_u",
     ),
 )

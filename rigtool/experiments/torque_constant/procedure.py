@@ -18,12 +18,12 @@ from rigtool.experiments.torque_constant.temperature_fit import (
     calibrate,
 )
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import CURRENT_READING, Component, Quantity, combined, error_line
 from rigtool.recipe import Recipe
 from rigtool.recipe.commands import CalibrateKt
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps
-from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table
+from rigtool.runfile import Column, RecordingSpec, Run, RunWriter, Table, dof_column
 
 STAIRCASE = "staircase"
 
@@ -94,9 +94,11 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
         arm_length_u=arm.length_u,
         gauge_relative_u=arm.gauge_relative_u,
         gauge_linearity=arm.gauge_linearity,
+        thermometer_u=recipe.rig.thermometer_u,
+        current_reading_relative_u=recipe.rig.current_reading_relative_u,
         reference_range_degc=settings.reference_range_degc,
     )
-    return Outcome(_results(found), _tables(found), _notes(found, recipe))
+    return Outcome(_results(found, recipe), _tables(found), _notes(found, recipe))
 
 
 def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
@@ -130,8 +132,12 @@ def _pool(parts: Sequence[Plateaus]) -> Plateaus:
     return Plateaus(**{name: np.concatenate([vars(p)[name] for p in placed]) for name in names})
 
 
-def _results(found: Calibration) -> dict[str, Quantity]:
+def _results(found: Calibration, recipe: Recipe) -> dict[str, Quantity]:
     linearity, slopes = found.linearity, found.slopes
+    gain = Component(
+        CURRENT_READING, 1.0, "1", recipe.rig.current_reading_relative_u, None, linearity.gain
+    )
+    scatter = error_line("lack of fit and scatter", linearity.gain_u, "1", linearity.dof)
     if slopes.hysteresis_dof > 0:
         hysteresis = Quantity(slopes.hysteresis, "N m", slopes.hysteresis_u, slopes.hysteresis_dof)
     else:
@@ -143,7 +149,7 @@ def _results(found: Calibration) -> dict[str, Quantity]:
         "torque_constant_mean": found.mean,
         "torque_constant_constant_error": found.constant_error,
         "torque_constant_ripple": found.ripple,
-        "amplifier_gain": Quantity(linearity.gain, "1", linearity.gain_u, linearity.dof),
+        "amplifier_gain": combined(linearity.gain, "1", [scatter, gain]),
         "amplifier_offset": Quantity(linearity.offset, "A", linearity.offset_u, linearity.dof),
         "amplifier_linearity": Quantity(
             linearity.deviation, "A", linearity.deviation_u, linearity.dof
@@ -162,6 +168,7 @@ def _tables(found: Calibration) -> dict[str, Table]:
                 "temperature": Column(found.temperature, "degC", "of the winding"),
                 "torque_constant": Column(found.value, "N m/A", "without the amplifier's ripple"),
                 "u": Column(found.u, "N m/A", "standard uncertainty"),
+                "dof": dof_column(found.dof),
             },
             signal="torque_constant",
             description="Torque constant against temperature (Fig. 20)",
@@ -243,5 +250,8 @@ PROCEDURE = Procedure(
         "calibrate_kt.reference_range_degc",
         "rig.arm.length_u",
         "rig.arm.gauge_relative_u",
+        "rig.arm.gauge_linearity",
+        "rig.thermometer_u",
+        "rig.current_reading_relative_u",
     ),
 )

@@ -24,7 +24,16 @@ from rigtool.experiments.torque_constant.staircase_fit import Slopes, fit_stairc
 from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import group_angles
-from rigtool.quantity import REFERENCE_DEGC, Quantity
+from rigtool.quantity import (
+    CURRENT_READING,
+    REFERENCE_DEGC,
+    THERMOMETER,
+    Component,
+    Quantity,
+    combined,
+    error_line,
+    input_line,
+)
 
 SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""
@@ -46,7 +55,8 @@ class Calibration:
     `torque_constant` holds at 20 degC and `coefficient` is its relative change a kelvin, both None
     where only one temperature was measured; `mean` holds over the reference range (or at the only
     temperature), `constant_error` is the largest relative error of its use over the range.
-    `temperature` (k,) in degC, `value` and `u` (k,) in N m/A are the points of Fig. 20.
+    `temperature` (k,) in degC, `value` and `u` (k,) in N m/A with its `dof` are the points of
+    Fig. 20.
     `ripple` is the relative standard deviation of the constant over the rotor angles, None for
     fewer than three: a torque read at one angle is uncertain by it. `components` are relative
     standard uncertainties of `mean` by source; `rotor_angles` counts the angles of the arm (0 where
@@ -61,6 +71,7 @@ class Calibration:
     temperature: Array
     value: Array
     u: Array
+    dof: Array
     components: dict[str, float]
     rotor_angles: int
     slopes: Slopes
@@ -74,6 +85,8 @@ def calibrate(
     arm_length_u: float,
     gauge_relative_u: float,
     gauge_linearity: float = 0.0,
+    thermometer_u: float = 0.0,
+    current_reading_relative_u: float = 0.0,
     reference_range_degc: tuple[float, float],
 ) -> Calibration:
     """Return the torque constant against temperature from the plateaus of all staircases.
@@ -89,33 +102,46 @@ def calibrate(
         # With the coefficient, the drift within a staircase can be taken out of its torque.
         slopes = fit_staircases(plateaus, fit.coefficient)
         fit = _fit_temperature(slopes)
+
+    def relative(u: float, dof: float | None = None) -> Quantity:
+        return Quantity(1.0, "1", u, dof)
+
     common = {
-        "arm length": (arm_length_u / arm_length, math.inf),
-        "gauge calibration": (gauge_relative_u, math.inf),
-        "heat in the winding": (slopes.heating_u, slopes.heating_dof),
-        "friction of the shaft": (slopes.friction_u, slopes.friction_dof),
-        "law of friction": (LAW_U * slopes.friction_share, math.inf),
-        "gauge resolution": (slopes.resolution_u, math.inf),
-        "gauge linearity": (gauge_linearity / math.sqrt(3), math.inf),  # GUM 4.3.7
+        "arm length": Quantity(arm_length, "m", arm_length_u),
+        "gauge calibration": relative(gauge_relative_u),
+        "heat in the winding": relative(slopes.heating_u, slopes.heating_dof),
+        "friction of the shaft": relative(slopes.friction_u, slopes.friction_dof),
+        "law of friction": relative(LAW_U * slopes.friction_share),
+        "gauge resolution": relative(slopes.resolution_u),
+        "gauge linearity": relative(gauge_linearity / math.sqrt(3)),  # GUM 4.3.7
+        CURRENT_READING: relative(current_reading_relative_u),
     }
-    law = _Law(fit, common)
+    law = _Law(fit, common, thermometer_u)
     temperature, value, scatter = _points(slopes, fit)
-    common_u = math.hypot(*(u for u, _ in common.values()))
+
+    def point(k: float, own: float) -> Quantity:
+        lines = [input_line(name, one, k / one.value) for name, one in common.items()]
+        lines.append(Component(THERMOMETER, 0.0, "K", thermometer_u, None, -fit.slope))
+        return combined(k, "N m/A", [error_line("scatter", own, "N m/A", slopes.dof), *lines])
+
+    points = list(map(point, value.tolist(), scatter.tolist()))
     low, high = reference_range_degc
     middle = (low + high) / 2 if fit.slope_known else fit.temperature
     mean = law.at(middle)
-    components = {name: u for name, (u, _) in common.items()}
+    components = {name: (one.u or 0.0) / one.value for name, one in common.items()}
     components["scatter"] = fit.scatter
     components["ripple over rotor angles"] = fit.turn
+    components[THERMOMETER] = abs(fit.slope) / fit.value * thermometer_u
     return Calibration(
-        torque_constant=_quantity(law.at(REFERENCE_DEGC), "N m/A") if fit.slope_known else None,
-        coefficient=_quantity(law.coefficient(), "1/K") if fit.slope_known else None,
-        mean=_quantity(mean, "N m/A"),
-        constant_error=_constant_error(law, mean, (low, high)) if fit.slope_known else None,
+        torque_constant=law.stated(law.at(REFERENCE_DEGC), "N m/A") if fit.slope_known else None,
+        coefficient=law.stated(law.coefficient(), "1/K") if fit.slope_known else None,
+        mean=law.stated(mean, "N m/A"),
+        constant_error=law.constant_error(mean, (low, high)) if fit.slope_known else None,
         ripple=fit.ripple if fit.angles > 2 else None,
         temperature=temperature,
         value=value,
-        u=np.hypot(scatter, common_u * value),
+        u=np.array([point.u for point in points]),
+        dof=np.array([point.dof or math.inf for point in points]),
         components=components,
         rotor_angles=fit.angles,
         slopes=slopes,
@@ -210,36 +236,59 @@ def _ripple(found: AngleEffects, value: float, friction: float) -> Quantity:
 
 
 class _Law:
-    """k(T) as an uncertain number: scatter of the fit and the components common to all points."""
+    """k(T) as an uncertain number: scatter of the fit and the components common to all points.
 
-    def __init__(self, fit: _Fit, common: dict[str, tuple[float, float]]) -> None:
+    A thermometer that is off by d shows T + d at the temperature T.
+    """
+
+    def __init__(self, fit: _Fit, common: dict[str, Quantity], thermometer_u: float) -> None:
         import GTC
 
-        self._temperature = fit.temperature
-        scale = GTC.constant(1.0)
-        for name, (u, dof) in common.items():
-            scale = scale * GTC.ureal(1.0, u, dof, label=name)
-        self._value, self._scale = GTC.ureal(fit.value, *fit.value_u), scale
-        self._slope = GTC.constant(0.0)
+        self._inputs: list[tuple[Any, Quantity]] = []
+
+        def uncertain(name: str, one: Quantity) -> Any:
+            number = GTC.ureal(one.value, one.u, one.dof or math.inf, label=name)
+            self._inputs.append((number, one))
+            return number
+
+        self._scale = GTC.constant(1.0)
+        for name, one in common.items():
+            self._scale = self._scale * (uncertain(name, one) / one.value)
+        self._value = uncertain("staircases", Quantity(fit.value, "N m/A", *fit.value_u))
+        self._slope, self._zero = GTC.constant(0.0), GTC.constant(fit.temperature)
         if fit.slope_known:
-            self._slope = GTC.ureal(fit.slope, *fit.slope_u) + GTC.ureal(0.0, fit.trend_u)
+            slope = Quantity(fit.slope, "N m/(A K)", *fit.slope_u)
+            trend = Quantity(0.0, "N m/(A K)", fit.trend_u)
+            self._slope = uncertain("slope of the staircases", slope)
+            self._slope += uncertain("friction and resolution in the slope", trend)
+            self._zero = self._zero - uncertain(THERMOMETER, Quantity(0.0, "K", thermometer_u))
 
     def at(self, temperature: float) -> Any:
         """Return k at a temperature in degC, N m/A, as an uncertain number."""
-        return self._scale * (self._value + self._slope * (temperature - self._temperature))
+        return self._scale * (self._value + self._slope * (temperature - self._zero))
 
     def coefficient(self) -> Any:
         """Return b / k(20 degC), 1/K; the scale of all points cancels."""
         return self._slope * self._scale / self.at(REFERENCE_DEGC)
 
+    def stated(self, number: Any, unit: str) -> Quantity:
+        """Return an uncertain number with its budget."""
+        import GTC
 
-def _constant_error(law: _Law, mean: Any, range_degc: tuple[float, float]) -> Quantity:
-    """Return the largest relative error of one constant value, at an end of the range [7.1.1]."""
-    import GTC
+        lines = [
+            input_line(found.label, one, GTC.reporting.sensitivity(number, found))
+            for found, one in self._inputs
+            if one.u
+        ]
+        return combined(float(GTC.value(number)), unit, lines)
 
-    errors = [mean / law.at(end) - 1 for end in range_degc]
-    worst = max(errors, key=lambda error: abs(GTC.value(error)))
-    return _quantity(worst if GTC.value(worst) >= 0 else -worst, "1")
+    def constant_error(self, mean: Any, range_degc: tuple[float, float]) -> Quantity:
+        """Return the largest relative error of one value, at an end of the range [7.1.1]."""
+        import GTC
+
+        errors = [mean / self.at(end) - 1 for end in range_degc]
+        worst = max(errors, key=lambda error: abs(GTC.value(error)))
+        return self.stated(worst if GTC.value(worst) >= 0 else -worst, "1")
 
 
 def _points(slopes: Slopes, fit: _Fit) -> tuple[Array, Array, Array]:
@@ -258,15 +307,3 @@ def _points(slopes: Slopes, fit: _Fit) -> tuple[Array, Array, Array]:
         [math.sqrt(float(np.sum(slopes.u[group] ** 2))) / len(group) for group in groups]
     )
     return temperature, value, own
-
-
-def _quantity(number: Any, unit: str) -> Quantity:
-    import GTC
-
-    dof = float(GTC.dof(number))
-    return Quantity(
-        float(GTC.value(number)),
-        unit,
-        float(GTC.uncertainty(number)),
-        dof if math.isfinite(dof) else None,
-    )

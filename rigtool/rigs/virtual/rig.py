@@ -14,6 +14,7 @@ from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
+from rigtool.recipe.rig import RigDescription
 from rigtool.recipe.virtual import Virtual
 from rigtool.rigs.base import Block, Feedforward, Load, Rig, Task
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, Observe, OpenLoop
@@ -54,7 +55,7 @@ class VirtualRig(Rig):
                 "recipes/briaire-2006.toml shows one"
             )
         self._virtual: Virtual = recipe.virtual
-        self._rig = recipe.rig
+        self._rig = _true_rig(recipe.rig, recipe.virtual)
         self._stream = zlib.crc32(stream.encode())
         self._tasks = 0
         self._power_cycle = self._virtual.power_cycle
@@ -310,18 +311,20 @@ class VirtualRig(Rig):
             "position_setpoint": mean("position_setpoint"),
             "encoder": out[:, kernel.ENCODER],
             "current_setpoint": out[:, kernel.CURRENT_SETPOINT],
-            "current": out[:, kernel.CURRENT]
+            "current": sensors.current_gain * out[:, kernel.CURRENT]
             + sensors.current_noise * average * rng.standard_normal(rows),
             "feedforward_current": mean("feedforward_current"),
             "table_current": mean("table_current"),
             "signal_current": mean("signal_current"),
             "temperature": out[:, kernel.TEMPERATURE]
+            + sensors.temperature_offset
             + sensors.temperature_noise * rng.standard_normal(rows),
         }
         if load.radial_force:
             spring = self._virtual.eccentricity.spring_constant
             error = sensors.micrometer_error * rng.spawn(1)[0].standard_normal()  # one reading
-            block["deflection"] = np.full(rows, load.radial_force / spring + error)
+            pull = load.radial_force * (1 + self._virtual.misstated.weights)
+            block["deflection"] = np.full(rows, pull / spring + error)
         if load.clamped:
             force = out[:, kernel.ARM_TORQUE] / self._rig.arm.length
             force = force * (sensors.force_gain + sensors.force_linearity * force)
@@ -339,8 +342,9 @@ class VirtualRig(Rig):
         dt, tick = rig.sample_time, rig.sample_time * kernel.TICK
         instrument = rig.attachment == "instrument"
         p = np.zeros(1, dtype=kernel.PARAMETERS)
-        hanging = 0.0 if instrument else load.force * rig.pulley_radius
-        mass = load.force / GRAVITY
+        force = load.force * (1 + v.misstated.weights)
+        mass = force / GRAVITY
+        hanging = 0.0 if instrument else force * rig.pulley_radius
         inertia = motor.inertia + (v.arm.inertia if load.clamped else 0.0)
         if instrument:
             inertia += v.instrument.wheel_inertia
@@ -353,7 +357,7 @@ class VirtualRig(Rig):
         )
         noise_decay = math.exp(-tick / motor.friction_noise_time)
         drift_decay = math.exp(-tick / v.instrument.drift_time)
-        radial = motor.radial_friction * load.radial_force
+        radial = motor.radial_friction * load.radial_force * (1 + v.misstated.weights)
         values = {
             "dt": dt,
             "encoder_counts": rig.encoder_counts,
@@ -397,7 +401,7 @@ class VirtualRig(Rig):
             "tendon_speed": tendon_speed,
             "tendon_share": tendon_share,
             "grasper_inertia": grasper_inertia,
-            "load_moment": load.force * rig.instrument.grasper_length,
+            "load_moment": force * rig.instrument.grasper_length,
             "housing_friction": v.instrument.friction,
             "housing_asymmetry": v.instrument.friction_asymmetry,
             "housing_viscous": v.instrument.viscous_friction,
@@ -417,3 +421,20 @@ class VirtualRig(Rig):
         for name, value in values.items():
             p[name] = value
         return p
+
+
+def _true_rig(stated: RigDescription, virtual: Virtual) -> RigDescription:
+    """Return the rig as it is, where the recipe states it wrongly."""
+    wrong, arm, instrument = virtual.misstated, stated.arm, stated.instrument
+    ratio = 1 + wrong.angle_ratio
+    true_instrument = {
+        "angle_ratio": instrument.angle_ratio * ratio,
+        "torque_factor": instrument.torque_factor / ratio,
+        "grasper_length": instrument.grasper_length * (1 + wrong.grasper_length),
+    }
+    true_rig = {
+        "pulley_radius": stated.pulley_radius * (1 + wrong.pulley_radius),
+        "arm": arm.model_copy(update={"length": arm.length * (1 + wrong.arm_length)}),
+        "instrument": instrument.model_copy(update=true_instrument),
+    }
+    return stated.model_copy(update=true_rig)

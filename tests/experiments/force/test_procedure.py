@@ -109,7 +109,9 @@ def inputs(tmp_path: Path) -> Iterator[Callable[..., dict[str, Run]]]:
             low, amplitude = np.array([0, speed[1]]), np.array([0.0, 1.0])
             table = LookupTable(position, speed, torque, low, amplitude)
             u = np.full(torque.shape, 0.05e-3)
-            lookup = tables_of(table, u, Amplitudes(low, amplitude, np.zeros(2)))
+            lookup = tables_of(
+                table, u, Amplitudes.fading(low[-1]), np.full(len(table.speed), np.inf)
+            )
             return {"kt": kt, "tables": write("ilc-learn", recipe, {}, lookup, [kt])}
 
         yield make

@@ -105,3 +105,48 @@ def test_radians_and_counts_of_the_shift_agree(force):
     results = force(*STEADY).results
     counts = results["peak_angle_shift"].value * 0.85 * 4000 / (2 * math.pi)
     assert results["peak_shift_counts"].value == pytest.approx(counts, rel=1e-9)
+
+
+@pytest.mark.parametrize("draw", [1, 2])
+def test_weights_and_a_radius_that_are_off_are_in_the_error_of_a_load(force, draw):
+    """Both drawn from what the recipe states; the torque is right, what it is held against not."""
+    stated = {"weights": 0.01, "radius": 0.02}
+    weights, radius = np.random.default_rng(draw).standard_normal(2) * list(stated.values())
+    outcome = force(
+        PULLEY,
+        *STEADY,
+        f"rig.weights_relative_u={stated['weights']}",
+        f"rig.pulley_radius_u={stated['radius'] * 0.014}",
+        f"virtual.misstated.weights={weights}",
+        f"virtual.misstated.pulley_radius={radius}",
+    )
+    loads, largest = outcome.tables["loads"], outcome.results["mean_torque_load_002"]
+    off = (1 + weights) * (1 + radius)
+    assert largest.value == pytest.approx(35e-3 * off, rel=5e-3)
+    assert largest.value == loads["mean_torque"][2]
+    assert {"weights", "length to the load"}.isdisjoint(x.name for x in largest.budget)
+    np.testing.assert_allclose(loads["applied_torque"][1:], [3.5e-3, 35e-3], rtol=1e-12, atol=0)
+    relative = math.hypot(*stated.values())
+    np.testing.assert_allclose(
+        loads["applied_torque_u"], relative * loads["applied_torque"], rtol=1e-9, atol=0
+    )
+    both = np.hypot(loads["applied_torque_u"], loads["mean_torque_u"])
+    np.testing.assert_allclose(loads["error_torque_u"], both, rtol=1e-9, atol=0)
+    assert (np.abs(loads["error_torque"][1:]) < 2.5 * loads["error_torque_u"][1:]).all()
+    assert abs(off - 1) > 5e-3
+
+
+def test_an_angle_ratio_that_is_off_is_in_the_torque_at_the_output(force):
+    stated = "rig.instrument.angle_ratio_relative_u=0.02"
+    # a small load: a large one stretches the tendon, which moves the angle of the reading
+    right = force(*STEADY, stated).results["mean_torque_load_001"]
+    wrong = force(*STEADY, stated, "virtual.misstated.angle_ratio=0.02")
+    found = wrong.results["mean_torque_load_001"]
+    assert found.value / right.value == pytest.approx(1.02, abs=8e-3)
+    (line,) = (line for line in found.budget if line.name == "angle ratio")
+    assert line.contribution == pytest.approx(0.02 * found.value, rel=1e-9)
+    assert abs(found.value - right.value) < 2 * found.u
+    lengths = force(*STEADY, "rig.instrument.grasper_length_u=1e-3").tables["loads"]
+    np.testing.assert_allclose(
+        lengths["applied_torque_u"], 0.05 * lengths["applied_torque"], rtol=1e-9, atol=0
+    )

@@ -1,11 +1,19 @@
 """From recorded samples to those of the filter: grids, counts, gaps."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigtool.experiments.force_model.steps import SAMPLE_TIME, STEP_TIME, Grid, unbroken
+from rigtool.experiments.force_model.steps import (
+    SAMPLE_TIME,
+    STEP_TIME,
+    Grid,
+    Sampler,
+    unbroken,
+)
 
 
 @given(st.floats(1e-5, 4e-3))
@@ -48,3 +56,35 @@ def test_a_gap_and_bad_samples_divide_a_recording():
     good = np.ones(20, dtype=bool)
     good[15] = False
     assert unbroken(time, good, 0.1) == [slice(0, 8), slice(8, 15), slice(16, 20)]
+
+
+class Plain:
+    """A drive whose torque is the current times the constant."""
+
+    def torque(self, angle, current, constant, sample_time, ripple):
+        return current * constant, np.zeros(len(angle))
+
+
+@pytest.mark.parametrize("averaged", [1, 2, 16])
+def test_blocks_give_the_same_samples_as_a_whole_recording(averaged):
+    """Whatever the blocks' lengths: what waits is context for what comes, and counts once."""
+    rng = np.random.default_rng(4)
+    dt = 125e-6 * averaged
+    time = np.arange(4000) * dt
+    angle = 300 * np.sin(4 * np.pi * time / time[-1])
+    encoder = np.floor(angle[:, None] + np.zeros(averaged)).mean(axis=1)
+    samples = np.stack([encoder, rng.standard_normal(4000), np.full(4000, 0.05), np.arange(4000.0)])
+
+    def sampled(*edges):
+        sampler = Sampler(Grid.of(dt), 0.1, Plain(), context=256)
+        cuts = pairwise([0, *edges, 4000])
+        found = [sampler.add(samples[:, a:b], last=b == 4000) for a, b in cuts]
+        return [
+            np.concatenate(parts, axis=-1)
+            for parts in zip(*((s.drive_torque, s.low, others) for s, others in found), strict=True)
+        ]
+
+    whole, parts = sampled(), sampled(700, 1400, 1401, 2900)
+    for one, other in zip(whole, parts, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-12)
+    assert whole[1].size >= 4000 // 2

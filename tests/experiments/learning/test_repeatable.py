@@ -84,3 +84,15 @@ def test_a_mean_that_carries_more_noise_is_judged_more_gently():
     assert repeatability(cycles, 2.0).ratio() == pytest.approx(
         repeatability(cycles).ratio() / 2, rel=1e-9
     )
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+def test_chance_counts_that_cycles_are_like_those_before(scale):
+    """Amplitudes with a memory of half a cycle: the variance of their mean is three times more."""
+    rng = np.random.default_rng(11)
+    drift = lfilter([1.0], [1.0, -0.5], rng.standard_normal((100, 30, 2)), axis=1)
+    waves = np.stack([np.cos(3 * ANGLE), np.sin(3 * ANGLE)])
+    found = [repeatability(scale * item @ waves) for item in drift]
+    shown = np.mean([item.mean[3] for item in found])
+    stated = np.mean([item.chance[3] for item in found])
+    assert 0.8 * shown < stated < 1.6 * shown  # a negative correlation is not credited

@@ -61,9 +61,11 @@ def test_the_tendon_comes_back(sliding):
 @pytest.mark.parametrize("load", [0.005, 0.02, 0.05])
 def test_loads_between_the_learned_ones_are_read(sliding, unloaded, load, speed):
     found = read(sliding.learned, compared(unloaded, load, speed))
-    assert found.moment == pytest.approx(load, abs=max(0.005 * load, 3 * found.u))
+    assert found.moment == pytest.approx(load, abs=max(0.005 * load, 3 * found.quantity.u))
     assert found.at_angle.mean() == pytest.approx(load, rel=0.03, abs=0.1e-3)
     assert found.cycles.std(ddof=1) == pytest.approx(SCATTER, rel=1)
+    own = found.cycles - found.cycles.mean()  # what a cycle's load is off shows at the angle, too
+    assert own @ found.at_angle > 0.3 * (own @ own)
 
 
 def test_what_the_record_states_of_its_load_informs_nothing(sliding, unloaded):
@@ -114,10 +116,22 @@ def test_a_load_far_beyond_the_learned_ones_is_refused(sliding, unloaded):
     assert "no load up to 3 times the largest learned one, 60 mN m" in str(found)
 
 
-def test_the_sum_of_components_is_u(sliding, unloaded):
+def test_the_budget_holds_scatter_zero_disturbance_and_misfit(sliding, unloaded):
     found = read(sliding.learned, compared(unloaded, 0.03))
-    assert found.u == pytest.approx(math.hypot(*found.components.values()), rel=1e-9, abs=0)
-    assert set(found.components) == {"scatter", "zero", "disturbance", "misfit"}
+    budget = {line.name: line for line in found.quantity.budget}
+    assert set(budget) == {
+        "scatter",
+        "reading without load",
+        "disturbance as learned",
+        "what the disturbance leaves",
+    }
+    total = math.hypot(*(line.u for line in budget.values()))
+    assert found.quantity.u == pytest.approx(total, rel=1e-9, abs=0)
+    assert found.scatter_u == budget["scatter"].u
+    # Welch and Satterthwaite (GUM G.4.1): both of these are from the same number of strokes
+    finite = [line for line in budget.values() if line.dof is not None]
+    assert found.quantity.dof == pytest.approx(total**4 / sum(x.u**4 / x.dof for x in finite))
+    assert budget["scatter"].dof > 0
 
 
 def test_recordings_of_other_lengths_are_compared_at_the_same_points(sliding, unloaded):

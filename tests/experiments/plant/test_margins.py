@@ -92,3 +92,10 @@ def test_a_delay_costs_phase():
 
     lost = found(made).phase - margins(late, HALF_RATE).phase
     assert lost == pytest.approx(2 * np.pi * found(made).crossover_hz * delay, rel=1e-6, abs=0)
+
+
+@pytest.mark.parametrize("lowest_hz", [11.7, 37.3, 211.0])
+def test_the_modulus_margin_is_found_between_the_points_of_the_grid(lowest_hz):
+    """1 + L = (1/2 + ln(f/f0)^2) e^i is closest to zero at f0."""
+    here = margins(lambda f: (0.5 + np.log(f / lowest_hz) ** 2) * np.exp(1j) - 1, HALF_RATE)
+    assert here.modulus == pytest.approx(0.5, rel=1e-9, abs=0)

@@ -2,6 +2,7 @@
 
 import math
 
+import GTC
 import numpy as np
 import pytest
 
@@ -123,6 +124,50 @@ def test_what_is_reported(pulley):
     assert any("encoder's steps" in note for note in outcome.notes)
     assert any("one rigid inertia" in note for note in outcome.notes)
     assert any("never stopped" in note for note in outcome.notes)
+
+
+def test_the_stored_loop_is_the_controller_times_the_plant(pulley):
+    """L = C P with the controller of the recipe, by its own formula, and the fitted plant."""
+    loop, fit = pulley[1].tables["sensitivities"], pulley[1].tables["fit"]
+    frequency = loop["frequency"]
+    np.testing.assert_allclose(fit["frequency"], frequency, rtol=1e-12)
+    plant = fit["magnitude"]
+    np.testing.assert_allclose(loop["sp_magnitude"] / loop["s_magnitude"], plant, rtol=1e-9)
+    rig = load_recipe(RECIPE)[0].rig
+    own, s = rig.controller, 2j * np.pi * frequency
+
+    def shape(s):
+        zero, pole = (2 * np.pi * own.crossover_hz * own.lead_ratio**sign for sign in (-1, 1))
+        low, slow = 2 * np.pi * own.lowpass_hz, 2 * np.pi * own.integrator_hz
+        roll_off = (s / low) ** 2 + 2 * own.lowpass_damping * s / low + 1
+        return np.abs((s + slow) / s * (s / zero + 1) / (s / pole + 1) / roll_off)
+
+    crossover = 2j * np.pi * own.crossover_hz
+    gain = rig.inertia.total("pulley") * np.abs(crossover) ** 2 / shape(crossover)
+    slowly = frequency < 200  # above, samples are not continuous
+    expected = gain * shape(s) * plant
+    np.testing.assert_allclose(loop["open_loop_magnitude"][slowly], expected[slowly], rtol=0.05)
+
+
+def test_the_response_and_its_fit_state_their_degrees_of_freedom(pulley, kt):
+    """By GTC: scatter of the experiments, and the torque constant that all lines share."""
+    path, outcome = pulley
+    table, fit = outcome.tables["frequency_response"], outcome.tables["fit"]
+    with open_run(path) as stored, open_run(kt) as calibration:
+        recorded = [r for r in stored.recordings.values() if r.size]
+        warm = float(np.mean([r.read("temperature").mean() for r in recorded]))
+        constant = torque_per_ampere_at(calibration, warm)
+    count = int(outcome.notes[0].split(" ")[0])
+    for i in (0, 7):
+        scatter, magnitude = table["u_phase"][i] * table["magnitude"][i], table["magnitude"][i]
+        scale = GTC.ureal(0, magnitude * constant.u / constant.value, constant.dof)
+        both = GTC.ureal(0, scatter, 2 * (count - 1)) + scale
+        assert table["u"][i] == pytest.approx(GTC.uncertainty(both), rel=1e-4)
+        assert table["dof"][i] == pytest.approx(GTC.dof(both), rel=1e-2)
+    inertia = outcome.results["inertia"]
+    scatter, *_ = (line for line in inertia.budget if line.dof == count - 1)
+    assert inertia.u > scatter.u
+    assert (fit["dof"] > count - 1).all()
 
 
 def test_the_instrument_is_not_a_rigid_body(instrument):

@@ -49,6 +49,20 @@ def test_the_second_order_is_strongest_slowly_and_the_first_fast(measured):
     assert results["repeatable_rms"].value > 3 * results["non_repeatable_rms"].value
 
 
+def test_the_spectrum_states_u_and_its_degrees_of_freedom(measured):
+    """By the scatter of the coefficients of single revolutions, each part by itself."""
+    tables = measured[1].tables
+    spectrum, single = tables["power_spectrum"], tables["revolutions"]["torque"]
+    freedom = 2 * (len(single) - 1)
+    orders = np.fft.rfft(single, axis=1)[:, 1:13] * 2 / single.shape[1]
+    parts = np.concatenate([orders.real, orders.imag]).reshape(2, len(single), -1)
+    u = np.sqrt(parts.var(axis=1, ddof=1).mean(axis=0) / len(single))
+    stated, dof = spectrum["u"][0, :12], spectrum["dof"][0, :12]
+    assert (stated >= 0.95 * u).all()
+    # by Welch and Satterthwaite, the rest being known: dof = freedom (stated/u)^4
+    np.testing.assert_allclose(stated * (freedom / dof) ** 0.25, u, rtol=0.05, atol=0)
+
+
 def test_cogging_is_found_with_amplitude_and_phase(folder, kt):
     """The controller asks for the opposite of the cogging torque, within the band of T."""
     cogging = "virtual.motor.cogging=[{ order = 3, amplitude = 0.5e-3, phase = 0.6 }]"

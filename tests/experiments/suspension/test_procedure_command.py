@@ -42,3 +42,24 @@ def test_a_rig_whose_springs_are_not_described(tmp_path, capsys):
     assert code == 3
     assert "[rig.suspension]" in err
     assert not (tmp_path / "a.h5").exists()
+
+
+def test_weights_that_are_off_are_in_the_stiffness(tmp_path, capsys):
+    true, off = 14.5e3, 0.02
+    sets = (f"virtual.eccentricity.spring_constant={true}", "virtual.sensors.micrometer_error=1e-7")
+    more = (f"virtual.misstated.weights={off}", f"rig.weights_relative_u={off}")
+    options = [word for item in (*sets, *more) for word in ("--set", item)]
+    results = found(capsys, RECIPE, *options, "-o", tmp_path / "a.h5")
+    spring = results["spring_constant"]
+    assert spring["value"] == pytest.approx(true / (1 + off), rel=2e-3)
+    (line,) = (x for x in spring["budget"] if x["name"] == "weights")
+    assert line["u"] * line["sensitivity"] == pytest.approx(off * spring["value"], rel=1e-9)
+    assert abs(spring["value"] - true) < 2 * spring["u"]
+    eigen, deflection = results["eigenfrequency"], results["pretension_deflection"]
+    relative = spring["u"] / spring["value"]
+    assert eigen["u"] / eigen["value"] == pytest.approx(relative / 2, rel=1e-9)
+    assert deflection["u"] / deflection["value"] == pytest.approx(relative, rel=1e-9)
+    # k = 2 E b t^3 / a^3: the thickness of 0.5 mm to 0.01 mm counts three times (GUM 5.1.2)
+    computed = results["spring_constant_computed"]
+    parts = (0.02, 0.1 / 40, 3 * 0.1 / 50, 3 * 0.01 / 0.5)
+    assert computed["u"] / computed["value"] == pytest.approx(math.hypot(*parts), rel=1e-9)

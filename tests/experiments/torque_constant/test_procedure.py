@@ -1,5 +1,7 @@
 """calibrate-kt on the virtual rig, from recipe to torque constant and back from the file."""
 
+import math
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +11,7 @@ from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant import procedure as calibrate_kt
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
+from rigtool.experiments.torque_per_ampere import torque_per_ampere, torque_per_ampere_at
 from rigtool.recipe import load_recipe
 from rigtool.recipe.commands import CalibrateKt
 from rigtool.runfile import open_run
@@ -141,3 +144,46 @@ def test_a_coarse_gauge_is_in_the_budget_and_a_coarser_one_refused(tmp_path):
     assert abs(constant.value - 45.8e-3) < 3 * constant.u
     with pytest.raises(InsufficientDataError, match=r"gauge reads in steps of 54 mN m"):
         run(CALIBRATE_KT, RECIPE, tmp_path / "no.h5", *SHORT, coarse.replace("0.01", "0.1"))
+
+
+@pytest.mark.parametrize("draw", [1, 3])
+def test_instruments_that_are_off_are_in_the_budget(tmp_path, draw):
+    """Errors drawn from what the recipe states: arm, gain of the current reading, thermometer."""
+    stated = {"arm": 10e-3, "current": 15e-3, "thermometer": 5.0}
+    off = {name: u * z for (name, u), z in zip(stated.items(), _normal(draw, 3), strict=True)}
+    outcome = run(
+        CALIBRATE_KT,
+        RECIPE,
+        tmp_path / "kt.h5",
+        *SHORT,
+        f"rig.arm.length_u={stated['arm'] * 0.54}",
+        f"rig.current_reading_relative_u={stated['current']}",
+        f"rig.thermometer_u={stated['thermometer']}",
+        f"virtual.misstated.arm_length={off['arm']}",
+        f"virtual.sensors.current_gain={1 + off['current']}",
+        f"virtual.sensors.temperature_offset={off['thermometer']}",
+    )
+    constant = outcome.results["torque_constant"]
+    error = constant.value - 45.8e-3
+    assert abs(error) < 2.5 * constant.u
+    # the lines of the budget explain the error, each with its sign
+    lines = {line.name: line for line in constant.budget}
+    expected = -lines["arm length"].sensitivity * 0.54 * off["arm"]  # a longer arm presses less
+    expected -= lines["gain of the current reading"].sensitivity * off["current"]
+    expected -= lines["thermometer"].sensitivity * off["thermometer"]
+    assert_allclose(error, expected, atol=0.1e-3, rtol=0)
+    assert abs(expected) > 0.3e-3
+    # read again with the same instrument, current cancels
+    with open_run(tmp_path / "kt.h5") as kt:
+        found, warm = torque_per_ampere(kt), torque_per_ampere_at(kt, 27.5 + off["thermometer"])
+    torque = 45.8e-3 * (1 - 1.16e-3 * 7.5) / (1 + off["arm"])
+    assert_allclose(warm.value, torque, rtol=1e-3, atol=0)
+    for used in (found, warm):
+        names = {line.name for line in used.budget}
+        assert abs(used.value / torque - 1) < 2.5 * used.u / used.value
+        assert not names & {"gain of the current reading", "thermometer"}
+        assert used.u / used.value < math.hypot(stated["arm"], 8e-3)
+
+
+def _normal(seed, count):
+    return np.random.default_rng(seed).standard_normal(count).tolist()

@@ -122,6 +122,14 @@ def test_same_angles_at_each_temperature():
     assert_allclose(found.coefficient.value, -1.16e-3, rtol=0.02)
 
 
+def test_a_drift_within_the_staircases_is_taken_out_of_the_torque():
+    """A motor that cools by 8 K in each: what stays is noise."""
+    bench = Bench(housing_drift=-1.0, force_noise=5e-5, current_noise=3e-5, saturation=0.0)
+    found = analyse(bench, bench.record((30, 50), angles=3))
+    assert_allclose(found.coefficient.value, -1.16e-3, rtol=0.05)
+    assert (found.slopes.u < 2.5e-5 * found.mean.value).all()
+
+
 def test_one_rotor_angle_leaves_the_heat_unknown():
     bench = Bench(ripple=(), saturation=0.0)
     found = analyse(bench, bench.record((20, 35, 50), angles=1, shifted=False))

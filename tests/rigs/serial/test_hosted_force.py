@@ -45,7 +45,9 @@ def chain(tmp_path):
             low, amplitude = np.array([0.0, top]), np.array([0.0, 1.0])
             nothing = np.zeros((2, 100))
             table = LookupTable(position, speed, nothing, low, amplitude)
-            lookup = tables_of(table, nothing, Amplitudes(low, amplitude, np.zeros(2)))
+            lookup = tables_of(
+                table, nothing, Amplitudes.fading(low[-1]), np.full(len(table.speed), np.inf)
+            )
             return {"kt": kt, "tables": written("ilc-learn", recipe, {}, lookup, [kt])}
 
         def run(procedure, device, rig):

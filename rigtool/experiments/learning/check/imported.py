@@ -15,7 +15,6 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import is_linear, position_of, require_one_rig, signals_of
-from rigtool.experiments.imported_effort import effort_of
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.outcome import Outcome
@@ -35,6 +34,7 @@ from rigtool.experiments.ripple.imported_turns import (
 )
 from rigtool.experiments.ripple.map_shift import Match, match_maps
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER, POSITIONS, Spectrum, cell_centres
+from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table

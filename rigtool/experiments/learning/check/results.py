@@ -14,7 +14,7 @@ from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Table
+from rigtool.runfile import Column, Table, dof_column
 
 NO_PATTERN = "the table holds no pattern above its noise"
 BOUND = "the part above the scatter of the mean; compare with non_repeatable_rms"
@@ -162,6 +162,7 @@ def _waveforms(rows: Sequence[Row], position: Array, learned: LearnedTable) -> T
                 "by the table",
             ),
             "u": Column(np.stack([row.u for row in rows]), "N m", "standard uncertainty of now"),
+            "dof": dof_column([row.dof for row in rows]),
         },
         "now",
         "disturbance now and as it was learned",

@@ -35,7 +35,7 @@ from rigtool.experiments.learning.stored_table import LEARNING_CUTOFF
 from rigtool.experiments.learning.turns import TURN, repeatable_row, turn_angles
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
-from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table
+from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table, dof_column
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,8 @@ class OneSpeed(BareMotor[TaughtMap]):
         row = Row(updated.speed, mean + np.sqrt(variance) * (updated.moves - updated.mean))
         table = untuned(row, self.recipe)
         u = np.broadcast_to(row.u, table.torque.shape)
-        return TaughtMap(table, u, Amplitudes.fading(table.low_speed[-1]), history, row)
+        dof = np.full(len(table.speed), row.dof)
+        return TaughtMap(table, u, dof, Amplitudes.fading(table.low_speed[-1]), history, row)
 
     def finish(self, taught: TaughtMap, others: Sequence[Recording]) -> TaughtMap:
         """Find amplitude and phase at the other speeds, within the band of the map."""
@@ -111,6 +112,7 @@ class OneSpeed(BareMotor[TaughtMap]):
         return TaughtMap(
             table,
             u,
+            np.full(len(table.speed), learned.dof),
             Amplitudes.fading(table.low_speed[-1]),
             taught.history,
             learned,
@@ -154,6 +156,7 @@ class OneSpeed(BareMotor[TaughtMap]):
                     "speed": Column(t.speed, "rad/s", "of the motor shaft"),
                     "amplitude": Column(t.amplitude, "1", "factor on the map"),
                     "amplitude_u": Column(t.amplitude_u, "1", "standard uncertainty"),
+                    "dof": dof_column(t.dof),
                     "shift": Column(t.shift, "rad", "added to the position"),
                     "shift_u": Column(t.shift_u, "rad", "standard uncertainty"),
                     "correlation": Column(
@@ -169,6 +172,7 @@ class OneSpeed(BareMotor[TaughtMap]):
                     "position": position,
                     "torque": Column(learned.mean, "N m", "feed-forward torque"),
                     "u": Column(learned.u, "N m", "standard uncertainty"),
+                    "dof": dof_column(np.full(learned.u.size, learned.dof)),
                 },
                 "torque",
                 f"map by position as it was learned at {learned.speed:.4g} rad/s",

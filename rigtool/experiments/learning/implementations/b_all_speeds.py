@@ -79,7 +79,8 @@ class AllSpeeds(BareMotor[TaughtSpeeds]):
             period=TURN,
         )
         u = math.sqrt(variance) * np.stack([row.u for row in updated])
-        return TaughtSpeeds(table, u, amplitudes, history, cut[0])
+        dof = np.array([row.dof for row in updated])
+        return TaughtSpeeds(table, u, dof, amplitudes, history, cut[0])
 
     def before(self, taught: TaughtSpeeds, first: Sequence[Recording]) -> list[Turned]:
         """Return the turns of the first learning run."""

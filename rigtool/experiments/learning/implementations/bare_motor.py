@@ -316,7 +316,7 @@ class BareMotor(Implementation[T]):
                 **sweep.results,
             },
             {
-                **tables_of(table, taught.u, taught.amplitudes),
+                **tables_of(table, taught.u, taught.amplitudes, taught.dof),
                 **self.learned_tables(taught),
                 "iterations": iterations_table(history, "N m", self.LEARNED_FROM),
                 **remains.tables(),

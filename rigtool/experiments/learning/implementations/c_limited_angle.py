@@ -113,7 +113,8 @@ class LimitedAngle(Implementation[TaughtMoves]):
         wider = math.sqrt(variance)
         u = wider * np.stack([row.u for row in rows])
         first = {speed: moves for speed, moves, _ in cut[0]}
-        return TaughtMoves(assemble(position, rows, amplitudes), u, amplitudes, history, first)
+        dof = np.array([row.dof for row in rows])
+        return TaughtMoves(assemble(position, rows, amplitudes), u, dof, amplitudes, history, first)
 
     def report(
         self, run: Run, taught: TaughtMoves, recorded: Sequence[Sequence[Recording]]
@@ -129,7 +130,7 @@ class LimitedAngle(Implementation[TaughtMoves]):
         return LearningReport(
             {**remaining.results(), **between.results},
             {
-                **tables_of(table, taught.u, taught.amplitudes),
+                **tables_of(table, taught.u, taught.amplitudes, taught.dof),
                 **remaining.tables(),
                 **repeated,
                 **between.tables,

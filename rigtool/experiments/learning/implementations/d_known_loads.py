@@ -38,7 +38,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import Triangle
-from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
+from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table, dof_column
 
 LOADED = "known"
 """First part of the names of recordings of known loads."""
@@ -255,7 +255,7 @@ def _left_out(learned: LearnedForce, loads: _KnownLoads, recipe: Recipe) -> Tabl
     settings, sliding = recipe.measure_force, learned.sliding
     moments, speeds = np.unique(loads.moment), np.unique(loads.speed)
     largest, angle = float(moments[-1]), math.radians(settings.measure_angle)
-    error, u = np.full((2, len(speeds), len(moments)), math.nan)
+    error, u, dof = np.full((3, len(speeds), len(moments)), math.nan)
     for column, moment in enumerate(moments):
         less = sliding.learned_from([r.moment != moment for r in sliding.problem.records])
         for row, speed in enumerate(speeds):
@@ -267,7 +267,8 @@ def _left_out(learned: LearnedForce, loads: _KnownLoads, recipe: Recipe) -> Tabl
             if isinstance(found, InsufficientDataError):
                 continue
             error[row, column] = 100 * (found.moment / moment - 1)
-            u[row, column] = 100 * found.u / moment
+            u[row, column] = 100 * (found.quantity.u or 0.0) / moment
+            dof[row, column] = found.quantity.dof or math.inf
     return Table(
         ("speed", "load"),
         {
@@ -275,6 +276,7 @@ def _left_out(learned: LearnedForce, loads: _KnownLoads, recipe: Recipe) -> Tabl
             "load": Column(moments, "N m", "moment of the known load at 90 deg"),
             "error_percent": Column(error, "%", "of the load; NaN where it could not be read"),
             "u": Column(u, "%", "standard uncertainty that the reading states"),
+            "dof": dof_column(dof),
         },
         "error_percent",
         "each known load read with a model learned from the other loads; the largest one is "

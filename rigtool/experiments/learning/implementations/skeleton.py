@@ -49,10 +49,14 @@ T = TypeVar("T", bound=Taught)
 
 @dataclass(frozen=True, eq=False)
 class TaughtTable:
-    """A learned table, its standard uncertainty and amplitude table, and all runs judged."""
+    """A learned table, its standard uncertainty and amplitude table, and all runs judged.
+
+    `dof` (speeds,) are the degrees of freedom of `u`.
+    """
 
     table: LookupTable
     u: Array
+    dof: Array
     amplitudes: Amplitudes
     history: list[LearningRun]
 

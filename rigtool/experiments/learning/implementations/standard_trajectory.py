@@ -35,7 +35,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import Triangle
-from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table
+from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table, dof_column
 
 RUN_IN = 1
 """Moves that are made first and left out."""
@@ -52,10 +52,11 @@ class _Moves:
 
 @dataclass(frozen=True, eq=False)
 class TaughtSignal:
-    """The learned signal (n,) N m, its standard uncertainty, and all runs."""
+    """The learned signal (n,) N m, its standard uncertainty with `dof`, and all runs."""
 
     torque: Array
     u: Array
+    dof: int
     runs: list[_Moves]
     history: list[LearningRun]
 
@@ -98,7 +99,7 @@ class RepeatedMove(Implementation[TaughtSignal]):
         cycles = cut[last].cycles
         each = learning.updated(cycles.signal, cycles.period, cycles.before)
         u = np.sqrt(variance * each.var(axis=0, ddof=1) / len(each))
-        return TaughtSignal(each.mean(axis=0), u, cut, history)
+        return TaughtSignal(each.mean(axis=0), u, len(each) - 1, cut, history)
 
     def report(
         self, run: Run, taught: TaughtSignal, recorded: Sequence[Sequence[Recording]]
@@ -201,6 +202,7 @@ def _trajectory(learned: TaughtSignal, final: _Moves, recipe: Recipe, learning: 
             "position": Column(final.setpoint, "rad", "set point of the motor shaft"),
             "torque": Column(learned.torque, "N m", "feed-forward torque that was learned"),
             "u": Column(learned.u, "N m", "standard uncertainty"),
+            "dof": dof_column(np.full(count, learned.dof)),
             "error_before": Column(mean_error(learned.runs[0]), "rad", "mean of the moves"),
             "error_after": Column(mean_error(final), "rad", "mean of the moves"),
         },

@@ -9,7 +9,7 @@ import pytest
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.force import procedure as measure_force
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
-from rigtool.experiments.force.results import COLUMNS, LoadRow
+from rigtool.experiments.force.results import LoadRow
 from rigtool.experiments.force.results_corrected import load_outcome
 from rigtool.experiments.force_model.stored import model_from, model_results
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
@@ -176,8 +176,9 @@ def test_a_load_beyond_the_learned_ones_has_no_value(rig):
 
 def test_a_reading_beyond_the_friction_that_was_learned_has_no_value(rig):
     thesis = rig(at(1))
-    table = thesis.tables["loads"]
-    rows = [LoadRow(*(float(table[name][i]) for name in COLUMNS)) for i in range(3)]
+    torque = thesis.results["mean_torque_load_001"]
+    row = LoadRow(0.5, torque, torque, 1e-4, 1e-5, 10.0, 10.0)
+    rows = [row, row, row]
     found = load_outcome(thesis, rows, np.array([0.0, 1e-4, math.nan]), rows)
     loads = found.tables["loads"]
     assert np.isfinite(loads["mean_torque"]).tolist() == [True, True, False]

@@ -132,7 +132,9 @@ def nothing_learned(path, recipe, kt):
     low, amplitude = np.array([0.0, 10.0]), np.array([0.0, 1.0])
     nothing = np.zeros((2, 50))
     table = LookupTable(position, speed, nothing, low, amplitude)
-    lookup = tables_of(table, nothing, Amplitudes(low, amplitude, np.zeros(2)))
+    lookup = tables_of(
+        table, nothing, Amplitudes.fading(low[-1]), np.full(len(table.speed), np.inf)
+    )
     options = {"command": "ilc-learn", "recipe": recipe, "recipe_text": "", "inputs": [kt]}
     with RunWriter(path, **options) as writer:
         writer.finish({}, lookup)

@@ -1,0 +1,37 @@
+"""The uncertainty of a hold's mean, over draws of noise with a corner of its own."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.signal import lfilter
+
+from rigtool.experiments.friction.holds import find_holds
+
+SPEED, TURNS, SAMPLES, DRAWS = 10.0, 6, 1200, 200
+
+
+def drawn_hold(cycles, rng):
+    """A hold with ripple once a turn and noise whose corner is at this many cycles a hold."""
+    time = np.arange(SAMPLES) * (TURNS * 2 * np.pi / SPEED / (SAMPLES - 1))
+    angle = SPEED * time
+    decay = np.exp(-2 * np.pi * cycles / SAMPLES)
+    start = [decay * rng.standard_normal()]
+    drive = np.sqrt(1 - decay**2) * rng.standard_normal(SAMPLES)
+    noise, _ = lfilter([1.0], [1.0, -decay], drive, zi=start)
+    return {"time": time, "angle": angle, "torque": 5.0 + np.sin(angle) + 0.1 * noise}
+
+
+@pytest.mark.parametrize(("cycles", "lowest"), [(1.0, 0.93), (2.0, 0.93), (6.0, 0.9), (200.0, 0.9)])
+def test_intervals_hold_wherever_the_noise_has_its_corner(cycles, lowest):
+    """Fewer than 180 of 200 intervals of 95 % would hold by chance once in a thousand."""
+    rng, held, u = np.random.default_rng(7), 0, []
+    for _ in range(DRAWS):
+        signals = drawn_hold(cycles, rng)
+        found = find_holds(**signals, setpoint=signals["angle"], inertia=1e-5)
+        width = stats.t.ppf(0.975, found.dof[0]) * found.u[0]
+        held += abs(found.torque[0] - 5.0) <= width
+        u.append(found.u[0])
+    assert held / DRAWS >= lowest
+    exact = 0.1 * np.sqrt(1 - (1 - np.exp(-2 * np.pi * cycles)) / (2 * np.pi * cycles))
+    exact /= np.sqrt(np.pi * cycles)
+    assert 0.8 < np.sqrt(np.mean(np.square(u))) / exact < 1.45
