@@ -17,6 +17,7 @@ import math
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,13 +42,15 @@ from oracle import (
 )
 
 from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
-from rigtool.experiments.force_filter.motion_states import NAMES, Judge, Moments
+from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.procedure_learning import ANYWHERE
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.accuracy import JUDGED
 from rigtool.experiments.force_sensor.power_up import PowerUp
+from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -60,6 +63,7 @@ from rigtool.runfile import open_run
 Array = NDArray[np.float64]
 
 WARM = "15 K warmer"
+FORMS = ("smoothed", "causal")
 SINE_HZ, SINE_TIME = 10.0, 30.0
 CONTACTS["sine"] = (
     Sine(
@@ -82,8 +86,9 @@ COMPARED = (
 """Parameters of a plant that are learned as such."""
 
 
-def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, float]:
-    """Calibrate and learn a rig; return its model, and N m/A at the temperature of its use."""
+def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, float, Reach]:
+    """Calibrate and learn a rig; return its model, N m/A at the temperature of its use, and a reach
+    without limits."""
     sets = () if rig == WARM else RIGS[rig]
     kt, tables = folder / "kt.h5", folder / "tables.h5"
     implementation = "ilc_learn.implementation=D"
@@ -101,7 +106,9 @@ def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, float]:
     with open_run(tables) as stored, open_run(kt) as calibration:
         model = model_from(stored, recipe)
         degc = recipe.virtual.thermal.ambient_degc  # what a thermometer on the motor shows
-        return model, torque_per_ampere_at(calibration, degc).value
+        slow = reach_of(stored, calibration, recipe).slow
+        constant = torque_per_ampere_at(calibration, degc).value
+        return model, constant, replace(ANYWHERE, slow=slow)
 
 
 def signals_with(model: ForceModel, recorded: Recorded, torque_constant: float) -> Signals:
@@ -116,13 +123,13 @@ def signals_with(model: ForceModel, recorded: Recorded, torque_constant: float) 
 
 
 def learned_scores(
-    recorded: Recorded, motion: str, model: ForceModel, torque_constant: float
+    recorded: Recorded, motion: str, model: ForceModel, torque_constant: float, reach: Reach
 ) -> dict[Key, Score]:
     """Compare the estimate of a learned model with what truly acted."""
     signals, dt = signals_with(model, recorded, torque_constant), recorded.recipe.rig.sample_time
     states, found, rate = motion_states(recorded), {}, 1 / (STEP * dt)
     for band in BANDS:
-        for form, (estimate, u, own) in read(model, signals, band, dt).items():
+        for form, (estimate, u, own) in read(model, signals, band, dt, reach).items():
             truth = lowpassed(recorded.truth, band, rate, form == "smoothed")
             for state, chosen in states.items():
                 error = np.abs(estimate - truth)[chosen]
@@ -134,7 +141,7 @@ def learned_scores(
 
 
 def read(
-    model: ForceModel, signals: Signals, band: float, dt: float
+    model: ForceModel, signals: Signals, band: float, dt: float, reach: Reach = ANYWHERE
 ) -> dict[str, tuple[Array, Array, Array]]:
     """Return torque behind a low-pass, its u and its states, of both forms, as `measure-force`."""
     step_time = STEP * dt
@@ -145,13 +152,16 @@ def read(
     ripple, variance = power_up.add(causal.low + signals.width / 2, causal.states)
     later, later_variance = power_up.whole(causal.low + signals.width / 2, torque)
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
-    judge = Judge(ANYWHERE, signals.width, step_time)
-    states = judge.states(Moments(causal.low, *moving, torque, zeros, zeros))
-    u = np.sqrt(deviation**2 + later_variance) * model.scales[0][states]
-    causal_u = np.sqrt(causal.deviation**2 + variance) * model.scales[1][states]
+    judge = Judge(reach, signals.width, step_time)
+    moments = Moments(causal.low, *moving, torque, zeros, zeros)
+    kinds = judge.kinds(states := judge.states(moments), moments)
+    own = (
+        (lowpassed(torque - later, band, 1 / step_time, True), deviation**2 + later_variance),
+        (causal.passed - ripple, causal.deviation**2 + variance),
+    )
     return {
-        "smoothed": (lowpassed(torque - later, band, 1 / step_time, True), u, states),
-        "causal": (causal.passed - ripple, causal_u, states),
+        form: (found, standard_uncertainty(scales, np.sqrt(square), found, kinds), states)
+        for form, scales, (found, square) in zip(FORMS, model.scales, own, strict=True)
     }
 
 
@@ -190,19 +200,20 @@ Found = tuple[str, dict[str, float], dict[Key, Score], dict[Key, Score]]
 def measured(rig: str, seed: int, duration: float, power_cycle: int) -> Found:
     """Learn one rig, move it, and score both estimators."""
     with tempfile.TemporaryDirectory() as folder:
-        model, torque_constant = learned(rig, seed, Path(folder))
+        model, torque_constant, reach = learned(rig, seed, Path(folder))
     own: dict[Key, Score] = {}
     oracle: dict[Key, Score] = {}
     for motion in MOTIONS:
         recorded = record(rig, seed, motion, duration, power_cycle=power_cycle)
-        own.update(learned_scores(recorded, motion, model, torque_constant))
+        own.update(learned_scores(recorded, motion, model, torque_constant, reach))
         oracle.update(scores(recorded, motion))
     over = _over_truth(model, recorded)
     swung = record(rig, seed, "strokes", SINE_TIME, "sine")
     for form, value in amplitude(swung, model, torque_constant).items():
         over[f"sine of {SINE_HZ:g} Hz, {form}"] = value
-    for state in JUDGED:
-        over[f"u over deviation, {NAMES[state]}"] = float(model.scales[0][state])
+    for kind, name in [*((state, NAMES[state]) for state in JUDGED), (CREEPING, "creeping")]:
+        factor, share = model.scales[0][kind].tolist()
+        over[f"u over deviation, {name}"], over[f"u over torque, {name}"] = factor, share
     return rig, over, own, oracle
 
 

@@ -56,7 +56,7 @@ def on_this_machine() -> dict[str, float]:
     from tests.experiments.deploy.sensors import compiled, instrument, motions
 
     samples = motions()["free"]
-    text = sensor_header(instrument(), np.ones(5), 1.96, ["benchmark"])
+    text = sensor_header(instrument(), 1.96, ["benchmark"])
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, flags in (("doubles", ()), ("floats", ("-DRIGTOOL_SENSOR_FLOAT",))):
@@ -155,7 +155,7 @@ def on_a_cortex(seconds: float = 1.0) -> np.ndarray:
     samples = motions()["strokes"][:, : round(seconds * 1000 * CALLS)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        text = sensor_header(instrument(), np.ones(5), 1.96, ["benchmark"])
+        text = sensor_header(instrument(), 1.96, ["benchmark"])
         for file, content in (("sensor.h", text), ("host.c", PROGRAM), ("host.ld", LAYOUT)):
             (folder / file).write_text(content)
         linked = ["-T", folder / "host.ld", folder / "host.c", "-o", folder / "host.elf"]

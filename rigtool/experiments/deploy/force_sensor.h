@@ -86,7 +86,10 @@ enum {
     RS_MOVING = RS_TORQUE,
     RS_STROKE = RS_SINE,
     RS_NOISY = RS_STROKE - RS_MOVING, /* change at random from step to step */
-    RS_ORDER = 2 /* of the low-pass */
+    RS_ORDER = 2, /* of the low-pass */
+    /* what the error depends on: the state, or that the rotor slides, but creeps */
+    RS_CREEPING = RIGTOOL_SENSOR_STILL + 1,
+    RS_KINDS
 };
 
 /* Of the ripple that a power-up draws: waves, and the states of what learns it, torque first. */
@@ -119,10 +122,11 @@ struct rs_model {
     rs_real row_noise, row_walk, row_reversal, row_contact, row_gate, row_certain,
         row_largest, row_refuted;
     /* states */
-    rs_real sliding, speed_limit, torque_limit, current_limit, cold, warm;
+    rs_real sliding, slow, speed_limit, torque_limit, current_limit, cold, warm;
     int32_t lowest, highest; /* counts */
-    /* the reading: low-pass q' = A q + B M, y = C q + D M, and factors on its deviation by state */
-    rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], factor[RIGTOOL_SENSOR_STILL + 1], coverage;
+    /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
+     * deviation s, by state, and while the rotor creeps */
+    rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], scales[RS_KINDS][2], coverage;
 };
 
 @DATA@
@@ -142,7 +146,7 @@ struct rigtool_sensor {
     int32_t base; /* count that the angles are from */
     rs_real turn; /* of the output at this count, in turns */
     rs_real at, sine, cosine; /* of the output at the begin of the step */
-    int begun, samples;
+    int begun, samples, creeps;
     /* ripple of this power-up, covariance U diag(d) U' again; the row that is filled, torque first */
     rs_real waves[RS_WAVES], row[RS_PARTS], ripples[RS_PARTS];
     rs_real ripple_u[RS_PARTS][RS_PARTS], ripple_d[RS_PARTS], ripple_q[RS_ORDER];
@@ -816,15 +820,17 @@ static inline int rs_still_steps(struct rigtool_sensor *s, int32_t moved)
     return s->still_up > s->still_down ? s->still_up : s->still_down;
 }
 
-/* Whether angle, mean speed, torque or temperature is beyond what was learned. */
+/* Whether angle, mean speed, torque or temperature is beyond what was learned; notes slow ones. */
 static inline int rs_outside(
-    const struct rigtool_sensor *s, rs_real torque, int32_t oldest, int steps)
+    struct rigtool_sensor *s, rs_real torque, int32_t oldest, int steps)
 {
     const struct rs_model *m = &rs_model;
     rs_real way = (rs_real)rs_from(s->encoder, oldest) * m->count;
+    rs_real time = (rs_real)steps * m->step_time;
     rs_real warm = (s->temperature_before + s->temperature) / 2;
+    s->creeps = RS_MATH(fabs)(way) < m->slow * time;
     return s->encoder < m->lowest || s->encoder > m->highest
-        || RS_MATH(fabs)(way) > m->speed_limit * ((rs_real)steps * m->step_time)
+        || RS_MATH(fabs)(way) > m->speed_limit * time
         || RS_MATH(fabs)(torque) > m->torque_limit || warm < m->cold || warm > m->warm;
 }
 
@@ -859,6 +865,7 @@ static inline int rs_read(struct rigtool_sensor *s)
     const rs_real *c = rs_model.low_pass[RS_ORDER], d = c[RS_ORDER];
     rs_real torque = d * s->x[RS_TORQUE], variance = d * d * rs_variance(s, RS_TORQUE), half, other;
     struct rigtool_sensor_reading *now = &s->reading;
+    const rs_real *scales;
     int i, j;
     for (i = 0; i < RS_ORDER; i++) {
         torque += c[i] * s->q[i];
@@ -877,7 +884,9 @@ static inline int rs_read(struct rigtool_sensor *s)
         return 1;
     }
     now->torque = torque;
-    now->u = rs_model.factor[now->state] * RS_MATH(sqrt)(variance);
+    i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
+    scales = rs_model.scales[i];
+    now->u = RS_MATH(sqrt)(rs_square(scales[0]) * variance + rs_square(scales[1] * torque));
     half = rs_model.coverage * now->u;
     now->low = torque - half;
     now->high = torque + half;

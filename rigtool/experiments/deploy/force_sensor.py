@@ -32,14 +32,13 @@ INT32 = 2**31 - 1
 
 def sensor_header(
     instrument: Instrument,
-    factors: Array,
     coverage_factor: float,
     origin: Sequence[str],
 ) -> str:
     """Return the text of the header for samples every `instrument.interval` s.
 
-    `factors` (5,) are on the filter's deviation by state, `coverage_factor` is that of the
-    interval, and `origin` are the lines about where the numbers come from. Raises `ValueError` for
+    `coverage_factor` is that of the interval, and `origin` are the lines about where the numbers
+    come from. Raises `ValueError` for
     samples further apart than those of the equations, for an output without inertia, bearings with
     asymmetry, and numbers that are not finite.
     """
@@ -68,7 +67,7 @@ def sensor_header(
     }
     numbers = {**_drive(instrument), **_filter(instrument), **_ripple(instrument)}
     numbers |= _states(instrument)
-    numbers |= _reading(instrument, factors, coverage_factor)
+    numbers |= _reading(instrument, coverage_factor)
     for name, value in numbers.items():
         if not isinstance(value, str) and not np.isfinite(value).all():
             raise ValueError(f"{name} is {value}")
@@ -190,6 +189,7 @@ def _states(instrument: Instrument) -> dict[str, Number]:
     return {
         "sliding": motion_states.SLIDING,
         "speed_limit": motion_states.BEYOND * reach.speed,
+        "slow": reach.slow,
         "torque_limit": motion_states.BEYOND * reach.torque,
         "current_limit": AT_THE_LIMIT * instrument.current_limit,
         "cold": cold,
@@ -199,10 +199,10 @@ def _states(instrument: Instrument) -> dict[str, Number]:
     }
 
 
-def _reading(instrument: Instrument, factors: Array, coverage_factor: float) -> dict[str, Number]:
+def _reading(instrument: Instrument, coverage_factor: float) -> dict[str, Number]:
     return {
         "low_pass": passed.section(instrument.bandwidth_hz, instrument.grid.step_time),
-        "factor": factors,
+        "scales": instrument.model.scales[1],
         "coverage": coverage_factor,
     }
 

@@ -39,10 +39,9 @@ def sensor(tables: Run, kt: Run | None) -> tuple[str, tuple[str, ...], list[Path
     require_calibration(kt, recipe)
     reach = reach_of(tables, kt, recipe)
     instrument = instrument_of(recipe, kt, model, reach, recipe.rig.sample_time)
-    factors = model.scales[1]  # of the causal torque
     origin = (*origin_of(tables), *_about(recipe, reach), *_calibration(kt))
     try:
-        text = sensor_header(instrument, factors, COVERAGE_FACTOR, origin)
+        text = sensor_header(instrument, COVERAGE_FACTOR, origin)
     except ValueError as error:
         raise RunFileError(f"{tables.path}: no sensor can be made of it: {error}") from None
     return text, _about(recipe, reach), [tables.path, kt.path]

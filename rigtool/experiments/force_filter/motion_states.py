@@ -6,6 +6,9 @@ With rotor speed w, deflection h of the long bristle (`plant`) and torque M on t
     reversed     h sign(w) < `SLIDING`: friction is not yet that of sliding
     against      M w >= 0,   with   M w < 0
     outside      angle, speed, torque or temperature beyond what was learned
+
+How large the error is depends besides on whether a rotor that slides creeps: with less than
+`SLOW` of the slowest speed that was learned under load it sticks and slips.
 """
 
 from __future__ import annotations
@@ -34,6 +37,10 @@ SLIDING = 0.9
 BEYOND = 1.1
 """Of speed and torque that were learned: what is given nonetheless."""
 
+SLOW = 0.4999
+"""Of the slowest speed that was learned under load: below, a rotor that slides creeps. Half of a
+round speed is a whole number of counts, and rounding would choose the side."""
+
 BEYOND_ANGLE = 0.01
 """Of the range of angles, on both sides."""
 
@@ -48,6 +55,11 @@ class State(IntEnum):
     STILL = 4
 
 
+CREEPING = len(State)
+"""Behind the states, the kind of a step at which the rotor slides and creeps."""
+
+KINDS = CREEPING + 1
+
 NAMES = {
     State.OUTSIDE: "outside what was learned: no value",
     State.AGAINST: "moving against the load",
@@ -60,12 +72,13 @@ NAMES = {
 @dataclass(frozen=True)
 class Reach:
     """How far a model was learned: angle of the rotor rad, its speed rad/s, torque on the output
-    N m, and temperature of the motor degC."""
+    N m, and temperature of the motor degC; a sliding rotor creeps below `slow` rad/s."""
 
     angle: tuple[float, float]
     speed: float
     torque: float
     temperature_degc: tuple[float, float]
+    slow: float = 0.0
 
     def left_by(
         self, angle: Array, speed: Array, torque: Array, temperature_degc: Array
@@ -145,6 +158,13 @@ class Judge:
         found[outside | near] = State.OUTSIDE
         states: States = found.astype(np.int32)
         return states
+
+    def kinds(self, states: States, moments: Moments) -> States:
+        """Return what the error depends on at each step: the state, or `CREEPING`, (m,)."""
+        sliding = (states == State.AGAINST) | (states == State.WITH)
+        slow = np.abs(self._mean_speed(moments.low)) < self.reach.slow
+        found: States = np.where(sliding & slow, CREEPING, states).astype(np.int32)
+        return found
 
     def _highest(self, values: Array, span: float) -> Array:
         """Return the highest value within a span of time, s, about each step or up to it."""

@@ -5,14 +5,15 @@ Equations: `model`, those of the filter `plant`; load_stroke = L / load friction
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.kalman import Uncertainty
-from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_filter.motion_states import KINDS
 from rigtool.experiments.force_filter.plant import Plant
+from rigtool.experiments.force_model.contacts import Motion
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.drive import Drive, drive_of, plant_of
 from rigtool.experiments.force_model.learning import Learned
@@ -23,12 +24,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ForceModel:
-    """See the module; `scales` (2, states) are factors from the filter's deviation to the standard
-    uncertainty, of the smoothed and of the causal torque."""
+    """See the module; `scales` (2, kinds, 2) lead from the filter's deviation to the standard
+    uncertainty, of the smoothed and of the causal torque: `intervals`. `limits` (3, 2) are the
+    thresholds for contacts: `contacts`."""
 
     learned: Learned
     deviations: Deviations
-    scales: Array = field(default_factory=lambda: np.ones((2, len(State))))
+    scales: Array = field(default_factory=lambda: np.ones((2, KINDS, 2)) * (1.0, 0.0))
+    limits: Array = field(default_factory=lambda: np.full((len(Motion), 2), np.inf))
 
     @property
     def drive(self) -> Drive:
@@ -50,3 +53,9 @@ class ForceModel:
         )
         relative = own.load / per_load if per_load > 0 else 0.0
         return Uncertainty(own.stroke, relative, own.noise, own.noise_time)
+
+    @property
+    def untouched(self) -> Uncertainty:
+        """The same for a filter whose random walk is always that of no contact."""
+        own = self.uncertainty
+        return replace(own, slow_torque_rate=own.torque_rate, step_torque_rate=own.torque_rate)

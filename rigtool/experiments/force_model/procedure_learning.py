@@ -12,11 +12,13 @@ from scipy import constants
 
 from rigtool.experiments.controller_torque import CHANNELS as LOOP_CHANNELS
 from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
-from rigtool.experiments.force_filter.estimate import Filter, smoothed
-from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach, State, States
+from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
+from rigtool.experiments.force_filter.motion_states import SLOW, Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
+from rigtool.experiments.force_model.contacts import Trial, thresholds, trial
 from rigtool.experiments.force_model.deviations import deviations, kept_by_mean
 from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.intervals import APART, Errors, scales
 from rigtool.experiments.force_model.learning import Sliding, learn_sliding
 from rigtool.experiments.force_model.model import Known
 from rigtool.experiments.force_model.model import State as Swing
@@ -43,14 +45,9 @@ FREE_SPEED = 2.0
 STEP_TIME = 1e-3
 """Of the filter, s."""
 
-COVERAGE_FACTOR = 1.96
-"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
-
-FEWEST = 100
-"""Steps of a state without which its factor is that of all states."""
-
-APART = 20e-3
-"""From one compared step to the next, s."""
+COMPARED_SPEEDS = 2
+"""Of the strokes under known loads, the slowest: errors of those without load and of those with the
+largest one show what u is, too."""
 
 ANYWHERE = Reach((-math.inf, math.inf), math.inf, math.inf, (-math.inf, math.inf))
 
@@ -113,31 +110,74 @@ def learn_force(
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
     rested = learn_rest(sliding.learned, shown, uncertainty, STEP_TIME)
     model = ForceModel(rested, deviating)
+    slowest = min(r.condition("speed") for r in strokes)
     if checks:
-        model = replace(model, scales=scales([_errors(r, recipe, kt, model) for r in checks]))
-    return LearnedForce(model, sliding, loaded)
+        compared = [*checks, *_compared(strokes)]
+        errors = [_errors(r, recipe, kt, model, SLOW * slowest) for r in compared]
+        model = replace(model, scales=scales(errors))
+    unloaded = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
+    tried = [_trial(r, recipe, kt, model) for r in (explored, *unloaded)]
+    return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded)
+
+
+def _compared(strokes: Sequence[Recording]) -> list[Recording]:
+    """Return one recording without load and one under the largest, at the slowest speeds."""
+    speeds = sorted({r.condition("speed") for r in strokes})[:COMPARED_SPEEDS]
+    largest = max(r.condition("force") for r in strokes)
+    found = {
+        (r.condition("speed"), r.condition("force")): r
+        for r in strokes
+        if r.condition("speed") in speeds and r.condition("force") in (0.0, largest)
+    }
+    return list(found.values())
+
+
+def _known(recording: Recording, recipe: Recipe, kt: Run) -> tuple[LoopSignals, Condition]:
+    degc, force = float(np.mean(recording.read("temperature"))), recording.condition("force")
+    return _signals(recording, recipe), _condition(recipe, kt, degc, force)
+
+
+def _input(own: LoopSignals, under: Condition, model: ForceModel) -> Signals:
+    """Return what the filter takes of a recording."""
+    constant = np.full(len(own.encoder), under.torque_constant)
+    known = np.array([own.encoder, own.total, constant])
+    return Sampler(Grid.of(_interval(own)), under.count, model.drive).add(known, last=True)[0]
+
+
+def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel) -> Trial:
+    """Return the tests for contacts along a recording in which nothing touches."""
+    own, under = _known(recording, recipe, kt)
+    grid, bandwidth = Grid.of(_interval(own)), recipe.measure_force.motion.bandwidth_hz
+    signals, plant = _input(own, under, model), model.plant(grid.sample_time)
+    causal, untouched = (
+        Filter(plant, u, grid.step_samples, bandwidth).add(signals)
+        for u in (model.uncertainty, model.untouched)
+    )
+    moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(causal.low))
+    judge = Judge(ANYWHERE, under.count, grid.step_time, causal=True)
+    states = judge.states(Moments(causal.low, *moving, causal.passed, zeros, zeros))
+    return trial(untouched.torque, untouched.deviation, states, grid.step_time)
 
 
 def _errors(
-    recording: Recording, recipe: Recipe, kt: Run, model: ForceModel
-) -> tuple[Array, States]:
-    """Return errors of smoothed and causal torque over their deviations (2, m), and states (m,).
+    recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, slow: float
+) -> Errors:
+    """Return the errors under a known load; a sliding rotor creeps below `slow` rad/s.
 
     What acts is a hanging load that swings on its tendon: F r sin a + J a''.
     """
     from scipy.signal import butter, sosfilt, sosfiltfilt
 
-    degc, force = recording.read("temperature"), recording.condition("force")
-    own, under = _signals(recording, recipe), _condition(recipe, kt, float(np.mean(degc)), force)
+    own, under = _known(recording, recipe, kt)
     grid, bandwidth = Grid.of(_interval(own)), recipe.measure_force.motion.bandwidth_hz
-    known = np.array([own.encoder, own.total, np.full(len(degc), under.torque_constant)])
-    signals, _ = Sampler(grid, under.count, model.drive).add(known, last=True)
+    signals = _input(own, under, model)
     filtered = model.plant(grid.sample_time), model.uncertainty, grid.step_samples, bandwidth
     causal = Filter(*filtered).add(signals)
     torque, deviation = smoothed(*filtered, signals)
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
-    judge = Judge(ANYWHERE, under.count, grid.step_time)
-    states = judge.states(Moments(causal.low, *moving, torque, zeros, zeros))
+    judge = Judge(replace(ANYWHERE, slow=slow), under.count, grid.step_time)
+    moments = Moments(causal.low, *moving, torque, zeros, zeros)
+    kinds = judge.kinds(judge.states(moments), moments)
     record = single(own.encoder, own.total, own.setpoint, _interval(own), under)
     output = Swing.of(model.learned.shape, model.learned.known, record).output
     speed = np.gradient(output, record.interval)
@@ -146,29 +186,16 @@ def _errors(
     time = (1 + np.arange(len(torque))) * grid.step_time
     truth = np.interp(time, (0.5 + np.arange(len(acting))) * record.interval, acting)
     sections = butter(2, bandwidth, fs=1 / grid.step_time, output="sos")
-    later = sosfiltfilt(sections, torque - truth) / deviation
-    at_once = (causal.passed - sosfilt(sections, truth)) / causal.deviation
+    later = sosfiltfilt(sections, torque - truth)
+    at_once = causal.passed - sosfilt(sections, truth)
     margin, every = round(SETTLING / grid.step_time), max(1, round(APART / grid.step_time))
     chosen = slice(margin, -margin, every)
-    return np.stack([later, at_once])[:, chosen], states[chosen]
-
-
-def scales(parts: Sequence[tuple[Array, States]]) -> Array:
-    """Return the factor of each state (2, states), see `ForceModel`.
-
-    The 95 % quantile of |error| / deviation over that of a normal distribution; 1 at least, as
-    hanging loads change less than others. `parts` are errors over deviations (2, m) and states.
-    """
-    ratio = np.abs(np.hstack([errors for errors, _ in parts]))
-    states = np.concatenate([own for _, own in parts])
-    factors = np.ones((2, len(State)))
-    for state in State:
-        chosen = states == state
-        if chosen.sum() < FEWEST:
-            chosen[:] = True
-        quantile = np.quantile(ratio[:, chosen], 0.95, axis=1)
-        factors[:, state] = np.maximum(quantile / COVERAGE_FACTOR, 1.0)
-    return factors
+    return Errors(
+        np.stack([later, at_once])[:, chosen],
+        np.stack([deviation, causal.deviation])[:, chosen],
+        truth[chosen],
+        kinds[chosen],
+    )
 
 
 def stroke_record(recording: Recording, recipe: Recipe, kt: Run, force: float = 0.0) -> Record:

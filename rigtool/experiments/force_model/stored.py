@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.force_filter.motion_states import State
+from rigtool.experiments.force_filter.motion_states import KINDS
+from rigtool.experiments.force_model.contacts import Motion
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import NAMES, Learned
@@ -16,7 +18,10 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
 
-TERMS, COVARIANCE, SCALES = "force_terms", "force_covariance", "force_scales"
+Array = NDArray[np.float64]
+
+TERMS, COVARIANCE = "force_terms", "force_covariance"
+SCALES, LIMITS = "force_scales", "contact_thresholds"
 
 PREFIX = "model_"
 """Of results that belong to the model."""
@@ -41,6 +46,14 @@ UNITS = {
     OFFSET: "A",
 }
 """Of shape, deviations and the amplifier's offset."""
+
+_MOTIONS = ", ".join(f"{motion.value} {motion.name.lower()}" for motion in Motion)
+
+_FORMS = {
+    "smoothed": "torque from the whole recording",
+    "causal": "torque from samples up to its time",
+}
+_OF_SCALES = {"": "c", "_share": "g"}
 
 _ABOUT = {
     "kind": "what it is a function of: " + ", ".join(f"{k.value} {k.name.lower()}" for k in Kind),
@@ -107,14 +120,34 @@ def model_tables(model: ForceModel) -> dict[str, Table]:
         SCALES: Table(
             ("state",),
             {
-                "state": Column(np.arange(len(model.scales[0])), "1", "as in table force"),
-                "smoothed": Column(model.scales[0], "1", "of torque from the whole recording"),
-                "causal": Column(model.scales[1], "1", "of torque from samples up to its time"),
+                "state": Column(
+                    np.arange(KINDS), "1", f"as in table force; {KINDS - 1} sliding, but creeping"
+                ),
+                **{
+                    name + part: Column(model.scales[form, :, column], "1", f"{about}, {of}")
+                    for column, (part, about) in enumerate(_OF_SCALES.items())
+                    for form, (name, of) in enumerate(_FORMS.items())
+                },
             },
             "smoothed",
-            "standard uncertainty over the filter's deviation, from loads that no fit saw",
+            "c and g of the standard uncertainty u of a torque M: u^2 = (c s)^2 + (g M)^2, s the "
+            "filter's deviation",
+        ),
+        LIMITS: Table(
+            ("motion",),
+            {
+                "motion": Column(np.arange(len(Motion)), "1", _MOTIONS),
+                "jump": Column(_finite(model.limits[:, 0]), "N m", "of the torque"),
+                "level": Column(_finite(model.limits[:, 1]), "1", "of torque over deviation"),
+            },
+            "jump",
+            "thresholds by which contacts are found; NaN where too little was recorded",
         ),
     }
+
+
+def _finite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def model_from(run: Run, recipe: Recipe) -> ForceModel:
@@ -122,7 +155,7 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
 
     Raises `RunFileError` where the run holds none, or a broken one.
     """
-    if missing := [name for name in (TERMS, COVARIANCE, SCALES) if name not in run.tables]:
+    if missing := [name for name in (TERMS, COVARIANCE, SCALES, LIMITS) if name not in run.tables]:
         raise RunFileError(
             f"{run.path}: holds no model of motor and instrument (table {missing[0]}): learn again "
             "with ilc-learn --implementation D"
@@ -152,10 +185,13 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
         )
         deviations = Deviations(**{field.name: value(field.name) for field in fields(Deviations)})
         scales = run.table(SCALES)
-        factors = np.array([scales["smoothed"], scales["causal"]], dtype=np.float64)
-        factors = factors.reshape(2, len(State))
+        factors = np.array([[scales[name + part] for part in _OF_SCALES] for name in _FORMS])
+        factors = factors.astype(np.float64).swapaxes(1, 2).reshape(2, KINDS, 2)
+        limits = run.table(LIMITS)
+        finite = np.array([limits["jump"], limits["level"]], dtype=np.float64).T
+        found = np.where(np.isnan(finite), np.inf, finite).reshape(len(Motion), 2)
     except (KeyError, TypeError, ValueError) as error:
         raise RunFileError(
             f"{run.path}: its model of motor and instrument cannot be used: {error}; learn it again"
         ) from None
-    return ForceModel(learned, deviations, factors)
+    return ForceModel(learned, deviations, factors, found)

@@ -52,7 +52,6 @@ class LiveForce:
             )
         model, reach = model_and_reach(tables, kt, recipe)
         self._instrument = instrument_of(recipe, kt, model, reach, interval)
-        self._factors = model.scales[1]  # of the causal torque
         self._every = every
         self._last = np.zeros(0)
         self._waiting = np.empty((len(NEEDED), 0))
@@ -98,9 +97,8 @@ class LiveForce:
         self._steps += count
         chosen = number % self._every == 0
         states = sensed.states[chosen]
-        u = sensed.deviation[chosen] * self._factors[states]
         torque = np.where(states == State.OUTSIDE, np.nan, sensed.torque[chosen])
-        u = np.where(states == State.OUTSIDE, np.nan, u)
+        u = np.where(states == State.OUTSIDE, np.nan, sensed.u[chosen])
         half = COVERAGE_FACTOR * u
         time = self._began + step_time * (number[chosen] + 1.0)
         return np.array([time, torque, u, torque - half, torque + half, states])

@@ -11,11 +11,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.force_filter.motion_states import Reach
+from rigtool.experiments.force_filter.motion_states import SLOW, Reach, State
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
-from rigtool.experiments.force_sensor.procedure_calibration import limits_of
 from rigtool.experiments.force_sensor.procedure_motion import moved, require_learned
 from rigtool.experiments.force_sensor.procedure_reading import (
     NEEDED,
@@ -23,14 +24,14 @@ from rigtool.experiments.force_sensor.procedure_reading import (
     SHORTEST,
     read_recording,
 )
-from rigtool.experiments.force_sensor.results_over_time import Scales, force_outcome
+from rigtool.experiments.force_sensor.results_over_time import Recorded, force_outcome
 from rigtool.experiments.learning.stored_table import feedforward_from, require_rig
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig, Task
 from rigtool.rigs.motion import Observe
-from rigtool.runfile import RecordingSpec, Run, RunWriter
+from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 OF_THE_LOOP = ("position_setpoint", "feedforward_current", "table_current")
 """Channels that are recorded besides where rigtool moves the rig."""
@@ -94,7 +95,8 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
     """Read the torque over time from every recording that has the channels.
 
     Raises `UsageError` for several runs, `RunFileError` for tables without the model and runs
-    without the channels, `InsufficientDataError` where no recording is long enough.
+    without the channels, `InsufficientDataError` where no recording is long enough, or no
+    sample lies within what was learned.
     """
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: measure-force takes one")
@@ -106,14 +108,33 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
             "--record or --observe"
         )
     model, reach = model_and_reach(tables, kt, recipe)
-    known = tables, recipe, kt, model, reach
-    limits = limits_of(*known)
-    read = [read_recording(r, *known[1:], limits=limits) for r in recorded if r.size]
+    read = [read_recording(r, recipe, kt, model, reach) for r in recorded if r.size]
     if not any(r.parts for r in read):
         raise InsufficientDataError(
             f"{run.path}: no recording has {SHORTEST:g} s without a gap: record for longer"
         )
-    return force_outcome(read, recipe, reach, Scales(*model.scales), limits)
+    _require_values(read, recorded, reach)
+    return force_outcome(read, recipe, reach, model.scales[0], model.limits)
+
+
+def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], reach: Reach) -> None:
+    """Raise `InsufficientDataError` unless some sample lies within what was learned."""
+    if any(np.any(part.states != State.OUTSIDE) for r in read for part in r.parts):
+        return
+    blocks = (degc for r in recorded for (degc,) in r.blocks("temperature", finite=False))
+    ends = [(np.min(known), np.max(known)) for degc in blocks if (known := degc[degc == degc]).size]
+    measured, (low, high) = (np.min(ends), np.max(ends)), reach.temperature_degc
+    if measured[1] < low or measured[0] > high:
+        raise InsufficientDataError(
+            f"the motor was at {measured[0]:.3g} to {measured[1]:.3g} degC, its torque constant is "
+            f"calibrated from {low:g} to {high:g} degC: no torque has a value; calibrate with "
+            "calibrate_kt.temperatures_degc about these, and learn again, or measure within"
+        )
+    raise InsufficientDataError(
+        f"no sample lies within what was learned, {reach.angle[0]:.4g} to {reach.angle[1]:.4g} rad "
+        f"of the motor, up to {reach.speed:.4g} rad/s and {reach.torque * 1e3:.4g} mN m, with a "
+        "current below its limit: no torque has a value; move within, or learn more"
+    )
 
 
 def model_and_reach(tables: Run, kt: Run, recipe: Recipe) -> tuple[ForceModel, Reach]:
@@ -139,6 +160,7 @@ def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:
         2 * math.pi * rig.angle_ratio * max(*own.speeds_rev_per_s, *own.loads.speeds_rev_per_s),
         max(own.loads.forces) * rig.load_arm,
         (-math.inf, math.inf) if calibrated is None else (min(calibrated), max(calibrated)),
+        SLOW * 2 * math.pi * rig.angle_ratio * min(own.loads.speeds_rev_per_s),
     )
 
 

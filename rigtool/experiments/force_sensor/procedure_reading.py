@@ -14,9 +14,10 @@ import numpy as np
 
 from rigtool.experiments.force_filter.estimate import PIECE, Smoother, without_delay
 from rigtool.experiments.force_filter.motion_states import Moments, Reach
+from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.steps import unbroken
-from rigtool.experiments.force_sensor.contacts import Contact, contacts, trial
 from rigtool.experiments.force_sensor.results_over_time import SIGNALS, Reading, Recorded
 from rigtool.experiments.force_sensor.sensor import Instrument, Sensor
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
@@ -65,12 +66,8 @@ def read_recording(
     kt: Run,
     model: ForceModel,
     reach: Reach,
-    limits: Array | None = None,
 ) -> Recorded:
-    """Return the torque over a recording, by stretches without gaps.
-
-    With `limits`, thresholds as `contacts.thresholds` gives them, contacts are looked for.
-    """
+    """Return the torque over a recording, and contacts, by stretches without gaps."""
     if recording.size < 2:
         return Recorded(recording.name, (), 0, 0.0)
     instrument = instrument_for(recording, recipe, kt, model, reach)
@@ -81,7 +78,7 @@ def read_recording(
         if begins:
             breaks += 1
             parts += [] if stretch is None else stretch.reading()
-            stretch = _Stretch(recording.name, instrument, float(block[0, 0]), limits)
+            stretch = _Stretch(recording.name, instrument, float(block[0, 0]))
         assert stretch is not None
         stretch.add(block[1:])
     parts += [] if stretch is None else stretch.reading()
@@ -127,14 +124,12 @@ def unbroken_blocks(recording: Recording, instrument: Instrument) -> Iterator[tu
 class _Stretch:
     """Samples without a gap: causal at once, smoothed as soon as enough has followed."""
 
-    def __init__(
-        self, name: str, instrument: Instrument, began: float, limits: Array | None
-    ) -> None:
+    def __init__(self, name: str, instrument: Instrument, began: float) -> None:
         step_time = instrument.grid.step_time
         self._name, self._instrument = name, instrument
         self._began = began - instrument.interval / 2
-        self._limits = limits
-        self._sensor = Sensor(instrument, keep=True, contacts=limits is not None)
+        sought = bool(np.isfinite(instrument.model.limits).any())
+        self._sensor = Sensor(instrument, keep=True, contacts=sought)
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._judge = instrument.judge(causal=False)
         self._waiting: Moments | None = None  # of which some, in front, give states alone
@@ -149,8 +144,8 @@ class _Stretch:
         self._limited += int(self._instrument.limited(samples[1]).sum())
         estimate = sensed.estimate
         angle = estimate.low + self._instrument.count / 2
-        found = [angle, sensed.torque, sensed.deviation, sensed.states, *sensed.others]
-        names = ("angle", "causal", "causal_deviation", "causal_states", "reference")
+        found = [angle, sensed.torque, sensed.u, sensed.states, *sensed.others]
+        names = ("angle", "causal", "causal_u", "causal_states", "reference")
         for name, values in zip(names, found, strict=False):
             self._found[name].append(values)
         if sensed.untouched is not None:
@@ -169,9 +164,10 @@ class _Stretch:
         part = self._waiting.part(0, end + judge.span)
         own = part.torque.copy()
         own[first:end] = torque
-        states = judge.states(replace(part, torque=own))[first:end]
-        smoothed: tuple[Any, ...] = (torque, deviation, states)
-        for name, values in zip(("torque", "deviation", "states"), smoothed, strict=True):
+        states = judge.states(replace(part, torque=own))
+        kinds = judge.kinds(states, part)[first:end]
+        smoothed: tuple[Any, ...] = (torque, deviation, states[first:end], kinds)
+        for name, values in zip(("torque", "u", "states", "kinds"), smoothed, strict=True):
             self._found[name].append(values)
         self._in_front = min(end, judge.span)
         self._waiting = self._waiting.part(end - self._in_front)
@@ -189,19 +185,20 @@ class _Stretch:
             return []
         reference = whole.pop("reference", None)
         bandwidth = self._instrument.bandwidth_hz
-        deviation = without_delay(whole["deviation"], bandwidth, step_time)
+        deviation = without_delay(whole["u"], bandwidth, step_time)
         ripple, variance = self._sensor.power_up.whole(whole.pop("angle"), whole["torque"])
         whole["torque"] = whole["torque"] - ripple
-        whole["deviation"] = np.sqrt(deviation**2 + variance)
+        scales, deviation = self._instrument.model.scales[0], np.sqrt(deviation**2 + variance)
+        whole["u"] = standard_uncertainty(scales, deviation, whole["torque"], whole.pop("kinds"))
         found: list[Contact] = []
-        if self._limits is not None:
+        if self._untouched:
             torque, deviation = np.hstack(self._untouched)
             tested = trial(torque, deviation, whole["causal_states"], step_time)
-            found = contacts(tested, self._limits)
+            found = contacts(tested, self._instrument.model.limits)
         steps = np.arange(1.0, len(whole["torque"]) + 1)
         time: Any = self._began + step_time * steps
         whole |= {"limited": self._limited, "contacts": tuple(found), "reference": reference}
         return [Reading(self._name, step_time, time, **whole)]
 
 
-FOUND = (*(name for name in SIGNALS if name != "time"), "reference", "angle")
+FOUND = (*(name for name in SIGNALS if name != "time"), "reference", "angle", "kinds")

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_filter.motion_states import NAMES, Reach, State, States
+from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
+from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
 from rigtool.experiments.force_sensor.accuracy import (
     BANDS,
     JUDGED,
@@ -18,7 +19,6 @@ from rigtool.experiments.force_sensor.accuracy import (
     accuracy,
     by_band_and_state,
 )
-from rigtool.experiments.force_sensor.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.lowpass import FILTER_ORDER, lowpass
@@ -44,10 +44,10 @@ class Reading:
     step_time: float
     time: Array
     torque: Array
-    deviation: Array
+    u: Array
     states: States
     causal: Array
-    causal_deviation: Array
+    causal_u: Array
     causal_states: States
     reference: Array | None
     limited: int
@@ -90,10 +90,10 @@ class Reading:
 SIGNALS = (
     "time",
     "torque",
-    "deviation",
+    "u",
     "states",
     "causal",
-    "causal_deviation",
+    "causal_u",
     "causal_states",
 )
 
@@ -109,32 +109,17 @@ class Recorded:
     lost: float
 
 
-@dataclass(frozen=True, eq=False)
-class Scales:
-    """Factors on the filter's deviations by state, (5,) each, in the order of `State`."""
-
-    smoothed: Array
-    causal: Array
-
-    def applied(self, rows: Reading) -> Reading:
-        """Return rows with standard uncertainties in place of the filter's deviations."""
-        return replace(
-            rows,
-            deviation=rows.deviation * self.smoothed[rows.states],
-            causal_deviation=rows.causal_deviation * self.causal[rows.causal_states],
-        )
-
-
 def force_outcome(
-    recordings: Sequence[Recorded], recipe: Recipe, reach: Reach, scales: Scales, limits: Array
+    recordings: Sequence[Recorded], recipe: Recipe, reach: Reach, scales: Array, limits: Array
 ) -> Outcome:
     """Return tables, results and notes of the recordings of a run.
 
-    `limits` (3, 2) are the thresholds by which contacts were looked for.
+    `scales` (kinds, 2) are those of the smoothed torque (`intervals`), `limits` (3, 2) the
+    thresholds by which contacts were looked for.
     """
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     parts = [(number, part) for number, r in enumerate(recordings) for part in r.parts]
-    rows = [scales.applied(part.low_passed(bandwidth)) for _, part in parts]
+    rows = [part.low_passed(bandwidth) for _, part in parts]
     results, tables = over_time_tables(
         rows,
         reach.torque,
@@ -187,7 +172,7 @@ def _results(
     share = float(known.mean()) * read / (read + lost)
     results = {"valid_share": Quantity(share, "1", reason="counted")}
     if known.any():
-        torque, u = whole.torque[known], whole.deviation[known]
+        torque, u = whole.torque[known], whole.u[known]
         peak = int(np.argmax(np.abs(torque)))
         results["peak_torque"] = Quantity(float(torque[peak]), "N m", float(u[peak]))
         results["mean_torque"] = Quantity(float(torque.mean()), "N m", float(u.mean()))
@@ -207,7 +192,7 @@ def _table(
 
     so_far = whole.causal_states != State.OUTSIDE
 
-    half = COVERAGE_FACTOR * whole.deviation
+    half = COVERAGE_FACTOR * whole.u
     states = ", ".join(f"{state.value} {name}" for state, name in NAMES.items())
     columns = {
         "row": Column(np.arange(len(number)), "1"),
@@ -215,7 +200,7 @@ def _table(
         "time": Column(whole.time, "s", "bench clock"),
         "torque": Column(valid(whole.torque), "N m", "on the output, from the whole recording"),
         "force": Column(valid(whole.torque / (load_arm or np.nan)), "N", "at the tip"),
-        "u": Column(valid(whole.deviation), "N m", "standard uncertainty of torque"),
+        "u": Column(valid(whole.u), "N m", "standard uncertainty of torque"),
         "low": Column(valid(whole.torque - half), "N m", "lower end of the 95 % interval"),
         "high": Column(valid(whole.torque + half), "N m", "upper end of the 95 % interval"),
         "state": Column(whole.states, "1", states),
@@ -227,9 +212,7 @@ def _table(
             "causal_torque": Column(
                 valid(whole.causal, so_far), "N m", "from samples up to its time only"
             ),
-            "causal_u": Column(
-                valid(whole.causal_deviation, so_far), "N m", "its standard uncertainty"
-            ),
+            "causal_u": Column(valid(whole.causal_u, so_far), "N m", "its standard uncertainty"),
             "causal_state": Column(whole.causal_states, "1", "from samples up to its time only"),
         }
     if any(row.reference is not None for row in rows):
@@ -259,12 +242,12 @@ def _judged(rows: Reading, largest: float) -> tuple[dict[str, Quantity], Table]:
         "state": Column(np.array([int(state) for state in JUDGED]), "1", "as in table force"),
     }
     for prefix, torque, reference, u, states in (
-        ("", rows.torque, rows.reference, rows.deviation, rows.states),
+        ("", rows.torque, rows.reference, rows.u, rows.states),
         (
             "causal_",
             rows.causal,
             rows.causal_reference,
-            rows.causal_deviation,
+            rows.causal_u,
             rows.causal_states,
         ),
     ):
@@ -308,7 +291,7 @@ def _events(parts: Sequence[tuple[int, Reading]], rows: Sequence[Reading]) -> di
         known = row.states != State.OUTSIDE
         for contact in part.contacts:
             span = slice(contact.begin // every, contact.end // every + 1)
-            torque, u = row.torque[span][known[span]], row.deviation[span][known[span]]
+            torque, u = row.torque[span][known[span]], row.u[span][known[span]]
             if not len(torque):
                 continue
             peak = int(np.argmax(np.abs(torque)))
@@ -355,14 +338,16 @@ def _contact_notes(limits: Array) -> list[str]:
 
 
 def _notes(
-    recordings: Sequence[Recorded], known: NDArray[np.bool_], reach: Reach, scales: Scales
+    recordings: Sequence[Recorded], known: NDArray[np.bool_], reach: Reach, scales: Array
 ) -> list[str]:
     low, high = reach.angle
-    factors = ", ".join(f"{scales.smoothed[s]:.2f} {NAMES[s]}" for s in JUDGED)
+    named = [*((s, NAMES[s]) for s in JUDGED), (CREEPING, "creeping")]
+    factors = ", ".join(f"{scales[s, 0]:.2f}, {scales[s, 1]:.1%} {name}" for s, name in named)
     notes = [
         f"torque was learned up to {reach.torque * 1e3:.4g} mN m, from {low:.4g} to {high:.4g} rad "
         f"of the motor, up to {reach.speed:.4g} rad/s; outside there is no value",
-        f"u is the filter's deviation times what errors under the known loads show: {factors}",
+        "u is what errors under the known loads show: the filter's deviation times a factor, and "
+        f"a share of the torque: {factors}",
     ]
     if (outside := 1 - known.mean()) > 0:
         notes.append(f"no value in {outside:.1%} of the time: outside what was learned")

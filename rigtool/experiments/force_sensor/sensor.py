@@ -9,7 +9,7 @@ same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from rigtool.experiments.force_filter.estimate import Estimate, Filter
 from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach, States
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.steps import CONTEXT, Grid, Sampler, Stepper
 from rigtool.experiments.force_sensor.power_up import PowerUp
 
@@ -62,8 +63,8 @@ class Instrument:
 class Sensed:
     """The causal estimate after each of m steps; `others` (c, m) are channels that ride along.
 
-    `torque` and `deviation` (m,) N m are those behind the low-pass, less the ripple that this
-    power-up of the amplifier adds.
+    `torque` (m,) N m is that behind the low-pass, less the ripple that this power-up of the
+    amplifier adds, `u` its standard uncertainty.
 
     `untouched` (2, m) N m are torque and deviation of a filter that expects no contact, for
     `contacts`; None where they were not asked for.
@@ -71,7 +72,7 @@ class Sensed:
 
     estimate: Estimate
     torque: Array
-    deviation: Array
+    u: Array
     moments: Moments
     states: States
     others: Array
@@ -100,10 +101,10 @@ class Sensor:
         self._stepper = Stepper(grid.step_samples)
         plant, u = model.plant(grid.sample_time), model.uncertainty
         self._filter = Filter(plant, u, grid.step_samples, instrument.bandwidth_hz)
-        rate = u.torque_rate
-        quiet = replace(u, slow_torque_rate=rate, step_torque_rate=rate)
-        other = Filter(plant, quiet, grid.step_samples, instrument.bandwidth_hz)
-        self._untouched = other if contacts else None
+        self._untouched = None
+        if contacts:
+            other = Filter(plant, model.untouched, grid.step_samples, instrument.bandwidth_hz)
+            self._untouched = other
         self.power_up = PowerUp(model, grid.step_time, instrument.bandwidth_hz)
         self._judge = instrument.judge(causal=True)
         self._before: Moments | None = None
@@ -137,14 +138,16 @@ class Sensor:
         if self._untouched is not None:
             other = self._untouched.add(signals)
             quiet = np.array([other.torque, other.deviation])
-        states = self._states(moments)
-        return Sensed(estimate, torque, deviation, moments, states, found[2:], quiet)
+        states, kinds = self._states(moments)
+        u = standard_uncertainty(self._instrument.model.scales[1], deviation, torque, kinds)
+        return Sensed(estimate, torque, u, moments, states, found[2:], quiet)
 
-    def _states(self, moments: Moments) -> States:
-        """Return the states of these steps, that follow from the steps before them, too."""
+    def _states(self, moments: Moments) -> tuple[States, States]:
+        """Return states and kinds of these steps, that follow from the steps before them, too."""
         before = self._before
         whole = moments if before is None else Moments.joined(before, moments)
         self._before = whole.part(-self._judge.span)
         if not len(moments.low):
-            return np.empty(0, dtype=np.int32)
-        return self._judge.states(whole)[len(whole.low) - len(moments.low) :]
+            return np.empty(0, dtype=np.int32), np.empty(0, dtype=np.int32)
+        states, first = self._judge.states(whole), len(whole.low) - len(moments.low)
+        return states[first:], self._judge.kinds(states, whole)[first:]

@@ -32,7 +32,8 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 INTERVAL, COUNTS, CONSTANT = 125e-6, 4000, (0.046, -4e-5)
 WIDTH = 2 * math.pi / COUNTS
 WARM = 27.0
-REACH = Reach((-1.2, 1.2), 20.0, 0.06, (20.0, 50.0))
+REACH = Reach((-1.2, 1.2), 20.0, 0.06, (20.0, 50.0), 0.5)
+SCALES = np.stack([[1.0, 1.1, 1.2, 1.5, 1.3, 2.0], [0.0, 0.01, 0.02, 0.03, 0.0, 0.1]], axis=1)
 
 TURN = np.linspace(0, 2 * math.pi, 513)
 ROTOR = np.stack(
@@ -62,6 +63,7 @@ class Model:
     """What a sensor takes of a learned model."""
 
     drive: Drive = DRIVE
+    scales: ClassVar = np.stack([SCALES, SCALES])
     learned: ClassVar = LEARNED
     uncertainty: Uncertainty = UNCERTAINTY
 
@@ -140,10 +142,10 @@ class CSensor:
         return readings[: self._library.sensor_run(len(values), *pointers)].copy()
 
 
-def expected(own, samples, factors):
+def expected(own, samples):
     """Return what the sensor in Python reads, as `CSensor.add` does."""
     found = Sensor(own, context=False).add(samples)
-    torque, u = found.torque, found.deviation * factors[found.states]
+    torque, u = found.torque, found.u
     readings = np.stack([torque, u, torque - 1.96 * u, torque + 1.96 * u, found.states], axis=1)
     readings[found.states == 0, :4] = np.nan
     return readings

@@ -25,13 +25,12 @@ from tests.experiments.deploy.sensors import (
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
 
-FACTORS = np.array([1.0, 1.1, 1.5, 1.3, 1.2])
 FLOAT = "-DRIGTOOL_SENSOR_FLOAT"
 RANGE = REACH.torque
 
 
 def header(own=None, origin=("rig",)):
-    return sensor_header(own or instrument(), FACTORS, 1.96, origin)
+    return sensor_header(own or instrument(), 1.96, origin)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +54,7 @@ def read(library, samples):
 
 @pytest.mark.parametrize("motion", ["strokes", "free", "rest"])
 def test_readings_are_those_of_python(libraries, samples, motion):
-    wanted = expected(instrument(), samples[motion], FACTORS)
+    wanted = expected(instrument(), samples[motion])
     found = read(libraries["double"], samples[motion])
     assert np.isfinite(wanted[:, 0]).mean() > 0.9
     np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
@@ -103,7 +102,7 @@ def test_limits_have_no_value(libraries, samples):
     for row in changed.values():
         part = samples["free"].copy()
         part[2] = row
-        wanted = expected(instrument(), part, FACTORS)
+        wanted = expected(instrument(), part)
         found = read(libraries["double"], part)
         np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
         assert (wanted[:, 4] == State.OUTSIDE).any()
@@ -114,7 +113,7 @@ def test_a_current_at_its_limit_has_no_value(tmp_path, samples):
     limit = float(np.quantile(np.abs(samples["free"][1]), 0.98))
     own = instrument(current_limit=limit)
     found = read(compiled(tmp_path, header(own)), samples["free"])
-    wanted = expected(own, samples["free"], FACTORS)
+    wanted = expected(own, samples["free"])
     np.testing.assert_array_equal(found[:, 4], wanted[:, 4])
     assert 0.05 < np.mean(wanted[:, 4] == State.OUTSIDE) < 0.9
 

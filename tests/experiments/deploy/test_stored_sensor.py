@@ -1,6 +1,7 @@
 """The sensor of a stored run: what is in it, and what is refused."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of
 from rigtool.recipe import load_recipe
 from rigtool.runfile import RunWriter, open_run
-from tests.experiments.deploy.sensors import INTERVAL, compiled, expected, moved
+from tests.experiments.deploy.sensors import INTERVAL, SCALES, compiled, expected, moved
 from tests.experiments.virtual_runs import RECIPE
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -38,6 +39,9 @@ COEFFICIENTS = {
     (Kind.LOAD_FRICTION, 0): 0.1,
     (Kind.CARRIED, 0): 2e-3,
 }
+LIMITS = np.array([[1e-3, 4.0], [np.inf, np.inf], [8e-3, 6.0]])
+"""A motion of which too little was recorded has no threshold."""
+
 SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
 
 
@@ -57,7 +61,8 @@ def force_model(rig):
 def learned_run(path, *overrides):
     """Write a run of implementation D that holds a force model and no recordings."""
     recipe, text = load_recipe(RECIPE, overrides)
-    model = force_model(recipe.rig)
+    scales = np.stack([SCALES[::-1], SCALES])
+    model = replace(force_model(recipe.rig), scales=scales, limits=LIMITS)
     with RunWriter(path, command="ilc-learn", recipe=recipe, recipe_text=text) as writer:
         writer.finish(model_results(model), model_tables(model))
     return path
@@ -90,8 +95,10 @@ def test_the_sensor_of_a_run_reads_what_python_reads(tables, kt, tmp_path):
     time = np.arange(round(1.5 / INTERVAL)) * INTERVAL
     samples = moved(0.4 - 0.3 * np.cos(4 * time), np.where(time > 0.8, 0.02, 0.0))
     recipe, model = tables.recipe, model_from(tables, tables.recipe)
+    np.testing.assert_array_equal(model.scales, [SCALES[::-1], SCALES])
+    np.testing.assert_array_equal(model.limits, LIMITS)
     own = instrument_of(recipe, kt, model, reach_of(tables, kt, recipe), recipe.rig.sample_time)
-    wanted = expected(own, samples, np.ones(5))
+    wanted = expected(own, samples)
     found = compiled(tmp_path, text).add(samples)
     assert np.isfinite(wanted).mean() > 0.5
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9 * own.reach.torque)

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.deviations import Deviations, deviations, kept_by_mean
 from rigtool.experiments.force_model.learning import NAMES, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Known
-from rigtool.experiments.force_model.procedure_learning import scales
 from tests.experiments.force_model import known_plant as plant
 from tests.experiments.force_model.known_plant import strokes
 
@@ -109,17 +107,3 @@ def test_too_slow_strokes_are_refused():
 def test_loads_alone_are_refused():
     with pytest.raises(InsufficientDataError, match="without load"):
         learn_sliding([strokes(10e-3, 2.0)], KNOWN, plant.COUNT, CALM)
-
-
-def test_a_factor_makes_the_interval_hold_in_95_percent():
-    rng = np.random.default_rng(3)
-    states = np.repeat([State.AGAINST, State.REVERSED], 20000).astype(np.int32)
-    errors = rng.standard_normal((2, 40000)) * np.where(states == State.REVERSED, 2.5, 0.5)
-    found = scales([(errors[:, ::2], states[::2]), (errors[:, 1::2], states[1::2])])
-    np.testing.assert_allclose(found[:, State.REVERSED], 2.5, rtol=0.05)
-    np.testing.assert_array_equal(found[:, State.AGAINST], 1.0)  # never narrower
-
-
-def test_a_state_that_no_check_shows_has_the_factor_of_all():
-    errors, states = np.full((2, 1000), 3.92), np.full(1000, State.WITH, dtype=np.int32)
-    np.testing.assert_allclose(scales([(errors, states)])[:, State.STILL], 2.0, rtol=1e-12)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from rigtool.errors import RecipeError, RunFileError, UsageError
+from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_sensor.procedure_live import LiveForce
@@ -135,6 +135,11 @@ def test_tables_without_the_model_are_refused_with_the_remedy(rig, tmp_path):
     run(ILC_LEARN, RECIPE, plain, *D[1:4], kt=KT)
     with pytest.raises(RunFileError, match="ilc-learn --implementation D"):
         rig(4.0, tables=plain, name="c.h5")
+
+
+def test_a_motor_warmer_than_calibrated_is_refused_with_the_remedy(rig):
+    with pytest.raises(InsufficientDataError, match=r"to 70\.1 degC.*from 20 to 50.*calibrate"):
+        rig(3.0, "virtual.thermal.ambient_degc=70", name="warm.h5")
 
 
 def test_a_hold_stands_still_and_says_so(rig):

@@ -300,7 +300,7 @@ def test_a_silent_host_stops_the_motor():
 
 @pytest.mark.real_time
 def test_over_a_pseudo_terminal_under_the_sanitizers_with_the_force_sensor(tmp_path):
-    (tmp_path / "sensor.h").write_text(sensor_header(instrument(), np.ones(5), 1.96, ["test"]))
+    (tmp_path / "sensor.h").write_text(sensor_header(instrument(), 1.96, ["test"]))
     flags = ("-DFIRMWARE_MAIN", "-DWITH_SENSOR", "-D_POSIX_C_SOURCE=200809L", "-g")
     program = build(tmp_path, "target", *flags, "-fsanitize=address,undefined")
     master, slave = os.openpty()

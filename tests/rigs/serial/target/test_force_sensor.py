@@ -12,7 +12,6 @@ from tests.experiments.deploy.sensors import REACH, compiled, expected, instrume
 from tests.rigs.serial.target.test_driver import TRIANGLE, as_stored, blocks_of, target_rig, virtual
 
 NEEDED = ("encoder", "current_setpoint", "temperature")
-FACTORS = np.array([1.0, 1.1, 1.5, 1.3, 1.2])
 
 
 class SensingTarget(TargetEmulator):
@@ -34,13 +33,13 @@ class SensingTarget(TargetEmulator):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
 def test_the_target_reads_what_the_host_reads_from_its_samples(tmp_path):
     own = instrument()
-    sensor = compiled(tmp_path, sensor_header(own, FACTORS, 1.96, ["emulated"]))
+    sensor = compiled(tmp_path, sensor_header(own, 1.96, ["emulated"]))
     target = SensingTarget(virtual(), sensor)
     with serve(target) as server, target_rig(server.port) as rig:
         got = blocks_of(rig, TRIANGLE)
     assert server.error is None
     samples = np.stack([as_stored(got)[name].astype(float) for name in NEEDED])
-    wanted = expected(own, samples, FACTORS)
+    wanted = expected(own, samples)
     assert len(wanted) > 500
     assert np.isfinite(wanted[:, 0]).mean() > 0.5
     np.testing.assert_allclose(np.array(target.readings), wanted, rtol=0, atol=1e-9 * REACH.torque)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.force_sensor.contacts import (
+from rigtool.experiments.force_model.contacts import (
     FALSE_ALARMS,
     WINDOW,
     Motion,

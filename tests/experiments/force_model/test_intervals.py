@@ -1,0 +1,48 @@
+"""The standard uncertainty is that under which the errors under known loads are most likely."""
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.force_filter.motion_states import CREEPING, KINDS, State
+from rigtool.experiments.force_model.intervals import Errors, scales, standard_uncertainty
+
+MINUTES = 90_000
+"""Compared steps of half an hour."""
+
+
+def drawn(factor, share, kind, count=MINUTES, seed=3):
+    rng = np.random.default_rng(seed)
+    deviation = rng.uniform(0.3e-3, 1e-3, (2, count))
+    torque = rng.uniform(-60e-3, 60e-3, count)
+    error = rng.standard_normal((2, count)) * np.hypot(factor * deviation, share * torque)
+    return Errors(error, deviation, torque, np.full(count, kind, dtype=np.int32))
+
+
+@pytest.mark.parametrize(("factor", "share"), [(2.5, 0.0), (0.7, 0.0), (1.0, 0.05)])
+@pytest.mark.parametrize("kind", [State.REVERSED, State.STILL, CREEPING])
+def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
+    own = drawn(factor, share, kind)
+    found = scales([own])[:, kind]
+    np.testing.assert_allclose(found[:, 0], factor, rtol=0.05)
+    np.testing.assert_allclose(found[:, 1], share, rtol=0.05, atol=2e-3)
+    u = standard_uncertainty(scales([own])[1], own.deviation[1], own.torque, own.kinds)
+    assert 0.945 < np.mean(np.abs(own.error[1]) < 1.96 * u) < 0.955
+
+
+def test_kinds_have_their_own_errors_and_sliding_has_one_for_both_directions():
+    parts = [drawn(0.8, 0.0, State.AGAINST), drawn(0.8, 0.0, State.WITH), drawn(2.0, 0, CREEPING)]
+    found = scales(parts)
+    np.testing.assert_array_equal(found[:, State.AGAINST], found[:, State.WITH])
+    np.testing.assert_allclose(found[:, State.WITH, 0], 0.8, rtol=0.02)
+    np.testing.assert_allclose(found[:, CREEPING, 0], 2.0, rtol=0.02)
+
+
+def test_few_strokes_hardly_change_what_slides():
+    few = drawn(2.0, 0.0, State.AGAINST, count=150)
+    assert np.all(scales([few])[:, State.AGAINST, 0] < 1.2)
+
+
+def test_a_kind_that_nothing_shows_has_the_factor_of_all():
+    found = scales([drawn(2.0, 0.0, State.REVERSED)])
+    assert found.shape == (2, KINDS, 2)
+    np.testing.assert_array_equal(found[:, State.STILL], found[:, State.REVERSED])
