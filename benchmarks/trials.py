@@ -64,9 +64,7 @@ def perform(
         for before in step.inputs.values():
             perform(before, drawn, seed, folder, done)
         output = folder / f"{len(done)}.h5"
-        options = CommonOptions(
-            overwrite=True, quiet=True, overrides=settings_of(step, drawn, seed)
-        )
+        options = CommonOptions(overwrite=True, overrides=settings_of(step, drawn, seed))
         with ExitStack() as stack:
             inputs = {
                 name: stack.enter_context(open_run(done[id(before)][1]))

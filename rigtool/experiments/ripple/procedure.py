@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
 
-from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
 from rigtool.experiments.controller_torque import naming, require_unlimited
@@ -25,12 +24,17 @@ from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
     POSITIONS,
     Ripple,
-    RippleComparison,
     Sampling,
-    Spectrum,
     compare,
     remove_offset,
-    spectrum,
+)
+from rigtool.experiments.ripple.results import (
+    comparison_results,
+    comparison_table,
+    condition_tables,
+    loop_note,
+    revolutions_table,
+    ripple_results,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.experiments.ripple.winding_heat import Lowered, Turns, winding_heat
@@ -41,13 +45,13 @@ from rigtool.experiments.torque_per_ampere import (
     torque_per_ampere_at,
     with_constant,
 )
-from rigtool.numerics.arrays import Array, ComplexArray
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.welch import Welch
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import SpeedProfile
-from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table, dof_column
+from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table
 
 ACCELERATION = 30.0
 """During run-up and stop, rad/s2."""
@@ -61,16 +65,7 @@ MAX_SEGMENT = 4096
 MIN_STEADY_SAMPLES = 4
 """Smallest number of samples at constant speed, however few turns they make."""
 
-LOWEST_FOLLOWED = 0.5
-"""Smallest |T| at which the torque that the loop asks for shows the motor's."""
-
-INERTIA_U = 0.1 / math.sqrt(3)
-"""Relative standard uncertainty of an inertia from data sheets: at most a tenth off."""
-
 # -- measuring
-
-STORED_REVOLUTIONS = 100
-"""Number of single revolutions, from the first, in the table; the signals hold all of them."""
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -161,22 +156,22 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     comparisons = [compare(by_cycle[0], other, HIGHEST_ORDER) for other in by_cycle[1:]]
     known = dict(zip((recording.name for recording in recorded), constants, strict=True))
     tables = {
-        **_tables("speed", "speed", "rad/s", speeds, by_speed, known, recipe),
+        **condition_tables("speed", "speed", "rad/s", speeds, by_speed, known, recipe),
         "speed_psd": _psd_table(speeds, welches, segment, known),
-        "revolutions": _revolutions_table((by_cycle or by_speed)[0]),
+        "revolutions": revolutions_table((by_cycle or by_speed)[0]),
     }
     if torques:
-        tables |= _tables("torque", "torque", "N m", torques, by_torque, known, recipe)
+        tables |= condition_tables("torque", "torque", "N m", torques, by_torque, known, recipe)
     if cycles:
-        tables |= _tables("power", "power_cycle", "1", cycles, by_cycle, known, recipe)
+        tables |= condition_tables("power", "power_cycle", "1", cycles, by_cycle, known, recipe)
     if comparisons:
-        tables["power_comparison"] = _comparison_table(comparisons)
-    results = {**_ripple_results(by_speed), **_comparison_results(comparisons)}
+        tables["power_comparison"] = comparison_table(comparisons)
+    results = {**ripple_results(by_speed), **comparison_results(comparisons)}
     for name in ("repeatable_rms", "non_repeatable_rms"):
         results[name] = with_constant(results[name], constants[0])
     notes = [
         heat_note,
-        _loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
+        loop_note(recipe, speeds[-1].condition("speed") / (2 * math.pi)),
         *_resolution_notes(speeds, by_speed, "speed", "rad/s"),
         *_resolution_notes(torques, by_torque, "torque", "N m"),
         *unsampled_note(runs, constants[0].value),
@@ -282,39 +277,6 @@ def _heat_note(recorded: Sequence[Recording], heat: Sequence[Lowered]) -> str:
     )
 
 
-def _loop_note(recipe: Recipe, fastest: float) -> str:
-    """State up to which order the loop follows ripple at the highest speed, turns a second."""
-    order = np.arange(1.0, HIGHEST_ORDER + 1)
-    followed = int(np.sum(np.abs(_loop(recipe, order * fastest)) >= LOWEST_FOLLOWED))
-    return (
-        "amplitudes are those of the motor's torque: what the loop asks for, divided by the "
-        "complementary sensitivity T of the recipe's controller and inertia; waveforms are what it "
-        f"asks for. Where |T| is below {LOWEST_FOLLOWED:g} there is no value: at the highest speed "
-        f"above order {followed}"
-    )
-
-
-def _loop(recipe: Recipe, frequency: Array) -> ComplexArray:
-    """Return T of the recipe's loop at these frequencies, Hz: from the motor's ripple to the torque
-    that the loop asks for against it."""
-    return position_loop(**recipe.rig.loop_design).complementary_sensitivity.response(frequency)
-
-
-def _spectrum(ripple: Ripple, recipe: Recipe, turns_per_s: float) -> tuple[Spectrum, Array]:
-    """Return the orders of the motor's torque, and the relative u of their amplitudes by T.
-
-    T has the relative error |1 - T| times that of the inertia.
-    """
-    asked = spectrum(ripple, HIGHEST_ORDER)
-    loop = _loop(recipe, asked.order * turns_per_s)
-    gain = np.where(np.abs(loop) >= LOWEST_FOLLOWED, np.abs(loop), np.nan)
-    phase = np.angle(np.exp(1j * (asked.phase - np.angle(loop))))
-    motor = replace(
-        asked, amplitude=asked.amplitude / gain, phase=phase, noise_floor=asked.noise_floor / gain
-    )
-    return motor, np.abs(1 - loop) * INERTIA_U
-
-
 def _steady(recording: Recording) -> range:
     """Return the samples at constant speed."""
 
@@ -337,120 +299,6 @@ def _ends(recording: Recording, channel: str, samples: range) -> tuple[float, fl
     """Return the first and the last of these samples."""
     first, last = (recording.read(channel, i, i + 1)[0] for i in (samples[0], samples[-1]))
     return float(first), float(last)
-
-
-def _ripple_results(by_speed: Sequence[Ripple]) -> dict[str, Quantity]:
-    results = {}
-    for name, ripple in (("lowest", by_speed[0]), ("highest", by_speed[-1])):
-        orders = spectrum(ripple, HIGHEST_ORDER)
-        strongest = orders.strongest()
-        resolved = orders.amplitude[np.isfinite(orders.amplitude)]
-        *_, second, first = np.sort([0.0, *resolved])
-        results[f"strongest_order_{name}_speed"] = Quantity(
-            float(strongest),
-            "1",
-            reason=f"a whole number; the next order has {second / first:.0%} of its amplitude",
-        )
-    rms = by_speed[0].rms()
-    results["repeatable_rms"] = Quantity(rms.repeatable, "N m", rms.repeatable_u, rms.dof)
-    results["non_repeatable_rms"] = Quantity(
-        rms.non_repeatable,
-        "N m",
-        rms.non_repeatable_u,
-        rms.dof,
-        reason="two revolutions do not resolve the uncertainty of their scatter"
-        if rms.non_repeatable_u is None
-        else None,
-    )
-    return results
-
-
-def _comparison_results(comparisons: Sequence[RippleComparison]) -> dict[str, Quantity]:
-    """Return the comparison with the power cycle that changed the ripple most."""
-    if not comparisons:
-        return {}
-    worst = min(comparisons, key=lambda found: found.correlation)
-    return {
-        "power_cycle_correlation": Quantity(worst.correlation, "1", worst.correlation_u, worst.dof),
-        "power_cycle_shift": Quantity(worst.shift, "rad", worst.shift_u, worst.dof),
-    }
-
-
-def _tables(
-    kind: str,
-    axis: str,
-    unit: str,
-    recordings: Sequence[Recording],
-    ripples: Sequence[Ripple],
-    constants: Mapping[str, Quantity],
-    recipe: Recipe,
-) -> dict[str, Table]:
-    """Return waveforms and spectra over the condition that was varied.
-
-    `constants` are the torque per ampere by the name of a recording.
-    """
-    varied = {axis: Column(np.array([r.condition(axis) for r in recordings]), unit)}
-    # Where the constant torque is the axis, its ripple needs another name.
-    signal = "ripple" if axis == "torque" else "torque"
-    turns = [recording.condition("speed") / (2 * math.pi) for recording in recordings]
-    found = [_spectrum(*own) for own in zip(ripples, [recipe] * len(ripples), turns, strict=True)]
-    spectra = [own for own, _ in found]
-    relative = [
-        np.hypot(by_loop, (constants[recording.name].u or 0.0) / constants[recording.name].value)
-        for (_, by_loop), recording in zip(found, recordings, strict=True)
-    ]
-    u = [
-        np.hypot(own.noise_floor / math.sqrt(2), own.amplitude * by_scale)
-        for own, by_scale in zip(spectra, relative, strict=True)
-    ]
-    dof = [
-        _freedom(total, own.noise_floor / math.sqrt(2), 2 * (len(ripple.waveforms) - 1))
-        for total, own, ripple in zip(u, spectra, ripples, strict=True)
-    ]
-    waveforms = Table(
-        (axis, "position"),
-        {
-            **varied,
-            "position": Column(ripples[0].angle, "rad", "of the rotor"),
-            signal: Column(np.stack([ripple.mean for ripple in ripples]), "N m"),
-        },
-        signal,
-        "repeatable ripple of the motor torque by rotor position, offset removed",
-    )
-    orders = Table(
-        (axis, "order"),
-        {
-            **varied,
-            "order": Column(spectra[0].order, "1", "cycles a turn"),
-            "amplitude": Column(np.stack([s.amplitude for s in spectra]), "N m"),
-            "phase": Column(
-                np.stack([s.phase for s in spectra]), "rad", "amplitude*cos(order*angle + phase)"
-            ),
-            "noise_floor": Column(
-                np.stack([s.noise_floor for s in spectra]),
-                "N m",
-                "amplitude that scatter between revolutions alone would show",
-            ),
-            "u": Column(np.stack(u), "N m", "standard, of the amplitude: scatter, constant, T"),
-            "dof": dof_column(np.stack(dof)),
-            "loop_gain": Column(
-                np.stack([np.abs(_loop(recipe, spectra[0].order * n)) for n in turns]),
-                "1",
-                "|T| by the recipe's controller and inertia: asked for over amplitude",
-            ),
-        },
-        "amplitude",
-        "repeatable ripple by order of rotation; no value where samples lie too far apart, or the "
-        "loop does not follow",
-    )
-    return {f"{kind}_waveforms": waveforms, f"{kind}_spectrum": orders}
-
-
-def _freedom(u: Array, scatter: Array, dof: float) -> Array:
-    """Return the degrees of freedom of u (m,), of which the part `scatter` has finite ones."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        freedom: Array = dof * (u / scatter) ** 4
-    return freedom
 
 
 def _segment(recordings: Sequence[Recording]) -> int:
@@ -481,38 +329,6 @@ def _psd_table(
         },
         "psd",
         f"power spectral density of the motor torque, Welch's method, segments of {segment}",
-    )
-
-
-def _revolutions_table(ripple: Ripple) -> Table:
-    waveforms = ripple.waveforms[:STORED_REVOLUTIONS]
-    return Table(
-        ("revolution", "position"),
-        {
-            "revolution": Column(np.arange(len(waveforms)), "1"),
-            "position": Column(ripple.angle, "rad", "of the rotor"),
-            "torque": Column(waveforms, "N m", "offset removed"),
-        },
-        "torque",
-        "ripple of single revolutions at the slowest motion",
-    )
-
-
-def _comparison_table(comparisons: Sequence[RippleComparison]) -> Table:
-    def column(name: str, unit: str, what: str) -> Column:
-        return Column(np.array([getattr(found, name) for found in comparisons]), unit, what)
-
-    return Table(
-        ("power_cycle",),
-        {
-            "power_cycle": Column(np.arange(1, len(comparisons) + 1), "1"),
-            "correlation": column("correlation", "1", "at equal angles"),
-            "shift": column("shift", "rad", "that makes the correlation largest"),
-            "best_correlation": column("best_correlation", "1", "at that shift"),
-            "scale": column("scale", "1", "least-squares factor at that shift"),
-        },
-        "correlation",
-        "ripple after each start of the amplifier against the one before the first restart",
     )
 
 
