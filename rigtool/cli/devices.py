@@ -8,7 +8,7 @@ from rigtool.cli.options import Command, current_output, example
 
 
 @click.command(
-    cls=Command, epilog=example("rigtool devices", "rigtool devices /dev/ttyACM0 --json")
+    cls=Command, epilog=example("rigtool devices", "rigtool devices --driver moteus --json")
 )
 @click.argument("ports", metavar="[PORT]...", nargs=-1)
 @click.option("--driver", "drivers", multiple=True, help="Query for this kind of device only.")

@@ -15,6 +15,8 @@ from rigtool.rigs.serial.emulators.server import serve
 from tests.cli.test_run_commands import interrupted
 from tests.experiments.deploy.test_stored_sensor import learned_run
 from tests.experiments.imported_runs import SLOW, slow_turn, take
+from tests.experiments.torque_constant.test_current_levels import draw
+from tests.experiments.torque_constant.test_imported import TEXT as STAIRCASE
 from tests.fixtures.make import SHORT
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
 from tests.runfile.importers.test_epos import write as write_epos
@@ -59,6 +61,11 @@ def prepare(bench, line):
         (bench / "imported").mkdir()
         shutil.copy(off, bench / "imported" / "nocomp_0.h5")
         shutil.copy(on, bench / "imported" / "comp_0.h5")
+    elif "calibrate-kt imported/" in line:
+        _, recorded = draw("staircase", 5)
+        arrays = {"t": recorded.time, "i": recorded.current, "f": recorded.torque / 0.5}
+        take(bench, STAIRCASE, {"a": {**arrays, "degc": recorded.temperature}})
+        (bench / "runs").rename(bench / "imported")
     elif "stribeck imported/" in line:
         hold(bench, (-20, -10, -5, 5, 10, 20))
     elif "run07.csv" in line:
