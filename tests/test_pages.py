@@ -165,7 +165,7 @@ def test_the_start_page_runs(folder, capsys):
         for block in section("docs/start.md", name)
     )
     printed = run_all(lines, folder, capsys)
-    assert len(printed) == 15
+    assert len(printed) == 16
     assert (folder / "shift.png").is_file()
     assert "torque_constant " in printed["calibrate-kt rig.toml -o kt.h5"].out
     assert json.loads(printed["info kt.h5 --json"].out)

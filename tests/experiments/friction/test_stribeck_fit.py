@@ -97,7 +97,7 @@ def test_no_hold_is_refused():
 
 def test_published_friction_comes_back():
     # thesis 7.2.1, 7.2.2: 2.3 mN m and 5.33e-5 N m s/rad
-    motor = Motor()
+    motor = Motor(noise=0.06e-3)
     for sign in (1, -1):
         found = holds_of(motor, [sign * v for v in SPEEDS])
         fit = fit_direction(found.speed * sign, found.torque * sign, found.u)
