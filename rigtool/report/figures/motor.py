@@ -163,7 +163,7 @@ def draw_constant_residuals(run: Run, table: Table) -> Figure:
     degc, line = table["temperature"], _line_of(run, table["temperature"])
     figure, axes = style.one_panel("motor temperature [°C]", "measured / fitted − 1 [%]")
     off, u = 100 * (table["torque_constant"] / line - 1), 200 * table["u"] / line
-    style.points(axes, degc, off, u, "residual, k = 2")
+    style.points(axes, degc, off, u, "residual; k = 2, what all points share included")
     axes.axhline(0, color=style.GREY, linewidth=0.8)
     style.legend_above(axes)
     return figure
@@ -187,7 +187,7 @@ def draw_linearity(run: Run, table: Table) -> Figure:
 
 @plot(FIRST_OWN_NUMBER + 8, "calibrate-kt", "Hysteresis of the staircase", "hysteresis")
 def draw_staircase_hysteresis(run: Run, table: Table) -> Figure:
-    """Torque on the way up less that on the way down, and both less their mean."""
+    """Torque on the way up and on the way down, each less the mean of both."""
     figure, axes = style.one_panel("current [A]", "torque less mean of both ways [mN m]")
     middle = (table["rising"] + table["falling"]) / 2
     for name, colour in (("rising", style.BLUE), ("falling", style.ORANGE)):
@@ -241,6 +241,7 @@ def draw_stribeck_zone(run: Run, table: Table) -> Figure:
             shown = MILLI * model["torque"][near]
             axes.plot(model["speed"][near], shown, "--", color=style.ORANGE, label="friction model")
         axes.set_xlabel("motor speed [rad/s]")
+        axes.locator_params(axis="x", nbins=4)
     figure.axes[0].set_ylabel("torque [mN m]")
-    style.legend_above(figure.axes[0], 2)
+    style.legend_above(figure.axes[0], 1)
     return figure
