@@ -177,6 +177,9 @@ def test_preview_shows_what_would_be_read(folder, capsys):
     code, out, _ = call(capsys, "import", source, "--preview")
     assert code == 0
     assert "numbers from line 2 on; delimiter = ';', decimal = '.'" in out
+    assert [line.split() for line in out.splitlines()[2:4]] == [["1", "2", "3"], ["a", "b", "c"]]
+    source.write_text("names;only\n\n")
+    assert "1 lines, none of numbers" in call(capsys, "import", source, "--preview")[1]
     assert call(capsys, "import", source)[0] == 2
     assert not list(folder.glob("**/*.h5"))
 

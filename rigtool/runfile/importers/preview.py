@@ -86,13 +86,16 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
     marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
     rows = [split_fields(line, marks.delimiter) for line in lines.text]
     count = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-    begin = next((at for at, row in enumerate(rows) if len(row) == count and _numeric(row)), 0)
+    numbers = (at for at, row in enumerate(rows) if len(row) == count and _numeric(row))
+    begin = next(numbers, None)
+    if begin is None:
+        return [f"{len(rows)} lines, none of numbers; delimiter = {marks.delimiter!r}", remedy]
     shown = [[str(number) for number in range(1, count + 1)]]
     if begin > 0 and len(rows[begin - 1]) == count:
         shown.append([field[:WIDEST] for field in rows[begin - 1]])
     shown += [row for row in rows[begin : begin + ROWS] if len(row) == count]
     return [
-        f"{len(rows)} lines, numbers from line {lines.number[begin] if rows else 0} on; "
+        f"{len(rows)} lines, numbers from line {lines.number[begin]} on; "
         f"delimiter = {marks.delimiter!r}, decimal = {marks.decimal!r}; columns by number:",
         *_aligned(shown),
         remedy,
