@@ -185,7 +185,7 @@ def _sign_of_work(signals: Mapping[str, Array], rig: mappings.ImportedRig) -> st
     if found[0] >= -CERTAIN * u:
         return None
     return (
-        f"{effort} is larger backwards than forwards, by {-2 * found[0]:.3g}, as if friction drove "
+        f"{effort} is larger backwards than forwards, by about {-2 * found[0]:.2g}, as if friction drove "
         f"the motor: see to the sign of {effort}, or of the position"
     )
 
