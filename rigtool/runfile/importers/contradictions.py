@@ -185,8 +185,8 @@ def _sign_of_work(signals: Mapping[str, Array], rig: mappings.ImportedRig) -> st
     if found[0] >= -CERTAIN * u:
         return None
     return (
-        f"{effort} is larger backwards than forwards, by about {-2 * found[0]:.2g}, as if friction drove "
-        f"the motor: see to the sign of {effort}, or of the position"
+        f"{effort} is larger backwards than forwards, by about {-2 * found[0]:.2g}, as if "
+        f"friction drove the motor: see to the sign of {effort}, or of the position"
     )
 
 
