@@ -14,7 +14,7 @@ import numpy as np
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import is_linear, require_one_rig, signals_of
+from rigtool.experiments.imported import is_linear, recordings_of, require_one_rig
 from rigtool.experiments.learning.stored_table import period_results
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import (
@@ -49,12 +49,12 @@ def analyse_imported(
     for name, given in (("friction", friction), ("plant", plant)):
         if given is not None:
             raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
     if is_linear(recordings[0]):
         raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to learn")
     effort = effort_of(recordings[0], kt)
-    turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
+    turns = [turns_of(recording, kt) for recording in recordings]
     groups = sorted(groups_of(recordings, turns), key=lambda group: group.speed)
     _require_one_condition(groups)
     rows = [_learn(group) for group in groups]
