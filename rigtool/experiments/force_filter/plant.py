@@ -193,7 +193,8 @@ def advance(
     """Advance the states x (12,) by one sample under a drive torque [N m].
 
     `rows` (12, 12), where it is not None, is the derivative of x by the states of an earlier time,
-    in the last rows the identity's, and is carried along; speeds within their spread [rad/s] of zero have no certain direction.
+    in the last rows the identity's, and is carried along; speeds within their spread [rad/s] of
+    zero have no certain direction.
     """
     dt, r, g = p.sample_time, p.angle_ratio, p.torque_factor
     bare = p.grasper_inertia <= 0.0
