@@ -19,14 +19,14 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.imported_load.basis import (
     GROUPS,
     LOAD_POWER,
+    LoadSignals,
     Scales,
-    ShaftPath,
     find_scales,
     motion_functions,
     size_of,
 )
 from rigtool.experiments.imported_load.loop import learn_loop
-from rigtool.experiments.imported_load.model import FLAT, SIGNS, DesignMatrix, LoadModel, Side
+from rigtool.experiments.imported_load.model import SIGNS, DesignMatrix, LoadModel, Side
 from rigtool.experiments.imported_load.region import (
     BEYOND,
     MARGIN,
@@ -34,7 +34,7 @@ from rigtool.experiments.imported_load.region import (
     learn_region,
     spacing_of,
 )
-from rigtool.experiments.imported_load.side import HeldOut, Rows, groups_for
+from rigtool.experiments.imported_load.side import Rows, groups_for
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
@@ -55,41 +55,22 @@ APART_SPEED = 0.1
 ALIKE = 1.96 / 1.44
 """Of factors on u: an interval narrower by this holds 85 instead of 95 %, normal distribution."""
 
-SEED = 1
-"""Of the random half; the result hardly depends on it."""
-
 CELLS = 20
 """Parts of the stroke for which friction that grows with load is reported."""
-
-
-@dataclass(frozen=True, eq=False)
-class Observation:
-    """One recording at a known load: rows (n,) of effort and torque, both as low-passed as `path`.
-
-    `used` marks the rows in use; `level` is a number that recordings at one load share.
-    """
-
-    path: ShaftPath
-    effort: Array
-    torque: Array
-    used: Mask
-    level: int
 
 
 @dataclass(frozen=True, eq=False)
 class Validation:
     """Rows (n,) of levels that were left out of the learning: torque, error and u in N m.
 
-    `speed` has the sign of the direction, `recording` the number of the observation, `row` the row
-    there.
+    `level` is the number of the load, `against` marks rows that move against it.
     """
 
     torque: Array
     error: Array
     u: Array
-    speed: Array
-    recording: Numbers
-    row: Numbers
+    level: Numbers
+    against: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,13 +89,12 @@ class LoadFriction:
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A model from recordings at so many `paces`, how well it held at levels left out and at a
-    random half of the rows, and friction that grows with load."""
+    """A model from recordings at so many `paces`, how well it held at levels left out, and
+    friction that grows with load."""
 
     model: LoadModel
     paces: int
     validation: Validation
-    random: Validation
     friction: LoadFriction
 
 
@@ -133,34 +113,45 @@ def level_numbers(values: Sequence[float], apart: float = APART) -> list[int]:
     return [int(level) for level in levels]
 
 
+def levels_of(signals: Sequence[LoadSignals]) -> list[int]:
+    """Return the number of the load level of each recording, by its mean reference torque."""
+    means = []
+    for item in signals:
+        moving = item.counts & item.path.regular
+        means.append(float(np.mean(item.sensor[moving])) if moving.any() else 0.0)
+    return level_numbers(means)
+
+
 def learn_load_model(
-    observations: Sequence[Observation],
+    signals: Sequence[LoadSignals],
     *,
     turn: float = 0.0,
     prior: LoadModel | None = None,
 ) -> Learned:
-    """Learn a model from recordings at two loads or more.
+    """Learn a model from recordings at two loads or more, each with a sensor.
 
     `turn` is one turn of the encoder in the unit of position, 0 where it has none. `prior` is the
     model of another mounting, of the same bandwidth: two loads are then enough.
     Raises `InsufficientDataError` where the recordings do not show how effort grows with load.
     """
-    paths = [item.path for item in observations]
-    scales = find_scales(paths, [item.torque for item in observations], turn)
+    paths = [item.path for item in signals]
+    scales = find_scales(paths, [item.sensor for item in signals], turn)
     if prior is not None:
         scales = _scales_as(prior, scales)
-    folds, levels = _folds(observations)
-    moving = _Moving.of(observations, scales, folds, None if prior is None else prior.effort_scale)
-    sides, held, rows = [], [], []
+    numbers = np.array(levels_of(signals))
+    folds, levels = _folds(numbers)
+    moving = _Moving.of(signals, scales, folds, None if prior is None else prior.effort_scale)
+    sides, held = [], []
     for number, sign in enumerate(SIGNS):
-        rows.append(moving.side(sign, levels, None if prior is None else prior.sides[number]))
-        side, out = rows[-1].model()
+        rows = moving.side(sign, levels, None if prior is None else prior.sides[number])
+        side, out = rows.model()
         sides.append(side)
         held.append(out)
     slope = moving.both([item.slope for item in held])
     direction = int(np.sign(np.mean(slope) * np.mean(moving.torque))) or 1
-    error = moving.both([item.error for item in held])
-    resolved = moving.both([item.resolved for item in held])
+    error, u, resolved = (
+        moving.both([getattr(item, name) for item in held]) for name in ("error", "u", "resolved")
+    )
     measured = np.where(resolved, moving.torque + error, np.nan)
     spacing = spacing_of(moving.torque, levels)
     margins = _margins(sides, direction) * spacing
@@ -178,9 +169,11 @@ def learn_load_model(
         loop=learn_loop(moving.place, moving.speed > 0, measured, moving.recording),
     )
     each = [moving.both(pair) for pair in zip(*(item.slopes for item in held), strict=False)]
+    torque, error, u = (scales.torque * v[resolved] for v in (moving.torque, error, u))
+    level, against = numbers[moving.recording], direction * moving.speed > 0
+    validation = Validation(torque, error, u, level[resolved], against[resolved])
     friction = _friction(moving, slope, each, direction)
-    half, paces = moving.random_half(rows, model), int(moving.pace.max()) + 1
-    return Learned(model, paces, moving.validation(held), half, friction)
+    return Learned(model, int(moving.pace.max()) + 1, validation, friction)
 
 
 def _scales_as(prior: LoadModel, scales: Scales) -> Scales:
@@ -214,9 +207,9 @@ def _margins(sides: Sequence[Side], direction: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Moving:
-    """Rows (n,) of all observations that move, without unit, and their functions (n, k).
+    """Rows (n,) of all recordings that move, without unit, and their functions (n, k).
 
-    `level` and `pace` number loads and speeds; `row` is the place in the observation.
+    `level` and `pace` number loads, as they are left out, and speeds.
     """
 
     scales: Scales
@@ -230,20 +223,19 @@ class _Moving:
     recording: Numbers
     level: Numbers
     pace: Numbers
-    row: Numbers
 
     @staticmethod
     def of(
-        observations: Sequence[Observation],
+        signals: Sequence[LoadSignals],
         scales: Scales,
-        folds: Sequence[int],
+        folds: Numbers,
         effort_scale: float | None,
     ) -> _Moving:
-        paces = _paces(observations)
+        paces = _paces(signals)
         parts: list[tuple[Array | Numbers, ...]] = []
-        for number, item in enumerate(observations):
+        for number, item in enumerate(signals):
             path = item.path
-            used = item.used & path.regular & (np.abs(path.speed) >= scales.standstill)
+            used = item.counts & path.regular & (np.abs(path.speed) >= scales.standstill)
             rows = np.flatnonzero(used)
             functions = np.empty((len(rows), sum(map(size_of, GROUPS))))
             for sign in SIGNS:
@@ -257,11 +249,10 @@ class _Moving:
                 (
                     functions,
                     item.effort[rows],
-                    item.torque[rows] / scales.torque,
+                    item.sensor[rows] / scales.torque,
                     path.speed[rows] / scales.speed,
                     (path.position[rows] - scales.low) / (scales.high - scales.low),
                     *(np.full(len(rows), n) for n in (number, folds[number], paces[number])),
-                    rows,
                 )
             )
         functions, effort, *rest = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -312,40 +303,6 @@ class _Moving:
             values[sign * self.speed > 0] = part
         return values
 
-    def validation(self, held: Sequence[HeldOut]) -> Validation:
-        """Return the errors in folds that were left out."""
-        resolved = self.both([item.resolved for item in held])
-        error, u = (self.both([getattr(item, name) for item in held]) for name in ("error", "u"))
-        return self._validation(resolved, error, u)
-
-    def random_half(self, sides: Sequence[Rows], model: LoadModel) -> Validation:
-        """Learn from half of the rows, chosen at random; return the errors of the rest.
-
-        As neighbouring rows are alike, this proves less than levels that were left out;
-        publications split in this way.
-        """
-        chosen = np.random.default_rng(SEED).random(len(self.speed)) < 0.5
-        parts = []
-        for sign, rows, side in zip(SIGNS, sides, model.sides, strict=True):
-            weights = rows.half(chosen[sign * self.speed > 0])
-            found, known = rows.design.solve(weights, rows.effort, model.torque_range)
-            u, slope = side.spread(rows.design, rows.speed, found)
-            known &= slope >= FLAT * side.slope
-            parts.append((found - rows.torque, u, known))
-        error, u, known = (self.both(part) for part in zip(*parts, strict=True))
-        return self._validation(~chosen & known, error, u)
-
-    def _validation(self, kept: Mask, error: Array, u: Array) -> Validation:
-        unit = self.scales.torque
-        return Validation(
-            torque=self.torque[kept] * unit,
-            error=error[kept] * unit,
-            u=u[kept] * unit,
-            speed=self.speed[kept] * self.scales.speed,
-            recording=self.recording[kept],
-            row=self.row[kept],
-        )
-
 
 def _friction(moving: _Moving, slope: Array, each: Sequence[Array], direction: int) -> LoadFriction:
     """Return friction by load from the slopes of both directions, in cells of the stroke.
@@ -373,28 +330,27 @@ def _friction(moving: _Moving, slope: Array, each: Sequence[Array], direction: i
     return LoadFriction(position[known], mu[known], u[known], len(each) - 1)
 
 
-def _paces(observations: Sequence[Observation]) -> list[int]:
-    """Return the number of the speed of each observation, the slowest first."""
-    speeds = [item.path.speed[item.used & item.path.regular] for item in observations]
+def _paces(signals: Sequence[LoadSignals]) -> list[int]:
+    """Return the number of the speed of each recording, the slowest first."""
+    speeds = [item.path.speed[item.counts & item.path.regular] for item in signals]
     sizes = [float(np.sqrt(np.mean(own**2))) if own.size else 0.0 for own in speeds]
     return level_numbers(sizes, APART_SPEED)
 
 
-def _folds(observations: Sequence[Observation]) -> tuple[list[int], int]:
-    """Return the load's number of each observation, at most `FOLDS`, and how many there are."""
-    levels = sorted({item.level for item in observations})
-    if len(levels) < 2:
+def _folds(numbers: Numbers) -> tuple[Numbers, int]:
+    """Return which load each recording is left out with, at most `FOLDS`, and how many there are.
+
+    `numbers` are those of the loads, each recording's (r,).
+    """
+    levels = int(numbers.max()) + 1
+    if levels < 2:
         raise InsufficientDataError(
-            f"{len(observations)} recordings are at one load and do not show how effort "
+            f"{len(numbers)} recordings are at one load and do not show how effort "
             "grows with load; give recordings at two loads or more, at best at five"
         )
-    if len(levels) > 2:
-        folds = min(FOLDS, len(levels))
-        number = {level: i * folds // len(levels) for i, level in enumerate(levels)}
-        return [number[item.level] for item in observations], len(levels)
-    if len(observations) < 4:
+    if levels == 2 and len(numbers) < 4:
         raise InsufficientDataError(
-            f"{len(observations)} recordings at two loads leave nothing to judge the model by: "
+            f"{len(numbers)} recordings at two loads leave nothing to judge the model by: "
             "give two recordings at each load, or three loads"
         )
-    return [item.level for item in observations], 2
+    return numbers * min(FOLDS, levels) // levels, levels

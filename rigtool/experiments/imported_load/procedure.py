@@ -14,32 +14,19 @@ from dataclasses import replace
 import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.imported import is_linear, require_one_rig, signals_of
-from rigtool.experiments.imported_load.imported_accuracy import (
-    FAST,
-    REFERENCE,
-    WIDE,
-    Accuracy,
-    Judged,
-    LoadSignals,
-    accuracy,
-    accuracy_columns,
-    carries,
-    levels_of,
-    read_signals,
+from rigtool.experiments.force_sensor.accuracy import accuracy
+from rigtool.experiments.imported import is_linear, signals_of
+from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_all
+from rigtool.experiments.imported_load.learning import (
+    Learned,
+    LoadFriction,
+    Validation,
+    learn_load_model,
 )
-from rigtool.experiments.imported_load.learning import Learned, Validation, learn_load_model
 from rigtool.experiments.imported_load.model import NORMAL_95, LoadModel
-from rigtool.experiments.imported_load.stored import (
-    MODEL,
-    RANDOM,
-    WIDE_MODEL,
-    load_model_from,
-    tables_of,
-)
+from rigtool.experiments.imported_load.stored import load_model_from, tables_of
 from rigtool.experiments.learning.procedure import PROCEDURE as LEARNING
 from rigtool.experiments.outcome import Outcome
-from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.recipe.commands import MeasureForce
@@ -64,45 +51,29 @@ def analyse_imported(
     for name, given in (("friction", friction), ("plant", plant)):
         if given is not None:
             raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
-    recordings_ = signals_of(runs)
-    require_one_rig(recordings_, runs)
-    for run, recording in zip(runs, recordings_, strict=True):
+    recordings = signals_of(runs)
+    for run, recording in zip(runs, recordings, strict=True):
         if not recording.has(REFERENCE):
             raise RunFileError(
                 f"{run.path}: has no channel {REFERENCE}, so it does not show the load: learn "
                 "from runs with a sensor at the load, imported with that channel mapped"
             )
-    signals = [
-        read_signals(run, recording, kt, bandwidth_hz)
-        for run, recording in zip(runs, recordings_, strict=True)
-    ]
-    levels = levels_of(signals)
-    turn = 0.0 if is_linear(recordings_[0]) else 2 * math.pi
+    signals = read_all(runs, kt, bandwidth_hz)
     unit = signals[0].effort_unit
-    learned = _learn(signals, levels, turn, _prior(prior, MODEL, unit, bandwidth_hz))
-    tables = tables_of(learned.model, unit)
-    random = [(bandwidth_hz, _random_half(signals, learned))]
-    if carries(recordings_, WIDE) and (prior is None or WIDE_MODEL in prior.tables):
-        wide = [
-            read_signals(run, recording, kt, WIDE)
-            for run, recording in zip(runs, recordings_, strict=True)
-        ]
-        again = _learn(wide, levels, turn, _prior(prior, WIDE_MODEL, unit, WIDE))
-        random.append((WIDE, _random_half(wide, again)))
-        tables |= tables_of(again.model, unit, WIDE_MODEL)
-    tables |= {
-        "load_friction": _friction_table(learned),
-        "left_out": _level_table(learned.validation, levels, learned.model.direction),
-        RANDOM: _random_table(random),
+    known = None if prior is None else _prior(prior, unit, bandwidth_hz)
+    turn = 0.0 if is_linear(recordings[0]) else 2 * math.pi
+    learned = learn_load_model(signals, turn=turn, prior=known)
+    tables = {
+        **tables_of(learned.model, unit),
+        "load_friction": _friction_table(learned.friction),
+        "left_out": _level_table(learned.validation),
     }
-    return Outcome(_results(learned, levels), tables, tuple(_notes(learned, levels)))
+    return Outcome(_results(learned), tables, tuple(_notes(learned, len(runs))))
 
 
-def _prior(prior: Run | None, name: str, unit: str, bandwidth_hz: float) -> LoadModel | None:
+def _prior(prior: Run, unit: str, bandwidth_hz: float) -> LoadModel:
     """Return the model of a prior run; `UsageError` where it is of other signals."""
-    if prior is None:
-        return None
-    model, prior_unit = load_model_from(prior, name)
+    model, prior_unit = load_model_from(prior)
     if (prior_unit, model.bandwidth_hz) != (unit, bandwidth_hz):
         raise UsageError(
             f"{prior.path}: was learned from effort in {prior_unit} at {model.bandwidth_hz:g} Hz, "
@@ -112,56 +83,29 @@ def _prior(prior: Run | None, name: str, unit: str, bandwidth_hz: float) -> Load
     return model
 
 
-def _learn(
-    signals: Sequence[LoadSignals], levels: Sequence[int], turn: float, prior: LoadModel | None
-) -> Learned:
-    observations = [item.observation(n) for item, n in zip(signals, levels, strict=True)]
-    return learn_load_model(observations, turn=turn, prior=prior)
-
-
-def _random_half(signals: Sequence[LoadSignals], learned: Learned) -> Accuracy:
-    """Return the errors at the random half of the samples that was kept from learning."""
-    found, judged = learned.random, []
-    for number, item in enumerate(signals):
-        own = found.recording == number
-        speed = learned.model.direction * item.output_speed[found.row[own]]
-        judged.append(
-            Judged(
-                error=found.error[own],
-                closing=speed > FAST,
-                opening=speed < -FAST,
-                moving=np.ones(len(speed), dtype=bool),
-                sure=np.abs(found.error[own]) <= NORMAL_95 * found.u[own],
-            )
-        )
-    return accuracy(judged)
-
-
 # -- what is reported
 
 
-def _results(learned: Learned, levels: Sequence[int]) -> dict[str, Quantity]:
+def _results(learned: Learned) -> dict[str, Quantity]:
     validation, friction = learned.validation, learned.friction
-    direction = learned.model.direction
     found = {
-        "load_levels": Quantity(len(set(levels)), "1", reason="a count"),
+        "load_levels": Quantity(len(np.unique(validation.level)), "1", reason="a count"),
         "load_friction": Quantity(
             float(friction.mu.mean()), "1", float(np.sqrt(np.mean(friction.u**2)))
         ),
     }
-    for name, side in (("resisting", direction), ("driving", -direction)):
-        error = validation.error[side * validation.speed > 0]
-        found[f"rmse_left_out_{name}"] = Quantity(
-            float(np.sqrt(np.mean(error**2))), "N m", reason="itself a measure of uncertainty"
-        )
+    for name, rows in (("resisting", validation.against), ("driving", ~validation.against)):
+        rms = float(np.sqrt(np.mean(validation.error[rows] ** 2)))
+        reason = "itself a measure of uncertainty"
+        found[f"rmse_left_out_{name}"] = Quantity(rms, "N m", reason=reason)
     return found
 
 
-def _notes(learned: Learned, levels: Sequence[int]) -> list[str]:
+def _notes(learned: Learned, runs: int) -> list[str]:
     model = learned.model
-    scales = model.scales
+    scales, levels = model.scales, len(np.unique(learned.validation.level))
     notes = [
-        f"learned from {len(levels)} runs at {len(set(levels))} load levels, up to "
+        f"learned from {runs} runs at {levels} load levels, up to "
         f"{scales.torque * 1e3:.4g} mN m, position {scales.low:.4g} to {scales.high:.4g} rad",
         "u is widened by the errors at levels and speeds that were left out, most by "
         f"{max(side.factors.max() for side in model.sides):.3g}; slower and faster than learned "
@@ -177,8 +121,7 @@ def _notes(learned: Learned, levels: Sequence[int]) -> list[str]:
     return notes
 
 
-def _friction_table(learned: Learned) -> Table:
-    friction = learned.friction
+def _friction_table(friction: LoadFriction) -> Table:
     return Table(
         ("position",),
         {
@@ -192,43 +135,29 @@ def _friction_table(learned: Learned) -> Table:
     )
 
 
-def _level_table(validation: Validation, levels: Sequence[int], direction: int) -> Table:
-    level = np.array(levels)[validation.recording]
-    numbers = np.unique(level)
-    against = direction * validation.speed > 0
-
-    def by_level(values: Array, mask: Mask) -> Array:
-        return np.array([float(np.mean(values[mask & (level == n)])) for n in numbers])
-
-    squares = validation.error**2
-    hit = (np.abs(validation.error) <= 1.96 * validation.u).astype(float)
+def _level_table(left_out: Validation) -> Table:
+    covered = np.abs(left_out.error) <= NORMAL_95 * left_out.u
+    numbers, found = np.unique(left_out.level), []
+    for number in numbers:
+        own = left_out.level == number
+        resisting, driving, both = (
+            accuracy(left_out.error, covered, own & rows)
+            for rows in (left_out.against, ~left_out.against, own)
+        )
+        torque = float(left_out.torque[own].mean())
+        found.append((torque, resisting.rmse, driving.rmse, both.coverage))
+    torque, resisting, driving, coverage = np.array(found).T
     return Table(
         ("level",),
         {
             "level": Column(numbers, "1", "lowest first"),
-            "torque": Column(by_level(validation.torque, against | ~against), "N m", "mean"),
-            "rmse_resisting": Column(
-                np.sqrt(by_level(squares, against)), "N m", "while the load resists"
-            ),
-            "rmse_driving": Column(
-                np.sqrt(by_level(squares, ~against)), "N m", "while the load drives"
-            ),
-            "coverage_95": Column(by_level(hit, against | ~against), "1", "of 95 % intervals"),
+            "torque": Column(torque, "N m", "mean"),
+            "rmse_resisting": Column(resisting, "N m", "while the load resists"),
+            "rmse_driving": Column(driving, "N m", "while the load drives"),
+            "coverage_95": Column(coverage, "1", "of 95 % intervals"),
         },
         "rmse_resisting",
         "errors at each level, from all others",
-    )
-
-
-def _random_table(found: Sequence[tuple[float, Accuracy]]) -> Table:
-    return Table(
-        ("bandwidth",),
-        {
-            "bandwidth": Column(np.array([bandwidth for bandwidth, _ in found]), "Hz"),
-            **accuracy_columns([item for _, item in found]),
-        },
-        "rmse_closing",
-        "errors at random halves of the samples, learned from the other half",
     )
 
 

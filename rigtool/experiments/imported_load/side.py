@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.imported_load.basis import LOAD_POWER, SPLINE_COUNT, size_of
 from rigtool.experiments.imported_load.model import (
     FLAT,
+    NORMAL_95,
     DesignMatrix,
     Side,
     scatter_rows,
@@ -51,8 +52,8 @@ HELD = 100.0
 
 ALWAYS = ("offset", "load")
 
-COVERAGE, NORMAL = 0.95, 1.959963984540054
-"""Of intervals, and the normal quantile of that."""
+COVERAGE = 0.95
+"""Of intervals."""
 
 LOG_CHI2 = 1.270362845461478
 """Minus the expected logarithm of a squared standard normal number."""
@@ -137,19 +138,6 @@ class Rows:
         sums = Sums.of(columns, effort, weight, recording, penalty, centre)
         return replace(plain, weight=weight, sums=sums)
 
-    def half(self, chosen: Mask) -> Array:
-        """Return coefficients (k,) from the rows that are `chosen` (n,) alone."""
-        sums = self.sums
-        part = Sums.of(
-            self.columns[chosen],
-            self.effort[chosen],
-            self.weight[chosen],
-            self.recording[chosen],
-            sums.penalty,
-            sums.centre,
-        )
-        return part.solve(part.all) / self.size
-
     def left_out(self, fold: Numbers) -> tuple[Array, Array, Array, Array]:
         """Leave out one fold after the other; return what the others make of its rows.
 
@@ -212,13 +200,13 @@ class Rows:
         """
         from scipy.stats import t
 
-        wider = float(t.ppf((1 + COVERAGE) / 2, len(np.unique(self.recording)) - 1)) / NORMAL
+        wider = float(t.ppf((1 + COVERAGE) / 2, len(np.unique(self.recording)) - 1)) / NORMAL_95
         rows = []
         for level in np.unique(self.level):
             own = self.level == level
             parts = [ratio[own & np.isfinite(ratio)] for ratio in ratios]
             asked = [float(np.quantile(part, COVERAGE)) for part in parts if part.size]
-            rows.append((float(self.torque[own].mean()), wider * max(asked) / NORMAL))
+            rows.append((float(self.torque[own].mean()), wider * max(asked) / NORMAL_95))
         levels, factors = np.array(sorted(rows)).T
         return levels, np.maximum(factors, factors.mean())
 
