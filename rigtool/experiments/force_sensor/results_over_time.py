@@ -14,6 +14,7 @@ from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reac
 from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
 from rigtool.experiments.force_sensor.accuracy import (
     BANDS,
+    COVERAGE_FACTOR,
     JUDGED,
     Accuracy,
     accuracy,
@@ -28,9 +29,6 @@ from rigtool.runfile import Column, Table
 
 ROWS = 20
 """Rows of the table in a period of the low-pass."""
-
-COVERAGE_FACTOR = 1.96
-"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_filter.motion_states import BEYOND
 from rigtool.experiments.imported_load.basis import (
     LoadSignals,
     Scales,
@@ -24,7 +25,6 @@ from rigtool.experiments.imported_load.basis import (
 from rigtool.experiments.imported_load.loop import learn_loop
 from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
 from rigtool.experiments.imported_load.region import (
-    BEYOND,
     MARGIN,
     NARROW,
     learn_region,

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.motion_states import State, States
+from rigtool.experiments.force_sensor.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
 from rigtool.experiments.imported_load.loop import Loop
 from rigtool.experiments.imported_load.region import Region, reached
@@ -36,9 +37,6 @@ HIGHEST_POWER = max(LOAD_POWER.values())
 
 SLOWEST = 1e-3
 """Speed below which scatter does not change any more, as part of the highest."""
-
-NORMAL_95 = 1.959963984540054
-"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
 
 HALVINGS = 40
 """Times that the range of torques is halved to find one: far finer than any uncertainty."""
@@ -176,7 +174,7 @@ class LoadModel:
                 scaled = effort[hidden] / self.effort_scale
                 found, _ = design.solve(side.weights, scaled, self.torque_range)
                 edges[number, hidden] = found
-                half[number, hidden] = NORMAL_95 * side.spread(design, speed, found)[0]
+                half[number, hidden] = COVERAGE_FACTOR * side.spread(design, speed, found)[0]
         order = np.argsort(edges, axis=0)
         low, high = np.take_along_axis(edges, order, axis=0)
         low = np.where(low < high, low, np.nan)  # else both are beyond one end of the range

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_sensor.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.imported_load.basis import (
     LOAD_POWER,
     SPLINE_COUNT,
@@ -34,7 +35,6 @@ from rigtool.experiments.imported_load.basis import (
 )
 from rigtool.experiments.imported_load.model import (
     FLAT,
-    NORMAL_95,
     DesignMatrix,
     Side,
     scatter_rows,
@@ -230,13 +230,13 @@ class Fit:
         from scipy.stats import t
 
         repeats = len(np.unique(self.rows.recording))
-        wider = float(t.ppf((1 + COVERAGE) / 2, repeats - 1)) / NORMAL_95
+        wider = float(t.ppf((1 + COVERAGE) / 2, repeats - 1)) / COVERAGE_FACTOR
         rows = []
         for level in np.unique(self.level):
             own = self.level == level
             parts = [ratio[own & np.isfinite(ratio)] for ratio in ratios]
             asked = [float(np.quantile(part, COVERAGE)) for part in parts if part.size]
-            rows.append((float(self.rows.torque[own].mean()), wider * max(asked) / NORMAL_95))
+            rows.append((float(self.rows.torque[own].mean()), wider * max(asked) / COVERAGE_FACTOR))
         levels, factors = np.array(sorted(rows)).T
         return levels, np.maximum(factors, factors.mean())
 

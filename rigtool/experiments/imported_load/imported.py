@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.force_sensor.accuracy import accuracy
+from rigtool.experiments.force_sensor.accuracy import COVERAGE_FACTOR, accuracy
 from rigtool.experiments.imported import is_linear, signals_of
 from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_all
 from rigtool.experiments.imported_load.learning import (
@@ -23,12 +22,10 @@ from rigtool.experiments.imported_load.learning import (
     Validation,
     learn_load_model,
 )
-from rigtool.experiments.imported_load.model import NORMAL_95, LoadModel
+from rigtool.experiments.imported_load.model import LoadModel
 from rigtool.experiments.imported_load.stored import load_model_from, tables_of
-from rigtool.experiments.learning.procedure import PROCEDURE as LEARNING
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
-from rigtool.recipe import Recipe
 from rigtool.recipe.commands import MeasureForce
 from rigtool.runfile import Column, Run, Table, dof_column
 
@@ -136,7 +133,7 @@ def _friction_table(friction: LoadFriction) -> Table:
 
 
 def _level_table(left_out: Validation) -> Table:
-    covered = np.abs(left_out.error) <= NORMAL_95 * left_out.u
+    covered = np.abs(left_out.error) <= COVERAGE_FACTOR * left_out.u
     numbers, found = np.unique(left_out.level), []
     for number in numbers:
         own = left_out.level == number
@@ -159,20 +156,3 @@ def _level_table(left_out: Validation) -> Table:
         "rmse_resisting",
         "errors at each level, from all others",
     )
-
-
-def _analyse(
-    runs: Sequence[Run], recipe: Recipe, *, prior: Run | None = None, **inputs: Run
-) -> Outcome:
-    """Analyse the bench's own runs."""
-    if prior is not None:
-        raise UsageError("--prior: is for imported runs, the bench's own rig is learned anew")
-    return LEARNING.analyse(runs, recipe, **inputs)
-
-
-PROCEDURE = replace(
-    LEARNING,
-    analyse=_analyse,
-    analyse_imported=analyse_imported,
-    imported_settings={"measure_force.lowpass_hz": "bandwidth_hz"},
-)
