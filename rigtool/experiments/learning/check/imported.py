@@ -263,9 +263,11 @@ def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: 
 
 
 def _row(learned: LearnedTable, speed: float) -> int:
-    """Return the row that was learned at a speed, rad/s."""
-    rows = learned.table.speed
+    """Return the row that was learned at a speed, rad/s; a map is the same row at all speeds."""
+    rows, torque = learned.table.speed, learned.table.torque
     nearest = int(np.argmin(np.abs(rows - speed)))
+    if len(rows) > 1 and np.array_equal(torque, np.broadcast_to(torque[0], torque.shape)):
+        return nearest
     if abs(rows[nearest] - speed) > GROUP_SPEED_TOLERANCE * abs(rows[nearest]):
         raise InsufficientDataError(
             f"the runs turn at {speed:.4g} rad/s, the nearest speed that was learned is "
