@@ -197,11 +197,11 @@ test-lowest:
 	$(PYTHON) -m venv .venv-lowest
 	$(PYTHON) tests/lowest.py > .venv-lowest/lowest.txt
 	$(LOWEST)/python -m pip install --quiet --constraint .venv-lowest/lowest.txt --editable '.[test]'
-	$(LOWEST)/pytest -n 2 --dist worksteal -W default -m "not real_time"
+	$(LOWEST)/pytest -n 2 --dist worksteal -W default -m "not real_time and not thorough"
 
 attack: $(INSTALLED)
 	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)
-	$(BIN)/pytest -n 2 --dist worksteal -m hypothesis --hypothesis-profile luck
+	$(BIN)/pytest -n 2 --dist worksteal -m "hypothesis or thorough" --hypothesis-profile luck
 
 docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs
