@@ -45,9 +45,8 @@ from rigtool.experiments.force_filter.plant import (
     Record,
     advance,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 SHORT, LONG = 6e-3, 0.1
 """Memories of the leaky sums of corrections, s."""

@@ -13,12 +13,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.plant import ANGLE, MOVING_STATES, STATES, TORQUE
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-Array = NDArray[np.float64]
 Record = Any
 
 ORDER = 2

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.combined import four
 from rigtool.experiments.force_filter.plant import (
@@ -25,9 +24,8 @@ from rigtool.experiments.force_filter.plant import (
     SINE,
     STATES,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 
 def room(count: int) -> tuple[Array, ...]:

@@ -32,9 +32,8 @@ from rigtool.experiments.force_filter.motion_states import SLIDING
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 ROW_TIME = 20e-3
 """Of a row, s: friction's own noise hardly changes within it."""

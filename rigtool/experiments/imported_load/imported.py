@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.force_sensor.accuracy import COVERAGE_FACTOR, accuracy
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR, accuracy
 from rigtool.experiments.imported import is_linear, signals_of
 from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_all
 from rigtool.experiments.imported_load.learning import (

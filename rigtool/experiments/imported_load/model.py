@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State, States
-from rigtool.experiments.force_sensor.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
 from rigtool.experiments.imported_load.loop import Loop
 from rigtool.experiments.imported_load.region import Region, reached

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_sensor.accuracy import COVERAGE_FACTOR
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.imported_load.basis import (
     LOAD_POWER,
     SPLINE_COUNT,

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.motion_states import State, States
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 COVERAGE_FACTOR = 1.96
 """Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
