@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.force.imported_strokes import levels_table, read_strokes, scatter_results
+from rigtool.experiments.force.imported_strokes import read_strokes, scatter_results, stroke_loads
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_sensor.results_over_time import Reading, over_time_tables
 from rigtool.experiments.imported import RECORDING
@@ -255,10 +255,10 @@ def _judged(
         known = error[own & np.isfinite(error)]
         rms = float(np.sqrt(np.mean(known**2))) if known.size else np.nan
         results[f"rmse_{name}"] = Quantity(rms, "N m", reason=reason)
-    table = levels_table(strokes, levels_of([item.signals for item in measured]))
+    table = stroke_loads(strokes, levels_of([item.signals for item in measured]))
     if table is None:
         notes.append(
             f"no closing stroke passes the middle of the stroke faster than {FAST:g} rad/s: "
-            "there is no table of levels"
+            "there is no table of loads"
         )
-    return results, {} if table is None else {"levels": table}, notes
+    return results, {} if table is None else {"loads": table}, notes
