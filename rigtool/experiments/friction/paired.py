@@ -258,9 +258,9 @@ def _even(run: Signals) -> tuple[Array, Array, Array, Array | None, Mask]:
     time, position, effort = require_signals(
         MIN_SAMPLES, time=run.time, position=run.position, effort=run.effort
     )
-    turned = np.zeros(len(time)) if run.angle is None else run.angle
+    turned: Array = np.zeros(len(time)) if run.angle is None else run.angle
     step, known, even = resample(time, position, effort, turned)
-    axis: Array = np.arange(len(even[0])) * step
+    axis: Array = np.arange(float(len(even[0]))) * step
     return axis, even[0], even[1], None if run.angle is None else even[2], known
 
 

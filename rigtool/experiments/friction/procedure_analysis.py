@@ -83,7 +83,8 @@ def analyse(
     """Return friction from the recordings that the runs hold; notes name those that are missing.
 
     With `against`, also the difference of the held curve against that of another run; with
-    `reference`, the ratio of that to the difference of a third run.
+    `reference`, the ratio of that to the difference of a third run. Raises `UsageError` where a run
+    without constant speeds is to be compared.
     """
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
