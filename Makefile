@@ -181,11 +181,14 @@ real-data: | $(INSTALLED) $(BUILD)
 		"measured instruments, and TOOL= where it is another one (docs/real-instruments.md)" >&2; exit 2; }
 	rm -rf $(BUILD)/$(TOOL)
 	$(RIGTOOL) import $(DATA)/$(TOOL) --map recipes/import/mis-tool.toml -o $(BUILD)/$(TOOL) -q
-	$(RIGTOOL) ilc-learn $(BUILD)/$(TOOL)/?[02468].h5 --implementation D \
-		-o $(BUILD)/$(TOOL)-tables.h5 --overwrite
-	$(RIGTOOL) measure-force $(BUILD)/$(TOOL)/?[13579].h5 --tables $(BUILD)/$(TOOL)-tables.h5 \
-		-o $(BUILD)/$(TOOL)-force.h5 --overwrite
-	$(RIGTOOL) report $(BUILD)/$(TOOL)-force.h5 -o $(BUILD)/$(TOOL)-report --overwrite
+	for hz in 5 50; do \
+		$(RIGTOOL) ilc-learn $(BUILD)/$(TOOL)/?[02468].h5 --implementation D \
+			--set measure_force.lowpass_hz=$$hz -o $(BUILD)/$(TOOL)-tables-$$hz.h5 --overwrite && \
+		$(RIGTOOL) measure-force $(BUILD)/$(TOOL)/?[13579].h5 --tables $(BUILD)/$(TOOL)-tables-$$hz.h5 \
+			-o $(BUILD)/$(TOOL)-force-$$hz.h5 --overwrite || exit; \
+	done
+	$(RIGTOOL) report $(BUILD)/$(TOOL)-force-5.h5 $(BUILD)/$(TOOL)-force-50.h5 \
+		-o $(BUILD)/$(TOOL)-report --overwrite
 
 test: $(INSTALLED)
 	$(BIN)/ruff check .

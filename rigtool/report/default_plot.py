@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rigtool.errors import RunFileError, UsageError
+from rigtool.errors import RunFileError, UsageError, did_you_mean
 from rigtool.escapes import figure as figure_text
 from rigtool.quantity import display_unit
 from rigtool.report.figures import PLOTS, style
@@ -77,7 +77,12 @@ def chosen_name(run: Run, name: str | None) -> str:
             (f"{name}/", f"recordings/{name}/")
         ):
             return own
-    raise UsageError(f"{run.path}: has no part {name!r} to draw: choose one of {', '.join(names)}")
+    known = [*names, *(part for own in names for part in own.split("/"))]
+    hint = did_you_mean(name, known)
+    raise UsageError(
+        f"{run.path}: has no part {name!r} to draw: choose one of {', '.join(names)}"
+        f"{hint and f'; {hint}'}"
+    )
 
 
 def draw_plot(run: Run, name: str) -> Figure:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rigtool.quantity import Quantity, display_unit, format_number, format_quantity
+from rigtool.quantity import Quantity, customary, format_number, format_quantity
 from rigtool.report.formats import (
     NO_VALUE,
     Cell,
@@ -148,15 +148,13 @@ def results_table(run: Run, label: str) -> ReportTable:
     rows = []
     for name, quantity in run.results.items():
         published = published_value(run.command, name, attachment) if compared else None
-        factor, unit = display_unit(quantity.unit, quantity.value)
+        shown = customary(name, quantity)
         rows.append(
             (
                 Cell(name, name),
-                _quantity_cell(quantity, factor),
-                Cell("" if unit == "1" else unit, quantity.unit),
-                NO_VALUE
-                if published is None
-                else Cell(f"{published.value * factor:.4g}", published.value),
+                Cell(format_number(shown.value, shown.u), quantity.value, quantity.u),
+                Cell("" if shown.unit == "1" else shown.unit, quantity.unit),
+                NO_VALUE if published is None else _published_cell(name, published.value, quantity),
                 NO_VALUE if published is None else Cell(published.section, published.section),
                 Cell(quantity.reason or "", quantity.reason or ""),
             )
@@ -279,6 +277,7 @@ def _force_row(measured: dict[str, float], published: dict[str, float] | None) -
     )
 
 
-def _quantity_cell(quantity: Quantity, factor: float) -> Cell:
-    u = None if quantity.u is None else quantity.u * factor
-    return Cell(format_number(quantity.value * factor, u), quantity.value, quantity.u)
+def _published_cell(name: str, value: float, beside: Quantity) -> Cell:
+    """Return a published value in the unit in which the result beside it is shown."""
+    published = Quantity(value, beside.unit, reason="published")
+    return Cell(f"{customary(name, published, beside.value).value:.4g}", value)

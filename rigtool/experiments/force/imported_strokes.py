@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.imported_load.imported_accuracy import FAST, LoadSignals
-from rigtool.experiments.imported_load.model import TorqueEstimate
-from rigtool.numerics.arrays import Array
+from rigtool.experiments.imported_load.basis import LoadSignals
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
@@ -38,44 +37,35 @@ class Strokes:
     sensor: Array
 
 
-def read_strokes(
-    items: Sequence[tuple[LoadSignals, TorqueEstimate]], direction: int
-) -> list[Strokes]:
-    """Return the fast strokes against the load of each run, at common positions."""
+def read_strokes(items: Sequence[tuple[LoadSignals, Array, Mask]]) -> list[Strokes]:
+    """Return the fast strokes of each run at common positions.
+
+    `items` are signals, the torque as measured (n,) N m, NaN without one, and where the strokes are
+    (n,).
+    """
     found = []
-    for signals, _ in items:
-        fast = signals.counts & (direction * signals.output_speed > FAST)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], fast.astype(int), [0]])))
+    for signals, _, fast in items:
+        edges = np.flatnonzero(np.diff((signals.counts & fast).astype(int), prepend=0, append=0))
         found.append([slice(a, b) for a, b in edges.reshape(-1, 2) if b - a > 2])
     places = [
-        signals.place[part]
-        for (signals, _), parts in zip(items, found, strict=True)
-        for part in parts
+        own.place[part] for (own, *_), parts in zip(items, found, strict=True) for part in parts
     ]
     if not places:
         return []
     low, high = min(p.min() for p in places), max(p.max() for p in places)
     grid = low + (np.arange(2 * CELLS + 1) / (2 * CELLS)) * (high - low)
     strokes = []
-    for (signals, estimate), parts in zip(items, found, strict=True):
-        torque = np.full((len(parts), len(grid)), np.nan)
-        sensor = torque.copy()
-        for row, part in enumerate(parts):
+    for (signals, measured, _), parts in zip(items, found, strict=True):
+        rows = np.full((2, len(parts), len(grid)), np.nan)
+        for number, part in enumerate(parts):
             place = signals.place[part]
             order = np.argsort(place, kind="stable")
-            moving = np.where(estimate.inside, estimate.torque, np.nan)
-            for values, of in ((torque, moving), (sensor, _sensor(signals))):
-                values[row] = np.interp(
+            for values, of in zip(rows[:, number], (measured, signals.sensor), strict=True):
+                values[:] = np.interp(
                     grid, place[order], of[part][order], left=np.nan, right=np.nan
                 )
-        strokes.append(Strokes(grid, torque, sensor))
+        strokes.append(Strokes(grid, *rows))
     return strokes
-
-
-def _sensor(signals: LoadSignals) -> Array:
-    if signals.reference is None:
-        raise ValueError("strokes are compared with a sensor")
-    return signals.reference
 
 
 def levels_table(strokes: Sequence[Strokes], numbers: Sequence[int]) -> Table | None:

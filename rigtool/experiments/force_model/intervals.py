@@ -16,11 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.motion_states import CREEPING, KINDS, State, States
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 APART = 20e-3
 """From one compared step to the next, s."""

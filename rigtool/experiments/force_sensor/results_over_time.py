@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
-from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
-from rigtool.experiments.force_sensor.accuracy import (
+from rigtool.experiments.force_filter.accuracy import (
     BANDS,
+    COVERAGE_FACTOR,
     JUDGED,
     Accuracy,
     accuracy,
     by_band_and_state,
 )
+from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
+from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
 from rigtool.experiments.outcome import Outcome
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.lowpass import FILTER_ORDER, lowpass
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
@@ -29,16 +30,15 @@ from rigtool.runfile import Column, Table
 ROWS = 20
 """Rows of the table in a period of the low-pass."""
 
-COVERAGE_FACTOR = 1.96
-"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
-
 
 @dataclass(frozen=True, eq=False)
 class Reading:
     """Torque on the output at each step of a stretch without gaps (m,), N m: smoothed, and causal
     behind the low-pass (empty where there is none), each with its states; deviations are those
     behind the low-pass. `reference` N m where it was recorded. `limited` counts the samples whose
-    current was at its limit; `contacts` are in steps."""
+    current was at its limit; `contacts` are in steps. With `dead_bands`, the torque of the states
+    REVERSED and STILL is the middle of a dead band, its u that of a rectangular distribution
+    (GUM 4.3.7)."""
 
     name: str
     step_time: float
@@ -46,13 +46,26 @@ class Reading:
     torque: Array
     u: Array
     states: States
-    causal: Array
-    causal_u: Array
-    causal_states: States
-    reference: Array | None
-    limited: int
+    causal: Array = field(default_factory=lambda: np.empty(0))
+    causal_u: Array = field(default_factory=lambda: np.empty(0))
+    causal_states: States = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    reference: Array | None = None
+    limited: int = 0
     causal_reference: Array | None = None
     contacts: tuple[Contact, ...] = ()
+    dead_bands: bool = False
+
+    @property
+    def hidden(self) -> Mask:
+        """Where there is a dead band instead of an estimate (m,)."""
+        found: Mask = self.dead_bands & np.isin(self.states, (State.REVERSED, State.STILL))
+        return found
+
+    @property
+    def half(self) -> Array:
+        """Half of the 95 % interval, or of the dead band (m,), N m."""
+        half: Array = np.where(self.hidden, math.sqrt(3), COVERAGE_FACTOR) * self.u
+        return half
 
     @classmethod
     def joined(cls, parts: Sequence[Reading]) -> Reading:
@@ -192,7 +205,6 @@ def _table(
 
     so_far = whole.causal_states != State.OUTSIDE
 
-    half = COVERAGE_FACTOR * whole.u
     states = ", ".join(f"{state.value} {name}" for state, name in NAMES.items())
     columns = {
         "row": Column(np.arange(len(number)), "1"),
@@ -201,8 +213,8 @@ def _table(
         "torque": Column(valid(whole.torque), "N m", "on the output, from the whole recording"),
         "force": Column(valid(whole.torque / (load_arm or np.nan)), "N", "at the tip"),
         "u": Column(valid(whole.u), "N m", "standard uncertainty of torque"),
-        "low": Column(valid(whole.torque - half), "N m", "lower end of the 95 % interval"),
-        "high": Column(valid(whole.torque + half), "N m", "upper end of the 95 % interval"),
+        "low": Column(valid(whole.torque - whole.half), "N m", "lower end of the 95 % interval"),
+        "high": Column(valid(whole.torque + whole.half), "N m", "upper end of the 95 % interval"),
         "state": Column(whole.states, "1", states),
     }
     if load_arm is None:
@@ -241,22 +253,22 @@ def _judged(rows: Reading, largest: float) -> tuple[dict[str, Quantity], Table]:
         "band": Column(np.array(BANDS[:-1]) * largest, "N m", "lower end of the load's band"),
         "state": Column(np.array([int(state) for state in JUDGED]), "1", "as in table force"),
     }
-    for prefix, torque, reference, u, states in (
-        ("", rows.torque, rows.reference, rows.u, rows.states),
+    for prefix, torque, reference, half, states in (
+        ("", rows.torque, rows.reference, rows.half, rows.states),
         (
             "causal_",
             rows.causal,
             rows.causal_reference,
-            rows.causal_u,
+            COVERAGE_FACTOR * rows.causal_u,
             rows.causal_states,
         ),
     ):
         if reference is None:
             continue  # there is no causal form
         known = states != State.OUTSIDE
-        moving = known & (states != State.STILL)
+        moving = known & (states != State.STILL) & ~rows.hidden
         error = np.where(known, torque - reference, np.nan)
-        covered = np.abs(error) <= COVERAGE_FACTOR * u
+        covered = np.abs(error) <= half
         overall, while_moving = (accuracy(error, covered, among) for among in (known, moving))
         why = "the deviation from the reference itself"
         results |= {

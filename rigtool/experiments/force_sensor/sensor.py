@@ -21,8 +21,7 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.steps import CONTEXT, Grid, Sampler, Stepper
 from rigtool.experiments.force_sensor.power_up import PowerUp
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 AT_THE_LIMIT = 0.999
 

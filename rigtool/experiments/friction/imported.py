@@ -21,7 +21,14 @@ from rigtool.experiments.friction.results import (
     holds_table,
 )
 from rigtool.experiments.friction.stribeck_fit import fit_directions
-from rigtool.experiments.imported import is_linear, known, position_of, require_one_rig, signals_of
+from rigtool.experiments.imported import (
+    is_linear,
+    known,
+    place,
+    position_of,
+    recordings_of,
+    require_one_rig,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
@@ -65,15 +72,17 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     Raises `UsageError` for runs of both kinds or of several rigs, `InsufficientDataError` where
     they do not support the result.
     """
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
     efforts = [effort_of(recording, kt) for recording in recordings]
     held = [_stretches(recording) for recording in recordings]
     if any(held) and not all(held):
-        moving = ", ".join(run.path.name for run, item in zip(runs, held, strict=True) if not item)
+        moving = ", ".join(
+            place(recording) for recording, item in zip(recordings, held, strict=True) if not item
+        )
         raise UsageError(
-            f"{sum(map(bool, held))} runs hold a constant speed, these do not: {moving}: analyse "
-            "the two kinds one after the other"
+            f"{sum(map(bool, held))} recordings hold a constant speed, these do not: {moving}: "
+            "analyse the two kinds one after the other"
         )
     first = efforts[0]
     found = Findings(Scale(Quantity(1.0, "1", first.relative_u or 0.0)))
@@ -84,9 +93,9 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
             "uncertainties"
         )
     if all(held):
-        _add_holds(runs, recordings, efforts, held, found)
+        _add_holds(recordings, efforts, held, found)
     else:
-        _add_motion(runs, recordings, efforts, found)
+        _add_motion(recordings, efforts, found)
     return _in_units(found, UNITS_BY_EFFORT[first.unit], linear=is_linear(recordings[0]))
 
 
@@ -142,7 +151,6 @@ def _steps(recording: Recording, time: Array, position: Array) -> list[tuple[int
 
 
 def _add_holds(
-    runs: Sequence[Run],
     recordings: Sequence[Recording],
     efforts: Sequence[Effort],
     stretches: Sequence[Sequence[tuple[int, int]]],
@@ -150,7 +158,7 @@ def _add_holds(
 ) -> None:
     parts = []
     inertia = known(recordings[0], "inertia")
-    for run, recording, effort, held in zip(runs, recordings, efforts, stretches, strict=True):
+    for recording, effort, held in zip(recordings, efforts, stretches, strict=True):
         time, angle = recording.read("time"), position_of(recording)
         asked = None
         if recording.has("position_setpoint"):
@@ -168,7 +176,7 @@ def _add_holds(
                 for a, b in held
             ]
         except InsufficientDataError as error:
-            raise InsufficientDataError(f"{run.path}: {error}") from None
+            raise InsufficientDataError(f"{place(recording)}: {error}") from None
     holds = pool(parts)
     if inertia is None:
         found.notes.append(
@@ -190,10 +198,10 @@ def _add_holds(
 
 
 def _add_motion(
-    runs: Sequence[Run], recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings
+    recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings
 ) -> None:
     motions: list[SmoothedMotion] = []
-    for run, recording, effort in zip(runs, recordings, efforts, strict=True):
+    for recording, effort in zip(recordings, efforts, strict=True):
         try:
             motion = band_limit(
                 time=recording.read("time"),
@@ -201,7 +209,7 @@ def _add_motion(
                 torque=effort.values,
             )
         except InsufficientDataError as error:
-            raise InsufficientDataError(f"{run.path}: {error}") from None
+            raise InsufficientDataError(f"{place(recording)}: {error}") from None
         motions.append(motion)
     add_dynamics(motions, found)
 

@@ -92,8 +92,16 @@ def test_the_table_of_force_over_time(measured):
         assert set(force.columns) >= {"time", "torque", "u", "low", "high", "state", "reference"}
         assert "force" not in force.columns  # no arm is known
         moving = np.isin(force["state"], (State.AGAINST, State.WITH))
-        half = (force["high"] - force["low"])[moving] / 2
-        np.testing.assert_allclose(half, 1.96 * force["u"][moving], rtol=1e-3)
+        half, u = (force["high"] - force["low"]) / 2, force["u"]
+        np.testing.assert_allclose(half[moving], 1.96 * u[moving], rtol=1e-9)
+        hidden = np.isin(force["state"], (State.REVERSED, State.STILL))  # dead bands
+        np.testing.assert_allclose(half[hidden], np.sqrt(3) * u[hidden], rtol=1e-9)
+        error = force["torque"] - force["reference"]
+        known = np.isfinite(error)
+        covered = np.mean(np.abs(error) <= half, where=known)
+        assert run.result("coverage_95").value == pytest.approx(covered)
+        rmse = np.sqrt(np.mean(error[moving] ** 2))
+        assert run.result("rmse_moving").value == pytest.approx(rmse)
         assert (force["speed"][force["state"] == State.AGAINST] > 0).all()
         assert accuracy["coverage_95"].shape == (4, 4)
         assert run.result("valid_share").value > 0.8
@@ -213,7 +221,7 @@ def test_two_loads_learn_another_mounting_with_a_prior(learned, tmp_path):
     assert found.exit_code == 0, found.stderr
     results = json.loads(found.stdout)["results"]
     assert results["rmse_moving"]["value"] < 2e-3
-    assert results["samples"]["value"] > 500
+    assert results["valid_share"]["value"] > 0.5
 
 
 def test_a_prior_is_for_imported_runs(learned, tmp_path):
@@ -240,14 +248,14 @@ def test_loads_outside_what_was_learned_have_no_value(learned, tmp_path):
     runs = instrument(tmp_path, (0.05, 0.5))
     found = rigtool("measure-force", *runs, "--tables", learned, "-o", tmp_path / "f.h5", "--json")
     assert found.exit_code == 0, found.stderr
-    outside = json.loads(found.stdout)["results"]["samples_outside"]["value"]
+    share = json.loads(found.stdout)["results"]["valid_share"]["value"]
     with open_run(str(tmp_path / "f.h5")) as run:
         force = run.table("force")
         closing = (force["speed"] > 1) & (np.abs(force["reference"]) > 0.3)
         assert closing.sum() > 100
         assert np.isnan(force["torque"][closing]).all()
         assert (force["state"][closing] == State.OUTSIDE).all()
-        assert outside >= np.count_nonzero(closing)
+        assert share == pytest.approx(np.mean(np.isfinite(force["torque"])))
 
 
 def test_where_everything_is_outside_nothing_is_written(learned, tmp_path):

@@ -51,7 +51,7 @@ class Link:
         self.sealed = True
         for _ in range(3):
             self.line.write(self._request(question, reply=True)[0])
-            with contextlib.suppress(LineTimeout):
+            with contextlib.suppress(LineTimeout), self.line.within(TEXT_TIMEOUT):
                 while True:
                     line = self.line.read_until(b"\n").rstrip(b"\r\n")
                     with contextlib.suppress(frames.BadFrame):
