@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rigtool.runfile import Recording, Run, Table
 
 SCHEMA = 1
-"""Version of the JSON documents; it grows when a key changes its meaning or goes."""
+"""Version of the JSON documents; raised when a key changes its meaning or is removed."""
 
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
@@ -33,9 +33,9 @@ def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
 
 @dataclass
 class Output:
-    """How `command` prints; `printed` where its JSON document is on stdout already.
+    """How `command` prints; `printed` is true once its JSON document is on stdout.
 
-    With `stream`, stdout is taken by values, and results go to stderr.
+    With `stream`, values go to stdout, and results to stderr.
     """
 
     json: bool = False

@@ -43,7 +43,7 @@ CHANNELS = (
 """Channels of the position loop with a table by position."""
 
 AT_THE_LIMIT = 0.999
-"""Part of the rig's limit of current from which a set point is at it."""
+"""Part of the rig's limit of current from which on a set point counts as at the limit."""
 
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
@@ -191,7 +191,7 @@ def smallest_gain(recipe: Recipe) -> float:
 
 @lru_cache(maxsize=8)
 def _smallest_gain(highest_hz: float, **design: float) -> float:
-    """Return the smallest gain of a controller; each recording of a run asks for the same one."""
+    """Return the smallest gain of a controller, cached for all recordings of a run."""
     from scipy.signal import sosfreqz
 
     sections = controller_sections(**design)

@@ -67,8 +67,8 @@ def is_linear(recording: Recording) -> bool:
 def position_of(recording: Recording) -> Array:
     """Return the position (n,), rad or m.
 
-    The measured position is preferred to encoder counts, counts to the integral of speed, which
-    starts at zero. Raises `RunFileError` where none of the three is recorded.
+    The measured position has precedence over encoder counts, and counts over the integral of speed,
+    which starts at zero. Raises `RunFileError` where none of the three is recorded.
     """
     if recording.has("position"):
         return recording.read("position")

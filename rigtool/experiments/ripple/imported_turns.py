@@ -40,7 +40,8 @@ MIN_SAMPLES = 64
 """Smallest number of samples in a recording."""
 
 LEAST_FITS, MOST_FITS = 5, 20
-"""Parts of a recording that are fitted one by one: fewer show no scatter, more hold few turns."""
+"""Parts of a recording that are fitted one by one: fewer show no scatter, more hold too few turns
+each."""
 
 SAMPLES_PER_NUMBER = 3
 """Smallest number of samples for each amplitude that is fitted."""

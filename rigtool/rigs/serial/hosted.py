@@ -129,7 +129,7 @@ class HostedRig(SerialRig):
         return identity
 
     def _state_runaway(self) -> None:
-        """Note how fast the shaft gets where a loop runs away, before the host notices."""
+        """Report the speed that the shaft of a runaway loop reaches before the host notices."""
         rig, limits = self._recipe.rig, self._limits
         torque = self._torque_constant * limits.current
         fastest = safety.runaway(
