@@ -22,7 +22,6 @@ from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reac
 from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array, Mask
-from rigtool.numerics.lowpass import FILTER_ORDER, lowpass
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
@@ -33,12 +32,12 @@ ROWS = 20
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Torque on the output at each step of a stretch without gaps (m,), N m: smoothed, and causal
-    behind the low-pass (empty where there is none), each with its states; deviations are those
-    behind the low-pass. `reference` N m where it was recorded. `limited` counts the samples whose
-    current was at its limit; `contacts` are in steps. With `dead_bands`, the torque of the states
-    REVERSED and STILL is the middle of a dead band, its u that of a rectangular distribution
-    (GUM 4.3.7)."""
+    """Rows of the torque on the output in a stretch without gaps (m,), N m, low-passed: smoothed,
+    and causal (empty where there is none), each with standard uncertainty and states. `reference`
+    N m where it was recorded, low-passed as each. `limited` counts the samples whose current was at
+    its limit; `contacts` are in steps, `every` of which are a row. With `dead_bands`, the torque of
+    the states REVERSED and STILL is the middle of a dead band, its u that of a rectangular
+    distribution (GUM 4.3.7)."""
 
     name: str
     step_time: float
@@ -53,6 +52,7 @@ class Reading:
     limited: int = 0
     causal_reference: Array | None = None
     contacts: tuple[Contact, ...] = ()
+    every: int = 1
     dead_bands: bool = False
 
     @property
@@ -81,23 +81,10 @@ class Reading:
                 together[name] = np.concatenate([getattr(part, name) for part in parts])
         return replace(first, **together, limited=sum(part.limited for part in parts))
 
-    def low_passed(self, cutoff_hz: float) -> Reading:
-        """Return the rows of the table, low-passed at a cut-off, Hz, as the causal torque is."""
-        from scipy.signal import butter, sosfilt
 
-        rate = 1 / self.step_time
-        sections = butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos")
-        every = max(1, int(rate / (ROWS * cutoff_hz)))
-        kept = {name: getattr(self, name)[::every] for name in SIGNALS if name != "torque"}
-        if self.reference is not None:
-            kept["reference"] = lowpass(rate, self.reference, cutoff_hz)[::every]
-            kept["causal_reference"] = sosfilt(sections, self.reference)[::every]
-        return replace(
-            self,
-            step_time=self.step_time * every,
-            torque=lowpass(rate, self.torque, cutoff_hz)[::every],
-            **kept,
-        )
+def steps_of_a_row(step_time: float, bandwidth_hz: float) -> int:
+    """Return how many steps of `step_time` s are a row of the table."""
+    return max(1, int((1 / step_time) / (ROWS * bandwidth_hz)))
 
 
 SIGNALS = (
@@ -132,7 +119,7 @@ def force_outcome(
     """
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     parts = [(number, part) for number, r in enumerate(recordings) for part in r.parts]
-    rows = [part.low_passed(bandwidth) for _, part in parts]
+    rows = [part for _, part in parts]
     results, tables = over_time_tables(
         rows,
         reach.torque,
@@ -142,7 +129,7 @@ def force_outcome(
         lost=sum(r.lost for r in recordings),
     )
     if np.isfinite(limits).any():
-        tables |= (events := _events(parts, rows))
+        tables |= (events := _events(parts))
         count = events["events"].shape[0] if events else 0
         results["contacts"] = Quantity(float(count), "1", reason="counted")
     known = tables["force"]["state"] != State.OUTSIDE
@@ -295,19 +282,18 @@ def _cells(prefix: str, cells: list[list[Accuracy]]) -> dict[str, Column]:
     }
 
 
-def _events(parts: Sequence[tuple[int, Reading]], rows: Sequence[Reading]) -> dict[str, Table]:
-    """Return the table of contacts, from stretches and their rows; none without contacts."""
+def _events(parts: Sequence[tuple[int, Reading]]) -> dict[str, Table]:
+    """Return the table of contacts of numbered stretches; none without contacts."""
     found: list[tuple[float, ...]] = []
-    for (number, part), row in zip(parts, rows, strict=True):
-        every = round(row.step_time / part.step_time)
-        known = row.states != State.OUTSIDE
-        for contact in part.contacts:
-            span = slice(contact.begin // every, contact.end // every + 1)
+    for number, row in parts:
+        known, step_time = row.states != State.OUTSIDE, row.step_time / row.every
+        for contact in row.contacts:
+            span = slice(contact.begin // row.every, contact.end // row.every + 1)
             torque, u = row.torque[span][known[span]], row.u[span][known[span]]
             if not len(torque):
                 continue
             peak = int(np.argmax(np.abs(torque)))
-            times = part.time[[contact.begin, contact.found, contact.end]]
+            times = row.time[0] + step_time * np.array([contact.begin, contact.found, contact.end])
             found.append((number, *times, torque[peak], u[peak], torque.mean(), u.mean()))
     if not found:
         return {}

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.between_set_points import (
     REMEDY,
     UNSAMPLED_LIMIT,
@@ -38,6 +38,7 @@ from rigtool.experiments.friction.results import (
     ramp_table,
     torque_speed_table,
 )
+from rigtool.experiments.friction.results_difference import add_curve_difference
 from rigtool.experiments.friction.stribeck_fit import (
     DirectionFit,
     Offset,
@@ -72,8 +73,20 @@ def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
     )
 
 
-def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
-    """Return friction from the recordings that the runs hold; notes name those that are missing."""
+def analyse(
+    runs: Sequence[Run],
+    recipe: Recipe,
+    *,
+    kt: Run,
+    against: Run | None = None,
+    reference: Run | None = None,
+) -> Outcome:
+    """Return friction from the recordings that the runs hold; notes name those that are missing.
+
+    With `against`, also the difference of the held curve against that of another run; with
+    `reference`, the ratio of that to the difference of a third run. Raises `UsageError` where a run
+    without constant speeds is to be compared.
+    """
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
         for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
@@ -110,6 +123,10 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         found.notes.append("friction is taken from the sweep, without repeated measurements")
     if fits:
         add_friction(fits, offset, found)
+    if against is not None:
+        if not recordings[HOLDS]:
+            raise UsageError(f"{runs[0].path}: holds no constant speeds to compare by --against")
+        add_curve_difference(found, against, reference)
     if (series := unloaded or loaded) is not None:
         found.tables["breakaway"] = breakaway_table(series.position, unloaded, loaded)
     if highest is not None:

@@ -352,4 +352,4 @@ def make_drive(line: Line, recipe: Recipe) -> Vesc:
     return Vesc(line)
 
 
-DRIVER = Driver(probe, (115200,), make_drive)
+DRIVER = Driver(probe, (115200,), make_drive, host_closes=True)
