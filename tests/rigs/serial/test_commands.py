@@ -6,16 +6,13 @@ are shorter than those of the recipe; line, loop, limits and instruments are the
 
 import json
 import math
-import tomllib
 from pathlib import Path
 
 import pytest
 
-from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.recipe import load_recipe
-from rigtool.rigs.serial import hosted
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
