@@ -241,6 +241,13 @@ def turning() -> Iterator[Design]:
             Step(IDENTIFY_PLANT, PULLEY, {"kt": KT}),
             by_name(true_plant),
         )
+    soft = {"virtual.motor.presliding_angle": 10e-3}
+    yield Design(
+        "stribeck, soft contacts",
+        also(moving, soft),
+        Step(STRIBECK, inputs={"kt": KT}),
+        by_name(true_friction),
+    )
     yield Design(
         "identify-plant, instrument",
         moving,

@@ -94,7 +94,6 @@ def command(
     effort by motion and load, from which measure-force reads torque. With --prior, the tables of
     another mounting, the lightest and the heaviest load are enough.
     """
-    from rigtool.experiments.imported_load.procedure import PROCEDURE as BY_LOAD
     from rigtool.experiments.learning import procedure as ilc_learn
 
     if check is not None:
@@ -120,7 +119,7 @@ def command(
         options = ilc_learn.asked(options, implementation, validate=validate)
     if learning_filter is not None:
         options = options.with_override(f"ilc_learn.learning_filter={learning_filter}")
-    procedure = BY_LOAD if by_load else ilc_learn.PROCEDURE
+    procedure = ilc_learn.BY_LOAD if by_load else ilc_learn.PROCEDURE
     paths = {"kt": kt, "friction": friction, "plant": plant, "prior": prior}
     run_and_print(procedure, sources, output, options, **paths)
 

@@ -265,3 +265,19 @@ class RunningController:
             state[1] = b2 * value - a2 * out
             value = out
         return value
+
+
+def largest_deviation(**design: Unpack[LoopDesign]) -> float:
+    """Return how far a torque that comes at once pushes the shaft at most, rad/(N m).
+
+    The shaft is one without friction, the loop that of `position_loop`.
+    """
+    controller = RunningController(controller_sections(**design))
+    inertia, period = design["inertia"], design["sample_time"]
+    position = speed = largest = 0.0
+    for _ in range(math.ceil(1.0 / (design["crossover_hz"] * period))):
+        acceleration = (1.0 + controller.torque(-position)) / inertia
+        position += speed * period + acceleration * period**2 / 2
+        speed += acceleration * period
+        largest = max(largest, position)
+    return largest

@@ -116,7 +116,9 @@ def _checked(
         controller = total - modelled - learned
         largest = max(largest, _largest(total))
         controlled = max(controlled, _largest(controller))
-        farthest = max(farthest, _largest(setpoint - rotor))
+        # where the host runs the loop, the controller knew the sample before
+        late = np.abs(np.diff(setpoint, prepend=setpoint[:1])) * _part_of_sample(time, recipe)
+        farthest = max(farthest, float((np.abs(setpoint - rotor) - late).max(initial=0.0)))
         yield LoopSignals(time, setpoint, encoder, rotor, total, controller, modelled, learned)
     require_tracking(
         recipe,
@@ -125,6 +127,12 @@ def _checked(
         distance=farthest,
         remedy=remedy,
     )
+
+
+def _part_of_sample(time: Array, recipe: Recipe) -> float:
+    """Return a sample of the loop as part of a recorded one, at most 1; `time` (n,) s."""
+    span = float(time[-1] - time[0]) if len(time) else 0.0
+    return min(1.0, recipe.rig.sample_time * (len(time) - 1) / span) if span > 0 else 1.0
 
 
 def _largest(values: Array) -> float:

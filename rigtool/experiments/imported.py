@@ -24,15 +24,34 @@ RIG = {
     "rated_torque",
     "inertia",
     "arm_length",
+    "gear_ratio",
     "reference_relative_u",
     "linear_axis",
 }
 """Conditions that describe the rig, not one recording."""
 
 
+def recordings_of(runs: Sequence[Run]) -> list[Recording]:
+    """Return all recordings of all runs: a file that a condition splits holds several.
+
+    Raises `RunFileError` for a run that holds only a map.
+    """
+    return [
+        recording
+        for run in runs
+        for recording in (run.recordings_named(f"{RECORDING}_") or [run.recording(RECORDING)])
+    ]
+
+
 def signals_of(runs: Sequence[Run]) -> list[Recording]:
-    """Return the recording of each run; `RunFileError` for a run that holds only a map."""
+    """Return the recording of each run; `RunFileError` for a run that has none, or several."""
     return [run.recording(RECORDING) for run in runs]
+
+
+def place(recording: Recording) -> str:
+    """Return the run file, and where that holds several recordings which of them, for messages."""
+    part = "" if recording.name == RECORDING else f", {recording.name}"
+    return f"{recording.path}{part}"
 
 
 def known(recording: Recording, name: str) -> float | None:
@@ -67,13 +86,15 @@ def position_of(recording: Recording) -> Array:
     )
 
 
-def require_one_rig(recordings: Sequence[Recording], runs: Sequence[Run]) -> None:
-    """Raise `UsageError` where the known properties of the rig differ between runs."""
+def require_one_rig(recordings: Sequence[Recording], runs: Sequence[Run] = ()) -> None:
+    """Raise `UsageError` where the known properties of the rig differ between recordings."""
+    del runs  # recordings know their files
     first = {name: known(recordings[0], name) for name in RIG}
-    for recording, run in zip(recordings, runs, strict=True):
+    for recording in recordings:
         for name, value in first.items():
             if known(recording, name) != value:
                 raise UsageError(
-                    f"{run.path} has {name} {known(recording, name)}, {runs[0].path} has {value}: "
-                    "give runs of one rig, imported with one mapping"
+                    f"{place(recording)} has {name} {known(recording, name)}, "
+                    f"{place(recordings[0])} has {value}: give runs of one rig, imported with one "
+                    "mapping"
                 )

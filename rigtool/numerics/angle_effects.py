@@ -40,6 +40,9 @@ REACH = 5.0
 NEGLIGIBLE = 1e-4
 """Probability below which a hypothesis adds nothing to the effect."""
 
+ROUNDING = 1e-18
+"""Probability below which a hypothesis is lost in the rounding of a quantile, even of thousands."""
+
 AMPLITUDES = 24
 """Number of standard deviations of an order that are considered."""
 
@@ -132,6 +135,8 @@ def _quantiles(probable: Array, mean: Array, std: Array, parts: tuple[float, ...
     """Return quantiles of a mixture of normal distributions, each (h,)."""
     from scipy.special import ndtr
 
+    seen = probable > ROUNDING
+    probable, mean, std = probable[seen], mean[seen], std[seen]
     low, high = (
         np.full(len(parts), (mean - 9 * std).min()),
         np.full(len(parts), np.max(mean + 9 * std)),

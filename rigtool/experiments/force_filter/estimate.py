@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter import kalman, passed, smoother
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.plant import STATES, TORQUE, Plant, as_record
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 PIECE = 8192
 """Steps that are filtered at a time where the smoother keeps what the filter did."""

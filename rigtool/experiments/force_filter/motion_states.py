@@ -19,7 +19,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
+
 States = NDArray[np.int32]
 
 STILL_TIME = 0.1

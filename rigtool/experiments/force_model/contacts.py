@@ -29,9 +29,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.motion_states import State, States
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 WINDOW = 0.06

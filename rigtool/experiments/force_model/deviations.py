@@ -14,12 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_model.records import ROWS_HZ, Record
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import MIN_READINGS, steady_us
-
-Array = NDArray[np.float64]
 
 APART = 5
 """Rows from one that is compared to the next: f hardly changes between them."""

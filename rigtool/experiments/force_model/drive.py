@@ -12,14 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.plant import Plant
 from rigtool.experiments.force_model.learning import Learned
 from rigtool.experiments.force_model.model import Kind, Term, wave
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 MAP_SIZE = 2048
 """Points of a turn: orders up to 12 are interpolated between them within 1e-5."""

@@ -35,8 +35,7 @@ from rigtool.experiments.force_model.model import (
 )
 from rigtool.experiments.force_model.paths import bristle
 from rigtool.experiments.force_model.records import SLOWEST, Record
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 NAMES = tuple(f.name for f in fields(Shape) if f.name not in ("bearing_length", "housing_length"))
 """What sliding shows of a shape."""

@@ -41,12 +41,10 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_model.paths import bristle, lagged, tendon
 from rigtool.experiments.force_model.records import Record
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 class Kind(IntEnum):

@@ -10,11 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.rigs.motion import SpeedProfile
-
-Array = NDArray[np.float64]
 
 TRIANGLES = (3, 6, 12, 25, 50, 100)
 """Counts of the encoder from end to end, in turn."""

@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_model.paths import bristle
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.moves import rising_crossings
 from rigtool.numerics.steady_mean import steady_mean
-
-Array = NDArray[np.float64]
 
 LOWPASS_HZ = 30.0
 """Cut-off of all that is compared; friction's reversals and an instrument's swing lie below."""

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.estimate import Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
@@ -29,8 +28,7 @@ from rigtool.experiments.force_model.learning import (
     moved,
 )
 from rigtool.experiments.force_model.model import Kind
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 SHOWN_SHAPE = ("tip_length", "stribeck_speed")
 SHOWN_KINDS = (

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_filter.estimate import Signals
 from rigtool.experiments.force_model.drive import Drive
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 SAMPLE_TIME = 0.25e-3
 """Longest sample of the filter, s: bristles and tendon swing within milliseconds."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.force_filter.motion_states import KINDS
@@ -14,11 +13,10 @@ from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import NAMES, Learned
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
-
-Array = NDArray[np.float64]
 
 TERMS, COVARIANCE = "force_terms", "force_covariance"
 SCALES, LIMITS = "force_scales", "contact_thresholds"

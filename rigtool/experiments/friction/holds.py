@@ -19,7 +19,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array, Mask
@@ -67,7 +67,7 @@ class Holds:
     shaking: Array
     settled: Array
 
-    def __getitem__(self, chosen: Mask) -> Holds:
+    def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 

@@ -89,6 +89,31 @@ class ShaftPath:
         return thinned
 
 
+@dataclass(frozen=True, eq=False)
+class LoadSignals:
+    """What an analysis reads of a recording, at the rows (n,) of its path.
+
+    `output_speed` is that of the output where it has an encoder of its own, else of the motor;
+    `reference` is None without a sensor; `place` (n,) is where the load is, by the best encoder;
+    `counts` are all rows but those at the ends.
+    """
+
+    path: ShaftPath
+    effort: Array
+    effort_unit: str
+    output_speed: Array
+    place: Array
+    reference: Array | None
+    counts: Mask
+
+    @property
+    def sensor(self) -> Array:
+        """Torque of the sensor; `ValueError` without one."""
+        if self.reference is None:
+            raise ValueError("there is no sensor")
+        return self.reference
+
+
 @dataclass(frozen=True)
 class Scales:
     """What makes position, speed and torque numbers near 1; `turn` is 0 where orders are left out.

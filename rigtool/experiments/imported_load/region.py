@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_filter.motion_states import BEYOND
 from rigtool.numerics.arrays import Array, Mask
 
 CELLS = 20
@@ -19,9 +20,6 @@ CELLS = 20
 
 SLACK = 0.03
 """Position beyond the learned ones, as part of the stroke."""
-
-BEYOND = 1.1
-"""Of the speeds that were learned: what is given nonetheless, up and down."""
 
 MARGIN, NARROW = 0.75, 0.25
 """Load beyond the learned levels, in spacings of the levels: where an interval held at the last

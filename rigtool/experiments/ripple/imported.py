@@ -14,7 +14,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import RIG, is_linear, position_of, require_one_rig, signals_of
+from rigtool.experiments.imported import (
+    RIG,
+    is_linear,
+    place,
+    position_of,
+    recordings_of,
+    require_one_rig,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported_maps import MAP, compare_maps
 from rigtool.experiments.ripple.imported_turns import (
@@ -80,12 +87,12 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
         return compare_maps(runs)
     if any(maps):
         raise UsageError("maps and recordings cannot be analysed together: give one kind")
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
     if is_linear(recordings[0]):
         raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to lay over")
     effort = _effort_of(recordings[0], kt)
-    turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
+    turns = [turns_of(recording, kt) for recording in recordings]
     groups = groups_of(recordings, turns)
     orders = min(group.orders for group in groups)
     for group in groups:
@@ -110,7 +117,7 @@ def _effort_of(recording: Recording, kt: Run | None) -> Effort:
     return Effort(recording.read("speed"), "rad/s", "speed", 0.0, "speed as in the file")
 
 
-def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
+def turns_of(recording: Recording, kt: Run | None) -> Turns:
     """Return the turns of a recording in `POSITIONS` cells, with the motor's effort as torque.
 
     Raises `InsufficientDataError` that names the file.
@@ -121,7 +128,7 @@ def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
             recording.read("time"), angle, _effort_of(recording, kt).values, POSITIONS
         )
     except InsufficientDataError as error:
-        raise InsufficientDataError(f"{run.path}: {error}") from None
+        raise InsufficientDataError(f"{place(recording)}: {error}") from None
 
 
 def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[RepeatedRuns]:

@@ -16,6 +16,7 @@ its stiffness.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -26,7 +27,7 @@ from rigtool.experiments.torque_constant.staircase_model import Common, Stairs, 
 from rigtool.experiments.torque_constant.swings import (
     friction_state,
     longest_lag,
-    path,
+    paths,
     straight_path,
 )
 from rigtool.numerics.arrays import Array
@@ -207,12 +208,15 @@ class _Means:
         current = self.stairs.current * (1 + self._coefficient * drift)
         return self._mean(current), self._mean(current * heat)
 
-    def _friction(self, transition: Array, lag: float | None) -> tuple[Array, Array]:
+    def _ways(self, lags: Sequence[float | None]) -> list[Array]:
+        """Return the path of each lag; None alone, there is no lag, has that of straight steps."""
         courses = self.stairs.courses
-        if lag is None:
-            way = straight_path(courses)
-        else:
-            way = path(courses, courses.torque, courses.course, lag)
+        some = [lag for lag in lags if lag is not None]
+        if not some:
+            return [straight_path(courses)]
+        return list(paths(courses, courses.torque, courses.course, some))
+
+    def _friction(self, transition: Array, way: Array) -> tuple[Array, Array]:
         a, b = friction_state(way, transition[:, None, None])
         return -a * self._weight, -b * self._weight  # (s, g, p)
 
@@ -222,12 +226,13 @@ class _Means:
         lags: list[float | None] = [None]
         if len(axes) > 2:
             lags = list(np.exp(axes[2]).tolist())
+        ways = self._ways(lags)
         thermal = [self._thermal(value) for value in tau.tolist()]
-        shape = (len(transition), len(tau), len(lags))
+        shape = (len(transition), len(tau), len(ways))
         square, slope = np.empty(shape), np.empty((*shape, 2))
         free = np.empty(shape, dtype=np.bool_)
-        for n, lag in enumerate(lags):
-            columns = self._friction(transition, lag)
+        for n, way in enumerate(ways):
+            columns = self._friction(transition, way)
             for k, (current, lost) in enumerate(thermal):
                 result = self._fit(current, lost, columns)
                 square[:, k, n], slope[:, k, n], free[:, k, n] = result
@@ -246,15 +251,14 @@ class _Means:
         plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape[1:]))
         slid = np.concatenate([plain, *(column[..., None] for column in friction)], axis=3)
         more = np.broadcast_to(saturation, (*slid.shape[:3], 1))
-        square, found = self._least_squares(np.concatenate([slid, more], axis=3))
-        none, _ = self._least_squares(np.concatenate([smooth, saturation], axis=3))
+        square, found, of_slid = self._least_squares(np.concatenate([slid, more], axis=3))
+        none, _, of_smooth = self._least_squares(np.concatenate([smooth, saturation], axis=3))
         level = found[..., 4, 0] @ self._share
         free = level <= 0
         square = np.where(free, none, square)
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
         # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
-        slope = self._slopes(self._least_squares(slid)[1])
-        without = self._slopes(self._least_squares(smooth)[1])
+        slope, without = self._slopes(of_slid), self._slopes(of_smooth)
         return square, np.where(free[:, None], without, slope), free
 
     def _slopes(self, found: Array) -> Array:
@@ -263,13 +267,15 @@ class _Means:
         trend: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1)], axis=1)
         return trend
 
-    def _least_squares(self, design: Array) -> tuple[Array, Array]:
-        """Return Q (s,) of the mean torque and parameters (s, g, c, 2) of designs (s, g, p, c)."""
+    def _least_squares(self, design: Array) -> tuple[Array, Array, Array]:
+        """Return Q (s,) of the mean torque and parameters (s, g, c, 2) of designs (s, g, p, c); and
+        the parameters (s, g, c - 1, 2) without the last column, whose factors are in the others."""
         q, r = np.linalg.qr(design)
-        projected = np.einsum("sgpc,gpk->sgck", q, self._torque)
-        rest = self._torque[..., 0] - np.einsum("sgpc,sgc->sgp", q, projected[..., 0])
+        projected = np.swapaxes(q, 2, 3) @ self._torque
+        rest = self._torque[..., 0] - (q @ projected[..., :1])[..., 0]
         square = np.sum(rest**2, axis=2) @ self._share
-        return square, np.linalg.solve(r, projected)
+        fewer = np.linalg.solve(r[..., :-1, :-1], projected[..., :-1, :])
+        return square, np.linalg.solve(r, projected), fewer
 
     def smooth(self, common: Common) -> None:
         """Subtract the residual of a hypothesis on the mean torques from the courses, as noise."""
@@ -283,7 +289,8 @@ class _Means:
         current, lost = self._thermal(common.time_constant)
         columns = [current, self._weight, self._step, lost, current * np.abs(current)]
         if common.transition is not None:
-            friction = self._friction(np.array([common.transition]), common.lag)
+            (way,) = self._ways([common.lag])
+            friction = self._friction(np.array([common.transition]), way)
             columns += [column[0] for column in friction]
         q, _ = np.linalg.qr(np.stack(columns, axis=2))
         torque = self._torque[..., 0]

@@ -74,8 +74,7 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
     marks = marks_of(
         data.text, FileLayout(delimiter=mapping.file.delimiter or ";", decimal=mapping.file.decimal)
     )
-    columns = [signal.column for signal in mapping.signals.values()]
-    raw = read_numbers(path, data, marks, columns, names, skip_bad)
+    raw = read_numbers(path, data, marks, mapping.columns, names, skip_bad, mapping.words)
     return raw, mapping, [*notes, *_missing(path, header, data, skip_bad)]
 
 

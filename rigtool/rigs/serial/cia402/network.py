@@ -160,8 +160,9 @@ class CanObjects:
     def reset_communication(self) -> None:
         """Restart the communication of the node; raises `LineTimeout` where it is not back."""
         self.change_state("RESET COMMUNICATION")
-        while self._network.take_in(BOOT_TIME).identifier != 0x700 + self.node:
-            pass
+        with self.line.within(BOOT_TIME):
+            while self._network.take_in(BOOT_TIME).identifier != 0x700 + self.node:
+                pass
 
     # -- PDOs
 

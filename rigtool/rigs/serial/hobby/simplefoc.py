@@ -277,4 +277,6 @@ def switch_off(line: Line, node: int) -> None:
     drive.halt()
 
 
-DRIVER = Driver(probe, (BAUD_RATE,), make_drive, has_watchdog=False, switch_off=switch_off)
+DRIVER = Driver(
+    probe, (BAUD_RATE,), make_drive, has_watchdog=False, switch_off=switch_off, host_closes=True
+)

@@ -284,6 +284,9 @@ class Vesc:
         then = self._last
         moved = (then.speed + speed) / 2 * (moment - then.time)
         angle += TURN * round((then.position + moved - angle) / TURN)
+        if not self._on:  # a shaft that is turned by hand meanwhile is no fault
+            self._drift = self._way = 0.0
+            return angle
         self._way += abs(moved)
         self._drift += angle - then.position - moved
         if abs(self._drift) > DRIFT_ANGLE + DRIFT_SHARE * self._way:
@@ -350,4 +353,4 @@ def make_drive(line: Line, recipe: Recipe) -> Vesc:
     return Vesc(line)
 
 
-DRIVER = Driver(probe, (115200,), make_drive)
+DRIVER = Driver(probe, (115200,), make_drive, host_closes=True)

@@ -116,8 +116,9 @@ class CanODrive:
 
     def _state(self) -> int:
         """Return the state in the next heartbeat; raises `LineTimeout` where none comes."""
-        while self._take_in(BEAT)[0] != HEARTBEAT:
-            pass
+        with self._line.within(BEAT):
+            while self._take_in(BEAT)[0] != HEARTBEAT:
+                pass
         return int(self._heartbeat[1])
 
     # -- identity
@@ -233,7 +234,6 @@ class CanODrive:
 
     def halt(self) -> None:
         """Make the axis idle; raises `HardwareError` where it does not become idle."""
-        self._line.settle()
         self._reach(IDLE, b"")
 
     def _reach(self, state: int, feed: bytes) -> None:
@@ -242,6 +242,7 @@ class CanODrive:
         for attempt in range(ATTEMPTS * POLLS):
             if attempt % POLLS == 0:
                 self._line.write(request)
+                self._line.settle(0.0)  # heartbeats that have come are older
             if feed:
                 self._line.write(feed)
             if self._state() == state:

@@ -1,7 +1,8 @@
 """An ODrive and a moteus on a CAN bus, behind an slcan adapter.
 
 The ODrive has a watchdog that counts at rest as well, is fed by any frame, and is off as delivered;
-it reads no setting over the bus, and 0.5 does not know the question for its version.
+it reads no setting over the bus, and 0.5 does not know the question for its version. Beside its
+heartbeat 0.5 sends its position each 10 ms, asked or not.
 """
 
 import struct
@@ -16,6 +17,7 @@ from tests.rigs.serial.emulators.slcan import SlcanEmulator
 TURN = 6.283185307179586
 IDLE, CLOSED_LOOP = 1, 8
 BEAT = 0.1
+ESTIMATES = 0.01
 
 
 class ODriveCanEmulator(SlcanEmulator):
@@ -35,7 +37,7 @@ class ODriveCanEmulator(SlcanEmulator):
         self.control, self.input = 3, 3
         self.speed = self.torque = 0.0
         self.limits = (100.0, 60.0)
-        self.fed = self.beat = time.monotonic()
+        self.fed = self.beat = self.estimated = time.monotonic()
         self.log.append("reset")
 
     @property
@@ -96,6 +98,9 @@ class ODriveCanEmulator(SlcanEmulator):
             self.beat = now
             self.answer(0x01, "<IBBBB", self.error, self.state, 0, self.encoder_flag, 0)
         self.turn()
+        if not self.new and now - self.estimated >= ESTIMATES:
+            self.estimated = now
+            self.answer(0x09, "<ff", self.motor.position / TURN, self.motor.speed / TURN)
 
     def turn(self):
         mode = {1: "current", 2: "velocity"}.get(self.control) if self.state == 8 else None

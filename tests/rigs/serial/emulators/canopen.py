@@ -47,6 +47,7 @@ OBJECTS = {
     (0x6071, 0): (I16, 0),
     (0x6072, 0): (U16, 3000),
     (0x6073, 0): (U16, 3000),
+    (0x6074, 0): (I16, 0),
     (0x6075, 0): (U32, round(RATED * 1e3)),
     (0x6078, 0): (I16, 0),
     (0x607A, 0): (I32, 0),
@@ -228,6 +229,7 @@ class CiA402Emulator(SlcanEmulator):
             (0x603F, 0): abs(self.code),
             (0x6061, 0): self.value(0x6060),
             (0x6064, 0): math.floor(self.motor.position / (2 * math.pi) * COUNTS),
+            (0x6074, 0): round(self.motor.current_setpoint / RATED * 1e3),
             (0x6078, 0): round(self.motor.current / RATED * 1e3),
         }
 
@@ -357,6 +359,7 @@ class Epos4CanEmulator(CiA402Emulator):
             (0x6072, 0): (U16, None),
             (0x6073, 0): (U16, None),
             (0x6075, 0): (U32, None),
+            (0x6074, 0): (I16, None),
             (0x6078, 0): (I16, None),
             (0x608F, 1): (U32, None),
             (0x608F, 2): (U32, None),
