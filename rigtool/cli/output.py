@@ -131,7 +131,9 @@ def described(run: Run) -> str:
     """Return what a run is, in a few words: its command, its rig, its amount of signals."""
     rig = f" on {run.rig}" if run.rig else ""
     samples = sum(recording.size for recording in run.recordings.values())
-    recorded = f", {len(run.recordings)} recordings, {samples} samples" if run.recordings else ""
+    count = len(run.recordings)
+    plural = "" if count == 1 else "s"
+    recorded = f", {count} recording{plural}, {samples} samples" if count else ""
     return f"run of {run.command}{rig}{recorded}"
 
 
