@@ -29,7 +29,7 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
 
 MOST_BEYOND = 0.25
-"""Part of the way beyond the learned stroke, from which on positions are those of another zero."""
+"""Part of the way beyond the learned stroke from which on the encoder was zeroed elsewhere."""
 
 FAST = 0.25
 """Strokes count as moving fast from this speed of the output on, rad/s, as by O'Neill et al., IEEE
@@ -73,7 +73,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
 
 
 def _require_stroke(measured: Sequence[Measured], model: LoadModel, tables: Run) -> None:
-    """Raise `InsufficientDataError` where much of the way is beyond the stroke that was learned."""
+    """Raise `InsufficientDataError` where much of the way is beyond the learned stroke."""
     paths = [item.signals.path for item in measured]
     place = np.concatenate([model.place(path)[path.regular] for path in paths])
     beyond = float(np.mean(~reached(place)))
@@ -91,7 +91,7 @@ def _of_this_mounting(
 ) -> tuple[list[Measured], list[str]]:
     """Return the estimates with u widened where strokes to and fro disagree, and notes.
 
-    Raises `InsufficientDataError` where they disagree as none of the learned recordings did.
+    Raises `InsufficientDataError` where strokes disagree more than in any learned recording.
     """
     loop = model.loop
     misfits = np.array([_misfit(item, model) for item in measured])

@@ -20,8 +20,8 @@ from rigtool.experiments.imported import is_linear, recordings_of, require_one_r
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import period_results, tables_of
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.ripple.imported import (
-    ORDERS_REPORTED,
+from rigtool.experiments.ripple.imported import ORDERS_REPORTED
+from rigtool.experiments.ripple.imported_groups import (
     RepeatedRuns,
     groups_of,
     turns_of,
@@ -190,14 +190,17 @@ def _learn(group: RepeatedRuns) -> _Row:
             "give two runs or more, or record more turns"
         )
     turns = len(group.torque)
-    spectrum = turn_spectrum(group.torque, group.orders)
-    found = coefficients(group.torque, group.orders)
+    spectrum = turn_spectrum(group.torque, group.orders, group.sampling)
+    found = coefficients(group.torque, group.orders, group.sampling)
     deviation = np.abs(found - found.mean(axis=0)) ** 2
     # A row of several turns has less of it by their number.
     per_row = group.turns / turns
     scatter = math.sqrt(per_row * float(deviation.sum()) / (turns - 1) / 2)
     means = group.torque.mean(axis=1)
-    return _known(_Row.of(spectrum, _steadied(spectrum.noise_floor), means, scatter), group.label())
+    # Of what may be a higher order's, all or nothing, the standard uncertainty is 1/sqrt(3).
+    by_alias = math.sqrt(2 / 3) * group.leak * spectrum.amplitude
+    floor = np.hypot(_steadied(spectrum.noise_floor), by_alias)
+    return _known(_Row.of(spectrum, floor, means, scatter), group.label())
 
 
 def _known(row: _Row, where: str) -> _Row:

@@ -54,7 +54,7 @@ def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
     implementation = IMPLEMENTATIONS[name]
     if implementation.BARE_MOTOR and recipe.rig.attachment != "pulley":
         raise UsageError(
-            f"implementation {name} turns the shaft round and round, which the "
+            f"implementation {name} turns the shaft continuously, which the "
             f"{recipe.rig.attachment} cannot: take it off, and add --set rig.attachment=pulley"
         )
     return implementation

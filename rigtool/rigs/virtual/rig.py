@@ -34,14 +34,15 @@ CONTACTS, HAND = 0xC047AC7, 0x4A4D
 """Streams of the seed for random draws other than the bench's own noise."""
 
 GRAVITY = 9.81
-"""Of the simulated weights, m/s2: it enters their inertia, and with it every digit of old runs."""
+"""Acceleration of the simulated weights, m/s2: it enters their inertia, and so every digit of
+earlier runs."""
 SOAK_TIME = 600.0
 MOVE_SPEED = 2.0
 SETTLE_TIME = 0.5
 
 
 class VirtualRig(Rig):
-    """A motor with encoder, amplifier and instrument that exist only as equations.
+    """A simulated motor with encoder, amplifier and instrument.
 
     `torque_constant` is the controller's, N m/A. `stream` names the use (a command), so that each
     has its own noise from the same seed. Raises `RecipeError` without [virtual], or where its

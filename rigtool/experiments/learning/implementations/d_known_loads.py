@@ -1,11 +1,11 @@
 """`ilc-learn --implementation D`: the table of implementation C, and torque as a third input [9].
 
 First C learns by position and speed. Then known loads are lifted and lowered at several speeds,
-each speed beginning and ending without load. A short motion without load explores what strokes do
-not show: rest and reversals anywhere. From all of them one model of motor, friction and tendon is
-learned (`experiments.force_model.model`). The disturbance of a load by speed, position and
-torque is a table of it (`experiments.load_disturbance.sliding`). All go into one run file: the
-table of C is fed forward while moving, the model converts the motor's torque into a load.
+each speed beginning and ending without load. A short motion without load shows what strokes do not:
+rest and reversals anywhere. From all of them one model of motor, friction and tendon is learned
+(`experiments.force_model.model`). The disturbance of a load by speed, position and torque is a
+table of it (`experiments.load_disturbance.sliding`). All go into one run file: the table of C is
+fed forward while moving, the model converts the motor's torque into a load.
 """
 
 from __future__ import annotations
