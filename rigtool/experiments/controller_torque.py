@@ -23,7 +23,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rigtool.control.position_loop import controller_sections
+from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
@@ -192,8 +192,5 @@ def smallest_gain(recipe: Recipe) -> float:
 @lru_cache(maxsize=8)
 def _smallest_gain(highest_hz: float, **design: float) -> float:
     """Return the smallest gain of a controller, cached for all recordings of a run."""
-    from scipy.signal import sosfreqz
-
-    sections = controller_sections(**design)
     frequency = np.geomspace(min(LOWEST_HZ, highest_hz), highest_hz, 100)
-    return float(np.abs(sosfreqz(sections, frequency, fs=1 / design["sample_time"])[1]).min())
+    return float(np.abs(position_loop(**design).controller.response(frequency)).min())

@@ -139,8 +139,9 @@ class Move:
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """See `Motion.setpoint`."""
         s = np.clip(time / self.duration, 0.0, 1.0)
-        position = self.angle * s**3 * (10 - 15 * s + 6 * s**2)
-        speed = self.angle / self.duration * 30 * s**2 * (1 - s) ** 2
+        # Products: how a power is rounded depends on the processor.
+        position = self.angle * (s * s * s) * (10 - 15 * s + 6 * (s * s))
+        speed = self.angle / self.duration * 30 * (s * s) * ((1 - s) * (1 - s))
         acceleration = self.angle / self.duration**2 * 60 * s * (1 - s) * (1 - 2 * s)
         return position, speed, acceleration
 

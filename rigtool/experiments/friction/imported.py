@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.friction.holds import MIN_SAMPLES, find_holds, pool
+from rigtool.experiments.friction.holds import MIN_SAMPLES, find_holds
 from rigtool.experiments.friction.imported_motion import add_dynamics
 from rigtool.experiments.friction.imported_pairs import add_changes
 from rigtool.experiments.friction.motion_terms import SmoothedMotion, band_limit
-from rigtool.experiments.friction.procedure_analysis import separate
+from rigtool.experiments.friction.procedure_analysis import fit_holds, separate
 from rigtool.experiments.friction.results import (
     Findings,
     Scale,
@@ -22,7 +22,6 @@ from rigtool.experiments.friction.results import (
     holds_table,
 )
 from rigtool.experiments.friction.results_difference import add_curve_difference
-from rigtool.experiments.friction.stribeck_fit import fit_directions
 from rigtool.experiments.imported import (
     is_linear,
     known,
@@ -176,7 +175,7 @@ def _add_holds(
     found: Findings,
 ) -> None:
     parts = []
-    inertia = known(recordings[0], "inertia")
+    inertia = known(recordings[0], "inertia") if efforts[0].unit == "N m" else None
     for recording, effort, held in zip(recordings, efforts, stretches, strict=True):
         time, angle = recording.read("time"), position_of(recording)
         asked = None
@@ -196,12 +195,13 @@ def _add_holds(
             ]
         except InsufficientDataError as error:
             raise InsufficientDataError(f"{place(recording)}: {error}") from None
-    holds = pool(parts)
+    fits, holds, notes = fit_holds(parts)
+    found.notes += notes
     if inertia is None:
         found.notes.append(
-            "the inertia is not known: holds in which the shaft starts and stops are not left out"
+            "inertia or torque is not known: holds in which the shaft starts and stops are not "
+            "left out"
         )
-    fits = fit_directions(holds.speed, holds.torque, holds.u)
     found.tables["holds"] = holds_table(holds, settled=True)
     settled = int(np.count_nonzero(holds.settled > 0))
     found.notes.append(

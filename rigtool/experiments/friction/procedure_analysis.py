@@ -175,22 +175,14 @@ def _fit_holds(
     recordings: Iterable[Recording], recipe: Recipe, scale: Scale
 ) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
     """Return the fit by direction (+1, -1), the holds that it rests on, and notes."""
-    parts, notes = [], []
+    parts = []
     setpoints, currents = [], []
     for recording in recordings:
         parts.append(_find_holds(recording, recipe, scale))
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
-    everything = pool(parts)
-    steady = everything[everything.shaking <= SHAKING_LIMIT]
-    if len(steady.speed) < len(everything.speed):
-        shaken = np.abs(everything.speed[everything.shaking > SHAKING_LIMIT])
-        listed = ", ".join(f"{speed:.3g}" for speed in np.unique(np.round(shaken, 3)))
-        notes.append(
-            f"holds left out, because the shaft starts and stops instead of turning: {listed} rad/s"
-        )
-    fits = fit_directions(steady.speed, steady.torque, steady.u)
+    fits, steady, notes = fit_holds(parts)
     if setpoints:
         require_linear_at_low_current(
             current_setpoint=np.concatenate(setpoints),
@@ -198,6 +190,23 @@ def _fit_holds(
             friction_current=float(np.mean([fit.friction for fit in fits.values()])) / scale.value,
         )
     return fits, steady, notes
+
+
+def fit_holds(parts: list[Holds]) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
+    """Return the fit by direction of holds from several recordings, those that are used, and notes.
+
+    Left out are holds in which the shaft starts and stops. Raises `InsufficientDataError` where a
+    direction cannot be fitted.
+    """
+    everything, notes = pool(parts), []
+    steady = everything[everything.shaking <= SHAKING_LIMIT]
+    if len(steady.speed) < len(everything.speed):
+        shaken = np.abs(everything.speed[everything.shaking > SHAKING_LIMIT])
+        listed = ", ".join(f"{speed:.3g}" for speed in np.unique(np.round(shaken, 3)))
+        notes.append(
+            f"holds left out, because the shaft starts and stops instead of turning: {listed} rad/s"
+        )
+    return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
 
 
 def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> None:

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import position_of, require_one_rig, signals_of
+from rigtool.experiments.imported import place as named
+from rigtool.experiments.imported import position_of, recordings_of, require_one_rig
 from rigtool.experiments.imported_load.basis import LoadSignals, follow
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.runfile import Recording, Run
@@ -23,25 +24,25 @@ END = 1.0
 def read_all(
     runs: Sequence[Run], kt: Run | None, bandwidth_hz: float, unit: str | None = None
 ) -> list[LoadSignals]:
-    """Return the signals of runs of one rig at a bandwidth.
+    """Return the signals of all recordings of runs of one rig, at a bandwidth.
 
-    Raises `InsufficientDataError` where a run is too short or too slow for that, `UsageError`
-    where its effort is not in the `unit` that is asked for.
+    Raises `InsufficientDataError` where one is too short or too slow for that, `UsageError` where
+    its effort is not in the `unit` that is asked for.
     """
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
-    found = [_read(run, own, kt, bandwidth_hz) for run, own in zip(runs, recordings, strict=True)]
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
+    found = [_read(recording, kt, bandwidth_hz) for recording in recordings]
     unit = unit or found[0].effort_unit
-    for run, signals in zip(runs, found, strict=True):
+    for recording, signals in zip(recordings, found, strict=True):
         if signals.effort_unit != unit:
             raise UsageError(
-                f"{run.path}: its effort is in {signals.effort_unit}, that of the tables or of the "
-                f"other runs in {unit}: give --kt to both commands or to neither"
+                f"{named(recording)}: its effort is in {signals.effort_unit}, that of the tables "
+                f"or of the other runs in {unit}: give --kt to both commands or to neither"
             )
     return found
 
 
-def _read(run: Run, recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSignals:
+def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSignals:
     effort = effort_of(recording, kt)
     motor = position_of(recording)
     has_output = recording.has("output_position")
@@ -54,7 +55,7 @@ def _read(run: Run, recording: Recording, kt: Run | None, bandwidth_hz: float) -
             recording.read("time"), motor, bandwidth_hz, effort.values, output, place, *sensor
         )
     except InsufficientDataError as error:
-        raise InsufficientDataError(f"{run.path}: {error}") from None
+        raise InsufficientDataError(f"{named(recording)}: {error}") from None
     start, end = path.time[0] + END, path.time[-1] - END
     # As the motor's sign, so that one direction has one sign everywhere
     speed = np.gradient(output, path.time)

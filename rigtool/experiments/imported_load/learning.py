@@ -25,8 +25,10 @@ from rigtool.experiments.imported_load.basis import (
 from rigtool.experiments.imported_load.loop import learn_loop
 from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
 from rigtool.experiments.imported_load.region import (
+    CELLS,
     MARGIN,
     NARROW,
+    cell_means,
     learn_region,
     spacing_of,
 )
@@ -47,9 +49,6 @@ APART_SPEED = 0.1
 
 ALIKE = 1.96 / 1.44
 """Of factors on u: an interval narrower by this holds 85 instead of 95 %, normal distribution."""
-
-CELLS = 20
-"""Parts of the stroke for which friction that grows with load is reported."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,15 +224,10 @@ def _friction(
 
     Its uncertainty is from `each` slope that leaving out one fold after the other gives.
     """
-    cell = np.clip((place * CELLS).astype(int), 0, CELLS - 1)
 
     def share(slope: Array) -> Array:
-        means = []
-        for mask in (against, ~against):
-            count = np.bincount(cell[mask], minlength=CELLS)
-            total = np.bincount(cell[mask], weights=slope[mask], minlength=CELLS)
-            means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-        mu: Array = (means[0] - means[1]) / (means[0] + means[1])
+        resisting, driving = (cell_means(place, slope, rows) for rows in (against, ~against))
+        mu: Array = (resisting - driving) / (resisting + driving)
         return mu
 
     mu = share(slope)

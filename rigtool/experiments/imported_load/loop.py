@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.imported_load.region import CELLS, cells_of
+from rigtool.experiments.imported_load.region import cell_means
 from rigtool.numerics.arrays import Array, Mask
 
 FEWEST_ROWS = 3
@@ -85,10 +85,6 @@ def _over_recordings(values: Array, taken: int) -> Array:
 
 def _loop(place: Array, rising: Mask, torque: Array) -> Array:
     """Return the difference of the directions in each cell (c,), NaN where one is missing."""
-    cell, known = cells_of(place), np.isfinite(torque)
-    means = []
-    for rows in (known & rising, known & ~rising):
-        count = np.bincount(cell[rows], minlength=CELLS)
-        total = np.bincount(cell[rows], weights=torque[rows], minlength=CELLS)
-        means.append(np.where(count >= FEWEST_ROWS, total / np.maximum(count, 1), np.nan))
-    return means[0] - means[1]
+    known = np.isfinite(torque)
+    up, down = (cell_means(place, torque, known & way, FEWEST_ROWS) for way in (rising, ~rising))
+    return up - down

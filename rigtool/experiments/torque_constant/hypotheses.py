@@ -246,20 +246,35 @@ class _Means:
         self, current: Array, lost: Array, friction: tuple[Array, Array]
     ) -> tuple[Array, Array, Array]:
         """Return Q (s,), slopes (s, 2), and which transitions are without friction (s,)."""
-        smooth = np.stack([current, self._weight, self._step, lost], axis=2)[None]
+        warm = self._fit_columns(current, [lost], friction)
+        cold = self._fit_columns(current, [], friction)
+        # No magnet gains by heat.
+        gains = warm[3] > 0
+        square, slope, free = (
+            np.where(gains if one.ndim == 1 else gains[:, None], other, one)
+            for one, other in zip(warm[:3], cold[:3], strict=True)
+        )
+        return square, slope, free
+
+    def _fit_columns(
+        self, current: Array, lost: list[Array], friction: tuple[Array, Array]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return Q (s,), slopes (s, 2), without friction (s,), and what heat adds (s,)."""
+        smooth = np.stack([current, self._weight, self._step, *lost], axis=2)[None]
         saturation = (current * np.abs(current))[None, :, :, None]
         plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape[1:]))
         slid = np.concatenate([plain, *(column[..., None] for column in friction)], axis=3)
         more = np.broadcast_to(saturation, (*slid.shape[:3], 1))
         square, found, of_slid = self._least_squares(np.concatenate([slid, more], axis=3))
-        none, _, of_smooth = self._least_squares(np.concatenate([smooth, saturation], axis=3))
-        level = found[..., 4, 0] @ self._share
+        none, bare, of_smooth = self._least_squares(np.concatenate([smooth, saturation], axis=3))
+        level = found[..., 3 + len(lost), 0] @ self._share
         free = level <= 0
         square = np.where(free, none, square)
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
+        added = np.where(free, bare[..., 3, 0] @ self._share, found[..., 3, 0] @ self._share)
         # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
         slope, without = self._slopes(of_slid), self._slopes(of_smooth)
-        return square, np.where(free[:, None], without, slope), free
+        return square, np.where(free[:, None], without, slope), free, added
 
     def _slopes(self, found: Array) -> Array:
         """Return mean slope and trend (s, 2) from parameters (s, g, c, 2)."""

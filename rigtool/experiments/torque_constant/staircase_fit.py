@@ -203,12 +203,14 @@ def _heat_loss(rotor_angle: Array, own: Array) -> tuple[float, float, float]:
     """Return g of (1), its standard uncertainty, 1/(A2 s), and degrees of freedom.
 
     `own` (m, c) begins with k and k g of each staircase. At a single rotor angle the uncertainty is
-    unknown, and taken as large as the value.
+    unknown, and taken as large as the value. No magnet gains by heat: where g comes out negative,
+    it is 0, and what it would be is part of its uncertainty.
     """
     mean = mean_over_turn(rotor_angle, -own[:, 1] / own[:, 0])
+    loss = max(mean.value, 0.0)
     if mean.dof == 0:
-        return mean.value, abs(mean.value), math.inf
-    return mean.value, mean.u, mean.dof
+        return loss, abs(mean.value), math.inf
+    return loss, math.hypot(mean.u, mean.value - loss), mean.dof
 
 
 def _lack_of_fit(stairs: Stairs, solution: _Solution, weight: Array) -> tuple[float, float]:

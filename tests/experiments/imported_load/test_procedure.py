@@ -132,6 +132,28 @@ def test_the_sensor_is_for_judging_only(learned, measured, tmp_path):
         assert any("not judged" in note for note in without.notes)
 
 
+def test_one_file_may_hold_all_loads(learned, measured, tmp_path):
+    mapping = MAPPING + SENSOR + '[[conditions]]\nname = "number"\ncolumn = "n"\n'
+    parts = []
+    for path in sorted(measured[0].parent.glob("raw/*.npz")):
+        own = np.load(path)
+        shift = {"t": own["t"] + 30 * len(parts), "n": np.full(len(own["t"]), len(parts))}
+        parts.append({**own, **shift})
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    np.savez(tmp_path / "all.npz", **whole)
+    run = tmp_path / "run.h5"
+    import_files([str(tmp_path / "all.npz")], str(run), (parse_mapping(mapping), mapping))
+    found = rigtool("measure-force", run, "--tables", learned, "-o", tmp_path / "f.h5", "-q")
+    assert found.exit_code == 0, found.stderr
+    with open_run(str(tmp_path / "f.h5")) as one, open_run(str(measured[0])) as many:
+        for number in range(4):  # rounded times move the ends by a row
+            here, there = (
+                np.nanmean(run.table("force")["torque"][run.table("force")["recording"] == number])
+                for run in (one, many)
+            )
+            assert here == pytest.approx(there, rel=1e-3)
+
+
 def test_a_model_comes_back_from_its_file(learned, tmp_path):
     with open_run(str(learned)) as run:
         model, unit = load_model_from(run)

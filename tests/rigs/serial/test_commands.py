@@ -6,16 +6,13 @@ are shorter than those of the recipe; line, loop, limits and instruments are the
 
 import json
 import math
-import tomllib
 from pathlib import Path
 
 import pytest
 
-from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.recipe import load_recipe
-from rigtool.rigs.serial import hosted
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
@@ -29,20 +26,23 @@ from tests.rigs.serial.emulators.vesc import VescEmulator
 ROOT = Path(__file__).parents[3]
 SLCAN = "can:slcan:{}?bitrate=1000000"
 
+SLOWLY = ("rig.sample_time=0.01",)
+"""Of drives that close their loop by themselves: fewer samples."""
+
 DRIVES = {
-    "cia402": (CiA402Emulator, "cia402-drive", SLCAN, ()),
-    "maxon-can": (Epos4CanEmulator, "maxon-epos4-can", SLCAN, ()),
+    "cia402": (CiA402Emulator, "cia402-drive", SLCAN, SLOWLY),
+    "maxon-can": (Epos4CanEmulator, "maxon-epos4-can", SLCAN, SLOWLY),
     "odrive-can": (
         ODriveCanEmulator,
         "odrive-hobby-motor",
         "can:slcan:{}?bitrate=250000",
-        ("serial.driver=odrive-can", "serial.drive_torque_constant=0.0306"),
+        (*SLOWLY, "serial.driver=odrive-can", "serial.drive_torque_constant=0.0306"),
     ),
     "moteus-can": (
         MoteusCanEmulator,
         "moteus-r4",
         SLCAN + "&fd=true",
-        ("serial.driver=moteus-can",),
+        (*SLOWLY, "serial.driver=moteus-can"),
     ),
     "vesc": (VescEmulator, "vesc", "{}", ()),
     "simplefoc": (SimpleFocEmulator, "simplefoc", "{}", ("serial.emergency_stop=true",)),
@@ -65,7 +65,7 @@ SHORTER = {
         "stribeck.hold_time=0.3",
         "stribeck.hold_revolutions=1",
         "stribeck.breakaway_positions=3",
-        "stribeck.breakaway_rate=0.03",
+        "stribeck.breakaway_rate=0.01",
         "stribeck.breakaway_limit=0.012",
         "stribeck.radial_force=0",
     ),

@@ -217,12 +217,12 @@ def _temperature(run: Run) -> float:
 
 def _friction_coefficient(grid: Grid, recipe: Recipe) -> Quantity:
     """Return friction per load of the largest load at the slowest speed, at `measure_angle`."""
-    speed, load = min(grid.friction), float(grid.load[-1])
     angle = math.radians(recipe.measure_force.measure_angle)
     friction, u = (
-        float(np.interp(angle, grid.angle, values[speed][:, -1]))
+        float(np.interp(angle, grid.angle, values[0, :, -1]))
         for values in (grid.friction, grid.friction_u)
     )
+    load = float(grid.load[-1])
     return Quantity(friction / load, "1", u / load)
 
 

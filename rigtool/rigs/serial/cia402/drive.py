@@ -58,6 +58,7 @@ class CanDrive(StateDrive):
     """
 
     family = "CiA 402 drive"
+    vendor: int | None = None
     current_entry, demand_entry = od.TORQUE_CURRENT, od.TORQUE_DEMAND
     _current_unit = 1.0
 

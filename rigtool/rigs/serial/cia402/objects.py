@@ -63,6 +63,7 @@ class Entry:
 
 
 DEVICE_TYPE = Entry(0x1000, 0, "I", "device type")
+VENDOR = Entry(0x1018, 1, "I", "vendor")
 PRODUCT = Entry(0x1018, 2, "I", "product code")
 SERIAL = Entry(0x1018, 4, "I", "serial number")
 ERROR_CODE = Entry(0x603F, 0, "H", "error code")

@@ -146,8 +146,9 @@ class SimpleFoc:
         """Switch off, in any state; `HardwareError` where the drive does not confirm it."""
         for attempt in range(HALTS):
             try:
-                self._line.write(b"\n")
-                self._line.settle()
+                self._line.write(b"\n")  # ends half a line
+                if attempt:
+                    self._line.settle()
                 self._off()
                 break
             except HardwareError:

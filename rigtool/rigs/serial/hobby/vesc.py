@@ -103,7 +103,7 @@ class Vesc:
         self._line = line
         self._pole_pairs = 1.0
         self._before: bytes | None = None
-        self._watchdog = 0.0
+        self._watchdog, self._lets_go = 0.0, math.inf
         self._temperature = self._on = False
         self._setpoint = 0.0
         self._last: Sample | None = None
@@ -137,7 +137,7 @@ class Vesc:
         """Currents; temperature where there is a thermistor."""
         more = {"temperature"} if self._temperature else set()
         channels = frozenset({"current", "current_setpoint"} | more)
-        return Abilities(frozenset({"current"}), False, channels)
+        return Abilities(frozenset({"current"}), False, channels, lets_go=self._lets_go)
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
         """Measure the timeout without current, and lower the limit of ERPM.
@@ -152,6 +152,7 @@ class Vesc:
         fastest = limits.speed / RPM * self._pole_pairs / FADING
         values[LOWEST_ERPM] = max(values[LOWEST_ERPM], -fastest)
         values[HIGHEST_ERPM] = min(values[HIGHEST_ERPM], fastest)
+        self._lets_go = max(-values[LOWEST_ERPM], values[HIGHEST_ERPM]) / self._pole_pairs * RPM
         self._set_limits(struct.pack(">10f", *values[:10]))
         return [
             "has no limit of position",
@@ -225,7 +226,6 @@ class Vesc:
         self._setpoint = 0.0
         for attempt in range(HALTS):
             try:
-                self._line.settle()
                 self._line.write(self._current(0.0))
                 self._ask_state(0.0)
                 if not self._on or self._wait_for(timed_out=True):
