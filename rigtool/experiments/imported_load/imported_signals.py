@@ -18,7 +18,7 @@ REFERENCE = "reference_torque"
 """Channel of the sensor at the load."""
 
 END = 1.0
-"""Left out at each end of a recording, s, as by O'Neill et al., IEEE RA-L 3(4) 3027-3034, 2018."""
+"""Time left out at each end of a recording, s, as in O'Neill et al., IEEE RA-L 3(4) 3027, 2018."""
 
 
 def read_all(
