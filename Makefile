@@ -34,6 +34,9 @@ PULLEY = --set rig.attachment=pulley
 RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 	tables-pulley.h5 tables-instrument.h5 force-pulley.h5 force-instrument.h5)
 
+# Without byte code on disk every command compiles its modules anew: a start takes twice as long.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage coverage-short attack release-check clean help
 .DELETE_ON_ERROR:
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-"""For numpy and scipy, which are imported later. Their matrices are small here: more threads would
+"""For numpy and scipy, which are imported later. rigtool's matrices are small: more threads would
 only wait in busy loops, and rounding would depend on the number of cores."""
 
 BLOCK_BYTES = 32 * 2**20

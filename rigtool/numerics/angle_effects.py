@@ -6,8 +6,8 @@ The orders are random effects: c_k, s_k are normal with one variance v for all k
 beyond. Errors e are normal with standard uncertainties u, all larger by the same factor where they
 scatter more. K, v and the factor are unknown; beta averages over all of them, each weighted by how
 probable the values y are with it (D. J. C. MacKay, Neural Computation 4, 415-447, 1992). Orders
-that the angles cannot tell from X, or from each other, so come into the uncertainty of beta, as
-large as the orders that are seen let expect.
+that the angles cannot separate from X, or from each other, are thus part of the uncertainty of
+beta, as large as the resolved orders suggest.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from rigtool.numerics.arrays import Array
 
 LOWEST_ORDER, HIGHEST_ORDER = 4, 12
-"""Range of K that is considered beside 0; fewer orders would be taken for all from few angles."""
+"""Range of K that is considered beside 0; with fewer, a few angles would pass for all orders."""
 
 EXCESS = np.geomspace(1.0, 300.0, 14)
 """Factors considered by which errors may exceed their stated uncertainty."""

@@ -80,7 +80,7 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] in EXPECTED:
         message = EXPECTED[item["type"]].format(**item.get("ctx", {}))
-    if item["type"] in WITHOUT_VALUE or isinstance(item["input"], dict):
+    if item["type"] in WITHOUT_VALUE or isinstance(item["input"], dict) or ", got " in message:
         return message
     value = repr(item["input"])
     shown = value if len(value) <= LONGEST_VALUE else f"{value[:LONGEST_VALUE]}..."

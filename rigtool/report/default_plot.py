@@ -64,8 +64,8 @@ def plot_names(run: Run) -> list[str]:
 def chosen_name(run: Run, name: str | None) -> str:
     """Return the one of `plot_names` that a name stands for; the first one for None.
 
-    A bare name is that of a table or recording; a recording stands for its first signal. Raises
-    `RunFileError` and `UsageError` as `write_plot`.
+    A bare name is that of a table, a recording or a signal; a recording stands for its first
+    signal. Raises `RunFileError` and `UsageError` as `write_plot`.
     """
     names = plot_names(run)
     if not names:
@@ -73,7 +73,7 @@ def chosen_name(run: Run, name: str | None) -> str:
     if name is None:
         return names[0]
     for own in names:
-        if name in (own, own.partition("/")[2]) or own.startswith(
+        if name in (own, own.partition("/")[2], own.rpartition("/")[2]) or own.startswith(
             (f"{name}/", f"recordings/{name}/")
         ):
             return own

@@ -41,13 +41,14 @@ UNCORRECTED = "loads_uncorrected"
 
 
 def force_tables(run: Run, label: str) -> list[ReportTable]:
-    """Return Table 8 or 9 of a run of measure-force; without loads, the tables of its sensor.
+    """Return Table 8 or 9 of a run of measure-force, and tables of its force over time.
 
     Where its loads are corrected, a table of three readings comes first (published, the thesis's
     way, corrected), then a table of each of the latter two.
     """
+    over_time = instrument_tables(run, label)
     if "loads" not in run.tables:
-        return instrument_tables(run, label)
+        return over_time
     if UNCORRECTED not in run.tables:
         found = [force_table(run, label)]
     else:
@@ -56,12 +57,17 @@ def force_tables(run: Run, label: str) -> list[ReportTable]:
             force_table(run, f"{label}, none", UNCORRECTED),
             force_table(run, f"{label}, {correction_of(run)}"),
         ]
-    return found if is_of_thesis(run.rig) else [_as_own(table) for table in found]
+    return over_time + (found if is_of_thesis(run.rig) else [_as_own(table) for table in found])
 
 
 def _as_own(table: ReportTable) -> ReportTable:
     """Return a table of another rig than the thesis's: without published columns and numbers."""
-    own = [n for n, column in enumerate(table.columns) if "published" not in column.key]
+    none = {"applied_force"} if all(row[0] is NO_VALUE for row in table.rows) else set()
+    own = [
+        n
+        for n, column in enumerate(table.columns)
+        if "published" not in column.key and column.key not in none
+    ]
     _, _, name = table.name.split("-", 2)
     return replace(
         table,
@@ -85,7 +91,7 @@ def force_table(run: Run, label: str, table: str = "loads") -> ReportTable:
     rows = [
         _force_row(load, published.row(load["applied_force"], load["applied_torque"]))
         for load in records(run.table(table))
-        if load["applied_force"] > 0  # the thesis's tables have no cycles without load
+        if load["applied_torque"] != 0  # the thesis's tables have no cycles without load
     ]
     return ReportTable(
         name=f"table-{published.number}-{label.replace(', ', '-')}",
@@ -252,8 +258,12 @@ _FULL_NOTE = (
 
 
 def _zero_note(run: Run) -> str:
-    """Return whether the reading without load was subtracted; the thesis does not state it."""
-    if run.recipe is None or "mean_torque_no_load" not in run.results:
+    """Return whether the reading without load was subtracted; the thesis does not state it.
+
+    Without a recipe, what the loads are."""
+    if run.recipe is None:
+        return run.table("loads").description.capitalize() + "."
+    if "mean_torque_no_load" not in run.results:
         return ""
     zero = format_quantity(run.results["mean_torque_no_load"])
     if run.recipe.measure_force.zero:

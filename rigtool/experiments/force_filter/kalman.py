@@ -45,9 +45,8 @@ from rigtool.experiments.force_filter.plant import (
     Record,
     advance,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 SHORT, LONG = 6e-3, 0.1
 """Memories of the leaky sums of corrections, s."""
@@ -56,7 +55,7 @@ STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
 LEAST_VARIANCE = 1e-3
-"""Of the angle after an update, relative to before: keeps the covariance positive."""
+"""Smallest variance of the angle after an update, relative to before: it stays positive."""
 
 STATE = np.dtype(
     [

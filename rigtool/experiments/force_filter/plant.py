@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-Array = NDArray[np.float64]
 Record = Any  # the one element of a structured array, with its fields as attributes
 
 ANGLE, SPEED, BRISTLE, HOUSING, GRASPER, GRASPER_SPEED, TIP = range(7)

@@ -1,4 +1,4 @@
-"""The same estimate with what came later: the filter's equations run backwards.
+"""The estimate with later samples: the filter's equations run backwards.
 
     adjoint   l~ = (I - g K H)' l - H' s d / s^2,        l of the step before = Phi' l~
               L~ = (I - g K H)' L (I - g K H) + H' H g / s^2,   L = Phi' L~ Phi
@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.combined import four
 from rigtool.experiments.force_filter.plant import (
@@ -25,13 +24,12 @@ from rigtool.experiments.force_filter.plant import (
     SINE,
     STATES,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 
 def room(count: int) -> tuple[Array, ...]:
-    """Return room for what the filter keeps of `count` steps.
+    """Return arrays for the data that the filter keeps of `count` steps.
 
     Derivative of the moving states (count, 7, 12), where a stroke began (count,), correction s d /
     s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update, (count,) each, its gain

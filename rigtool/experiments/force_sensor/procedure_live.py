@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from rigtool.errors import RecipeError
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.steps import SAMPLE_TIME, unbroken
-from rigtool.experiments.force_sensor.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
 from rigtool.experiments.force_sensor.procedure_reading import NEEDED, instrument_of
 from rigtool.experiments.force_sensor.sensor import Sensor

@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
-from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
-from rigtool.experiments.force_sensor.accuracy import (
+from rigtool.experiments.force_filter.accuracy import (
     BANDS,
     COVERAGE_FACTOR,
     JUDGED,
@@ -20,6 +18,8 @@ from rigtool.experiments.force_sensor.accuracy import (
     accuracy,
     by_band_and_state,
 )
+from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
+from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
 from rigtool.experiments.force_sensor.response import Spectra, bandwidth
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array, Mask

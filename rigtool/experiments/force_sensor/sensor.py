@@ -22,15 +22,14 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.steps import CONTEXT, Grid, Sampler, Stepper
 from rigtool.experiments.force_sensor.power_up import PowerUp
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 AT_THE_LIMIT = 0.999
 
 
 @dataclass(frozen=True, eq=False)
 class Instrument:
-    """What a sensor knows besides signals.
+    """Properties that a sensor needs besides signals.
 
     `interval` s is from one recorded sample to the next, `count` rad that of the encoder,
     `torque_constant` N m/A at 0 degC and its change per kelvin, `current_limit` in A;
@@ -62,7 +61,7 @@ class Instrument:
         return Filter(plant, uncertainty, grid.step_samples, self.bandwidth_hz)
 
     def judge(self, *, causal: bool) -> Judge:
-        """Return what gives states."""
+        """Return the judge of states."""
         return Judge(self.reach, self.count, self.grid.step_time, causal)
 
 

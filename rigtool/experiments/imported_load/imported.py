@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.force_sensor.accuracy import COVERAGE_FACTOR, accuracy
-from rigtool.experiments.imported import is_linear, signals_of
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR, accuracy
+from rigtool.experiments.imported import is_linear, place, recordings_of
 from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_all
 from rigtool.experiments.imported_load.learning import (
     Learned,
@@ -48,12 +48,12 @@ def analyse_imported(
     for name, given in (("friction", friction), ("plant", plant)):
         if given is not None:
             raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
-    recordings = signals_of(runs)
-    for run, recording in zip(runs, recordings, strict=True):
+    recordings = recordings_of(runs)
+    for recording in recordings:
         if not recording.has(REFERENCE):
             raise RunFileError(
-                f"{run.path}: has no channel {REFERENCE}, so it does not show the load: learn "
-                "from runs with a sensor at the load, imported with that channel mapped"
+                f"{place(recording)}: has no channel {REFERENCE}, so it does not show the load: "
+                "learn from runs with a sensor at the load, imported with that channel mapped"
             )
     signals = read_all(runs, kt, bandwidth_hz)
     unit = signals[0].effort_unit
@@ -65,7 +65,7 @@ def analyse_imported(
         "load_friction": _friction_table(learned.friction),
         "left_out": _level_table(learned.validation),
     }
-    return Outcome(_results(learned), tables, tuple(_notes(learned, len(runs))))
+    return Outcome(_results(learned), tables, tuple(_notes(learned, len(recordings))))
 
 
 def _prior(prior: Run, unit: str, bandwidth_hz: float) -> LoadModel:
@@ -98,11 +98,11 @@ def _results(learned: Learned) -> dict[str, Quantity]:
     return found
 
 
-def _notes(learned: Learned, runs: int) -> list[str]:
+def _notes(learned: Learned, recordings: int) -> list[str]:
     model = learned.model
     scales, levels = model.scales, len(np.unique(learned.validation.level))
     notes = [
-        f"learned from {runs} runs at {levels} load levels, up to "
+        f"learned from {recordings} recordings at {levels} load levels, up to "
         f"{scales.torque * 1e3:.4g} mN m, position {scales.low:.4g} to {scales.high:.4g} rad",
         "u is widened by the errors at levels and speeds that were left out, most by "
         f"{max(side.factors.max() for side in model.sides):.3g}; slower and faster than learned "

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import position_of, require_one_rig, signals_of
+from rigtool.experiments.imported import place as named
+from rigtool.experiments.imported import position_of, recordings_of, require_one_rig
 from rigtool.experiments.imported_load.basis import LoadSignals, follow
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.runfile import Recording, Run
@@ -16,32 +17,29 @@ from rigtool.runfile import Recording, Run
 REFERENCE = "reference_torque"
 """Channel of the sensor at the load."""
 
-END = 1.0
-"""Left out at each end of a recording, s, as by O'Neill et al., IEEE RA-L 3(4) 3027-3034, 2018."""
-
 
 def read_all(
     runs: Sequence[Run], kt: Run | None, bandwidth_hz: float, unit: str | None = None
 ) -> list[LoadSignals]:
-    """Return the signals of runs of one rig at a bandwidth.
+    """Return the signals of all recordings of runs of one rig, at a bandwidth.
 
-    Raises `InsufficientDataError` where a run is too short or too slow for that, `UsageError`
-    where its effort is not in the `unit` that is asked for.
+    Raises `InsufficientDataError` where one is too short or too slow for that, `UsageError` where
+    its effort is not in the `unit` that is asked for.
     """
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
-    found = [_read(run, own, kt, bandwidth_hz) for run, own in zip(runs, recordings, strict=True)]
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
+    found = [_read(recording, kt, bandwidth_hz) for recording in recordings]
     unit = unit or found[0].effort_unit
-    for run, signals in zip(runs, found, strict=True):
+    for recording, signals in zip(recordings, found, strict=True):
         if signals.effort_unit != unit:
             raise UsageError(
-                f"{run.path}: its effort is in {signals.effort_unit}, that of the tables or of the "
-                f"other runs in {unit}: give --kt to both commands or to neither"
+                f"{named(recording)}: its effort is in {signals.effort_unit}, that of the tables "
+                f"or of the other runs in {unit}: give --kt to both commands or to neither"
             )
     return found
 
 
-def _read(run: Run, recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSignals:
+def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSignals:
     effort = effort_of(recording, kt)
     motor = position_of(recording)
     has_output = recording.has("output_position")
@@ -54,8 +52,7 @@ def _read(run: Run, recording: Recording, kt: Run | None, bandwidth_hz: float) -
             recording.read("time"), motor, bandwidth_hz, effort.values, output, place, *sensor
         )
     except InsufficientDataError as error:
-        raise InsufficientDataError(f"{run.path}: {error}") from None
-    start, end = path.time[0] + END, path.time[-1] - END
+        raise InsufficientDataError(f"{named(recording)}: {error}") from None
     # As the motor's sign, so that one direction has one sign everywhere
     speed = np.gradient(output, path.time)
     sign = math.copysign(1.0, float(np.sum(speed * path.speed)))
@@ -66,5 +63,4 @@ def _read(run: Run, recording: Recording, kt: Run | None, bandwidth_hz: float) -
         output_speed=sign * speed,
         place=place,
         reference=reference[0] if reference else None,
-        counts=(path.time >= start) & (path.time <= end),
     )

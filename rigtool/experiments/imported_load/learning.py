@@ -25,8 +25,10 @@ from rigtool.experiments.imported_load.basis import (
 from rigtool.experiments.imported_load.loop import learn_loop
 from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
 from rigtool.experiments.imported_load.region import (
+    CELLS,
     MARGIN,
     NARROW,
+    cell_means,
     learn_region,
     spacing_of,
 )
@@ -46,10 +48,7 @@ APART_SPEED = 0.1
 """Part of the highest speed by which speeds differ, at least."""
 
 ALIKE = 1.96 / 1.44
-"""Of factors on u: an interval narrower by this holds 85 instead of 95 %, normal distribution."""
-
-CELLS = 20
-"""Parts of the stroke for which friction that grows with load is reported."""
+"""Ratio of factors on u: an interval narrower by this holds 85 instead of 95 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +109,7 @@ def levels_of(signals: Sequence[LoadSignals]) -> list[int]:
     """Return the number of the load level of each recording, by its mean reference torque."""
     means = []
     for item in signals:
-        moving = item.counts & item.path.regular
+        moving = item.path.regular
         means.append(float(np.mean(item.sensor[moving])) if moving.any() else 0.0)
     return level_numbers(means)
 
@@ -225,15 +224,10 @@ def _friction(
 
     Its uncertainty is from `each` slope that leaving out one fold after the other gives.
     """
-    cell = np.clip((place * CELLS).astype(int), 0, CELLS - 1)
 
     def share(slope: Array) -> Array:
-        means = []
-        for mask in (against, ~against):
-            count = np.bincount(cell[mask], minlength=CELLS)
-            total = np.bincount(cell[mask], weights=slope[mask], minlength=CELLS)
-            means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-        mu: Array = (means[0] - means[1]) / (means[0] + means[1])
+        resisting, driving = (cell_means(place, slope, rows) for rows in (against, ~against))
+        mu: Array = (resisting - driving) / (resisting + driving)
         return mu
 
     mu = share(slope)
@@ -247,7 +241,7 @@ def _friction(
 
 def _paces(signals: Sequence[LoadSignals]) -> Numbers:
     """Return the number of the speed of each recording, the slowest first."""
-    speeds = [item.path.speed[item.counts & item.path.regular] for item in signals]
+    speeds = [item.path.speed[item.path.regular] for item in signals]
     sizes = [float(np.sqrt(np.mean(own**2))) if own.size else 0.0 for own in speeds]
     return np.array(level_numbers(sizes, APART_SPEED))
 

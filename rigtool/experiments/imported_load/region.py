@@ -64,6 +64,15 @@ def cells_of(place: Array) -> NDArray[np.intp]:
     return found
 
 
+def cell_means(place: Array, values: Array, rows: Mask, fewest: int = 1) -> Array:
+    """Return the mean of values (n,) over `rows` (n,) in each cell, NaN in those with too few."""
+    cell = cells_of(place[rows])
+    count = np.bincount(cell, minlength=CELLS)
+    total = np.bincount(cell, weights=values[rows], minlength=CELLS)
+    means: Array = np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
+    return means
+
+
 def spacing_of(torque: Array, levels: int) -> float:
     """Return the mean spacing of the levels by the torques (n,) that were learned."""
     return float(np.ptp(torque)) / max(levels - 1, 1)

@@ -54,7 +54,7 @@ def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
     implementation = IMPLEMENTATIONS[name]
     if implementation.BARE_MOTOR and recipe.rig.attachment != "pulley":
         raise UsageError(
-            f"implementation {name} turns the shaft round and round, which the "
+            f"implementation {name} turns the shaft continuously, which the "
             f"{recipe.rig.attachment} cannot: take it off, and add --set rig.attachment=pulley"
         )
     return implementation
@@ -92,7 +92,10 @@ def analyse(
     plant: Run | None = None,
     prior: Run | None = None,
 ) -> Outcome:
-    """Learn from the stored signals, and report the remainder."""
+    """Learn from the stored signals, and report the remainder.
+
+    Raises `UsageError` for a `prior`, which imported runs take.
+    """
     if prior is not None:
         raise UsageError("--prior: is for imported runs, the bench's own rig is learned anew")
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)

@@ -10,6 +10,7 @@ from scipy.stats import t as student
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction.inverse_dynamics import identify_dynamics
 from rigtool.experiments.friction.motion_terms import band_limit
+from tests.thorough import thorough
 
 INERTIA, VISCOUS, COULOMB, OFFSET = 1.5e-5, 5e-5, 2.3e-3, 0.4e-3
 STEP = 1e-3
@@ -104,13 +105,13 @@ BESIDE = {
 }
 
 
-SHORT = {"noise with memory", "noise", "Stribeck at low speed", "Stribeck"}
+BETWEEN = ("noise with memory", "noise", "Stribeck at low speed", "Stribeck")
 """Cases between two others, which `make test` leaves to `make attack`."""
 
 
 @pytest.mark.parametrize(
     "beside",
-    [pytest.param(b, marks=pytest.mark.thorough) if b in SHORT else b for b in BESIDE],
+    [*(b for b in BESIDE if b not in BETWEEN), *thorough(*BETWEEN)],
 )
 def test_uncertainties_cover_what_is_beside_the_model(beside):
     """As often as an interval of 95 % must, within what chance allows 30 of them."""

@@ -19,14 +19,17 @@ ARM, RADIUS = 0.540, 0.014
 class BenchMotor(EmulatedMotor):
     """A motor that can be clamped and heated, with ripple: (order, N m, phase) each.
 
-    The constant falls by `coefficient` a kelvin above 25 degC.
+    The constant falls by `coefficient` a kelvin above 25 degC. `integrator` rad/s is that of the
+    drive's loop, next to the gains of `EmulatedMotor`.
     """
 
     clamped: bool = False
     degc: float = 25.0
     coefficient: float = -1e-3
     ripple: tuple = ((6, 1e-3, 0.4),)
+    integrator: float = 0.0
     cold_constant: float = field(init=False)
+    _integral: float = 0.0
 
     def __post_init__(self):
         self.cold_constant = self.torque_constant
@@ -37,9 +40,26 @@ class BenchMotor(EmulatedMotor):
         if mode is not None:
             torque = sum(size * math.sin(n * here + phase) for n, size, phase in self.ripple)
             self.speed += dt * torque / self.inertia
-        super()._step(dt, mode, position, speed, current)
+        self._integral += dt * self._grows_by(mode, position, speed)
+        super()._step(dt, mode, position, speed, current + self._integral)
         if self.clamped:
             self.position, self.speed = here, 0.0
+
+    def _grows_by(self, mode, position, speed):
+        if mode not in ("position", "velocity"):
+            self._integral = 0.0
+            return 0.0
+        wanted = speed
+        if mode == "position":
+            wanted += self.gain_position * (position - self.position)
+        return self.integrator * self.gain_speed * (wanted - self.speed)
+
+    def tune(self, controller, inertia):
+        """Give the drive's loop the gains of a recipe's [rig.controller]."""
+        crossover = 2 * math.pi * controller.crossover_hz
+        self.gain_speed = crossover * inertia / self.torque_constant
+        self.gain_position = crossover / controller.lead_ratio
+        self.integrator = 2 * math.pi * controller.integrator_hz
 
     @property
     def push(self):

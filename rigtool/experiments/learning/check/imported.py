@@ -23,9 +23,9 @@ from rigtool.experiments.imported import (
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.ripple.imported import (
+from rigtool.experiments.ripple.imported import ORDERS_REPORTED
+from rigtool.experiments.ripple.imported_groups import (
     GROUP_SPEED_TOLERANCE,
-    ORDERS_REPORTED,
     RepeatedRuns,
     groups_of,
     turns_of,
@@ -126,7 +126,7 @@ class _Compared:
 
     @property
     def shifted(self) -> bool:
-        """Whether it is the same map, shifted."""
+        """Whether the run shows the same map, shifted."""
         certain = abs(self.match.shift) > SIGNIFICANT_SHIFT * self.match.shift_u
         return not self.fits and certain and self.match.best_correlation**2 >= SAME_MAP_VARIANCE
 
@@ -235,14 +235,14 @@ class _Compared:
 def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: int) -> _Compared:
     """Compare turns (turns, positions), NaN where none passed, with the map of their speed."""
     mapped = _orders_of(learned, group.speed)[:orders]
-    order = np.arange(1, mapped.size + 1)
+    order = np.arange(1.0, mapped.size + 1)
     cells = np.exp(1j * np.multiply.outer(cell_centres(POSITIONS), order))
     # A cell has the mean over its width. Where a turn left cells out, the remainder is bridged, not
     # measured: it is smaller.
-    expected = np.real(cells @ (mapped * np.sinc(order / POSITIONS)))
+    expected = np.real(cells @ (mapped * np.sinc(order / POSITIONS) * group.sampling.gain(order)))
     remaining, _ = fill(torque - expected)
     means = remaining.mean(axis=1)
-    shown = turn_spectrum(remaining + expected, mapped.size)
+    shown = turn_spectrum(remaining + expected, mapped.size, group.sampling)
     there = shown.amplitude * np.exp(1j * shown.phase)
     left = there - mapped
     # The rest is noise of the runs and of the map, or a change: neighbouring orders show the noise.

@@ -1,4 +1,4 @@
-"""Objects of CANopen and CiA 402: where values are, of what kind, and how a drive refuses them.
+"""Objects of CANopen and CiA 402: places and types of values, and the errors of a drive.
 
 Sources: CiA 301 and CiA 402 (IEC 61800-7-201) as drives and programs of others use them.
 """
@@ -63,6 +63,7 @@ class Entry:
 
 
 DEVICE_TYPE = Entry(0x1000, 0, "I", "device type")
+VENDOR = Entry(0x1018, 1, "I", "vendor")
 PRODUCT = Entry(0x1018, 2, "I", "product code")
 SERIAL = Entry(0x1018, 4, "I", "serial number")
 ERROR_CODE = Entry(0x603F, 0, "H", "error code")

@@ -251,13 +251,12 @@ def test_eds_of_the_maker_is_read(tmp_path):
             can_rig(server.port, f'serial.eds="{eds}"').__enter__()
 
 
-def test_drive_is_found_by_asking():
-    with serve(CiA402Emulator()) as server:
-        (found,) = find_devices([f"can:slcan:{server.port}"], ["cia402"])
-    assert (found.driver, found.identity) == (
-        "cia402",
-        "CiA 402 drive, node 1, product 0x63500000, serial 0x1234",
-    )
+def test_drive_is_found_by_asking_and_by_its_maker(name):
+    with serve(KINDS[name]()) as server:
+        (found,) = find_devices([f"can:slcan:{server.port}"])
+    family = {"cia402": "CiA 402 drive", "maxon-can": "maxon EPOS4"}[name]
+    assert found.driver == name
+    assert found.identity == f"{family}, node 1, product 0x63500000, serial 0x1234"
 
 
 @pytest.mark.parametrize(("port", "name"), [("/dev/null", "cia402"), ("can:slcan:x", "maxon")])
