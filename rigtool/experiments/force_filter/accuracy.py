@@ -14,10 +14,10 @@ from rigtool.experiments.force_filter.motion_states import State, States
 from rigtool.numerics.arrays import Array
 
 COVERAGE_FACTOR = 1.96
-"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
+"""Coverage factor of a 95 % interval, normal distribution (GUM 6.2.2)."""
 
 BANDS = (0.0, 0.01, 0.05, 0.2, 1.0)
-"""Edges of the bands of load, of the largest torque that was learned."""
+"""Edges of the bands of load, in parts of the largest learned torque."""
 
 JUDGED = (State.AGAINST, State.WITH, State.REVERSED, State.STILL)
 

@@ -55,7 +55,7 @@ STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
 LEAST_VARIANCE = 1e-3
-"""Of the angle after an update, relative to before: keeps the covariance positive."""
+"""Smallest variance of the angle after an update, relative to before: it stays positive."""
 
 STATE = np.dtype(
     [

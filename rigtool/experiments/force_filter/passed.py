@@ -27,7 +27,7 @@ FIELDS = [
     ("passed_covariance", "f8", (ORDER, ORDER)),
     ("shared_covariance", "f8", (STATES, ORDER)),
 ]
-"""Of the filter's state: mean and covariance of q, and covariance of x and q."""
+"""Fields of the filter's state: mean and covariance of q, and covariance of x and q."""
 
 
 def section(bandwidth_hz: float, step_time: float) -> Array:
@@ -81,8 +81,8 @@ def predict(
 
 @compiled
 def update(s: Record, gain: Array, shift: float, removed: float, variance: float) -> None:
-    """Take in what an update found, before x: its gain (12,), the angle's shift, and `removed`,
-    by which the angle's variance fell from `variance`."""
+    """Update with a correction of the filter, before x: its gain (12,), the angle's shift, and
+    `removed`, by which the angle's variance fell from `variance`."""
     q, own, shared = s.passed, s.passed_covariance, s.shared_covariance
     for i in range(ORDER):
         own_gain = shared[ANGLE, i] / variance

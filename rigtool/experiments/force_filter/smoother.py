@@ -1,4 +1,4 @@
-"""The same estimate with what came later: the filter's equations run backwards.
+"""The estimate with later samples: the filter's equations run backwards.
 
     adjoint   l~ = (I - g K H)' l - H' s d / s^2,        l of the step before = Phi' l~
               L~ = (I - g K H)' L (I - g K H) + H' H g / s^2,   L = Phi' L~ Phi
@@ -29,7 +29,7 @@ from rigtool.numerics.compiled import compiled
 
 
 def room(count: int) -> tuple[Array, ...]:
-    """Return room for what the filter keeps of `count` steps.
+    """Return arrays for the data that the filter keeps of `count` steps.
 
     Derivative of the moving states (count, 7, 12), where a stroke began (count,), correction s d /
     s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update, (count,) each, its gain

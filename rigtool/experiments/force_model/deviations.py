@@ -1,4 +1,4 @@
-"""How far friction deviates by itself, from what cycles of one motion do not share.
+"""Random deviations of friction, from the differences of cycles of one motion.
 
 What a cycle's torque deviates from the mean cycle is, along a stroke,
 
@@ -23,13 +23,13 @@ APART = 5
 """Rows from one that is compared to the next: f hardly changes between them."""
 
 SHORTEST = 20
-"""Compared rows without which a stroke says nothing about what is slow in it."""
+"""Fewest compared rows with which a stroke shows slow deviations."""
 
 LEAST = 1e-4
-"""Of the friction: white noise, and where the search begins 0.01 of it."""
+"""Smallest white noise, in parts of the friction; the search begins at 0.01."""
 
 SPAN = 12.0
-"""Of the logarithms, either way."""
+"""Range of the logarithms in the search, either way."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A learned model with what deviates from it: all that a filter for torque over time needs.
+"""A learned model with the deviations from it: everything that a filter for torque over time needs.
 
 Equations: `model`, those of the filter `plant`; load_stroke = L / load friction coefficient.
 """

@@ -1,4 +1,4 @@
-"""From the filter's deviation to the standard uncertainty, by what the drive does.
+"""From the filter's deviation to the standard uncertainty, by the state of motion.
 
     u^2 = (c s)^2 + (g M)^2,   s the filter's deviation, M the torque on the output
 
@@ -21,13 +21,13 @@ from rigtool.experiments.force_filter.motion_states import CREEPING, KINDS, Stat
 from rigtool.numerics.arrays import Array
 
 APART = 20e-3
-"""From one compared step to the next, s."""
+"""Time from one compared step to the next, s."""
 
 INDEPENDENT = 1.0
-"""Of a recording, s: a stroke's own friction is one error for all of it."""
+"""Time that one independent error is worth, s: a stroke's own friction is one error."""
 
 SPREAD, SLIDING_SPREAD = 0.5, 0.1
-"""Of log c: S, and S while the rotor slides."""
+"""Prior standard deviation S of log c, and S while the rotor slides."""
 
 FEWEST = 100
 """Compared steps of a kind without which its factors are those of all kinds."""
@@ -36,10 +36,10 @@ TOGETHER = ((State.AGAINST, State.WITH), (State.REVERSED,), (State.STILL,), (CRE
 """Kinds that have one c and g."""
 
 STARTS = (0.003, 0.1)
-"""Of g, from which its most likely value is searched for."""
+"""Values of g at which the search begins."""
 
 BOUNDS = ((np.log(0.2), np.log(20.0)), (np.log(1e-4), np.log(1.0)))
-"""Of log c and log g."""
+"""Bounds of log c and log g."""
 
 
 @dataclass(frozen=True, eq=False)

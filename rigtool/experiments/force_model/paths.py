@@ -1,4 +1,4 @@
-"""What a path leaves behind: bristles, lagging waves, a load swinging on its tendon.
+"""Effects that depend on the path: bristles, lagging waves, a load swinging on its tendon.
 
 bristle     dz = (sign(dx) - z) |dx| / length, solved exactly for each step of a path
             (P. R. Dahl, AIAA J. 14(12) 1675-1682, 1976): it depends on the path, not on time

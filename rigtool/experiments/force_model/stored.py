@@ -22,7 +22,7 @@ TERMS, COVARIANCE = "force_terms", "force_covariance"
 SCALES, LIMITS = "force_scales", "contact_thresholds"
 
 PREFIX = "model_"
-"""Of results that belong to the model."""
+"""Prefix of results that belong to the model."""
 
 OFFSET = "offset_current"
 
@@ -43,7 +43,7 @@ UNITS = {
     "noise_time": "s",
     OFFSET: "A",
 }
-"""Of shape, deviations and the amplifier's offset."""
+"""Units of shape, deviations and the amplifier's offset."""
 
 _MOTIONS = ", ".join(f"{motion.value} {motion.name.lower()}" for motion in Motion)
 

@@ -51,13 +51,13 @@ RATE_SAMPLES = 8192
 """Samples that the sampling frequency is taken from."""
 
 AS_ASKED = 1e-6
-"""Of the interval between samples: it is that of the recipe, which a sensor knows beforehand."""
+"""Relative difference within which the interval between samples is that of the recipe."""
 
 
 def instrument_of(
     recipe: Recipe, kt: Run, model: ForceModel, reach: Reach, interval: float
 ) -> Instrument:
-    """Return what a sensor knows of this rig, for samples every `interval` s."""
+    """Return the sensor's properties of this rig, for samples every `interval` s."""
     rig = recipe.rig
     cold = torque_per_ampere_at(kt, 0.0).value
     slope = torque_per_ampere_at(kt, 1.0).value - cold
@@ -69,7 +69,7 @@ def instrument_of(
 def instrument_for(
     recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, reach: Reach
 ) -> Instrument:
-    """Return what a sensor knows of this rig, for the samples of a recording."""
+    """Return the sensor's properties of this rig, for the samples of a recording."""
     return instrument_of(recipe, kt, model, reach, _interval(recording, recipe))
 
 

@@ -29,7 +29,7 @@ AT_THE_LIMIT = 0.999
 
 @dataclass(frozen=True, eq=False)
 class Instrument:
-    """What a sensor knows besides signals.
+    """Properties that a sensor needs besides signals.
 
     `interval` s is from one recorded sample to the next, `count` rad that of the encoder,
     `torque_constant` N m/A at 0 degC and its change per kelvin, `current_limit` in A;
@@ -61,7 +61,7 @@ class Instrument:
         return Filter(plant, uncertainty, grid.step_samples, self.bandwidth_hz)
 
     def judge(self, *, causal: bool) -> Judge:
-        """Return what gives states."""
+        """Return the judge of states."""
         return Judge(self.reach, self.count, self.grid.step_time, causal)
 
 

@@ -48,7 +48,7 @@ APART_SPEED = 0.1
 """Part of the highest speed by which speeds differ, at least."""
 
 ALIKE = 1.96 / 1.44
-"""Of factors on u: an interval narrower by this holds 85 instead of 95 %, normal distribution."""
+"""Ratio of factors on u: an interval narrower by this holds 85 instead of 95 %."""
 
 
 @dataclass(frozen=True, eq=False)

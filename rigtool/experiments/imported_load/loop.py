@@ -1,4 +1,4 @@
-"""Whether runs are of the instrument and mounting that a load model was learned on.
+"""The check that runs are of the instrument and mounting on which a load model was learned.
 
 At one place x of the stroke, the torque of strokes in positive and in negative direction differs by
 d(x), which the learned loads do by themselves. Friction or tendons of another instrument open or
@@ -24,7 +24,7 @@ from rigtool.experiments.imported_load.region import cell_means
 from rigtool.numerics.arrays import Array, Mask
 
 FEWEST_ROWS = 3
-"""Rows that a mean in a cell is of."""
+"""Fewest rows of a mean in a cell."""
 
 FEWEST_CELLS = 3
 """Cells with both directions, below which a loop is not compared."""

@@ -27,7 +27,7 @@ from rigtool.experiments.imported_load.region import Region, reached
 from rigtool.numerics.arrays import Array, Mask
 
 SIGNS = (1, -1)
-"""Of the speed, in the order of a model's sides."""
+"""Signs of the speed, in the order of a model's sides."""
 
 FLAT = 0.25
 """Where the slope of effort by torque is below this part of the usual one in its direction, such as
@@ -39,7 +39,7 @@ SLOWEST = 1e-3
 """Speed below which scatter does not change any more, as part of the highest."""
 
 HALVINGS = 40
-"""Times that the range of torques is halved to find one: far finer than any uncertainty."""
+"""Halvings of the range of torques to find one: far finer than any uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)

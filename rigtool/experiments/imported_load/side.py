@@ -1,4 +1,4 @@
-"""One direction of a load model: penalised least squares, judged by what was left out.
+"""One direction of a load model: penalised least squares, judged by held-out data.
 
 Neighbouring splines are held together and other weights held small by one degree of smoothing
 (P. H. C. Eilers, B. D. Marx, Statistical Science 11(2) 89-121, 1996). With columns A (n, k),
@@ -56,15 +56,15 @@ RIDGE = 1e-4
 learned, such as those of speed, do not work against each other between."""
 
 TINY = 1e-7
-"""The same for `ALWAYS`, which have nothing like them: just that the equations can be solved."""
+"""Ridge for `ALWAYS`, which no other function resembles: only to solve the equations."""
 
 HELD = 100.0
-"""Times that weights are held closer to a prior's than others to zero."""
+"""Factor by which weights are held closer to those of a prior than others to zero."""
 
 ALWAYS = ("offset", "load")
 
 COVERAGE = 0.95
-"""Of intervals."""
+"""Coverage of intervals."""
 
 LOG_CHI2 = 1.270362845461478
 """Minus the expected logarithm of a squared standard normal number."""
@@ -335,8 +335,8 @@ def _fit_scatter(residual: Array, speed: Array, torque: Array) -> Array:
 
 
 def prior_of(prior: Side, names: Sequence[str], size: Array, penalty: Array) -> tuple[Array, Array]:
-    """Return penalty and centre where a prior model knows what two loads do not show: how effort
-    bends with the load. All else is learned from the rows."""
+    """Return penalty and centre where a prior model supplies what two loads do not show: the
+    curvature of effort over load. All else is learned from the rows."""
     bends = np.concatenate([np.full(size_of(name), LOAD_POWER.get(name, 0) > 1) for name in names])
     held = np.where(bends, HELD, 1.0)
     return penalty * np.sqrt(np.outer(held, held)), np.where(bends, prior.weights * size, 0.0)

@@ -1,4 +1,4 @@
-"""What a load adds to the motor's torque while it slides evenly: by angle, direction and load.
+"""Torque that a load adds while the rotor slides evenly: by angle, direction and load.
 
 At a constant speed every part of the model (`experiments.force_model.model`) is a function of
 the angle: bristles are bent to one side, and what lags has followed. With a torque s on the tendon
@@ -22,16 +22,16 @@ from rigtool.experiments.force_model.records import Record
 from rigtool.numerics.arrays import Array
 
 SEEN = ("stribeck_speed", "ripple_time", "stiffness", "load_onset")
-"""Of a shape, what even sliding under a given load depends on."""
+"""Parameters of a shape on which even sliding under a given load depends."""
 
 ROUNDS = 3
 """Times that the current of a point, which its own disturbance changes, is computed anew."""
 
 POINTS = 150
-"""Of the way over all angles, with the way before them on which what lags follows."""
+"""Points of the way over all angles and of the way before them, on which lags settle."""
 
 FOLLOWED = 6.0
-"""Times of the ripple's lag that this takes."""
+"""Length of the way before, in times of the ripple's lag."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def grid_of(
 def disturbance(
     model: Learned, angle: Array, load: Array, speed: float, torque_constant: float
 ) -> tuple[Array, Array]:
-    """Return what loads (l,) N m add besides themselves at output angles (a,) rad: (a, l), N m.
+    """Return the disturbance of loads (l,) N m at output angles (a,) rad: (a, l), N m.
 
     At the output, at a motor speed, rad/s, with its sign; and the derivatives (p, a, l) by the
     logarithms of the model's shape and by its coefficients.

@@ -1,4 +1,4 @@
-"""What a load adds to the motor's torque in run files: how implementation D writes it."""
+"""The disturbance of a load in run files, as implementation D writes it."""
 
 from __future__ import annotations
 

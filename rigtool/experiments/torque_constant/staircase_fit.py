@@ -323,8 +323,8 @@ def _too_much(stairs: Stairs) -> str:
     if stairs.resolution * CLEAR_STEPS > span:
         return (
             f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, too "
-            f"coarse to tell friction from torque in a staircase of {span * 1e3:.3g} mN m; take a "
-            "finer gauge, a longer arm or a higher current_max"
+            f"coarse to separate friction from torque in a staircase of {span * 1e3:.3g} mN m; "
+            "take a finer gauge, a longer arm or a higher current_max"
         )
     return (
         "torque is not linear in current; look for an end stop or a saturated gauge, or raise "
