@@ -1,9 +1,9 @@
 """Breakaway torque, at which the shaft begins to move, around the turn [7.1.2, Fig. 22].
 
 A slow ramp of torque first bends the contacts of the bearings (pre-sliding: the shaft creeps by a
-fraction of a degree), then the shaft breaks away and runs off. It has broken away where it moves on
-from one angle to its double within a small part of the ramp's time; the torque is read at the time
-where that motion, extrapolated back as a straight line, begins:
+fraction of a degree), then the shaft breaks away and runs off. The shaft has broken away where it
+moves from one angle to twice that angle within a small part of the ramp's time; the torque is read
+at the time where that motion, extrapolated back as a straight line, begins:
 
     t0 = t1 - (t2 - t1),   t1, t2 = first times beyond the angle and its double
 

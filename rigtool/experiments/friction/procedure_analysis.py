@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.between_set_points import (
     REMEDY,
     UNSAMPLED_LIMIT,
@@ -38,6 +38,7 @@ from rigtool.experiments.friction.results import (
     ramp_table,
     torque_speed_table,
 )
+from rigtool.experiments.friction.results_difference import add_curve_difference
 from rigtool.experiments.friction.stribeck_fit import (
     DirectionFit,
     Offset,
@@ -72,8 +73,20 @@ def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
     )
 
 
-def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
-    """Return friction from the recordings that the runs hold; notes name those that are missing."""
+def analyse(
+    runs: Sequence[Run],
+    recipe: Recipe,
+    *,
+    kt: Run,
+    against: Run | None = None,
+    reference: Run | None = None,
+) -> Outcome:
+    """Return friction from the recordings that the runs hold; notes name those that are missing.
+
+    With `against`, also the difference of the held curve against that of another run; with
+    `reference`, the ratio of that to the difference of a third run. Raises `UsageError` where a run
+    without constant speeds is to be compared.
+    """
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
         for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
@@ -110,6 +123,10 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         found.notes.append("friction is taken from the sweep, without repeated measurements")
     if fits:
         add_friction(fits, offset, found)
+    if against is not None:
+        if not recordings[HOLDS]:
+            raise UsageError(f"{runs[0].path}: holds no constant speeds to compare by --against")
+        add_curve_difference(found, against, reference)
     if (series := unloaded or loaded) is not None:
         found.tables["breakaway"] = breakaway_table(series.position, unloaded, loaded)
     if highest is not None:
@@ -158,22 +175,14 @@ def _fit_holds(
     recordings: Iterable[Recording], recipe: Recipe, scale: Scale
 ) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
     """Return the fit by direction (+1, -1), the holds that it rests on, and notes."""
-    parts, notes = [], []
+    parts = []
     setpoints, currents = [], []
     for recording in recordings:
         parts.append(_find_holds(recording, recipe, scale))
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
-    everything = pool(parts)
-    steady = everything[everything.shaking <= SHAKING_LIMIT]
-    if len(steady.speed) < len(everything.speed):
-        shaken = np.abs(everything.speed[everything.shaking > SHAKING_LIMIT])
-        listed = ", ".join(f"{speed:.3g}" for speed in np.unique(np.round(shaken, 3)))
-        notes.append(
-            f"holds left out, because the shaft starts and stops instead of turning: {listed} rad/s"
-        )
-    fits = fit_directions(steady.speed, steady.torque, steady.u)
+    fits, steady, notes = fit_holds(parts)
     if setpoints:
         require_linear_at_low_current(
             current_setpoint=np.concatenate(setpoints),
@@ -181,6 +190,23 @@ def _fit_holds(
             friction_current=float(np.mean([fit.friction for fit in fits.values()])) / scale.value,
         )
     return fits, steady, notes
+
+
+def fit_holds(parts: list[Holds]) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
+    """Return the fit by direction of holds from several recordings, those that are used, and notes.
+
+    Left out are holds in which the shaft starts and stops. Raises `InsufficientDataError` where a
+    direction cannot be fitted.
+    """
+    everything, notes = pool(parts), []
+    steady = everything[everything.shaking <= SHAKING_LIMIT]
+    if len(steady.speed) < len(everything.speed):
+        shaken = np.abs(everything.speed[everything.shaking > SHAKING_LIMIT])
+        listed = ", ".join(f"{speed:.3g}" for speed in np.unique(np.round(shaken, 3)))
+        notes.append(
+            f"holds left out, because the shaft starts and stops instead of turning: {listed} rad/s"
+        )
+    return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
 
 
 def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> None:

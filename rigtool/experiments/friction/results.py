@@ -28,7 +28,7 @@ Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""
 
 SCATTER = "scatter"
-"""Line of a budget: what the data themselves scatter, or a fit to them."""
+"""Line of a budget: scatter of the data, or of a fit to them."""
 
 MODEL_POINTS = 120
 """Points of the curve of the friction model in each direction."""

@@ -47,7 +47,7 @@ Tustin's, which extrapolates further towards standstill and so must be clearly b
 DIRECTIONS = {1: "positive", -1: "negative"}
 
 ASYMMETRY_U_LIMIT = 0.1
-"""Largest uncertainty of an asymmetry that is separated from a constant torque; else its own."""
+"""Largest uncertainty of an asymmetry that is separated from a constant torque."""
 
 MIN_LEVEL_SPAN = 0.3
 """Smallest relative variation of friction for an extrapolation to no friction."""
@@ -113,9 +113,9 @@ class DirectionFit:
 def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
     """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,).
 
-    One law holds in both: where each by itself prefers another shape of the Stribeck effect, the
-    shape with the lower sum of criteria is taken, since parameters of two models have no mean.
-    Raises `InsufficientDataError` where a direction cannot be fitted.
+    One law holds in both directions: where the directions prefer different shapes of the Stribeck
+    effect, the shape with the lower sum of criteria is taken, since parameters of two models have
+    no mean. Raises `InsufficientDataError` where a direction cannot be fitted.
     """
     fits = _by_direction(speed, torque, u, SHAPES)
     shapes = {fit.exponent for fit in fits.values()} - {None}

@@ -3,8 +3,8 @@
 While the shaft moves without stopping, Coulomb friction is a constant and the plant is linear. The
 bare pulley turns freely: the periods of an experiment cover whole turns, and begin at as many
 equally spaced angles, so that ripple of any order that is not a multiple of their number drops out.
-The instrument has a limited angle: it moves to and fro, each cycle of strokes with the excitation
-of the one before reversed, so that any function of the position drops out.
+The instrument has a limited angle: it moves to and fro, and each cycle of strokes has the reversed
+excitation of the cycle before, so that any function of the position drops out.
 """
 
 from __future__ import annotations

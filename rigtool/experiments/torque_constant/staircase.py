@@ -19,7 +19,7 @@ LEVEL_TOLERANCE = 1e-3
 """Part of the span within which set points count as one level."""
 
 COURSE = 96
-"""Parts of a plateau's time, to see the arm swing after each step."""
+"""Parts of a plateau's time that resolve the arm's swing after each step."""
 
 MINIMUM_PLATEAUS = 8
 """Smallest number of plateaus in a recording."""
