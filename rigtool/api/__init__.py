@@ -122,8 +122,7 @@ def ilc_learn(
     imported runs of known loads needs no recipe; two loads are enough with a `prior` of another
     mounting. Raises `UsageError` for a `prior` of other runs.
     """
-    from rigtool.experiments.imported_load.procedure import PROCEDURE as BY_LOAD
-    from rigtool.experiments.learning.procedure import PROCEDURE, asked
+    from rigtool.experiments.learning.procedure import BY_LOAD, PROCEDURE, asked
 
     inputs = {"kt": kt, "friction": friction, "plant": plant}
     if implementation == "D" and not any(map(_has_recipe, sources)):

@@ -44,11 +44,6 @@ def recordings_of(runs: Sequence[Run]) -> list[Recording]:
     ]
 
 
-def signals_of(runs: Sequence[Run]) -> list[Recording]:
-    """Return the recording of each run; `RunFileError` for a run that has none, or several."""
-    return [run.recording(RECORDING) for run in runs]
-
-
 def place(recording: Recording) -> str:
     """Return the run file, and where that holds several recordings which of them, for messages."""
     part = "" if recording.name == RECORDING else f", {recording.name}"
@@ -98,9 +93,8 @@ def moves(recording: Recording) -> bool:
     return recording.has("position") or recording.has("speed") or counted
 
 
-def require_one_rig(recordings: Sequence[Recording], runs: Sequence[Run] = ()) -> None:
+def require_one_rig(recordings: Sequence[Recording]) -> None:
     """Raise `UsageError` where the known properties of the rig differ between recordings."""
-    del runs  # recordings know their files
     first = {name: known(recordings[0], name) for name in RIG}
     for recording in recordings:
         for name, value in first.items():

@@ -2,7 +2,7 @@
 
     value = sign * (scale * raw + offset), in `unit`, then turned into SI
 
-A mapping states what the file does not, as known to the person who measured.
+A mapping states what the file does not: the knowledge of the person who measured.
 """
 
 from __future__ import annotations

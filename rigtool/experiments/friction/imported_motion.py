@@ -93,7 +93,7 @@ def _notes(dynamics: Dynamics) -> list[str]:
         "speed, as the residuals ask for, or at an end; what that changes is part of u",
     ]
     for share, what in (
-        (dynamics.by_speed, "speed: friction is no straight line over speed"),
+        (dynamics.by_speed, "speed: friction is not a straight line over speed"),
         (dynamics.by_position, "position: ripple, a spring or a load acts as well"),
     ):
         if share > NOTED_POWER:

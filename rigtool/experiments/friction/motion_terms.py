@@ -147,8 +147,8 @@ def band_limit(
 def _smoother(position: Array, step: float, density: float) -> KernelSmoother:
     """Return the narrowest kernel that keeps noise out of the acceleration and passes the motion.
 
-    Not narrower than the motion needs: the rest of the band is other dynamics. Where no kernel
-    keeps the noise out, the one that passes the least part of it.
+    Not narrower than the motion needs: the rest of the band is other dynamics. Where no
+    kernel keeps the noise out, the kernel that passes the least of it.
     """
     widest = max(len(position) * step * WIDEST, NARROWEST * step)
     best, least = KernelSmoother(step, NARROWEST * step), math.inf

@@ -30,7 +30,8 @@ from rigtool.experiments.friction.results import (
     add_breakaway,
     add_flatness,
     add_friction,
-    add_radial_load,
+    add_radial_breakaway,
+    add_radial_friction,
     add_static_friction,
     breakaway_table,
     holds_table,
@@ -59,7 +60,7 @@ SATURATED = "lower stribeck.speed_max, or the load on the shaft"
 
 HOLDS = "holds"
 SWEEPS = ("sweep", "sweep_coulomb", "sweep_viscous")
-BREAKAWAY, BREAKAWAY_LOADED = "breakaway", "breakaway_loaded"
+BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED = "breakaway", "breakaway_loaded", "holds_loaded"
 
 
 def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
@@ -88,7 +89,7 @@ def analyse(
     """
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
-        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
+        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
     }
     everything = [recording for parts in recordings.values() for recording in parts]
     found = Findings(Scale.of(kt, everything))
@@ -98,8 +99,8 @@ def analyse(
     missing = [name for name, parts in recordings.items() if not parts]
     if missing:
         found.notes.append(f"not recorded, so without results: {', '.join(missing)}")
-    unloaded, highest = _breakaway(recordings[BREAKAWAY], recipe, found.scale)
-    loaded, _ = _breakaway(recordings[BREAKAWAY_LOADED], recipe, found.scale, unloaded)
+    unloaded, highest = _breakaway(recordings[BREAKAWAY], recipe, found)
+    loaded, _ = _breakaway(recordings[BREAKAWAY_LOADED], recipe, found, unloaded)
     curves = _sweeps(recordings, recipe, found)
     fits: dict[int, DirectionFit] = {}
     offset = None
@@ -109,6 +110,14 @@ def analyse(
         found.tables["holds"] = holds_table(holds)
         offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
         _note_lacking(UnsampledCurrent.of(runs), holds, found)
+        for recording in recordings[HOLDS_LOADED][:1]:
+            add_radial_friction(
+                holds,
+                _find_holds(recording, recipe, found.scale),
+                recording.condition("radial_force"),
+                found,
+                recipe.rig.weights_relative_u,
+            )
     elif "sweep" in curves:
         fits = _fit_sweep(curves["sweep"])
         found.notes.append("friction is taken from the sweep, without repeated measurements")
@@ -126,8 +135,7 @@ def analyse(
     if unloaded is not None:
         add_breakaway(unloaded, found)
     if unloaded is not None and loaded is not None:
-        force = recordings[BREAKAWAY_LOADED][0].condition("radial_force")
-        add_radial_load(unloaded, loaded, force, found, recipe.rig.weights_relative_u)
+        add_radial_breakaway(unloaded, loaded, found, recipe.rig.weights_relative_u)
     if "sweep_viscous" in curves:
         add_flatness(curves["sweep_viscous"], found)
     return Outcome(found.results, found.tables, tuple(found.notes))
@@ -144,6 +152,25 @@ def _angle(recording: Recording, recipe: Recipe) -> Array:
     return recording.read("encoder") * (2 * np.pi / recipe.rig.encoder_counts)
 
 
+def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
+    """Return the holds of a recording; raises `InsufficientDataError` where current saturates."""
+    with naming(recording):
+        asked = recording.read("current_setpoint")
+        require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED)
+    followed = recording.has("position_setpoint")
+    found = find_holds(
+        time=recording.read("time"),
+        angle=_angle(recording, recipe),
+        torque=controller_torque(recording, scale.value),
+        setpoint=recording.read("position_setpoint") if followed else None,
+        inertia=recipe.rig.nominal_inertia,
+    )
+    # Twice the variance: both directions are rounded to the same steps and err alike, so that the
+    # mean of the two is no better than each.
+    step = scale.value * setpoint_resolution(recording, recipe.stribeck.record_every)
+    return replace(found, u=np.hypot(found.u, step / math.sqrt(6)))
+
+
 def _fit_holds(
     recordings: Iterable[Recording], recipe: Recipe, scale: Scale
 ) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
@@ -151,22 +178,7 @@ def _fit_holds(
     parts = []
     setpoints, currents = [], []
     for recording in recordings:
-        with naming(recording):
-            asked = recording.read("current_setpoint")
-            require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED)
-        found = find_holds(
-            time=recording.read("time"),
-            angle=_angle(recording, recipe),
-            torque=controller_torque(recording, scale.value),
-            setpoint=recording.read("position_setpoint")
-            if recording.has("position_setpoint")
-            else None,
-            inertia=recipe.rig.nominal_inertia,
-        )
-        # Twice the variance: both directions are rounded to the same steps and err alike, so that
-        # the mean of the two is no better than each.
-        step = scale.value * setpoint_resolution(recording, recipe.stribeck.record_every)
-        parts.append(replace(found, u=np.hypot(found.u, step / math.sqrt(6))))
+        parts.append(_find_holds(recording, recipe, scale))
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
@@ -294,21 +306,26 @@ def separate(
 
 
 def _breakaway(
-    recordings: Sequence[Recording], recipe: Recipe, scale: Scale, pair: Breakaway | None = None
+    recordings: Sequence[Recording], recipe: Recipe, found: Findings, pair: Breakaway | None = None
 ) -> tuple[Breakaway | None, Table | None]:
     """Return breakaway around the turn from all ramps, and the highest ramp as a table.
 
-    Positions are those of `pair`, where another series is given to compare with.
+    Positions are those of `pair`, where another series is given to compare with. A note states why
+    ramps without breakaway give no result.
     """
     ramps: list[TorqueRamp] = []
     highest: Table | None = None
     for recording in recordings:
         time, angle = recording.read("time"), _angle(recording, recipe)
-        torque = controller_torque(recording, scale.value)
+        torque = controller_torque(recording, found.scale.value)
         threshold = recipe.stribeck.breakaway_angle
         here = find_ramps(time=time, angle=angle, torque=torque, threshold=threshold)
         highest = highest or ramp_table(here, time, angle, torque)
         ramps.extend(here)
     if not ramps:
         return None, None
-    return around_turn(ramps, None if pair is None else pair.position), highest
+    try:
+        return around_turn(ramps, None if pair is None else pair.position), highest
+    except InsufficientDataError as error:
+        found.notes.append(f"{recordings[0].name!r} is without results: {error}")
+        return None, highest

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import is_linear, recordings_of, require_one_rig
-from rigtool.experiments.learning.stored_table import period_results
+from rigtool.experiments.learning.rows import Amplitudes
+from rigtool.experiments.learning.stored_table import period_results, tables_of
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported import ORDERS_REPORTED
 from rigtool.experiments.ripple.imported_groups import (
@@ -31,7 +32,7 @@ from rigtool.experiments.ripple.orders import CLEAR, Spectrum, coefficients
 from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Run, Table, dof_column
+from rigtool.runfile import Run, Table
 
 ENTRIES = 2000
 """Positions of a learned map: twenty to a cycle of the highest order."""
@@ -279,28 +280,8 @@ def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[s
 
 
 def _tables(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Table]:
+    """Return the learned tables; they fade to zero at rest, as no lower speed was recorded."""
+    fading = Amplitudes.fading(float(table.low_speed[-1]))
     u = np.repeat([[row.u] for row in rows], ENTRIES, axis=1)
-    lookup = Table(
-        ("speed", "position"),
-        {
-            "speed": Column(table.speed, "rad/s", "mean of the turns"),
-            "position": Column(table.position, "rad", "of the rotor, as measured"),
-            effort.name: Column(table.torque, effort.unit, "that was learned, mean included"),
-            "u": Column(u, effort.unit, "standard uncertainty: scatter of the turns"),
-            "dof": dof_column([row.u_dof for row in rows]),
-        },
-        effort.name,
-        "repeatable part, by speed and position; bilinear between entries, periodic",
-    )
-    amplitude = Table(
-        ("low_speed",),
-        {
-            "low_speed": Column(table.low_speed, "rad/s", "of the rotor, either direction"),
-            "amplitude": Column(table.amplitude, "1", "factor on the lowest speed's row"),
-            "u": Column(np.zeros(2), "1", "both are by definition"),
-            "dof": dof_column([math.inf, math.inf]),
-        },
-        "amplitude",
-        "by definition zero at rest: no lower speed was recorded",
-    )
-    return {"lookup": lookup, "amplitude": amplitude}
+    dof = np.array([row.u_dof for row in rows])
+    return tables_of(table, u, fading, dof, (effort.name, effort.unit), measured=True)

@@ -221,7 +221,7 @@ def _notes(
 
 
 def _alias_notes(number: int, group: RepeatedRuns) -> list[str]:
-    """Return which orders of a group the samples do not tell apart; and of a stated speed."""
+    """Return which orders of a group the samples do not separate; and of a stated speed."""
     notes = []
     if not group.moved:
         notes.append(
@@ -234,8 +234,8 @@ def _alias_notes(number: int, group: RepeatedRuns) -> list[str]:
         more = f" and {len(one) - ALIASES_SHOWN} more" if len(one) > ALIASES_SHOWN else ""
         notes.append(
             f"group {number}: its samples meet the same angles in each turn, so that orders are "
-            f"not told apart: {shown}{more}; u of the lower ones allows for all of their amplitude "
-            "being the higher one's; sample at a rate that is no multiple of the speed"
+            f"not separated: {shown}{more}; u of a lower order includes that all of its amplitude "
+            "is the higher order's; sample at a rate that is no multiple of the speed"
         )
     return notes
 
@@ -294,7 +294,7 @@ def _spectrum_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
             "alias": Column(
                 np.stack([group.alias[: len(first.order)] for group in groups]),
                 "1",
-                "higher order that the samples do not tell apart, if any",
+                "higher order that the samples do not separate, if any",
             ),
             "deviation": column("deviation", "amplitude", "rad", "of angle from steady motion"),
             "deviation_phase": column("deviation", "phase", "rad", "as phase"),

@@ -70,7 +70,7 @@ class RepeatedRuns:
     @property
     def u(self) -> Array:
         """Standard uncertainty (orders,) of the amplitudes of torque: scatter, and what a higher
-        order may add that the samples do not tell apart, at most all (GUM 4.3.7)."""
+        order may add that the samples do not separate, at most all (GUM 4.3.7)."""
         spectrum = self.spectra["torque"]
         count = len(spectrum.order)
         by_alias = self.leak[:count] * spectrum.amplitude / math.sqrt(3)

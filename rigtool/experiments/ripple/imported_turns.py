@@ -47,8 +47,8 @@ CELLS_AN_ORDER = 5
 """Cells of the turn for an order that they carry."""
 
 ALIASED = 0.3
-"""Part of a higher order's amplitude seen in a lower one from which on the two are not told apart:
-angles that are spread evenly show 1/sqrt(n)."""
+"""Part of a higher order's amplitude seen in a lower one from which on the samples do not separate
+the two: angles that are spread evenly show 1/sqrt(n)."""
 
 STATED, FEW_ORDERS, STANDS_OUT = 0.03, 20, 4.0
 """Relative error of a stated speed, orders that show it first, and the least ratio of their power
@@ -64,7 +64,8 @@ MIN_SAMPLES = 64
 """Smallest number of samples in a recording."""
 
 LEAST_FITS, MOST_FITS = 5, 20
-"""Parts of a recording that are fitted one by one: fewer show no scatter, more hold few turns."""
+"""Parts of a recording that are fitted one by one: fewer show no scatter, more hold too few turns
+each."""
 
 SAMPLES_PER_NUMBER = 3
 """Smallest number of samples for each amplitude that is fitted."""

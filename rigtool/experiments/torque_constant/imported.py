@@ -1,7 +1,8 @@
 """`calibrate-kt` on imported runs: current against a torque or force sensor, stepped or ramped.
 
-The bench's own analysis knows its staircases, arm and rotor angles; other rigs step or ramp their
-current as they do, and some turn meanwhile. So the fit is another one: `current_levels`.
+The analysis of a rig of rigtool knows the staircases, arm and rotor angles. Other rigs step or ramp
+their current in ways of their own, and some turn meanwhile; imported runs have another fit,
+`current_levels`.
 """
 
 from __future__ import annotations

@@ -225,7 +225,7 @@ def test_torque_alone_at_a_stated_speed_and_orders_that_are_not_told_apart(tmp_p
     assert not any("motion" in name for name in results)
     alias = results["order_24_amplitude"]
     assert alias.u > 0.5 * alias.value
-    assert any("not told apart: 1 from 59" in note for note in outcome.notes)
+    assert any("not separated: 1 from 59" in note for note in outcome.notes)
     assert any("the speed was stated; refined" in note for note in outcome.notes)
     table = outcome.tables["imported_spectrum"]
     assert table["alias"][0, 23] in (36, 84)

@@ -126,7 +126,7 @@ class _Compared:
 
     @property
     def shifted(self) -> bool:
-        """Whether it is the same map, shifted."""
+        """Whether the run shows the same map, shifted."""
         certain = abs(self.match.shift) > SIGNIFICANT_SHIFT * self.match.shift_u
         return not self.fits and certain and self.match.best_correlation**2 >= SAME_MAP_VARIANCE
 
