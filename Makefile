@@ -198,7 +198,7 @@ test-lowest:
 
 attack: $(INSTALLED)
 	$(BIN)/python -m tests.attack --seconds $(SECONDS) --seed $(SEED)
-	$(BIN)/pytest -n 2 --dist worksteal -m hypothesis --hypothesis-profile luck
+	$(BIN)/pytest -n 2 --dist worksteal -m "hypothesis or whole" --hypothesis-profile luck
 
 docs: $(INSTALLED)
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs $(BUILD)/docs

@@ -132,9 +132,7 @@ class Link:
         if line.startswith(b"rcv "):
             return frames.received(line)
         if b"BusOn" in line:
-            raise RequestRefused(
-                f"{self.line.port}: the fdcanusb is off its bus: send it 'can on'"
-            )
+            raise RequestRefused(f"{self.line.port}: the fdcanusb is off its bus: send it 'can on'")
         if line.startswith(b"ERR"):
             raise DamagedReply(f"{self.line.port}: {line.decode('latin-1')}")
         if line and line != b"OK":
