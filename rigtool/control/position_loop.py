@@ -238,7 +238,7 @@ def position_loop(**design: Unpack[LoopDesign]) -> Loop:
 def stable_one_sample_late(**design: Unpack[LoopDesign]) -> bool:
     """Return whether this loop is stable with another sample of delay in it.
 
-    That is a loop which a host closes over a line: it learns of a sample one period later.
+    Such a loop is one that a host closes over a line: each sample reaches the host one period late.
     """
     loop = position_loop(**design)
     late = np.convolve(loop.plant.den_delta, [1.0, 1.0])

@@ -23,7 +23,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rigtool.control.position_loop import controller_sections
+from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
@@ -43,7 +43,7 @@ CHANNELS = (
 """Channels of the position loop with a table by position."""
 
 AT_THE_LIMIT = 0.999
-"""Part of the rig's limit of current from which a set point is at it."""
+"""Part of the rig's limit of current from which on a set point counts as at the limit."""
 
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
@@ -191,9 +191,6 @@ def smallest_gain(recipe: Recipe) -> float:
 
 @lru_cache(maxsize=8)
 def _smallest_gain(highest_hz: float, **design: float) -> float:
-    """Return the smallest gain of a controller; each recording of a run asks for the same one."""
-    from scipy.signal import sosfreqz
-
-    sections = controller_sections(**design)
+    """Return the smallest gain of a controller, cached for all recordings of a run."""
     frequency = np.geomspace(min(LOWEST_HZ, highest_hz), highest_hz, 100)
-    return float(np.abs(sosfreqz(sections, frequency, fs=1 / design["sample_time"])[1]).min())
+    return float(np.abs(position_loop(**design).controller.response(frequency)).min())

@@ -118,9 +118,9 @@ struct rs_model {
     rs_real quiet_walk, slow_walk, step_walk, walk[RS_MOVING];
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
     /* ripple of another power-up: experiments/force/power_up.py has the equations */
-    rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES];
-    rs_real row_noise, row_walk, row_reversal, row_contact, row_gate, row_certain,
-        row_largest, row_refuted;
+    rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
+    rs_real row_noise, row_walk, row_reversal, row_contact, row_untouched, row_kept, row_gate,
+        row_decided, row_certain, row_largest, row_refuted;
     /* states */
     rs_real sliding, slow, speed_limit, torque_limit, current_limit, cold, warm;
     int32_t lowest, highest; /* counts */
@@ -151,7 +151,7 @@ struct rigtool_sensor {
     rs_real waves[RS_WAVES], row[RS_PARTS], ripples[RS_PARTS];
     rs_real ripple_u[RS_PARTS][RS_PARTS], ripple_d[RS_PARTS], ripple_q[RS_ORDER];
     rs_real plain, plain_variance, other; /* without it; logarithm of the likelihoods' ratio */
-    int row_steps, row_slid;
+    int row_steps, row_slid, touched, doubted; /* the wave whose doubt grows next */
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
@@ -692,31 +692,86 @@ static inline void rs_wave(struct rigtool_sensor *s)
     }
 }
 
+/* Whether a row fits a hypothesis that is not decided against. */
+static inline int rs_fits(const struct rigtool_sensor *s, int ripple, int plain)
+{
+    return (ripple && s->other > -rs_model.row_decided) || (plain && s->other < rs_model.row_decided);
+}
+
+/* Find out from a row whether something touches; the torque begins anew where that changes. */
+static inline void rs_touch(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real gate = m->row_gate, own = m->row_noise + m->row_untouched;
+    rs_real error = s->row[0], left, plain = s->row[0], by, variance, spread, rest;
+    int goes_on, over, i, j;
+    variance = m->row_noise;
+    spread = m->row_noise + s->ripple_d[0];
+    for (j = 1; j < RS_PARTS; j++) {
+        /* the torque is the first: its column of U has nothing of the others */
+        by = s->row[j];
+        for (i = 1; i < j; i++)
+            by += s->ripple_u[i][j] * s->row[i];
+        error -= s->row[j] * s->ripples[j];
+        variance += rs_square(by) * s->ripple_d[j];
+        spread += rs_square(by + s->ripple_u[0][j]) * s->ripple_d[j];
+    }
+    left = error - s->ripples[0];
+    rest = plain - s->plain;
+    goes_on = rs_fits(s, left * left < gate * spread,
+                      rest * rest < gate * (m->row_noise + s->plain_variance));
+    over = rs_fits(s, error * error < gate * (variance + m->row_untouched),
+                   plain * plain < gate * own);
+    if (goes_on && !(s->touched && over))
+        return;
+    s->touched = !over;
+    s->ripples[0] = s->plain = 0;
+    for (j = 1; j < RS_PARTS; j++)
+        s->ripple_u[0][j] = 0;
+    s->ripple_d[0] = s->plain_variance = s->touched ? m->row_contact : m->row_untouched;
+}
+/* Let the doubt of one wave grow, of each in turn: U D U' + e q e', W. S. Agee, R. H. Turner 1972. */
+static inline void rs_doubt(struct rigtool_sensor *s)
+{
+    rs_real add[RS_PARTS] = {0}, sum = rs_model.wave_doubt[s->doubted];
+    int i, j = s->doubted + 1;
+    s->doubted = s->doubted + 1 < RS_WAVES ? s->doubted + 1 : 0;
+    for (add[j] = 1; j >= 0; j--) {
+        const rs_real whole = s->ripple_d[j] + sum * rs_square(add[j]);
+        const rs_real gain = whole > 0 ? sum * add[j] / whole : (rs_real)0; /* no such order */
+        for (i = 0; i < j; i++) {
+            add[i] -= add[j] * s->ripple_u[i][j];
+            s->ripple_u[i][j] += gain * add[i];
+        }
+        if (whole > 0)
+            sum *= s->ripple_d[j] / whole;
+        s->ripple_d[j] = whole;
+    }
+}
+
 /* Take in a row that slides, under both hypotheses. */
 static inline void rs_take(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
     const rs_real noise = m->row_noise;
-    rs_real error = s->row[0] - s->ripples[0], plain = s->row[0] - s->plain, own, variance, sum;
+    rs_real error, plain, own, variance, sum;
     rs_real by[RS_PARTS], part[RS_PARTS], column[RS_PARTS];
-    int attempt, i, j;
+    int i, j;
+    rs_doubt(s);
+    rs_touch(s);
+    error = s->row[0] - s->ripples[0];
+    plain = s->row[0] - s->plain;
     for (j = 1; j < RS_PARTS; j++)
         error -= s->row[j] * s->ripples[j];
     s->row[0] = 1;
-    for (attempt = 0; ; attempt++) {
-        variance = noise;
-        own = s->plain_variance + noise;
-        for (j = 0; j < RS_PARTS; j++) {
-            by[j] = s->row[j];
-            for (i = 0; i < j; i++)
-                by[j] += s->ripple_u[i][j] * s->row[i];
-            part[j] = s->ripple_d[j] * by[j];
-            variance += part[j] * by[j];
-        }
-        if (attempt || error * error < m->row_gate * variance || plain * plain < m->row_gate * own)
-            break;
-        s->ripple_d[0] += m->row_contact;
-        s->plain_variance += m->row_contact;
+    variance = noise;
+    own = s->plain_variance + noise;
+    for (j = 0; j < RS_PARTS; j++) {
+        by[j] = s->row[j];
+        for (i = 0; i < j; i++)
+            by[j] += s->ripple_u[i][j] * s->row[i];
+        part[j] = s->ripple_d[j] * by[j];
+        variance += part[j] * by[j];
     }
     s->other += (rs_real)0.5 * (plain * plain / own - error * error / variance
                                 + RS_MATH(log)(own / variance));
@@ -764,6 +819,16 @@ static inline void rs_row(struct rigtool_sensor *s)
         return;
     if (s->row_slid < RS_ROW_STEPS)
         walk += m->row_reversal; /* friction may be off by a stroke's own */
+    if (!s->touched) { /* about zero */
+        const rs_real kept = s->row_slid < RS_ROW_STEPS ? (rs_real)0 : m->row_kept;
+        walk = (1 - kept * kept) * m->row_untouched;
+        s->ripples[0] *= kept;
+        s->plain *= kept;
+        for (j = 1; j < RS_PARTS; j++)
+            s->ripple_u[0][j] *= kept;
+        s->ripple_d[0] *= kept * kept;
+        s->plain_variance *= kept * kept;
+    }
     s->ripple_d[0] += walk;
     s->plain_variance += walk;
     if (s->row_slid == RS_ROW_STEPS && s->other > m->row_refuted)
@@ -928,9 +993,9 @@ static inline void rs_begin(struct rigtool_sensor *s)
     s->direction = 1;
     for (i = 0; i < RS_PARTS; i++) {
         s->ripples[i] = i ? m->wave_mean[i - 1] : 0;
-        s->ripple_d[i] = i ? m->wave_variance[i - 1] : m->row_contact;
+        s->ripple_d[i] = i ? m->wave_variance[i - 1] : m->row_untouched;
     }
-    s->plain_variance = m->row_contact;
+    s->plain_variance = m->row_untouched;
     s->still_up = s->still_down = RS_STILL_STEPS;
     rs_ahead(s);
     s->begun = 1;

@@ -24,7 +24,7 @@ from rigtool.numerics.arrays import Array
 Number = float | int | str | Array
 
 DIGITS = 12
-"""Of the maps; all other numbers are exact."""
+"""Digits of the maps' numbers; all other numbers are exact."""
 
 INT32 = 2**31 - 1
 """Largest count of an encoder in the header."""
@@ -85,12 +85,12 @@ def sensor_header(
 
 
 def _within(span: float, step_time: float) -> int:
-    """Return the steps that a span of time, s, back from one and it itself are."""
+    """Return the number of steps in a span of time, s, that ends with a step, included."""
     return 2 * max(1, round(span / step_time / 2)) + 1
 
 
 def _lasting(left: float, step_time: float) -> int:
-    """Return the steps that a time, s, lasts where each takes its own off it."""
+    """Return the number of steps after which a time, s, is over."""
     steps = 0
     while left > 0:
         left -= step_time
@@ -170,11 +170,15 @@ def _ripple(instrument: Instrument) -> dict[str, Number]:
         "wave_gain": gain,
         "wave_mean": -own,
         "wave_variance": amplitude**2 / 2,
+        "wave_doubt": amplitude**2 / 2 * (power_up.WAVES * row_time / power_up.FORGOTTEN),
         "row_noise": (power_up.NOISE * size) ** 2,
         "row_walk": (power_up.WALK * size) ** 2 * row_time,
         "row_reversal": (power_up.AFTER_REVERSAL * size) ** 2 * row_time / power_up.ROW_TIME,
         "row_contact": (power_up.CONTACT * size) ** 2,
+        "row_untouched": size**2,
+        "row_kept": math.exp(-row_time / power_up.MEMORY),
         "row_gate": power_up.GATE**2,
+        "row_decided": power_up.DECIDED,
         "row_certain": power_up.CERTAIN,
         "row_largest": power_up.LARGEST**2,
         "row_refuted": power_up.REFUTED,

@@ -1,4 +1,4 @@
-"""From the filter's deviation to the standard uncertainty, by what the drive does.
+"""From the filter's deviation to the standard uncertainty, by the state of motion.
 
     u^2 = (c s)^2 + (g M)^2,   s the filter's deviation, M the torque on the output
 
@@ -16,20 +16,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.motion_states import CREEPING, KINDS, State, States
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 APART = 20e-3
-"""From one compared step to the next, s."""
+"""Time from one compared step to the next, s."""
 
 INDEPENDENT = 1.0
-"""Of a recording, s: a stroke's own friction is one error for all of it."""
+"""Time that one independent error is worth, s: a stroke's own friction is one error."""
 
 SPREAD, SLIDING_SPREAD = 0.5, 0.1
-"""Of log c: S, and S while the rotor slides."""
+"""Prior standard deviation S of log c, and S while the rotor slides."""
 
 FEWEST = 100
 """Compared steps of a kind without which its factors are those of all kinds."""
@@ -38,10 +36,10 @@ TOGETHER = ((State.AGAINST, State.WITH), (State.REVERSED,), (State.STILL,), (CRE
 """Kinds that have one c and g."""
 
 STARTS = (0.003, 0.1)
-"""Of g, from which its most likely value is searched for."""
+"""Values of g at which the search begins."""
 
 BOUNDS = ((np.log(0.2), np.log(20.0)), (np.log(1e-4), np.log(1.0)))
-"""Of log c and log g."""
+"""Bounds of log c and log g."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,29 +68,45 @@ def scales(parts: Sequence[Errors]) -> Array:
     torque = np.concatenate([part.torque for part in parts])
     kinds = np.concatenate([part.kinds for part in parts])
     found = np.ones((2, KINDS, 2)) * (1.0, 0.0)
+    of_all: dict[float, Array] = {}
     for together in TOGETHER:
         chosen = np.isin(kinds, together)
         spread = SLIDING_SPREAD if State.AGAINST in together else SPREAD
-        if chosen.sum() < FEWEST:
-            chosen[:] = True
-        for form in range(2):
-            own = _most_likely(error[form, chosen], deviation[form, chosen], torque[chosen], spread)
-            found[form, list(together)] = own
+        if chosen.sum() >= FEWEST:
+            own = _of_both(error[:, chosen], deviation[:, chosen], torque[chosen], spread)
+        else:
+            if spread not in of_all:
+                of_all[spread] = _of_both(error, deviation, torque, spread)
+            own = of_all[spread]
+        found[:, list(together)] = own[:, None]
     return found
+
+
+def _of_both(error: Array, deviation: Array, torque: Array, spread: float) -> Array:
+    """Return c and g of smoothed and of causal torque, (2, 2)."""
+    pairs = zip(error, deviation, strict=True)
+    return np.stack([_most_likely(*own, torque, spread) for own in pairs])
 
 
 def _most_likely(error: Array, deviation: Array, torque: Array, spread: float) -> Array:
     """Return c and g, (2,), of errors (n,)."""
     from scipy.optimize import minimize
 
-    def cost(logs: Array) -> float:
-        factor, share = np.exp(2 * logs)
-        variance = factor * deviation**2 + share * torque**2
-        unlikely = np.sum(np.log(variance) + error**2 / variance) * APART / INDEPENDENT
-        return float(0.5 * unlikely + 0.5 * (logs[0] / spread) ** 2)
+    squares, of_error = np.stack([deviation**2, torque**2]), error**2
+
+    def cost(logs: Array) -> tuple[float, Array]:
+        """Return the cost, and its slopes along log c and log g."""
+        scaled = np.exp(2 * logs)
+        variance = scaled @ squares
+        relative = of_error / variance
+        unlikely = np.sum(np.log(variance) + relative) * APART / INDEPENDENT
+        slopes = scaled * (squares @ ((1 - relative) / variance)) * APART / INDEPENDENT
+        slopes[0] += logs[0] / spread**2
+        return float(0.5 * unlikely + 0.5 * (logs[0] / spread) ** 2), slopes
 
     tried = (
-        minimize(cost, np.log([1.0, share]), method="L-BFGS-B", bounds=BOUNDS) for share in STARTS
+        minimize(cost, np.log([1.0, share]), jac=True, method="L-BFGS-B", bounds=BOUNDS)
+        for share in STARTS
     )
     found: Array = np.exp(np.asarray(min(tried, key=lambda one: one.fun).x, dtype=np.float64))
     return found

@@ -12,10 +12,12 @@ the learning, beta = 0, or another: c + beta then has the learned amplitudes A w
 A force that repeats with the angle looks like ripple. It refutes the second hypothesis once an
 order of c + beta is more than `LARGEST` times A; a weaker one is taken for ripple, up to that.
 
-Under each hypothesis a Kalman filter reads M^ row by row, M a random walk that starts anew where a
-row does not fit (a contact begins). The likelihoods of both weigh them; given is the mean of the
-mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with Applications to
-Tracking and Navigation, 2001, section 11.6.2, static multiple models).
+Under each hypothesis a Kalman filter reads M^ row by row. Where nothing touches, M is what strokes
+deviate by: about zero, and drawn anew by a reversal. So the mean of the ripple along the part of a
+turn that a motion uses shows, too. Where a row does not fit, a contact begins, and M is a random
+walk from anywhere, until a row fits that nothing touches. The likelihoods of both weigh them; given
+is the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation
+with Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
 """
 
 from __future__ import annotations
@@ -30,25 +32,32 @@ from rigtool.experiments.force_filter.motion_states import SLIDING
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-Array = NDArray[np.float64]
-
 ROW_TIME = 20e-3
-"""Of a row, s: friction's own noise hardly changes within it."""
+"""Time of a row, s: friction's own noise hardly changes within it."""
 
 NOISE, WALK, AFTER_REVERSAL, CONTACT = 0.7, 2.0, 1.5, 100.0
 """In deviations of a stroke: noise of a row, random walk of M per square root of a second, and what
 M may change by over a reversal and where a contact begins."""
 
+MEMORY, FORGOTTEN = 2.0, 60.0
+"""Of M where nothing touches, s: about that of a stroke. And the time of sliding in which the doubt
+of the ripple grows by what it was at first: strokes pay back what others deviate by, a weak contact
+may be taken for ripple, and rows are not as independent as the equations have it."""
+
 GATE = 3.0
 """Standard deviations from which on a row does not fit."""
 
+DECIDED = 10.0
+"""Logarithm of the likelihoods' ratio beyond which rows need not fit the less likely one."""
+
 CERTAIN = 50.0
-"""Of the logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
+"""Largest logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
 
 LARGEST = 3.0
-"""Amplitude of another power-up over the learned one, of an order."""
+"""Largest ratio of an order's amplitude at another power-up to the learned one."""
 
 REFUTED = -1.5 * CERTAIN
 """Logarithm of the ratio that stays once the ripple is larger than any power-up makes it."""
@@ -66,11 +75,15 @@ STATE = np.dtype(
         ("slid", "f8"),
         ("mean", "f8", (WAVES + 1,)),
         ("covariance", "f8", (WAVES + 1, WAVES + 1)),
+        ("touched", "f8"),  # 1 from a contact's begin to its end
         # without other ripple: torque and its variance; logarithm of the likelihoods' ratio
         ("plain", "f8"),
         ("plain_variance", "f8"),
         ("other", "f8"),
         ("learned", "f8", (WAVES,)),
+        # variance of what a power-up draws; the wave whose doubt grows next
+        ("drawn", "f8", (WAVES,)),
+        ("doubted", "f8"),
         ("passed", "f8", (passed.ORDER,)),
     ]
 )
@@ -97,7 +110,8 @@ class PowerUp:
         self._state = np.zeros(1, dtype=STATE)
         self._state["mean"][0, :-1] = -own
         self._state["learned"][0] = own
-        variances = np.append(amplitude**2 / 2, (CONTACT * factor * size) ** 2)
+        self._state["drawn"][0] = amplitude**2 / 2
+        variances = np.append(amplitude**2 / 2, (factor * size) ** 2)
         self._state["covariance"][0] = np.diag(variances)
         self._state["plain_variance"] = variances[-1]
         self._low_pass = passed.section(bandwidth_hz, step_time)
@@ -200,29 +214,23 @@ def _follow(
 @compiled
 def _read(s: Record, p: Record) -> None:
     """Take in a row, and begin the next one."""
-    walk = (WALK * p.size) ** 2 * p.time
-    if s.slid < p.steps:  # part of the row is no sliding: friction may be off by a stroke's own
-        walk += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
-    s.covariance[WAVES, WAVES] += walk
-    s.plain_variance += walk
+    _pass_time(s, p)
     if s.slid >= p.steps and s.other > REFUTED:
+        one = int(s.doubted)  # in turn
+        s.covariance[one, one] += s.drawn[one] * WAVES * p.time / FORGOTTEN
+        s.doubted = (one + 1) % WAVES
+        _touch(s, p)
         noise = (NOISE * p.size) ** 2
         gain = np.empty(WAVES + 1)
-        row = s.row.copy()
-        row[WAVES] = 1.0
-        for attempt in range(2):
-            error, plain = s.row[WAVES], s.row[WAVES] - s.plain
-            variance, own = noise, s.plain_variance + noise
-            for i in range(WAVES + 1):
-                error -= row[i] * s.mean[i]
-                gain[i] = 0.0
-                for j in range(WAVES + 1):
-                    gain[i] += s.covariance[i, j] * row[j]
-                variance += row[i] * gain[i]
-            if attempt or min(error**2 / variance, plain**2 / own) < GATE**2:
-                break
-            s.covariance[WAVES, WAVES] += (CONTACT * p.size) ** 2
-            s.plain_variance += (CONTACT * p.size) ** 2
+        error, variance = s.row[WAVES], noise
+        plain, own = s.row[WAVES] - s.plain, s.plain_variance + noise
+        s.row[WAVES] = 1.0
+        for i in range(WAVES + 1):
+            error -= s.row[i] * s.mean[i]
+            gain[i] = 0.0
+            for j in range(WAVES + 1):
+                gain[i] += s.covariance[i, j] * s.row[j]
+            variance += s.row[i] * gain[i]
         s.other += 0.5 * (plain**2 / own + math.log(own) - error**2 / variance - math.log(variance))
         s.other = min(max(s.other, -CERTAIN), CERTAIN)
         for i in range(WAVES + 1):
@@ -239,3 +247,58 @@ def _read(s: Record, p: Record) -> None:
     for i in range(WAVES + 1):
         s.row[i] = 0.0
     s.filled = s.slid = 0.0
+
+
+@compiled
+def _pass_time(s: Record, p: Record) -> None:
+    """Let M go on to the end of a row."""
+    if s.touched:
+        walk = (WALK * p.size) ** 2 * p.time
+        if s.slid < p.steps:  # part of the row is no sliding: friction may be off by a stroke's own
+            walk += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
+        s.covariance[WAVES, WAVES] += walk
+        s.plain_variance += walk
+        return
+    kept = math.exp(-p.time / MEMORY) if s.slid >= p.steps else 0.0
+    fresh = (1.0 - kept * kept) * p.size**2
+    s.mean[WAVES] *= kept
+    s.plain *= kept
+    for i in range(WAVES):
+        s.covariance[i, WAVES] *= kept
+        s.covariance[WAVES, i] *= kept
+    s.covariance[WAVES, WAVES] = kept * kept * s.covariance[WAVES, WAVES] + fresh
+    s.plain_variance = kept * kept * s.plain_variance + fresh
+
+
+@compiled
+def _touch(s: Record, p: Record) -> None:
+    """Find out from a row whether something touches; M begins anew where that changes."""
+    untouched, noise, gate = p.size**2, (NOISE * p.size) ** 2, GATE**2
+    error, variance, shared = s.row[WAVES], noise, 0.0
+    for i in range(WAVES):
+        error -= s.row[i] * s.mean[i]
+        shared += s.row[i] * s.covariance[i, WAVES]
+        for j in range(WAVES):
+            variance += s.row[i] * s.covariance[i, j] * s.row[j]
+    left, spread = error - s.mean[WAVES], variance + 2.0 * shared + s.covariance[WAVES, WAVES]
+    plain, own = s.row[WAVES], noise + untouched
+    goes_on = _fits(
+        s.other,
+        left**2 < gate * spread,
+        (plain - s.plain) ** 2 < gate * (noise + s.plain_variance),
+    )
+    over = _fits(s.other, error**2 < gate * (variance + untouched), plain**2 < gate * own)
+    if goes_on and not (s.touched and over):
+        return
+    s.touched = 0.0 if over else 1.0
+    s.mean[WAVES] = s.plain = 0.0
+    for i in range(WAVES):
+        s.covariance[i, WAVES] = s.covariance[WAVES, i] = 0.0
+    s.plain_variance = (CONTACT * p.size) ** 2 if s.touched else untouched
+    s.covariance[WAVES, WAVES] = s.plain_variance
+
+
+@compiled
+def _fits(other: float, ripple: bool, plain: bool) -> bool:
+    """Return whether a row fits a hypothesis that is not decided against."""
+    return (ripple and other > -DECIDED) or (plain and other < DECIDED)

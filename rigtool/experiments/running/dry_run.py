@@ -1,4 +1,5 @@
-"""The motions that a command will make, listed by running its procedure on a rig of paper.
+"""The motions that a command will make, listed by running its procedure on a rig that only records
+requests.
 
 Motions that depend on earlier measurements are not known beforehand: the list ends there, with a
 note.
@@ -33,7 +34,7 @@ LONGEST = 24 * 3600.0
 
 
 class _NeedsData(Exception):
-    """From here on the motions depend on measurements."""
+    """The motions from here on depend on measurements."""
 
 
 @dataclass
@@ -69,7 +70,9 @@ class MotionPlan:
         if self.bench_work:
             parts.append(f"At the bench: {'; '.join(dict.fromkeys(self.bench_work))}")
         if not self.complete:
-            parts.append("Further motions depend on the results of these; limits hold for all")
+            parts.append(
+                "Further motions depend on the results of these; the limits hold for all motions"
+            )
         return "\n".join(parts)
 
     def check(self, limits: Any) -> None:
@@ -209,7 +212,7 @@ def rehearse(
     """Return the motions of a command; the shaft starts at `position`, rad.
 
     What they ask for at most is only `evaluated` on demand: that takes time. Raises `RecipeError`
-    for what the recipe asks and no rig, or not this one, can do.
+    where the recipe asks for what no rig, or not this rig, can do.
     """
     specs = procedure.recordings(recipe)
     rig = _Rehearsal(recipe, torque_constant, position, evaluated=evaluated)

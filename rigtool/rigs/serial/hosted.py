@@ -132,7 +132,7 @@ class HostedRig(SerialRig):
         return identity
 
     def _state_runaway(self) -> None:
-        """Note how fast the shaft gets where a loop runs away, before host or drive notice."""
+        """Note the speed of the shaft of a runaway loop before host or drive notices."""
         rig, limits = self._recipe.rig, self._limits
         torque = self._torque_constant * limits.current
         acceleration = torque / rig.inertia.total(rig.attachment)

@@ -1,9 +1,9 @@
 """A serial line: one request at a time, each with a deadline, retries that are counted.
 
-Everything that speaks to hardware goes through a `Line`: so every byte can be written to a spy
+All communication with hardware goes through a `Line`, so that every byte can be written to a spy
 file, and a port `replay://FILE` plays such a file back. Errors are `HardwareError`s: `LineTimeout`
-and `DamagedReply` concern one reply, and a request that may be repeated is; `RequestRefused` is a
-reply as well; `LineLost` is final.
+and `DamagedReply` concern one reply, and the request is repeated if it may be; `RequestRefused` is
+a reply as well; `LineLost` is final.
 """
 
 from __future__ import annotations
@@ -238,7 +238,7 @@ class Line:
         self._fill(lambda: end in self._buffer, f"the end {end!r}", timeout)
         return self._take(self._buffer.index(end) + len(end))
 
-    def read_frame(self, timeout: float | None = None) -> can_frames.Frame:
+    def read_frame(self, timeout: float | None = None) -> can_frames.CanFrame:
         """Return the next frame of a CAN bus; raises `LineTimeout` or `DamagedReply`."""
         text = self.read_until(can_frames.END, timeout)
         try:

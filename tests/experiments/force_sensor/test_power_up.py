@@ -28,13 +28,13 @@ def model():
     return ForceModel(learned, Deviations(STROKE, 0.01, 0.1e-3, 0.15))
 
 
-def motion(seconds=40.0):
-    """Strokes of 2.5 rad at 1 rad/s: angles and the filter's states, but for the torque."""
+def motion(seconds=40.0, way=1.25):
+    """Strokes of twice a way, rad: angles and the filter's states, but for the torque."""
     time = np.arange(round(seconds / STEP)) * STEP
-    angle = 1.25 + 1.25 * np.sin(0.8 * time)
+    angle = 1.25 + way * np.sin(0.8 * time)
     states = np.zeros((len(time), STATES))
     states[:, SPEED] = np.gradient(angle, STEP)
-    states[:, HOUSING] = np.clip(3 * states[:, SPEED], -1, 1)
+    states[:, HOUSING] = np.clip(3.75 / way * states[:, SPEED], -1, 1)
     return time, angle, states
 
 
@@ -81,6 +81,18 @@ def test_ripple_of_another_power_up_is_found_under_contacts(another):
     whole, left = power_up.whole(angle, states[:, TORQUE])
     assert np.sqrt(np.mean((whole - added) ** 2)) < 0.3 * np.sqrt(np.mean(added**2))
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
+
+
+def test_motion_over_a_small_part_of_a_turn_shows_the_mean_of_the_ripple_there():
+    time, angle, states = motion(way=0.25)
+    added = ripple(OTHER, angle) - ripple(LEARNED, angle)
+    states[:, TORQUE] = contact(time) + noise(time, states) + added
+    power_up = PowerUp(model(), STEP, BANDWIDTH)
+    found, variance = power_up.add(angle, states)
+    late = slice(round(20 / STEP), None)
+    assert abs(added[late].mean()) > 0.8e-3
+    assert abs((found - added)[late].mean()) < 0.2 * abs(added[late].mean())
+    assert np.mean(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late])) > 0.95
 
 
 def test_the_learned_power_up_changes_nothing():

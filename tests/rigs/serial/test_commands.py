@@ -201,7 +201,7 @@ def test_constant_and_ripple_are_measured_on_each_drive(bench):
     assert line["late_samples"] == 0
 
 
-@pytest.mark.whole
+@pytest.mark.thorough
 def test_friction_and_loads_are_measured_on_each_drive(bench):
     """stribeck, then ilc-learn, whose tables measure-force needs."""
     kt, motor = ("--kt", bench.kt), bench.motor

@@ -178,7 +178,7 @@ class CanDrive(StateDrive):
         if not self._watches:
             gaps.append("watches no heartbeat: a lost cable leaves it at its last set point")
         elif find(self._objects, od.WHEN_SILENT) is None:
-            gaps.append("does not state what it does where heartbeats stop (6007): try it")
+            gaps.append("does not state its reaction where heartbeats stop (6007): try it")
         else:
             self._remember(od.WHEN_SILENT)
             self._change(od.WHEN_SILENT, DISABLE_VOLTAGE, "reaction to silence (6007)")

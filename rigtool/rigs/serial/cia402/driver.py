@@ -16,7 +16,7 @@ BIT_RATES = (1_000_000,)
 """Bit rate where the port names none, bit/s."""
 
 USUAL_NODE = 1
-"""Address that stands for 0, the default of the recipe, in `serial.node`."""
+"""Address for `serial.node` = 0, the default of the recipe."""
 
 
 def probe(line: Line, kind: type[CanDrive] = CanDrive) -> str | None:

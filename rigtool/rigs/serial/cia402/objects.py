@@ -1,4 +1,4 @@
-"""Objects of CANopen and CiA 402: where values are, of what kind, and how a drive refuses them.
+"""Objects of CANopen and CiA 402: places and types of values, and the errors of a drive.
 
 Sources: CiA 301 and CiA 402 (IEC 61800-7-201) as drives and programs of others use them.
 """

@@ -46,8 +46,8 @@ POLL = 0.005
 HALTS = 3
 
 DRIFT_ANGLE, DRIFT_SHARE = 1.0, 0.2
-"""Difference between the angle and the turned speed from which they are not of one shaft: rad, and
-part of the way."""
+"""Difference between the angle and the integral of speed from which on the two do not belong to one
+shaft: rad, and part of the way."""
 
 PLAUSIBLE_DEGC = (-20.0, 180.0)
 """Range of a motor's thermistor; without one the drive reports a value outside."""
@@ -63,7 +63,7 @@ FAULTS = (
 )
 
 
-class State(NamedTuple):
+class VescState(NamedTuple):
     """Values of a drive, in its units: 0.1 degC, 10 mA, ERPM, 1e-6 deg."""
 
     command: int
@@ -186,7 +186,8 @@ class Vesc:
             )
 
     def _wait_for(self, *, timed_out: bool, feed: bool = False) -> bool:
-        """Ask until the drive has timed out, or has not; return whether it came to that."""
+        """Ask until the drive has timed out, or no longer has; return whether that state was
+        reached."""
         until = self._line.now() + self._watchdog + SLACK
         while True:
             state = self._ask_state(0.0 if feed else None)
@@ -263,7 +264,7 @@ class Vesc:
         )
         return self._last
 
-    def _require_running(self, state: State) -> None:
+    def _require_running(self, state: VescState) -> None:
         if state.fault:
             name = FAULTS[state.fault] if state.fault < len(FAULTS) else "see VESC Tool"
             raise HardwareError(
@@ -277,7 +278,7 @@ class Vesc:
             )
 
     def _unwrap(self, angle: float, speed: float, moment: float) -> float:
-        """Return the position nearest to where the shaft would have come since the last sample."""
+        """Return the position nearest to the one that the speed since the last sample predicts."""
         if self._last is None:
             return angle
         then = self._last
@@ -306,11 +307,11 @@ class Vesc:
             )
         return frame(struct.pack(">Bi", SET_CURRENT, round(current * 1e3)))
 
-    def _ask_state(self, current: float | None = None) -> State:
+    def _ask_state(self, current: float | None = None) -> VescState:
         """Ask for the state, after a set point of current [A] if there is one."""
         first = b"" if current is None else self._current(current)
         reply = self._ask(struct.pack(">BI", VALUES, MASK), STATE.size, first)
-        return State(*STATE.unpack(reply))
+        return VescState(*STATE.unpack(reply))
 
     def _ask(self, payload: bytes, size: int, first: bytes = b"") -> bytes:
         """Send a question and return the reply of this kind; others, sent unasked, are left out."""

@@ -143,7 +143,7 @@ class ODrive:
             )
 
     def _has_fault(self) -> bool:
-        """Return whether there is an error other than the watchdog's, which is ours to clear."""
+        """Return whether there is an error other than the watchdog's, which rigtool clears."""
         codes = self._errors()
         main = codes.pop(self._dialect.errors[0])
         return bool(main & ~self._dialect.watchdog_error or any(codes.values()))

@@ -10,7 +10,7 @@ import time
 
 from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.moteus import frames
-from rigtool.rigs.serial.transport.can_frames import Frame
+from rigtool.rigs.serial.transport.can_frames import CanFrame
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
 from tests.rigs.serial.emulators.slcan import SlcanEmulator
 
@@ -45,7 +45,7 @@ class ODriveCanEmulator(SlcanEmulator):
         return 0x01000000 if self.new else 0x800
 
     def answer(self, command, form, *values):
-        self.send(Frame(command, struct.pack(form, *values)))
+        self.send(CanFrame(command, struct.pack(form, *values)))
 
     def on_frame(self, frame):
         if frame.identifier >> 5 or frame.extended or frame.fd:
@@ -133,7 +133,7 @@ class MoteusCanEmulator(SlcanEmulator):
             return
         if frame.identifier & 0x8000 and answer:
             back = self.device.node << 8 | frame.identifier >> 8 & 0x7F
-            self.send(Frame(back, frames.padded(answer), back > 0x7FF, fd=True))
+            self.send(CanFrame(back, frames.padded(answer), back > 0x7FF, fd=True))
 
     def live(self):
         self.device.idle()

@@ -22,7 +22,7 @@ from canopen.objectdictionary import (
 )
 
 from rigtool.rigs.serial.emulators.motor import EmulatedMotor
-from rigtool.rigs.serial.transport.can_frames import Frame
+from rigtool.rigs.serial.transport.can_frames import CanFrame
 from tests.rigs.serial.emulators.slcan import SlcanEmulator
 
 RPM = 2 * math.pi / 60
@@ -107,7 +107,7 @@ class Network(canopen.Network):
         self._send = send
 
     def send_message(self, can_id, data, remote=False):
-        self._send(Frame(can_id, bytes(data), remote=remote))
+        self._send(CanFrame(can_id, bytes(data), remote=remote))
 
     def send_periodic(self, can_id, data, period, remote=False):
         raise NotImplementedError("nobody asked this drive for a heartbeat of its own")
@@ -145,7 +145,7 @@ class CiA402Emulator(SlcanEmulator):
         self.state, self.mode, self.code = "switch on disabled", None, 0
         self.heard = None
         self.motor.position = self.motor.speed = 0.0
-        self.send(Frame(0x701, b"\0"))
+        self.send(CanFrame(0x701, b"\0"))
 
     def refuse(self, count):
         self.refusals = count
@@ -164,7 +164,7 @@ class CiA402Emulator(SlcanEmulator):
             return
         if frame.identifier == 0x601 and self.refusals:
             self.refusals -= 1
-            self.send(Frame(0x581, b"\x80" + frame.data[1:4] + struct.pack("<I", 0x08000022)))
+            self.send(CanFrame(0x581, b"\x80" + frame.data[1:4] + struct.pack("<I", 0x08000022)))
             return
         if frame.identifier in (0x201, 0x301, 0x401, 0x501):
             if self.node.nmt.state == "OPERATIONAL":
@@ -181,7 +181,7 @@ class CiA402Emulator(SlcanEmulator):
                     del self.node.data_store[index]
             self.code = -abs(self.code)  # from now on it may be cleared
             self.node.nmt._state = 127
-            self.send(Frame(0x701, b"\0"))
+            self.send(CanFrame(0x701, b"\0"))
 
     def pdos(self, base):
         """Return (identifier, type, entries) of the valid PDOs."""
@@ -198,7 +198,7 @@ class CiA402Emulator(SlcanEmulator):
         for identifier, kind, places in self.pdos(0x1800):
             if kind == 1:
                 data = b"".join(self.node.get_data(p >> 16, p >> 8 & 0xFF) for p in places)
-                self.send(Frame(identifier, data))
+                self.send(CanFrame(identifier, data))
 
     def on_rpdo(self, frame):
         for identifier, _, places in self.pdos(0x1400):
@@ -306,7 +306,7 @@ class CiA402Emulator(SlcanEmulator):
         self.switch("switch on disabled")
         self.state, self.code = "fault", code
         self.log.append(f"fault {code:#06x}")
-        self.send(Frame(0x081, struct.pack("<HB5x", code, 0x10)))
+        self.send(CanFrame(0x081, struct.pack("<HB5x", code, 0x10)))
 
     def live(self):
         """Turn the motor, and watch the host."""
