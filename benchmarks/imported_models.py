@@ -51,7 +51,7 @@ class Functions:
         path, (bearing, housing, stribeck, stiffness) = signals.path, np.exp(logs)
         angle, speed, size = path.fine_position, path.fine_speed, len(path.fine_position)
         short, long = bristle(angle, bearing, False), bristle(angle, housing, False)
-        torque = np.interp(np.arange(size), path.factor * np.arange(len(path.time)), signals.sensor)
+        torque = np.interp(np.arange(size), np.arange(size)[path.rows], signals.sensor)
         output = angle / ratio - torque / stiffness
         if self.place:
             output = (angle - scales.low) / (scales.high - scales.low) * math.pi
@@ -93,7 +93,7 @@ def main() -> None:
     )
     model = learn_load_model(learn, turn=TURN).model
     found = [model.estimate(one.effort, one.path) for one in judge]
-    rows = [np.flatnonzero(f.inside & one.counts) for f, one in zip(found, judge, strict=True)]
+    rows = [np.flatnonzero(f.inside) for f in found]
     speed = np.concatenate(
         [model.direction * one.output_speed[own] for one, own in zip(judge, rows, strict=True)]
     )
@@ -123,7 +123,7 @@ def read(
     def fit(logs: np.ndarray) -> tuple[float, np.ndarray]:
         parts, efforts = [], []
         for one in learn:
-            moving = one.counts & one.path.regular & (np.abs(one.path.speed) >= scales.standstill)
+            moving = one.path.regular & (np.abs(one.path.speed) >= scales.standstill)
             columns, power = functions.design(one, scales, logs, ratio)
             torque = one.sensor[moving, None] / scales.torque
             parts.append(columns[moving] * torque**power)

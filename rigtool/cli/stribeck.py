@@ -21,7 +21,7 @@ from rigtool.experiments.running.options import CommonOptions
     epilog=example(
         "rigtool stribeck recipes/briaire-2006.toml --kt kt.h5 -o friction.h5",
         "rigtool stribeck imported/*.h5 -o friction.h5",
-        "rigtool stribeck loaded.h5 --against bare.h5 -o payload.h5",
+        "rigtool stribeck loaded.h5 --against bare.h5 --kt kt.h5 -o payload.h5",
     ),
 )
 @source_arguments

@@ -109,7 +109,8 @@ class Triangle:
         stroke, turn, v = self.stroke_time, self.turn_time, self.speed
         number = np.floor(time / stroke)
         within = time - number * stroke
-        sign = 1.0 - 2.0 * (number % 2)  # falling strokes are rising ones mirrored
+        # Falling strokes are rising ones mirrored; a remainder would take a third of the time.
+        sign = 1.0 - 2.0 * (number - 2.0 * np.floor(number / 2.0))
         # A stroke is symmetric about its middle: count time and travel from there.
         late = within - stroke / 2
         straight = stroke / 2 - turn

@@ -25,7 +25,6 @@ from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
 from rigtool.experiments.imported_load.region import reached
 from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.experiments.outcome import Outcome
-from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
 
@@ -128,9 +127,8 @@ def _of_this_mounting(
 
 
 def _misfit(item: Measured, model: LoadModel) -> float:
-    rows, path = item.signals.counts, item.signals.path
-    torque = item.estimate.moving[rows] / model.scales.torque
-    return model.loop.misfit(model.place(path)[rows], path.speed[rows] > 0, torque)
+    path, torque = item.signals.path, item.estimate.moving / model.scales.torque
+    return model.loop.misfit(model.place(path), path.speed > 0, torque)
 
 
 def _require_learned_here(runs: Sequence[Run], tables: Run) -> None:
@@ -154,9 +152,8 @@ def _also_learned(runs: Sequence[Run], tables: Run) -> list[str]:
 
 def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]:
     """Return notes on samples without an estimate; raise where no sample has one."""
-    rows = np.concatenate([item.signals.counts for item in measured])
-    states = np.concatenate([item.estimate.states for item in measured])[rows]
-    wild = np.concatenate([~item.signals.path.regular for item in measured])[rows]
+    states = np.concatenate([item.estimate.states for item in measured])
+    wild = np.concatenate([~item.signals.path.regular for item in measured])
     inside = np.isin(states, (State.AGAINST, State.WITH))
     hidden = np.isin(states, (State.REVERSED, State.STILL))
     if not inside.any():
@@ -199,38 +196,29 @@ def _own_results(whole: Reading, model: LoadModel) -> dict[str, Quantity]:
 
 def _reading(item: Measured) -> Reading:
     """Return a run as force over time has it."""
-    signals, estimate = item.signals, item.estimate
-    rows = signals.counts
+    time, estimate = item.signals.path.time, item.estimate
     return Reading(
         name=RECORDING,
-        step_time=float(np.diff(signals.path.time[:2])[0]),
-        time=signals.path.time[rows],
-        torque=np.nan_to_num(estimate.torque[rows]),  # no value: the state is that of none
-        u=np.nan_to_num(estimate.u[rows]),
-        states=estimate.states[rows],
-        reference=None if signals.reference is None else signals.reference[rows],
+        step_time=float(time[-1] - time[0]) / max(len(time) - 1, 1),
+        time=time,
+        torque=np.nan_to_num(estimate.torque),  # no value: the state is that of none
+        u=np.nan_to_num(estimate.u),
+        states=estimate.states,
+        reference=item.signals.reference,
         dead_bands=True,
     )
 
 
 def _with_motion(table: Table, measured: Sequence[Measured], direction: int) -> Table:
     """Return the table with what the torque was read from."""
-
-    def joined(values: Sequence[Array]) -> Array:
-        rows = [item.signals.counts for item in measured]
-        return np.concatenate([own[row] for own, row in zip(values, rows, strict=True)])
-
     signals = [item.signals for item in measured]
+    position = np.concatenate([one.path.position for one in signals])
+    speed = direction * np.concatenate([one.output_speed for one in signals])
+    effort = np.concatenate([one.effort for one in signals])
     columns = dict(table.columns) | {
-        "position": Column(joined([one.path.position for one in signals]), "rad", "motor"),
-        "speed": Column(
-            joined([direction * one.output_speed for one in signals]),
-            "rad/s",
-            "of the output, positive against the load",
-        ),
-        "effort": Column(
-            joined([one.effort for one in signals]), signals[0].effort_unit, "of the motor"
-        ),
+        "position": Column(position, "rad", "motor"),
+        "speed": Column(speed, "rad/s", "of the output, positive against the load"),
+        "effort": Column(effort, signals[0].effort_unit, "of the motor"),
     }
     return replace(
         table,
@@ -247,9 +235,8 @@ def _judged(
     pairs = [(m.signals, m.estimate.moving, f > 1) for m, f in zip(measured, fast, strict=True)]
     strokes = read_strokes(pairs)
     results, notes = scatter_results(strokes)
-    moving = [(m.estimate.moving - m.signals.sensor)[m.signals.counts] for m in measured]
-    error = np.concatenate(moving)
-    speed = np.concatenate([f[m.signals.counts] for f, m in zip(fast, measured, strict=True)])
+    error = np.concatenate([m.estimate.moving - m.signals.sensor for m in measured])
+    speed = np.concatenate(fast)
     reason = f"itself a measure of uncertainty; NaN: no such stroke is faster than {FAST:g} rad/s"
     for name, own in (("closing", speed > 1), ("opening", speed < -1)):
         known = error[own & np.isfinite(error)]

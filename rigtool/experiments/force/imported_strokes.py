@@ -45,8 +45,8 @@ def read_strokes(items: Sequence[tuple[LoadSignals, Array, Mask]]) -> list[Strok
     (n,).
     """
     found = []
-    for signals, _, fast in items:
-        edges = np.flatnonzero(np.diff((signals.counts & fast).astype(int), prepend=0, append=0))
+    for *_, fast in items:
+        edges = np.flatnonzero(np.diff(fast.astype(int), prepend=0, append=0))
         found.append([slice(a, b) for a, b in edges.reshape(-1, 2) if b - a > 2])
     places = [
         own.place[part] for (own, *_), parts in zip(items, found, strict=True) for part in parts

@@ -17,9 +17,6 @@ from rigtool.runfile import Recording, Run
 REFERENCE = "reference_torque"
 """Channel of the sensor at the load."""
 
-END = 1.0
-"""Time left out at each end of a recording, s, as in O'Neill et al., IEEE RA-L 3(4) 3027, 2018."""
-
 
 def read_all(
     runs: Sequence[Run], kt: Run | None, bandwidth_hz: float, unit: str | None = None
@@ -56,7 +53,6 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
         )
     except InsufficientDataError as error:
         raise InsufficientDataError(f"{named(recording)}: {error}") from None
-    start, end = path.time[0] + END, path.time[-1] - END
     # As the motor's sign, so that one direction has one sign everywhere
     speed = np.gradient(output, path.time)
     sign = math.copysign(1.0, float(np.sum(speed * path.speed)))
@@ -67,5 +63,4 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
         output_speed=sign * speed,
         place=place,
         reference=reference[0] if reference else None,
-        counts=(path.time >= start) & (path.time <= end),
     )

@@ -109,7 +109,7 @@ def levels_of(signals: Sequence[LoadSignals]) -> list[int]:
     """Return the number of the load level of each recording, by its mean reference torque."""
     means = []
     for item in signals:
-        moving = item.counts & item.path.regular
+        moving = item.path.regular
         means.append(float(np.mean(item.sensor[moving])) if moving.any() else 0.0)
     return level_numbers(means)
 
@@ -241,7 +241,7 @@ def _friction(
 
 def _paces(signals: Sequence[LoadSignals]) -> Numbers:
     """Return the number of the speed of each recording, the slowest first."""
-    speeds = [item.path.speed[item.counts & item.path.regular] for item in signals]
+    speeds = [item.path.speed[item.path.regular] for item in signals]
     sizes = [float(np.sqrt(np.mean(own**2))) if own.size else 0.0 for own in speeds]
     return np.array(level_numbers(sizes, APART_SPEED))
 

@@ -109,7 +109,7 @@ class Rows:
         for number, item in enumerate(signals):
             path = item.path
             moving = sign * path.speed >= scales.standstill
-            rows = np.flatnonzero(item.counts & path.regular & moving)
+            rows = np.flatnonzero(path.regular & moving)
             for name, columns in motion_functions(path, scales, sign).items():
                 functions.setdefault(name, []).append(columns[rows])
             values = (item.effort, item.sensor, path.speed, path.position)

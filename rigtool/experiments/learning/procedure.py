@@ -92,7 +92,10 @@ def analyse(
     plant: Run | None = None,
     prior: Run | None = None,
 ) -> Outcome:
-    """Learn from the stored signals, and report the remainder."""
+    """Learn from the stored signals, and report the remainder.
+
+    Raises `UsageError` for a `prior`, which imported runs take.
+    """
     if prior is not None:
         raise UsageError("--prior: is for imported runs, the bench's own rig is learned anew")
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)

@@ -258,7 +258,7 @@ class VirtualRig(Rig):
         self, motion: Motion | OpenLoop, task: Task, time: Array, origin: float
     ) -> dict[str, Array]:
         """Evaluate the set points and feed-forward of this block, each (n,)."""
-        zero = np.zeros(len(time))
+        zero = np.broadcast_to(0.0, len(time))
         if isinstance(motion, CurrentSteps | CurrentRamp):
             return {
                 "time": time - time[0],
@@ -284,7 +284,7 @@ class VirtualRig(Rig):
         """Return the current of the task's own signal at these samples of it, (n,)."""
         signal = task.feedforward.signal
         if signal is None or isinstance(task.motion, OpenLoop):
-            return np.zeros(len(steps))
+            return np.broadcast_to(0.0, len(steps))
         current: Array = signal[steps % len(signal)] / self._assumed_torque_constant
         return current
 
@@ -298,12 +298,14 @@ class VirtualRig(Rig):
         rng: np.random.Generator,
     ) -> Block:
         """Average the set points as the kernel averaged the rest, and add the sensors' noise."""
-        rows = done // every
+        rows, share = done // every, np.full(every, 1 / every)
         out = out[:rows]
 
         def mean(name: str) -> Array:
             values: Array = signals[name][: rows * every]
-            return values if every == 1 else values.reshape(rows, every).mean(axis=1)
+            if not values.strides[0]:  # one value throughout
+                return np.broadcast_to(values[:1], rows)
+            return values if every == 1 else values.reshape(rows, every) @ share
 
         sensors = self._virtual.sensors
         average = 1 / math.sqrt(every)

@@ -37,8 +37,7 @@ def observe(load, frequency, **more):
     """Return a recording as one to learn from."""
     time, position, effort, torque = record(load, frequency, **more)
     path, (effort, torque) = follow(time, position, BANDWIDTH_HZ, effort, torque)
-    counts = (path.time > 1) & (path.time < path.time[-1] - 1)
-    return LoadSignals(path, effort, "A", path.speed, path.position, torque, counts)
+    return LoadSignals(path, effort, "A", path.speed, path.position, torque)
 
 
 def observations(loads=(0.02, 0.04, 0.06, 0.08), frequencies=(0.1, 0.2, 0.3), **more):

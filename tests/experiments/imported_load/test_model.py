@@ -49,7 +49,7 @@ def errors(model, loads, seed=7, drift=0.001, frequencies=(0.12, 0.25)):
                 load, frequency, seed=random.integers(1 << 31), drift=random.normal(0, drift)
             )
             estimate = model.estimate(item.effort, item.path)
-            used = item.counts & estimate.inside
+            used = estimate.inside
             parts.append(((estimate.torque - item.reference)[used], estimate.u[used]))
     return (np.concatenate(part) for part in zip(*parts, strict=True))
 
@@ -107,9 +107,9 @@ def test_units_and_signs_change_nothing(plain, effort_sign, effort_unit, torque_
 def test_outside_what_was_learned_there_is_no_value(learned):
     far = observe(0.2, 0.2)
     estimate = learned.model.estimate(far.effort, far.path)
-    assert not estimate.inside[far.counts & (far.path.speed > 0)].any()
+    assert not estimate.inside[(far.path.speed > 0)].any()
     outside = estimate.states == State.OUTSIDE
-    assert outside[far.counts & (far.path.speed > 10)].all()
+    assert outside[(far.path.speed > 10)].all()
     for values in (estimate.torque, estimate.u):
         assert np.isnan(values[outside]).all()
         assert np.isfinite(values[~outside]).all()
@@ -124,7 +124,7 @@ def test_positions_and_speeds_that_were_not_learned_have_no_value(learned):
     assert not estimate.inside[np.abs(fast.path.speed) > 50].any()
     slow = observe(0.05, 0.05, seconds=40.0)
     estimate = learned.model.estimate(slow.effort, slow.path)
-    middle = slow.counts & (np.abs(slow.path.position) < 10)
+    middle = np.abs(slow.path.position) < 10
     assert middle.sum() > 100
     assert not estimate.inside[middle].any()
 
@@ -140,7 +140,7 @@ def test_near_standstill_a_dead_band_holds_the_torque(learned):
     for load in (0.03, 0.05, 0.07):
         item = observe(load, 0.1, seed=11)
         estimate = learned.model.estimate(item.effort, item.path)
-        rows = item.counts & np.isin(estimate.states, (State.STILL, State.REVERSED))
+        rows = np.isin(estimate.states, (State.STILL, State.REVERSED))
         assert rows.sum() > 3
         half = math.sqrt(3) * estimate.u  # of a rectangular distribution
         held.append((np.abs(estimate.torque - item.reference) <= half)[rows])
@@ -173,9 +173,7 @@ def test_tables_of_another_mounting_are_found_out(learned):
     def misfit(item):
         estimate = learned.model.estimate(item.effort, item.path)
         torque = estimate.moving / learned.model.scales.torque
-        used = item.counts
-        place = learned.model.place(item.path)
-        return loop.misfit(place[used], item.path.speed[used] > 0, torque[used])
+        return loop.misfit(learned.model.place(item.path), item.path.speed > 0, torque)
 
     for load in (0.03, 0.05, 0.07):
         own = observe(load, 0.2, seed=21)
@@ -209,7 +207,7 @@ def test_a_prior_knows_what_two_loads_do_not_show():
         effort = item.effort + 0.01 * np.sign(item.path.speed)
         for name, model in (("alone", alone), ("helped", helped)):
             estimate = model.estimate(effort, item.path)
-            used = item.counts & estimate.inside
+            used = estimate.inside
             squares[name].append(np.mean((estimate.torque - item.reference)[used] ** 2))
     assert np.mean(squares["helped"]) < 0.5 * np.mean(squares["alone"])
 
@@ -248,7 +246,8 @@ def test_two_loads_need_repeats():
 
 
 def test_one_direction_is_not_enough():
-    items = [replace(o, counts=o.counts & (o.path.speed > 0)) for o in observations()]
+    paths = [replace(o.path, regular=o.path.speed > 0) for o in observations()]
+    items = [replace(o, path=path) for o, path in zip(observations(), paths, strict=True)]
     with pytest.raises(InsufficientDataError, match="negative direction"):
         learn_load_model(items)
 
