@@ -105,6 +105,8 @@ def test_runs_by_the_command(tmp_path):
         assert any("coupling to other joints" in note for note in outcome.notes)
         with pytest.raises(UsageError, match="one recording with one"):
             analyse([unknown, known], tmp_path / "e.h5", against=against)
+        with pytest.raises(UsageError, match="given twice"):
+            analyse([bare], tmp_path / "e.h5", against=against)
         with pytest.raises(UsageError, match="--reference"):
             analyse([unknown], tmp_path / "e.h5", reference=reference)
     with open_run(tmp_path / "d.h5") as stored, pytest.raises(RunFileError, match="no recording"):
