@@ -45,6 +45,10 @@ SAME_MOTION = 0.1
 NOISE = 0.2
 """Largest relative u of a known change: noise alone fitted by p terms has 1/sqrt(p)."""
 
+OVERLAP = 0.5
+"""Part of the shorter run that is compared at least, where the peak of a correlation is not the
+highest."""
+
 FEW_PEAKS = 5
 """Peaks of the correlation of two motions from which they are aligned: the best fit counts."""
 
@@ -296,7 +300,7 @@ def _shift(time: Array, position: Array, other: Array, moved: Array) -> float:
         _refined(time, position, other, moved, (int(peak) - (len(position) - 1)) * step)
         for peak in [int(np.argmax(found)), *highest]
     ]
-    return min(tried)[1]
+    return min(tried, key=lambda found: found[0])[1]  # the first one where none overlaps enough
 
 
 def _refined(
@@ -309,8 +313,8 @@ def _refined(
     step, rms = float(time[1] - time[0]), math.inf
     for _ in range(ROUNDS):
         here = time[(time + shift >= other[0]) & (time + shift <= other[-1])]
-        if len(here) < MIN_SAMPLES:
-            break
+        if len(here) < max(MIN_SAMPLES, OVERLAP * min(len(time), len(other))):
+            return math.inf, shift
         apart = np.interp(here + shift, other, moved) - np.interp(here, time, position)
         slope = np.gradient(np.interp(here, time, position), step)
         slope = slope - slope.mean()
