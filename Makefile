@@ -199,7 +199,8 @@ test: $(INSTALLED)
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
 	$(PYTHON) tests/lowest.py > .venv-lowest/lowest.txt
-	$(LOWEST)/python -m pip install --quiet --constraint .venv-lowest/lowest.txt --editable '.[test]'
+	$(LOWEST)/python -m pip install --quiet --constraint .venv-lowest/lowest.txt \
+		'setuptools>=77' --editable '.[test]'
 	$(LOWEST)/pytest -n 2 --dist worksteal -W default -m "not real_time and not thorough"
 
 attack: $(INSTALLED)
