@@ -2,8 +2,8 @@
 
     unsampled current(speed) = mean current between set points - mean current of the samples
 
-The rig also reads the current between its set points (`rigs.serial.between`) and stores the mean
-difference by speed with the record of its line. The difference is zero where the drive follows
+The rig also reads the current between its set points (`rigs.serial.hosted.between`) and stores the
+mean difference by speed with the record of its line. The difference is zero where the drive follows
 evenly. Elsewhere it acts as friction does: against the motion, and more at higher speed.
 """
 

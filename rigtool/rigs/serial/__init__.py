@@ -4,8 +4,8 @@ Responsibilities
 -------------
 `line.Line` moves bytes: deadlines, repeated requests, counts, spy file, replay. `rig.SerialRig` is
 common to all serial rigs: limits, permission, operator, instruments, switching off. A drive that
-takes set points one by one is a `drive.Drive`, and `hosted.HostedRig` runs motions on it from the
-host. The `target` runs whole motions by itself and has a rig of its own.
+takes set points one by one is a `drive.Drive`, and `hosted.rig.HostedRig` runs motions on it from
+the host. The `target` runs whole motions by itself and has a rig of its own.
 
 Writing a driver
 ----------------
@@ -64,7 +64,7 @@ def open_serial_rig(
     Raises `RecipeError` for an unknown driver.
     """
     from rigtool.rigs.serial.drivers import driver
-    from rigtool.rigs.serial.hosted import HostedRig
+    from rigtool.rigs.serial.hosted.rig import HostedRig
 
     recipe = _as_recorded(recipe)
     assert recipe.serial is not None

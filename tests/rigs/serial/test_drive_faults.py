@@ -15,9 +15,9 @@ from rigtool.errors import HardwareError
 from rigtool.rigs import Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial import hosted
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
+from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.maxon import guard as maxon_guard
 from rigtool.rigs.serial.moteus import driver as moteus
@@ -46,7 +46,7 @@ NOISE = {"odrive": 3e-4, "moteus": 1e-4, "epos4": 3e-4, "epos2": 5e-5, "des": 5e
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(hosted, "BLOCK_TIME", 0.05)
+    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)
     monkeypatch.setattr(maxon, "FRAME_TIMEOUT", 0.03)
     monkeypatch.setattr(maxon_guard.Guard, "_start", lambda guard: None)
     monkeypatch.setattr(maxon_guard.Guard, "_send", lambda guard, word: None)

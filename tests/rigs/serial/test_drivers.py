@@ -11,7 +11,7 @@ from rigtool.rigs import open_rig
 from rigtool.rigs.serial import drivers
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.ports import askable, find_devices
 from tests.rigs.serial import toy
 from tests.rigs.serial.recipes import serial_recipe

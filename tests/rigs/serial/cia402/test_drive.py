@@ -12,12 +12,13 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial import hosted, open_serial_rig
+from rigtool.rigs.serial import open_serial_rig
 from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.drivers import driver
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted import loop
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
 from tests.rigs.serial.emulators.canopen import (
@@ -39,7 +40,7 @@ MOVING = {0x6040, 0x6071, 0x60B2, 0x60FF, 0x607A}
 
 @pytest.fixture(autouse=True)
 def short_blocks(monkeypatch):
-    monkeypatch.setattr(hosted, "BLOCK_TIME", 0.05)
+    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)
 
 
 @pytest.fixture(params=KINDS)

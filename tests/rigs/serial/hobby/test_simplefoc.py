@@ -13,7 +13,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hobby import simplefoc
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.ports import find_devices
 from tests.rigs.serial.emulators.simplefoc import SimpleFocEmulator

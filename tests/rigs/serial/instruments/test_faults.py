@@ -23,8 +23,8 @@ from rigtool.rigs.serial.instruments import gauge, open_gauge
 from rigtool.rigs.serial.instruments.gauge import SPIKE
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulators import instruments as emulators
+from tests.rigs.serial.hosted.test_hosted import toy_rig
 from tests.rigs.serial.instruments.test_runs import Loaded
-from tests.rigs.serial.test_hosted import toy_rig
 from tests.thorough import first_of
 
 NOISE = 0.004

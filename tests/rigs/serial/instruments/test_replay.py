@@ -20,8 +20,8 @@ from tests.rigs.serial.emulators.instruments import (
     NumberLinesEmulator,
     SauterEmulator,
 )
+from tests.rigs.serial.hosted.test_hosted import toy_rig
 from tests.rigs.serial.instruments.test_runs import Loaded
-from tests.rigs.serial.test_hosted import toy_rig
 
 STEPS = Task(CurrentSteps((0.0, 0.5, 1.0, 0.2), 0.2), load=Load(clamped=True))
 PERSON = Operator(ask=lambda question: "", say=lambda text: None, present=True)

@@ -28,8 +28,8 @@ from rigtool.rigs.serial.emulators.server import serve
 from rigtool.runfile import RunWriter, open_run
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulators.instruments import Mark10Emulator, NumberLinesEmulator
+from tests.rigs.serial.hosted.test_hosted import toy_rig
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
-from tests.rigs.serial.test_hosted import toy_rig
 
 SILENT = Operator(ask=lambda q: "", say=lambda t: None, present=True, yes=True)
 FIXTURES = Path(__file__).parents[3] / "fixtures"

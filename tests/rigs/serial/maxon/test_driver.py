@@ -19,11 +19,11 @@ from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial import hosted
 from rigtool.rigs.serial.cia402.objects import MODE, POSITION, TARGET_TORQUE
 from rigtool.rigs.serial.emulators.faults import Fault, Faults
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted import loop
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.maxon import guard as maxon_guard
@@ -44,7 +44,7 @@ BRIEF = Task(SpeedProfile((0.0, 0.05, 0.1), (0.0, 1.0, 0.0)))
 
 @pytest.fixture(autouse=True)
 def short_blocks(monkeypatch):
-    monkeypatch.setattr(hosted, "BLOCK_TIME", 0.05)
+    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)
 
 
 @pytest.fixture(autouse=True)

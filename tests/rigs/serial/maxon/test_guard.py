@@ -15,7 +15,7 @@ from rigtool.rigs import Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.maxon import guard_process
 from rigtool.rigs.serial.maxon.guard import Guard

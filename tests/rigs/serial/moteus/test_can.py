@@ -7,11 +7,12 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs import Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial import hosted, open_serial_rig
+from rigtool.rigs.serial import open_serial_rig
 from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted import loop
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.moteus import can
 from rigtool.rigs.serial.ports import find_devices
@@ -25,7 +26,7 @@ QUIET = Operator(say=lambda text: None, present=False, yes=True)
 
 @pytest.fixture(autouse=True)
 def short_blocks(monkeypatch):
-    monkeypatch.setattr(hosted, "BLOCK_TIME", 0.05)
+    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)
 
 
 def can_rig(port, *more, operator=QUIET):

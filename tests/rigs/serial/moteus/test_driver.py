@@ -20,7 +20,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.moteus import frames

@@ -9,10 +9,11 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial import hosted, open_serial_rig
+from rigtool.rigs.serial import open_serial_rig
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted import loop
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.odrive import can
 from rigtool.rigs.serial.ports import find_devices
 from tests.rigs.serial.emulators.can_drives import IDLE, ODriveCanEmulator
@@ -28,7 +29,7 @@ QUIET = Operator(say=lambda text: None, present=False, yes=True)
 
 @pytest.fixture(autouse=True)
 def short_blocks(monkeypatch):
-    monkeypatch.setattr(hosted, "BLOCK_TIME", 0.05)
+    monkeypatch.setattr(loop, "BLOCK_TIME", 0.05)
 
 
 @pytest.fixture(params=[False, True], ids=["0.5", "0.6"])

@@ -19,7 +19,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, RequestRefused
 from rigtool.rigs.serial.odrive import driver as odrive
 from rigtool.rigs.serial.odrive.text import (

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from rigtool.rigs.serial.between import EVERY, MIN_READINGS, ROOM, Between
 from rigtool.rigs.serial.drive import Sample
-from tests.rigs.serial.test_hosted_bias import HOLD, emulated, perform
+from rigtool.rigs.serial.hosted.between import EVERY, MIN_READINGS, ROOM, Between
+from tests.rigs.serial.hosted.test_hosted_bias import HOLD, emulated, perform
 
 
 def sample(time, current):

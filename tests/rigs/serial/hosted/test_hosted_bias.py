@@ -20,7 +20,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.emulators import server
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.odrive import driver as odrive

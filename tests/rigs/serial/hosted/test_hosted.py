@@ -16,7 +16,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.hosted import HostedRig
+from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import LineLost
 from tests.rigs.serial import toy
 from tests.rigs.serial.recipes import serial_recipe

@@ -14,7 +14,7 @@ from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import tables_of
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter, open_run
-from tests.rigs.serial.test_hosted_bias import CONSTANT, emulated, make_positions_only
+from tests.rigs.serial.hosted.test_hosted_bias import CONSTANT, emulated, make_positions_only
 from tests.thorough import thorough
 
 PULLEY = "rig.attachment=pulley"
