@@ -89,8 +89,11 @@ class Filter:
         self._waiting: Signals | None = None
         self._state: NDArray[np.void] | None = None
 
-    def add(self, signals: Signals, *, keep: bool = False) -> Estimate:
-        """Return the estimate after every step that these samples complete, m of them."""
+    def add(self, signals: Signals, *, keep: bool = False, less: Array | None = None) -> Estimate:
+        """Return the estimate after every step that these samples complete, m of them.
+
+        `less` (m,) N m is taken off the drive torque in each.
+        """
         if self._waiting is not None:
             signals = _joined(self._waiting, signals)
         if self._state is None and signals.low.size:
@@ -103,12 +106,13 @@ class Filter:
         found = Estimate(np.empty((count, STATES)), np.empty((count, 2)), low, kept)
         if self._state is None or not count:
             return found
+        torque = signals.drive_torque[: count * size].reshape(count, size)
         kalman.run(
             self._state,
             as_record(self._plant),
             as_record(self._uncertainty),
             self._plant.friction_map,
-            signals.drive_torque[: count * size].reshape(count, size),
+            torque if less is None else torque - less[:, None],
             signals.viscous[: count * size].reshape(count, size),
             low,
             signals.width,

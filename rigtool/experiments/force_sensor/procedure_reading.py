@@ -186,14 +186,15 @@ class _Stretch:
         reference = whole.pop("reference", None)
         bandwidth = self._instrument.bandwidth_hz
         deviation = without_delay(whole["u"], bandwidth, step_time)
-        ripple, variance = self._sensor.power_up.whole(whole.pop("angle"), whole["torque"])
+        ripple, variance, _ = self._sensor.power_up.whole(whole.pop("angle"), whole["torque"])
         whole["torque"] = whole["torque"] - ripple
         scales, deviation = self._instrument.model.scales[0], np.sqrt(deviation**2 + variance)
         whole["u"] = standard_uncertainty(scales, deviation, whole["torque"], whole.pop("kinds"))
         found: list[Contact] = []
         if self._untouched:
-            torque, deviation = np.hstack(self._untouched)
-            tested = trial(torque, deviation, whole["causal_states"], step_time)
+            torque, deviation, doubt = np.hstack(self._untouched)
+            states = whole["causal_states"]
+            tested = trial(torque, deviation, states, step_time, doubt)
             found = contacts(tested, self._instrument.model.limits)
         steps = np.arange(1.0, len(whole["torque"]) + 1)
         time: Any = self._began + step_time * steps

@@ -66,8 +66,8 @@ class Sensed:
     `torque` (m,) N m is that behind the low-pass, less the ripple that this power-up of the
     amplifier adds, `u` its standard uncertainty.
 
-    `untouched` (2, m) N m are torque and deviation of a filter that expects no contact, for
-    `contacts`; None where they were not asked for.
+    `untouched` (3, m) N m are torque and deviation of a filter that expects no contact, and the
+    deviation of that ripple, for `contacts`; None where they were not asked for.
     """
 
     estimate: Estimate
@@ -124,7 +124,7 @@ class Sensor:
         estimate = self._filter.add(signals, keep=self._keep)
         found = self._stepper.add(riding)
         angle = estimate.low + self._instrument.count / 2
-        ripple, variance = self.power_up.add(angle, estimate.states)
+        ripple, variance, less = self.power_up.add(angle, estimate.states)
         torque, deviation = estimate.passed - ripple, np.sqrt(estimate.deviation**2 + variance)
         moments = Moments(
             estimate.low,
@@ -136,8 +136,8 @@ class Sensor:
         )
         quiet = None
         if self._untouched is not None:
-            other = self._untouched.add(signals)
-            quiet = np.array([other.torque, other.deviation])
+            other = self._untouched.add(signals, less=less)
+            quiet = np.array([other.torque, other.deviation, np.sqrt(variance)])
         states, kinds = self._states(moments)
         u = standard_uncertainty(self._instrument.model.scales[1], deviation, torque, kinds)
         return Sensed(estimate, torque, u, moments, states, found[2:], quiet)
