@@ -18,8 +18,9 @@ values that exceed it alone (predictive distribution; prior 1 / m):
 
     P(x > t + y) = (1 - TAIL) (1 + y / (n m))^-n
 
-A contact begins where M passed half of what it was when it was found, and ends where M falls below
-half of its mean so far, which is as likely to be no contact as that mean.
+A contact begins where M passed half of the highest value in WINDOW from where it was found, there at
+the latest, and ends where M falls below half of its mean so far, which is as likely to be no
+contact as that mean.
 """
 
 from __future__ import annotations
@@ -165,7 +166,8 @@ def _exceeded(values: Array, probability: float) -> float:
 def contacts(test: Trial, limits: Array) -> list[Contact]:
     """Return the contacts in a stretch, by thresholds (3, 2) as `thresholds` gives them."""
     longest = round(STROKE / test.step_time)
-    rows = _contacts(test.torque, test.jump, test.level, test.motion, limits, longest)
+    window = round(WINDOW / test.step_time)
+    rows = _contacts(test.torque, test.jump, test.level, test.motion, limits, window, longest)
     return [Contact(*row) for row in rows]
 
 
@@ -176,6 +178,7 @@ def _contacts(
     level: Single,
     motion: NDArray[np.int32],
     limits: Array,
+    window: int,
     longest: int,
 ) -> list[tuple[int, int, int]]:
     rows = []
@@ -198,7 +201,8 @@ def _contacts(
         if not rises and (ending or not high):
             continue
         found, side, begin = k, np.sign(torque[k]), k
-        while begin > max(0, k - longest) and side * torque[begin - 1] > abs(torque[k]) / 2.0:
+        half = (side * torque[k : k + window + 1]).max() / 2.0
+        while begin > max(0, k - longest) and side * torque[begin - 1] > half:
             begin -= 1
         total = abs(torque[k])
     if found >= 0:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
@@ -67,6 +67,7 @@ def test_nothing_is_found_where_nothing_touches():
 @given(
     st.floats(1.5e-3, 50e-3), st.booleans(), st.floats(3.0, 8.0), st.floats(0.2, 3.0), st.integers()
 )
+@example(7.8e-3, True, 3.0, 1.0, -2144)  # noise before it is more than half of what it is found by
 def test_a_contact_is_found_soon_and_its_ends_are_right(torque, pushes, at, lasts, seed):
     time = np.arange(14000) * STEP
     rise = np.clip(np.minimum(time - at, at + lasts - time) / 0.05, 0, 1)
