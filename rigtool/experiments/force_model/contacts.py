@@ -18,8 +18,8 @@ values that exceed it alone (predictive distribution; prior 1 / m):
 
     P(x > t + y) = (1 - TAIL) (1 + y / (n m))^-n
 
-A contact begins where M passed half of the highest value in WINDOW from where it was found, there at
-the latest, and ends where M falls below half of its mean so far, which is as likely to be no
+A contact begins where M passed half of the highest value in WINDOW from where it was found, there
+at the latest, and ends where M falls below half of its mean so far, which is as likely to be no
 contact as that mean.
 """
 

@@ -152,7 +152,8 @@ class _Stretch:
             self._untouched.append(sensed.untouched.astype(np.float32))
         before = self._waiting
         self._waiting = sensed.moments if before is None else before.joined(before, sensed.moments)
-        self._smooth(*self._smoother.add(estimate))
+        assert sensed.again is not None
+        self._smooth(*self._smoother.add(sensed.again))
 
     def _smooth(self, torque: Array, deviation: Array) -> None:
         """Take smoothed values of the steps that wait the longest, and give them their states."""

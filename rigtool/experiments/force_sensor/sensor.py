@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_filter.estimate import Estimate, Filter
+from rigtool.experiments.force_filter.estimate import Again, Estimate, Filter
 from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach, States
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.force_model import ForceModel
@@ -67,7 +67,8 @@ class Sensed:
     amplifier adds, `u` its standard uncertainty.
 
     `untouched` (3, m) N m are torque and deviation of a filter that expects no contact, and the
-    deviation of that ripple, for `contacts`; None where they were not asked for.
+    deviation of that ripple, for `contacts`; `again` is what the smoother takes, of earlier steps.
+    Both are None where they were not asked for.
     """
 
     estimate: Estimate
@@ -77,13 +78,14 @@ class Sensed:
     states: States
     others: Array
     untouched: Array | None = None
+    again: Estimate | None = None
 
 
 class Sensor:
     """Takes samples without a gap; a gap begins another one.
 
-    With `keep` the estimate holds what the smoother needs, with `contacts` a second filter runs.
-    Without `context` each sample must be a
+    With `keep` there is what the smoother needs, with `contacts` what contacts are looked for in,
+    each by a further filter. Without `context` each sample must be a
     count of the encoder, and an estimate waits for the sample that ends its step alone.
     """
 
@@ -96,11 +98,13 @@ class Sensor:
         context: bool = True,
     ) -> None:
         grid, model = instrument.grid, instrument.model
-        self._instrument, self._keep = instrument, keep
+        self._instrument = instrument
         self._sampler = Sampler(grid, instrument.count, model.drive, CONTEXT if context else 0)
         self._stepper = Stepper(grid.step_samples)
         plant, u = model.plant(grid.sample_time), model.uncertainty
         self._filter = Filter(plant, u, grid.step_samples, instrument.bandwidth_hz)
+        again = Again(plant, u, grid.step_samples, instrument.bandwidth_hz)
+        self._again = again if keep else None
         self._untouched = None
         if contacts:
             other = Filter(plant, model.untouched, grid.step_samples, instrument.bandwidth_hz)
@@ -121,7 +125,7 @@ class Sensor:
         signals, riding = self._sampler.add(
             np.array([*known, warm, limited, *others], dtype=np.float64), last=last
         )
-        estimate = self._filter.add(signals, keep=self._keep)
+        estimate = self._filter.add(signals)
         found = self._stepper.add(riding)
         angle = estimate.low + self._instrument.count / 2
         ripple, variance, less = self.power_up.add(angle, estimate.states)
@@ -138,9 +142,12 @@ class Sensor:
         if self._untouched is not None:
             other = self._untouched.add(signals, less=less)
             quiet = np.array([other.torque, other.deviation, np.sqrt(variance)])
+        again = None
+        if self._again is not None:
+            again = self._again.add(signals, estimate, last=last)
         states, kinds = self._states(moments)
         u = standard_uncertainty(self._instrument.model.scales[1], deviation, torque, kinds)
-        return Sensed(estimate, torque, u, moments, states, found[2:], quiet)
+        return Sensed(estimate, torque, u, moments, states, found[2:], quiet, again)
 
     def _states(self, moments: Moments) -> tuple[States, States]:
         """Return states and kinds of these steps, that follow from the steps before them, too."""
