@@ -9,6 +9,7 @@ from pathlib import Path
 from setuptools import setup
 
 ROOT = Path(__file__).parent
+FIGURE = re.compile(r"!\[[^\]]*\]\([^)\s]+\)\n\n\*[^*]+\*\n\n")
 LINK = re.compile(r"(?P<image>!?)\[(?P<text>[^\]]*)\]\((?P<target>[^)\s]+)\)")
 
 
@@ -16,7 +17,7 @@ def description() -> str:
     """Return README.md with absolute links.
 
     Links point at the tag of this version in the repository named in `[project.urls]`. Without
-    such an entry a link becomes its text, and an image is left out.
+    such an entry a link becomes its text, and an image is left out with its caption.
     """
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     repository = project.get("urls", {}).get("Repository")
@@ -30,7 +31,8 @@ def description() -> str:
         target = f"{repository}/{kind}/v{project['version']}/{link['target']}"
         return f"{link['image']}[{link['text']}]({target})"
 
-    return LINK.sub(absolute, (ROOT / "README.md").read_text(encoding="utf-8"))
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    return LINK.sub(absolute, text if repository else FIGURE.sub("", text))
 
 
 setup(long_description=description(), long_description_content_type="text/markdown")

@@ -7,7 +7,18 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from drawn_rigs import Draw, Settings, also, coulomb, far, grid, moving, moving_far, near
+from drawn_rigs import (
+    Draw,
+    Settings,
+    also,
+    coulomb,
+    far,
+    grid,
+    moving,
+    moving_far,
+    near,
+    turning_far,
+)
 
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
@@ -233,7 +244,10 @@ def turning() -> Iterator[Design]:
             by_name(true_friction),
         )
         yield Design(
-            f"fft-ripple, {name}", draw, Step(FFT_RIPPLE, inputs={"kt": KT}), compare_ripple
+            f"fft-ripple, {name}",
+            turning_far if name == "far" else draw,
+            Step(FFT_RIPPLE, inputs={"kt": KT}),
+            compare_ripple,
         )
         yield Design(
             f"identify-plant, pulley, {name}",
@@ -241,6 +255,13 @@ def turning() -> Iterator[Design]:
             Step(IDENTIFY_PLANT, PULLEY, {"kt": KT}),
             by_name(true_plant),
         )
+    soft = {"virtual.motor.presliding_angle": 10e-3}
+    yield Design(
+        "stribeck, soft contacts",
+        also(moving, soft),
+        Step(STRIBECK, inputs={"kt": KT}),
+        by_name(true_friction),
+    )
     yield Design(
         "identify-plant, instrument",
         moving,

@@ -15,6 +15,9 @@ Settings = dict[str, object]
 Draw = Callable[[np.random.Generator], Settings]
 """Settings of one rig."""
 
+STEADY_COUNTS = 5000
+"""Counts of an encoder a turn from which its steps make the current shake by little."""
+
 
 def spread(rng: np.random.Generator, low: float, high: float) -> float:
     """Return a number drawn evenly on a logarithmic scale."""
@@ -124,6 +127,18 @@ def moving_far(rng: np.random.Generator) -> Settings:
         "stribeck.breakaway_limit": 6 * friction + 22 * 8e-5,
         "stribeck.breakaway_rate": (6 * friction + 22 * 8e-5) / 12,
     }
+
+
+def turning_far(rng: np.random.Generator) -> Settings:
+    """Draw a rig as `moving_far`; a coarse encoder only where ripple does not grow with i |i|.
+
+    The steps of a coarse encoder make the current shake: the mean of i |i| is then more than the
+    square of the mean, and the true ripple more than that of a steady current.
+    """
+    drawn = moving_far(rng)
+    if int(str(drawn["rig.encoder_counts"])) < STEADY_COUNTS:
+        drawn["virtual.amplifier.saturation_ripple"] = "[]"
+    return drawn
 
 
 def also(draw: Draw, settings: Settings) -> Draw:

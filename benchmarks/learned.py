@@ -43,6 +43,7 @@ from oracle import (
     sum_of,
 )
 
+from rigtool.experiments.force_filter.accuracy import JUDGED
 from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
 from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
@@ -50,7 +51,6 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.procedure_learning import ANYWHERE
 from rigtool.experiments.force_model.stored import model_from
-from rigtool.experiments.force_sensor.accuracy import JUDGED
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN

@@ -1,7 +1,7 @@
 """rigtool turns a motor, an encoder and a current amplifier into a force sensor.
 
-In Python, `rigtool.open` and the functions named after the commands do the same as these, see
-docs/python.md. Everything is imported when it is first used.
+In Python, `rigtool.open` and the functions named after the commands do the same as the commands,
+see docs/python.md. Everything is imported when it is first used.
 """
 
 from importlib.metadata import version

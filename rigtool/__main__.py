@@ -1,4 +1,4 @@
-"""`python -m rigtool` is the command line as well."""
+"""`python -m rigtool` runs the command line."""
 
 from rigtool.cli import main
 

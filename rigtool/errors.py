@@ -3,6 +3,18 @@
 Every message gives the value that was found, the limit that it violates, and a remedy.
 """
 
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str = "") -> str:
+    """Return the question for the known name nearest to a misspelt one, or another remedy."""
+    import difflib  # only here: the time of `rigtool --help` counts
+
+    close = difflib.get_close_matches(name, list(known), 1, cutoff=0.75)
+    return f"did you mean {close[0]}?" if close else otherwise
+
 
 class RigtoolError(Exception):
     """Base of all errors that rigtool raises on purpose (exit code 1, failed while running)."""

@@ -1,4 +1,4 @@
-"""Text that others wrote, in each language that rigtool writes: no part of it is an instruction."""
+"""Text from outside, escaped for each language that rigtool writes: no part acts as code."""
 
 from __future__ import annotations
 

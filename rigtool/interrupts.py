@@ -1,9 +1,9 @@
 """Ctrl-C and SIGTERM: never swallowed, and never in the middle of a write.
 
 A handler that raises is not enough. Inside a weakref callback or a finaliser, Python prints the
-exception and goes on (`sys.unraisablehook`); inside a write, the exception tears apart what belongs
-together. So the handler also keeps the signal: `check`, called for each block of samples, raises
-what was swallowed, and inside `held` the signal waits until the block of code is left.
+exception and goes on (`sys.unraisablehook`); inside a write, the exception leaves half-written
+data. So the handler also keeps the signal: `check`, called for each block of samples, raises what
+was swallowed, and inside `held` the signal waits until the block of code is left.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ class Terminated(BaseException):
 
 
 class _State:
-    """Of the process: whether signals come here, which one nobody has seen to, open `held`s."""
+    """State of the process: whether signals come here, the signal that is not handled yet, open
+    `held`s."""
 
     active = False
     waiting: int | None = None

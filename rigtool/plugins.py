@@ -3,8 +3,8 @@
     [project.entry-points."rigtool.commands"]
     heating = "rigtool_heating.command:command"
 
-A group is looked up when it is needed, and an entry point is imported when it is used. One that
-cannot be used is reported in one line, with its name.
+A group is looked up when it is needed, and an entry point is imported when it is used. An entry
+point that cannot be used is reported in one line, with its name.
 """
 
 from __future__ import annotations

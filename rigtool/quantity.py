@@ -8,6 +8,7 @@ Notation of uncertainty: GUM (JCGM 100:2008) 7.2.2, the short form 45.80(4).
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -145,12 +146,41 @@ _DISPLAY = {
 _PREFIXED = ("A", "N", "m", "s")
 """Units that are shown with the prefix that suits a value."""
 
+_RELATIVE = re.compile(
+    "torque_constant_(constant_error|ripple)|friction_asymmetry|model_distance|(error_)?reduction"
+    "|removed|record_variance_removed|shape_difference|valid_share|(.*_)?coverage_95"
+)
+"""Names of results without a unit that are shown in percent."""
+
+_GAIN = re.compile("gain_margin")
+"""Names of results without a unit that are shown in decibels."""
+
 
 def display_unit(unit: str, size: float = 1.0) -> tuple[float, str]:
     """Return the factor and the unit in which values of an SI `unit`, of a `size`, are shown."""
     if unit in _PREFIXED and 0 < abs(size) < 0.1:
         return (1e3, f"m{unit}") if abs(size) >= 1e-4 else (1e6, f"µ{unit}")
     return _DISPLAY.get(unit, (1.0, unit))
+
+
+def customary(name: str, quantity: Quantity, size: float | None = None) -> Quantity:
+    """Return a result in the unit in which it is shown: a share in percent, a gain in dB.
+
+    The prefix of a unit suits `size`, the value itself for None.
+
+    >>> str(customary("torque_constant_ripple", Quantity(0.0125, "1", 0.0003)))
+    '1.250(30) %'
+    """
+    value, u = quantity.value, quantity.u
+    if quantity.unit == "1" and _GAIN.fullmatch(name) and value > 0:
+        slope = 20 / math.log(10) / value
+        shown, factor, unit = 20 * math.log10(value), slope, "dB"
+    elif quantity.unit == "1" and _RELATIVE.fullmatch(name):
+        shown, factor, unit = 100 * value, 100.0, "%"
+    else:
+        factor, unit = display_unit(quantity.unit, value if size is None else size)
+        shown = value * factor
+    return Quantity(shown, unit, None if u is None else u * factor, quantity.dof, quantity.reason)
 
 
 def format_number(value: float, u: float | None) -> str:
@@ -177,9 +207,11 @@ def format_number(value: float, u: float | None) -> str:
     return f"{value:.{decimals}f}({digits:d})"
 
 
-def format_quantity(quantity: Quantity) -> str:
-    """Return a quantity as text in its display unit: '45.801(41) mN m/A'."""
-    factor, unit = display_unit(quantity.unit, quantity.value)
-    u = None if quantity.u is None else quantity.u * factor
-    number = format_number(quantity.value * factor, u)
-    return number if unit in ("", "1") else f"{number} {unit}"
+def format_quantity(quantity: Quantity, name: str = "") -> str:
+    """Return a quantity as text in its display unit: '45.801(41) mN m/A'.
+
+    `name` is that of a result, which may have a unit of its own.
+    """
+    shown = customary(name, quantity)
+    number = format_number(shown.value, shown.u)
+    return number if shown.unit in ("", "1") else f"{number} {shown.unit}"

@@ -16,9 +16,9 @@ from hypothesis import settings
 # A job in the background of a script ignores Ctrl-C, and so would every program that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# The same examples at each run; others with `pytest --hypothesis-profile luck`.
-settings.register_profile("luck", deadline=None)
-settings.register_profile("any machine", deadline=None, derandomize=True)
+# The same few examples at each run; many others with `pytest --hypothesis-profile luck`.
+settings.register_profile("luck", deadline=None, max_examples=200)
+settings.register_profile("any machine", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile("any machine")
 
 

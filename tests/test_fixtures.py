@@ -2,11 +2,11 @@
 
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.cli.test_run_commands import call
 
 FIXTURES = Path(__file__).parent / "fixtures"
 REFERENCES = json.loads((FIXTURES / "references.json").read_text())
@@ -22,18 +22,17 @@ COMMANDS = {
 }
 
 
-@pytest.fixture(scope="module", params=COMMANDS)
-def analysed(request, tmp_path_factory):
+@pytest.fixture(params=COMMANDS)
+def analysed(request, tmp_path, monkeypatch, capsys):
     """Run the command of a fixture on it; return the fixture's name and the JSON it printed."""
     command, *inputs = COMMANDS[request.param]
-    output = tmp_path_factory.mktemp("again") / "again.h5"
-    line = [sys.executable, "-m", "rigtool", command, f"{request.param}.h5", *inputs]
-    done = subprocess.run(
-        [*line, "-o", str(output), "--json"], cwd=FIXTURES, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    output = tmp_path / "again.h5"
+    monkeypatch.chdir(FIXTURES)
+    line = [command, f"{request.param}.h5", *inputs, "-o", output, "--json"]
+    code, out, err = call(capsys, *line)
+    assert code == 0, err
     assert output.exists()
-    return request.param, json.loads(done.stdout)
+    return request.param, json.loads(out)
 
 
 def test_results_are_those_stored_beside_the_fixture(analysed):

@@ -82,6 +82,8 @@ def description(monkeypatch):
 
 def test_without_an_address_the_description_has_no_links(description):
     text = description()
+    assert "unknown force over time" in text
+    assert "`make over-time` draws this figure" not in text
     assert re.findall(r"\]\((?!https://)", text) == []
     assert "docs/run-file-format.md" in text
 

@@ -159,7 +159,7 @@ def test_the_start_page_runs(folder, capsys):
         for name in (
             "Measure",
             "Change something",
-            "Leave out what is always the same",
+            "Defaults for a folder",
             "Draw one thing",
         )
         for block in section("docs/start.md", name)

@@ -47,6 +47,10 @@ def test_display_units_are_those_of_the_bench():
     assert format_quantity(Quantity(9.5e-6, "A", 4.5e-6)) == "9.5(45) µA"
     assert format_quantity(Quantity(-0.0012, "A", 0.0001)) == "-1.20(10) mA"
     assert format_quantity(Quantity(1.2, "A", 0.1)) == "1.20(10) A"
+    assert format_quantity(Quantity(0.0125, "1", 0.0003), "torque_constant_ripple") == "1.250(30) %"
+    assert format_quantity(Quantity(0.0125, "1", 0.0003), "table_scale") == "0.01250(30)"
+    # 20 log10(5), 8.686 dB a relative change of one
+    assert format_quantity(Quantity(5.0, "1", 0.05), "gain_margin") == "13.979(87) dB"
 
 
 def test_a_value_without_uncertainty_needs_a_reason():

@@ -71,11 +71,22 @@ def calibrate_kt(*sources: Source, **options: Unpack[Options]) -> Outcome:
     return _call(PROCEDURE, sources, {}, **options)
 
 
-def stribeck(*sources: Source, kt: File | Run | None = None, **options: Unpack[Options]) -> Outcome:
-    """Find friction: Coulomb, viscous, static, and breakaway around the turn [7.1.2, 7.2.2]."""
+def stribeck(
+    *sources: Source,
+    kt: File | Run | None = None,
+    against: File | Run | None = None,
+    reference: File | Run | None = None,
+    **options: Unpack[Options],
+) -> Outcome:
+    """Find friction: Coulomb, viscous, static, and breakaway around the turn [7.1.2, 7.2.2].
+
+    `against` is a stored run of the same motion or speeds: what changed; `reference` one with a
+    known change: the ratio of the two changes.
+    """
     from rigtool.experiments.friction.procedure import PROCEDURE
 
-    return _call(PROCEDURE, sources, {"kt": kt}, **options)
+    inputs = {"kt": kt, "against": against, "reference": reference}
+    return _call(PROCEDURE, sources, inputs, **options)
 
 
 def fft_ripple(
@@ -111,8 +122,7 @@ def ilc_learn(
     imported runs of known loads needs no recipe; two loads are enough with a `prior` of another
     mounting. Raises `UsageError` for a `prior` of other runs.
     """
-    from rigtool.experiments.imported_load.procedure import PROCEDURE as BY_LOAD
-    from rigtool.experiments.learning.procedure import PROCEDURE, asked
+    from rigtool.experiments.learning.procedure import BY_LOAD, PROCEDURE, asked
 
     inputs = {"kt": kt, "friction": friction, "plant": plant}
     if implementation == "D" and not any(map(_has_recipe, sources)):

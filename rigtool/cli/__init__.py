@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from rigtool.cli.output import Output, echo
-from rigtool.errors import RigtoolError, UsageError
+from rigtool.errors import RigtoolError, UsageError, did_you_mean
 from rigtool.escapes import is_text
 from rigtool.interrupts import Terminated, handled
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-"""For numpy and scipy, which are imported later. Their matrices are small here: more threads would
+"""For numpy and scipy, which are imported later. rigtool's matrices are small: more threads would
 only wait in busy loops, and rounding would depend on the number of cores."""
 
 BLOCK_BYTES = 32 * 2**20
@@ -106,11 +106,10 @@ class LazyGroup(click.Group):
                 ctx.default_map = {found[0]: defaults_of(found[0])}
             return found
         except click.UsageError as error:
-            import difflib  # only here: the time of `rigtool --help` counts
-
-            close = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
-            hint = f" Did you mean {close[0]!r}?" if close else ""
-            raise click.UsageError(f"{error.message}{hint}", ctx) from None
+            hint = did_you_mean(args[0], self.list_commands(ctx))
+            raise click.UsageError(
+                f"{error.message} {hint[:1].upper()}{hint[1:]}".rstrip(), ctx
+            ) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of commands into the help."""

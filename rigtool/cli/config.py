@@ -17,7 +17,7 @@ def command() -> None:
     tables = "runs/tables.h5"  --tables of measure-force, and the output of ilc-learn
     output = "runs"            folder of all other outputs, COMMAND.h5
 
-    Names are relative to this folder. What the command line states comes first.
+    Names are relative to this folder. An option on the command line takes precedence.
     """
     from pathlib import Path
 

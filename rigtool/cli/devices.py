@@ -21,12 +21,15 @@ def command(ports: tuple[str, ...], drivers: tuple[str, ...]) -> None:
     """
     from dataclasses import asdict
 
-    from rigtool.errors import HardwareError, UsageError
+    from rigtool.errors import HardwareError, UsageError, did_you_mean
     from rigtool.rigs.serial.ports import askable, find_devices
 
     for name in drivers:
         if name not in askable():
-            raise UsageError(f"--driver {name}: there is none; use one of {', '.join(askable())}")
+            remedy = did_you_mean(name, askable(), "use one of them")
+            raise UsageError(
+                f"--driver {name}: is not known, only {', '.join(askable())}; {remedy}"
+            )
     found, output = [], current_output()
     for device in find_devices(ports, drivers):
         found.append(device)

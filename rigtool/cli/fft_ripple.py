@@ -33,7 +33,7 @@ def command(sources: tuple[str, ...], output: str, kt: str | None, options: Comm
     """Measure torque ripple by order of rotation, speed and torque.
 
     Turns the bare motor steadily at each speed, under each constant torque and after restarts of
-    the amplifier; separates ripple that repeats from ripple that does not. Thesis section 7.1.3.
+    the amplifier; separates repeatable from non-repeatable ripple. Thesis section 7.1.3.
     Imported runs are grouped by their conditions and compared by order; imported maps are compared
     with each other.
     """

@@ -86,15 +86,14 @@ def command(
     the run and is reported whenever the run is analysed again.
 
     --check learns nothing. It repeats a few of the moves from which the tables were learned and
-    compares their disturbance with the tables: is it shifted, larger, of another friction or
-    another pattern? Exit code 4 if the tables do not fit.
+    compares their disturbance with the tables: does it differ by a shift, a factor, a change of
+    friction, or in its pattern? Exit code 4 if the tables do not fit.
 
     Imported runs of a slowly turning motor need no --kt: the result is a map of the turn. Imported
     runs of known loads, measured by a sensor (reference_torque), give tables of implementation D:
     effort by motion and load, from which measure-force reads torque. With --prior, the tables of
     another mounting, the lightest and the heaviest load are enough.
     """
-    from rigtool.experiments.imported_load.procedure import PROCEDURE as BY_LOAD
     from rigtool.experiments.learning import procedure as ilc_learn
 
     if check is not None:
@@ -106,7 +105,10 @@ def command(
             ("prior", prior),
         ):
             if given:
-                raise click.UsageError(f"--{name}: --check moves as the tables were learned")
+                raise click.UsageError(
+                    f"--{name}: --check repeats the motion with which the tables were learned: "
+                    "leave the option out"
+                )
         _check(sources, output, options, tables=check, kt=kt, plant=plant)
         return
     # Imported runs hold no recipe that names an implementation: D learns from known loads.
@@ -117,7 +119,7 @@ def command(
         options = ilc_learn.asked(options, implementation, validate=validate)
     if learning_filter is not None:
         options = options.with_override(f"ilc_learn.learning_filter={learning_filter}")
-    procedure = BY_LOAD if by_load else ilc_learn.PROCEDURE
+    procedure = ilc_learn.BY_LOAD if by_load else ilc_learn.PROCEDURE
     paths = {"kt": kt, "friction": friction, "plant": plant, "prior": prior}
     run_and_print(procedure, sources, output, options, **paths)
 

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import click
 
 from rigtool.cli.options import FILE, Command, current_output, example
+from rigtool.errors import UsageError, did_you_mean
+
+if TYPE_CHECKING:
+    from rigtool.quantity import Quantity
+    from rigtool.runfile import Run
 
 
 @click.command(
@@ -35,7 +42,7 @@ def command(path: str, plot: str | None, budget: str | None) -> None:
     to = current_output()
     with open_run(path) as run:
         if budget is not None:
-            found = run.result(budget)
+            found = _result(run, budget)
             results = {budget: quantity_document(found)}
             to.document(command=run.command, rig=run.rig, results=results)
             to.line("\n".join(budget_lines(budget, found)))
@@ -47,3 +54,15 @@ def command(path: str, plot: str | None, budget: str | None) -> None:
             to.written(plot, f"plot of {shown}")
         to.run(run, None)
         to.line("\n".join(run.summary()))
+
+
+def _result(run: Run, name: str) -> Quantity:
+    """Return a result; `UsageError` with the results that have a budget where it is missing."""
+    if name in run.results:
+        return run.results[name]
+    budgets = [key for key, result in run.results.items() if result.budget]
+    known = (
+        f"results with a budget are {', '.join(budgets)}" if budgets else "no result has a budget"
+    )
+    remedy = did_you_mean(name, run.results, f"rigtool info {run.path} lists all results")
+    raise UsageError(f"{run.path}: has no result {name!r}; {known}; {remedy}")

@@ -8,6 +8,8 @@ import click
 
 from rigtool.cli.options import (
     Command,
+    Integer,
+    Number,
     common_options,
     current_output,
     example,
@@ -35,26 +37,26 @@ from rigtool.experiments.running.options import CommonOptions
 )
 @click.option(
     "--record",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Number(min=0, min_open=True),
     metavar="SECONDS",
     help="Read an unknown force over time while the rig moves as [measure_force.motion] states.",
 )
 @click.option(
     "--observe",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Number(min=0, min_open=True),
     metavar="SECONDS",
-    help="The same while another controller, or a hand, moves the rig: sends nothing that moves.",
+    help="Read an unknown force over time while another controller, or a hand, moves the rig.",
 )
 @click.option(
     "--stream",
     is_flag=True,
-    help="Write the force as it comes to stdout, a line of JSON each millisecond.",
+    help="Write the force to stdout while it is measured, a line of JSON each millisecond.",
 )
 @click.option(
     "--every",
-    type=click.IntRange(min=1),
+    type=Integer(min=1),
     metavar="N",
-    help="With --stream or --live, of each N estimates one.  [default: 1]",
+    help="With --stream or --live, show one of N estimates.  [default: 1]",
 )
 @common_options
 def command(
@@ -77,9 +79,9 @@ def command(
     from this reading; full reads whole strokes and also corrects for compliance, ripple by current
     and motor temperature.
 
-    --record and --observe read an unknown force over time, with its interval of 95 %, in any
-    motion; a stored run without known loads is read so, too. Needs tables of implementation D.
-    --live and --live-window draw it as it comes; --stream writes it for another program.
+    --record and --observe read an unknown force over time, with its 95 % interval, in any motion. A
+    stored run without known loads is also read over time. Needs tables of implementation D. --live
+    and --live-window draw the force while it is measured; --stream writes it for another program.
 
     Imported runs need tables of implementation D from runs of the same rig; the reference_torque of
     a sensor, where recorded, is compared with the result.
@@ -93,10 +95,10 @@ def command(
             "--stream and --every go with --record or --observe: add one of them"
         )
     if every is not None and not stream and options.live is None:
-        raise click.UsageError(f"--every {every} thins what --stream and --live show: add one")
+        raise click.UsageError(f"--every {every} is for --stream and --live: add one of them")
     if stream and current_output().json:
         raise click.UsageError(
-            "--stream has stdout for itself: leave --json out, and read the results from the run"
+            "--stream and --json both write to stdout: leave --json out, and read the run file"
         )
     if seconds is not None:
         if record is not None and observe is not None:

@@ -1,4 +1,4 @@
-"""Options that commands share, defined once, and the headings under which a help lists options.
+"""Options that commands share, defined once, and the headings of a help text.
 
 A measuring command reads:
 
@@ -8,7 +8,7 @@ A measuring command reads:
     @common_options
     def command(sources, output, kt, options): ...
 
-Each `Command` has the options of `OUTPUT_OPTIONS`; what they ask for is the `Output` that
+Each `Command` has the options of `OUTPUT_OPTIONS`; their values are in the `Output` that
 `current_output` returns.
 """
 
@@ -43,10 +43,22 @@ HEADINGS = {
         *("no_progress", "live", "stream", "every", "debug"),
     ),
 }
-"""Options by their parameter, under the heading of a help; all others come first."""
+"""Options by their parameter, under a heading of the help text; all other options come first."""
 
 WRITES = ("output", "plot")
 """Parameters of a command that writes a file."""
+
+
+class Integer(click.IntRange):
+    """An integer within bounds, under the name that a message and a help give it."""
+
+    name = "integer"
+
+
+class Number(click.FloatRange):
+    """A number within bounds, under the name that a message and a help give it."""
+
+    name = "number"
 
 
 class Command(click.Command):
@@ -205,7 +217,7 @@ def common_options(function: Function) -> Function:
     @click.option("--dry-run", is_flag=True, help="Show what would move; move nothing.")
     @set_option
     @click.option(
-        "--seed", type=click.IntRange(min=0), help="Seed of the virtual rig; no other rig has one."
+        "--seed", type=Integer(min=0), help="Seed of the virtual rig; no other rig has one."
     )
     @click.option("--no-progress", is_flag=True, help="Draw no progress bars.")
     @functools.wraps(function)
@@ -222,7 +234,9 @@ def common_options(function: Function) -> Function:
     ) -> Any:
         output = current_output()
         if live == "terminal" and not sys.stderr.isatty():
-            raise click.UsageError("--live draws at a terminal, and stderr is none: leave it out")
+            raise click.UsageError(
+                "--live draws at a terminal, and stderr is not a terminal: leave it out"
+            )
         _state_defaults(kwargs)
         options = CommonOptions(
             progress=sys.stderr.isatty() and not output.quiet and not no_progress,

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rigtool.runfile import Recording, Run, Table
 
 SCHEMA = 1
-"""Version of the JSON documents; it grows when a key changes its meaning or goes."""
+"""Version of the JSON documents; raised when a key changes its meaning or is removed."""
 
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
@@ -33,9 +33,9 @@ def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
 
 @dataclass
 class Output:
-    """How `command` prints; `printed` where its JSON document is on stdout already.
+    """How `command` prints; `printed` is true once its JSON document is on stdout.
 
-    With `stream`, stdout is taken by values, and results go to stderr.
+    With `stream`, values go to stdout, and results to stderr.
     """
 
     json: bool = False
@@ -131,7 +131,9 @@ def described(run: Run) -> str:
     """Return what a run is, in a few words: its command, its rig, its amount of signals."""
     rig = f" on {run.rig}" if run.rig else ""
     samples = sum(recording.size for recording in run.recordings.values())
-    recorded = f", {len(run.recordings)} recordings, {samples} samples" if run.recordings else ""
+    count = len(run.recordings)
+    plural = "" if count == 1 else "s"
+    recorded = f", {count} recording{plural}, {samples} samples" if count else ""
     return f"run of {run.command}{rig}{recorded}"
 
 

@@ -38,7 +38,8 @@ def command(paths: tuple[str, ...], output: str, pdf: bool) -> None:
         runs = [stack.enter_context(open_run(path)) for path in paths]
         report = build_report(runs)
     write_report(report, output, overwrite=to.overwrite, pdf=pdf)
-    to.written(output, f"report, index.html with {len(report.pictures)} figures")
+    count = len(report.pictures)
+    to.written(output, f"report, index.html with {count} figure{'' if count == 1 else 's'}")
     to.document(**_document(report, output))
     if report.force_tables:
         to.line(terminal_text(report), nl=False)

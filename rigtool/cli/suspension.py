@@ -1,4 +1,4 @@
-"""`rigtool suspension`: leaf springs and pulleys out of centre."""
+"""`rigtool suspension`: leaf springs and eccentric pulleys."""
 
 from __future__ import annotations
 

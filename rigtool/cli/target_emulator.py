@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE, Command, current_output, example, set_option
+from rigtool.cli.options import FILE, Command, Integer, Number, current_output, example, set_option
 
 
 @click.command(
@@ -17,9 +17,9 @@ from rigtool.cli.options import FILE, Command, current_output, example, set_opti
 )
 @click.option("--paced", is_flag=True, help="Simulate in real time; default: as fast as possible.")
 @click.option("--forgetful", is_flag=True, help="Discard samples once they are streamed.")
-@click.option("--for", "seconds", type=click.FloatRange(min=0), help="End after this many seconds.")
+@click.option("--for", "seconds", type=Number(min=0), help="End after this many seconds.")
 @click.option("--channels", metavar="NAME,...", help="Record these channels only, and time.")
-@click.option("--seed", type=click.IntRange(min=0), help="Seed of the virtual rig.")
+@click.option("--seed", type=Integer(min=0), help="Seed of the virtual rig.")
 @set_option
 def command(
     recipe: str,

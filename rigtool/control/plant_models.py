@@ -57,7 +57,7 @@ class PlantModel:
     def held(self, sample_time: float) -> TransferFunction:
         """Return P(z) for a torque held over each sample; `sample_time` in s."""
         a, b, c = self._state_space()
-        return held(a, b, c, sample_time)
+        return zero_order_hold(a, b, c, sample_time)
 
     def transfer(self, s: ComplexArray) -> ComplexArray:
         """Return P(s) of the continuous plant at complex frequencies (n,), rad/s."""
@@ -105,7 +105,7 @@ class PlantModel:
         return a, np.array([0.0, 1 / first, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
 
 
-def held(a: Array, b: Array, c: Array, sample_time: float) -> TransferFunction:
+def zero_order_hold(a: Array, b: Array, c: Array, sample_time: float) -> TransferFunction:
     """Return P(z) of x' = a x + b u, y = c x for an input that is held over each sample.
 
     a is (n, n), b and c are (n,).

@@ -238,7 +238,7 @@ def position_loop(**design: Unpack[LoopDesign]) -> Loop:
 def stable_one_sample_late(**design: Unpack[LoopDesign]) -> bool:
     """Return whether this loop is stable with another sample of delay in it.
 
-    That is a loop which a host closes over a line: it learns of a sample one period later.
+    Such a loop is one that a host closes over a line: each sample reaches the host one period late.
     """
     loop = position_loop(**design)
     late = np.convolve(loop.plant.den_delta, [1.0, 1.0])
@@ -265,3 +265,19 @@ class RunningController:
             state[1] = b2 * value - a2 * out
             value = out
         return value
+
+
+def largest_deviation(**design: Unpack[LoopDesign]) -> float:
+    """Return how far a torque that comes at once pushes the shaft at most, rad/(N m).
+
+    The shaft is one without friction, the loop that of `position_loop`.
+    """
+    controller = RunningController(controller_sections(**design))
+    inertia, period = design["inertia"], design["sample_time"]
+    position = speed = largest = 0.0
+    for _ in range(math.ceil(1.0 / (design["crossover_hz"] * period))):
+        acceleration = (1.0 + controller.torque(-position)) / inertia
+        position += speed * period + acceleration * period**2 / 2
+        speed += acceleration * period
+        largest = max(largest, position)
+    return largest

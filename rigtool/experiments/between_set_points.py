@@ -27,7 +27,7 @@ READING_SPEED_TOLERANCE = 0.02
 """Readings between set points hold for speeds that differ from theirs by up to this part."""
 
 UNSAMPLED_LIMIT = 0.1
-"""Largest part of the measured quantity that the samples may miss; beyond it, no result."""
+"""Largest part of the measured quantity that the samples may miss; above it, no result."""
 
 RESOLUTION_SAMPLES = 8192
 """Number of samples from which the step of the current is taken."""

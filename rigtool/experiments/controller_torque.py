@@ -23,7 +23,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from rigtool.control.position_loop import controller_sections
+from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
@@ -43,7 +43,7 @@ CHANNELS = (
 """Channels of the position loop with a table by position."""
 
 AT_THE_LIMIT = 0.999
-"""Part of the rig's limit of current from which a set point is at it."""
+"""Part of the rig's limit of current from which on a set point counts as at the limit."""
 
 UNEXPLAINED_DISTANCE = 0.1
 """Distance of rotor and set point that is accepted without a torque, rad: friction, the encoder's
@@ -116,7 +116,9 @@ def _checked(
         controller = total - modelled - learned
         largest = max(largest, _largest(total))
         controlled = max(controlled, _largest(controller))
-        farthest = max(farthest, _largest(setpoint - rotor))
+        # where the host runs the loop, the controller knew the sample before
+        late = np.abs(np.diff(setpoint, prepend=setpoint[:1])) * _part_of_sample(time, recipe)
+        farthest = max(farthest, float((np.abs(setpoint - rotor) - late).max(initial=0.0)))
         yield LoopSignals(time, setpoint, encoder, rotor, total, controller, modelled, learned)
     require_tracking(
         recipe,
@@ -125,6 +127,12 @@ def _checked(
         distance=farthest,
         remedy=remedy,
     )
+
+
+def _part_of_sample(time: Array, recipe: Recipe) -> float:
+    """Return a sample of the loop as part of a recorded one, at most 1; `time` (n,) s."""
+    span = float(time[-1] - time[0]) if len(time) else 0.0
+    return min(1.0, recipe.rig.sample_time * (len(time) - 1) / span) if span > 0 else 1.0
 
 
 def _largest(values: Array) -> float:
@@ -183,9 +191,6 @@ def smallest_gain(recipe: Recipe) -> float:
 
 @lru_cache(maxsize=8)
 def _smallest_gain(highest_hz: float, **design: float) -> float:
-    """Return the smallest gain of a controller; each recording of a run asks for the same one."""
-    from scipy.signal import sosfreqz
-
-    sections = controller_sections(**design)
+    """Return the smallest gain of a controller, cached for all recordings of a run."""
     frequency = np.geomspace(min(LOWEST_HZ, highest_hz), highest_hz, 100)
-    return float(np.abs(sosfreqz(sections, frequency, fs=1 / design["sample_time"])[1]).min())
+    return float(np.abs(position_loop(**design).controller.response(frequency)).min())

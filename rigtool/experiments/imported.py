@@ -12,6 +12,7 @@ import numpy as np
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.numerics.arrays import Array
+from rigtool.recipe.mapping import CONSTANT_SPEED
 from rigtool.runfile import Recording, Run
 
 RECORDING = "imported"
@@ -24,15 +25,29 @@ RIG = {
     "rated_torque",
     "inertia",
     "arm_length",
+    "gear_ratio",
     "reference_relative_u",
     "linear_axis",
 }
 """Conditions that describe the rig, not one recording."""
 
 
-def signals_of(runs: Sequence[Run]) -> list[Recording]:
-    """Return the recording of each run; `RunFileError` for a run that holds only a map."""
-    return [run.recording(RECORDING) for run in runs]
+def recordings_of(runs: Sequence[Run]) -> list[Recording]:
+    """Return all recordings of all runs: a file that a condition splits holds several.
+
+    Raises `RunFileError` for a run that holds only a map.
+    """
+    return [
+        recording
+        for run in runs
+        for recording in (run.recordings_named(f"{RECORDING}_") or [run.recording(RECORDING)])
+    ]
+
+
+def place(recording: Recording) -> str:
+    """Return the run file, and where that holds several recordings which of them, for messages."""
+    part = "" if recording.name == RECORDING else f", {recording.name}"
+    return f"{recording.path}{part}"
 
 
 def known(recording: Recording, name: str) -> float | None:
@@ -49,7 +64,8 @@ def position_of(recording: Recording) -> Array:
     """Return the position (n,), rad or m.
 
     The measured position is preferred to encoder counts, counts to the integral of speed, which
-    starts at zero. Raises `RunFileError` where none of the three is recorded.
+    starts at zero, and that to a stated constant speed. Raises `RunFileError` where none of them is
+    known.
     """
     if recording.has("position"):
         return recording.read("position")
@@ -61,19 +77,30 @@ def position_of(recording: Recording) -> Array:
         time, speed = recording.read("time"), recording.read("speed")
         steps = np.diff(time) * (speed[1:] + speed[:-1]) / 2
         return np.concatenate([[0.0], np.cumsum(steps)])
+    if (stated := known(recording, CONSTANT_SPEED)) is not None:
+        time = recording.read("time")
+        return stated * (time - time[0])
     raise RunFileError(
-        f"{recording.name}: the position is unknown: there is no channel position or speed, nor "
-        "encoder with encoder_counts; import it with one of them mapped"
+        f"{place(recording)}: the position is unknown: there is no channel position or speed, nor "
+        "encoder with encoder_counts; import it with one of them mapped, or with a condition "
+        f"{CONSTANT_SPEED}"
     )
 
 
-def require_one_rig(recordings: Sequence[Recording], runs: Sequence[Run]) -> None:
-    """Raise `UsageError` where the known properties of the rig differ between runs."""
+def moves(recording: Recording) -> bool:
+    """Return whether the motion was measured, not stated."""
+    counted = recording.has("encoder") and known(recording, "encoder_counts") is not None
+    return recording.has("position") or recording.has("speed") or counted
+
+
+def require_one_rig(recordings: Sequence[Recording]) -> None:
+    """Raise `UsageError` where the known properties of the rig differ between recordings."""
     first = {name: known(recordings[0], name) for name in RIG}
-    for recording, run in zip(recordings, runs, strict=True):
+    for recording in recordings:
         for name, value in first.items():
             if known(recording, name) != value:
                 raise UsageError(
-                    f"{run.path} has {name} {known(recording, name)}, {runs[0].path} has {value}: "
-                    "give runs of one rig, imported with one mapping"
+                    f"{place(recording)} has {name} {known(recording, name)}, "
+                    f"{place(recordings[0])} has {value}: give runs of one rig, imported with one "
+                    "mapping"
                 )

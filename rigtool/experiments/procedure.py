@@ -13,7 +13,7 @@ from rigtool.runfile import Channel, RecordingSpec, RunWriter
 
 @dataclass(frozen=True, eq=False)
 class Procedure:
-    """Everything that `session.run_command` has to know of a command; inputs are open runs.
+    """Everything that `session.run_command` has to know about a command; inputs are open runs.
 
     `recordings(recipe)` lists the recordings; `measure(rig, recipe, recorder, **inputs)`
     performs the tasks and records them; `analyse(runs, recipe, **inputs)` computes results from
@@ -30,8 +30,8 @@ class Procedure:
     `rig_needs(recipe)` names the abilities for motions that depend on results measured
     first, see `dry_run`.
 
-    `analysis_settings` are the keys of the recipe that decide how stored signals are read, and
-    nothing that moved: a stored run may be analysed with other values of these only.
+    `analysis_settings` are the keys of the recipe that decide how stored signals are read, and that
+    changed no motion: a stored run may be analysed with other values of these only.
     """
 
     command: str

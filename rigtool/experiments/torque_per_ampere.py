@@ -5,16 +5,16 @@
 i is the current set point, g the gain of the amplifier, k the torque constant of the motor [7.1.1].
 
 The thesis takes one constant, the mean over 20 to 35 degC, for all that it measures [7.1.1]:
-`torque_per_ampere`, of every command but those below. Its standard uncertainty includes the change
-of k over that range, since the motor may have any temperature within it: a rectangular distribution
-(GUM 4.3.7). Where recordings show a temperature at which k is further from the mean, the
-distribution reaches to there, and a note states it. A table of `ilc-learn` is fed forward as
+`torque_per_ampere`, in every command except those below. Its standard uncertainty includes the
+change of k over that range, since the motor may have any temperature within it: a rectangular
+distribution (GUM 4.3.7). Where recordings show a temperature at which k is further from the mean,
+the distribution reaches to there, and a note states it. A table of `ilc-learn` is fed forward as
 current by the same constant, so that the constant cancels: uncertainties of learned tables are
 those of their scatter.
 
-`identify-plant`, `fft-ripple` and `measure-force --correction full` resolve less than the change of
-k. They take k at the recorded temperature of the motor: `torque_per_ampere_at`, with the
-uncertainty of the calibration alone.
+`identify-plant`, `fft-ripple` and `measure-force --correction full` have smaller uncertainties than
+the change of k. They take k at the recorded temperature of the motor: `torque_per_ampere_at`, with
+the uncertainty of the calibration alone.
 """
 
 from __future__ import annotations

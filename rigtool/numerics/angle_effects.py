@@ -6,8 +6,8 @@ The orders are random effects: c_k, s_k are normal with one variance v for all k
 beyond. Errors e are normal with standard uncertainties u, all larger by the same factor where they
 scatter more. K, v and the factor are unknown; beta averages over all of them, each weighted by how
 probable the values y are with it (D. J. C. MacKay, Neural Computation 4, 415-447, 1992). Orders
-that the angles cannot tell from X, or from each other, so come into the uncertainty of beta, as
-large as the orders that are seen let expect.
+that the angles cannot separate from X, or from each other, are thus part of the uncertainty of
+beta, as large as the resolved orders suggest.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from rigtool.numerics.arrays import Array
 
 LOWEST_ORDER, HIGHEST_ORDER = 4, 12
-"""Range of K that is considered beside 0; fewer orders would be taken for all from few angles."""
+"""Range of K that is considered beside 0; with fewer, a few angles would pass for all orders."""
 
 EXCESS = np.geomspace(1.0, 300.0, 14)
 """Factors considered by which errors may exceed their stated uncertainty."""
@@ -39,6 +39,9 @@ REACH = 5.0
 
 NEGLIGIBLE = 1e-4
 """Probability below which a hypothesis adds nothing to the effect."""
+
+ROUNDING = 1e-18
+"""Probability below which a hypothesis is lost in the rounding of a quantile, even of thousands."""
 
 AMPLITUDES = 24
 """Number of standard deviations of an order that are considered."""
@@ -132,6 +135,8 @@ def _quantiles(probable: Array, mean: Array, std: Array, parts: tuple[float, ...
     """Return quantiles of a mixture of normal distributions, each (h,)."""
     from scipy.special import ndtr
 
+    seen = probable > ROUNDING
+    probable, mean, std = probable[seen], mean[seen], std[seen]
     low, high = (
         np.full(len(parts), (mean - 9 * std).min()),
         np.full(len(parts), np.max(mean + 9 * std)),

@@ -1,20 +1,55 @@
-"""Functions that numba compiles (Lam, Pitrou and Seibert, LLVM-HPC 2015); machine code is kept."""
+"""Functions that numba compiles (Lam, Pitrou and Seibert, LLVM-HPC 2015); machine code is kept.
+
+numba is imported with the first call of such a function: that takes a third of a second, and most
+commands call none.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import update_wrapper
+from threading import Lock
 from typing import Any
 
-from numba import njit
+_LOCK = Lock()
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Return a function that numba compiles at its first call.
+    """Return a function that numba compiles at its first call; threads may run it side by side.
+
+    A division by zero gives infinity or NaN, as in numpy: a check would keep loops from several
+    numbers at a time.
 
     The machine code is kept beside the module, or in the user's cache; where neither can be
     written, in a read-only installation without a home, each program compiles anew.
     """
-    try:
-        return njit(cache=True)(function)
-    except RuntimeError:  # numba: cannot cache function, no locator available for its file
-        return njit(function)
+    return _Compiled(function)
+
+
+class _Compiled:
+    """A function that becomes numba's own when it is called, from Python or from another one."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        update_wrapper(self, function)
+        self._function = function
+        self._dispatcher: Any = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        return (self._dispatcher or self._compile())(*arguments)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """The type that numba sees where another compiled function calls this one."""
+        return (self._dispatcher or self._compile())._numba_type_
+
+    def _compile(self) -> Any:
+        from numba import njit
+
+        options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
+        with _LOCK:
+            if self._dispatcher is None:
+                try:
+                    self._dispatcher = njit(cache=True, **options)(self._function)
+                except RuntimeError:  # numba: cannot cache function, no locator for its file
+                    self._dispatcher = njit(**options)(self._function)
+        return self._dispatcher

@@ -1,6 +1,6 @@
 """Decimation without phase shift, block by block.
 
-scipy's decimate needs the whole signal in memory, and a recording of hours does not fit there.
+scipy's decimate needs the whole signal in memory, where a recording of hours does not fit.
 
 A low-pass FIR filter (sinc, Kaiser window) is evaluated at every M-th sample only. With the new
 sampling frequency f, components below 0.05 f keep their amplitude within 4e-5, and components above

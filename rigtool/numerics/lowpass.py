@@ -42,6 +42,14 @@ def lowpass(rate: float, values: Array, cutoff_hz: float) -> Array:
     return filtered
 
 
+def delayed(rate: float, values: Array, cutoff_hz: float) -> Array:
+    """Filter signals (..., n) of a rate, Hz, once, forward: by values up to its time alone."""
+    from scipy.signal import butter, sosfilt
+
+    filtered: Array = sosfilt(butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos"), values)
+    return filtered
+
+
 def kept_factor(rate: float, cutoff_hz: float) -> int:
     """Return the factor by which signals may be decimated before the low-pass; see `KEPT_RATE`."""
     return max(1, math.floor(rate / (KEPT_RATE * cutoff_hz) * (1 + 1e-6)))

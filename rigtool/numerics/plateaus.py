@@ -13,7 +13,8 @@ SHORTEST = 3
 def find_plateaus(level: Array, step: float, largest: float) -> list[tuple[int, int]]:
     """Return first and last + 1 value of each plateau of a signal (n,).
 
-    On a plateau |x_(i+1) - x_i| <= `step` and max x - min x <= `largest`: a slow ramp is none.
+    On a plateau |x_(i+1) - x_i| <= `step` and max x - min x <= `largest`: a slow ramp is not a
+    plateau.
     """
     flat = np.abs(np.diff(level)) <= step
     ends = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(np.int8)))

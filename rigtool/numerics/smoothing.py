@@ -5,10 +5,10 @@ A signal x and its derivatives are convolved with a Gaussian k of standard devia
     smooth(x) = k * x,  smooth(x') = k' * x,  smooth(x'') = k'' * x
 
 so that a linear equation between x, its derivatives and other signals holds between the smoothed
-ones, and nothing measured is ever differenced: the kernel is, in closed form (modulating functions:
-Shinbrot, Trans. ASME 79, 547-552, 1957; the same filter on both sides of the equation of motion:
-Gautier, Proc. IEEE ICRA 1997, 3284-3289). Of all kernels a Gaussian is the narrowest in time for
-its band, which confines the effects of a reversal to its neighbourhood. Its response is
+ones, and no measured signal is differenced: the kernel is differentiated in closed form (modulating
+functions: Shinbrot, Trans. ASME 79, 547-552, 1957; the same filter on both sides of the equation of
+motion: Gautier, Proc. IEEE ICRA 1997, 3284-3289). Of all kernels a Gaussian is the narrowest in
+time for its band, which confines the effects of a reversal to its neighbourhood. Its response is
 exp(-(2 pi f s)^2 / 2), 3 dB at f = 0.1325 / s.
 """
 

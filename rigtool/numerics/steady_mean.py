@@ -62,7 +62,7 @@ def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
     `InsufficientDataError` for fewer than three readings in one.
     """
     from scipy.fft import dst
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
     likelihood = np.zeros(len(PAYBACKS))
     variances, drifts = [], []
@@ -90,7 +90,7 @@ def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
     found = []
     for values, variance, drift in zip(series, variances, drifts, strict=True):
         slow, lowest = float(share @ drift), min(SLOWEST_WAVES, len(values))
-        beyond = slow > chi2.isf(BY_CHANCE, lowest) / lowest
+        beyond = slow > chdtri(lowest, BY_CHANCE) / lowest
         square = float(share @ variance)
         relative = float(share @ (variance / square - 1) ** 2) + 2 / (len(values) - 1)
         found.append((math.sqrt(square * (slow if beyond else 1.0)), 2 / relative))

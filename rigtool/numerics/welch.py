@@ -1,6 +1,6 @@
 """Power spectral density by Welch's method, block by block [P. D. Welch, IEEE Trans. 15, 1967].
 
-scipy's welch needs the whole signal in memory, and a recording of hours does not fit there.
+scipy's welch needs the whole signal in memory, where a recording of hours does not fit.
 """
 
 from __future__ import annotations

@@ -82,5 +82,5 @@ class Section(BaseModel):
                 continue
             low, high = BOUNDS[unit]
             if not low <= abs(number) <= high:
-                raise ValueError(f"must be from {low:g} to {high:g} {unit}: {number:g} is beyond")
+                raise ValueError(f"must be from {low:g} to {high:g} {unit}, got {number:g}")
         return value

@@ -2,7 +2,7 @@
 
     value = sign * (scale * raw + offset), in `unit`, then turned into SI
 
-A mapping states what the file does not, as known to the person who measured.
+A mapping states what the file does not: the knowledge of the person who measured.
 """
 
 from __future__ import annotations
@@ -84,6 +84,9 @@ SIGNALS: dict[str, tuple[str, str, str]] = {
 """Names with a fixed meaning: unit on a rotary and on a linear axis, and description. Those that
 `rigs.base.CHANNELS` also holds mean the same there."""
 
+CONSTANT_SPEED = "constant_speed"
+"""Condition that states the speed of a recording without position or speed, rad/s."""
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
 
 
@@ -108,12 +111,17 @@ class ImportedRig(Section):
     arm_length: float | None = Field(
         None, gt=0, description="between the shaft and the force sensor on it, m"
     )
+    gear_ratio: float | None = Field(
+        None, ge=-1e6, le=1e6, description="turns of the motor for one turn of the output"
+    )
     reference_relative_u: float | None = Field(
         None, gt=0, lt=1, description="standard uncertainty of the sensor's calibration, relative"
     )
 
     @model_validator(mode="after")
     def _fits_axis(self) -> ImportedRig:
+        if self.gear_ratio == 0:
+            raise ValueError("gear_ratio 0: give turns of the motor for one turn of the output")
         if self.axis == "linear" and self.torque_constant is not None:
             raise ValueError(
                 f"torque_constant {self.torque_constant:g} N m/A has no meaning on a linear axis, "
@@ -208,28 +216,50 @@ def require_quick(pattern: str) -> None:
 
 
 class Condition(Section):
-    """A condition of the recording, contained in the name of the file or of its folder."""
+    """A condition: contained in a name, in a column by which the file is split, or stated."""
 
     name: str = Field(description="of the condition, e.g. compensation")
-    unit: str = Field("1", description="SI")
+    unit: str = Field("1", description="of the number, turned into SI where it is a known unit")
     of: Literal["file", "folder"] = Field("file", description="whose name contains it")
-    pattern: str = Field(description="regular expression for that name, of a file without ending")
+    pattern: str | None = Field(
+        None, description="regular expression for that name, of a file without ending"
+    )
+    column: int | str | None = Field(
+        None, description="number or name: the file is split where its value changes"
+    )
+    value: float | None = Field(None, description="number for all files")
     values: dict[str, float] | None = Field(
-        None, description="value for the text found; without it the text is the number"
+        None, description="number for the text found; without it the text is the number"
     )
 
     @model_validator(mode="after")
-    def _pattern_is_one(self) -> Condition:
-        try:
-            groups = re.compile(self.pattern).groups
-        except re.error as error:
-            raise ValueError(f"pattern is no regular expression: {error}") from None
-        require_quick(self.pattern)
-        if groups != 1:
-            raise ValueError(f"pattern needs one pair of parentheses, has {groups}")
+    def _is_one(self) -> Condition:
+        if sum(given is not None for given in (self.pattern, self.column, self.value)) != 1:
+            raise ValueError("give one of `pattern`, `column` and `value`")
         if not _NAME.fullmatch(self.name):
             raise ValueError("name: use letters, digits and underscores, not a digit first")
+        if self.name == CONSTANT_SPEED and self.si[1] != "rad/s":
+            raise ValueError(f"{CONSTANT_SPEED} is a speed: give its unit, e.g. rpm")
+        if isinstance(self.column, int) and self.column < 1:
+            raise ValueError(f"columns are counted from 1, got {self.column}")
+        if self.pattern is not None:
+            self._require_one_group(self.pattern)
         return self
+
+    @staticmethod
+    def _require_one_group(pattern: str) -> None:
+        try:
+            groups = re.compile(pattern).groups
+        except re.error as error:
+            raise ValueError(f"pattern is no regular expression: {error}") from None
+        require_quick(pattern)
+        if groups != 1:
+            raise ValueError(f"pattern needs one pair of parentheses, has {groups}")
+
+    @property
+    def si(self) -> tuple[float, str]:
+        """SI value of one `unit`, and its SI unit; a unit that is not known stays."""
+        return UNITS.get(self.unit, (1.0, self.unit))
 
 
 class Map(Section):
@@ -275,6 +305,8 @@ class Mapping(Section):
     def _fits_together(self) -> Mapping:
         if self.map is not None and self.signals:
             raise ValueError("a file is a [map] or has [signals], not both")
+        if self.map is not None and any(item.column is not None for item in self.conditions):
+            raise ValueError("a map is not split: give conditions by `pattern` or `value`")
         for name, signal in self.signals.items():
             if not _NAME.fullmatch(name) or name == "conditions":
                 raise ValueError(f"signal name {name!r}: use letters, digits and underscores")
@@ -292,6 +324,22 @@ class Mapping(Section):
         if self.signals and set(self.signals) == {"time"}:
             raise ValueError("there is no signal besides time")
         return self
+
+    @property
+    def columns(self) -> list[int | str]:
+        """Columns of the signals, and of conditions."""
+        signals = [signal.column for signal in self.signals.values()]
+        found = [item.column for item in self.conditions if item.column is not None]
+        return list(dict.fromkeys([*signals, *found]))
+
+    @property
+    def words(self) -> dict[int | str, dict[str, float]]:
+        """Numbers for the texts of columns that hold conditions as text."""
+        return {
+            item.column: item.values
+            for item in self.conditions
+            if item.column is not None and item.values is not None
+        }
 
     def fixed_unit(self, name: str) -> str | None:
         """Return the unit that a name has by its fixed meaning, None for other names."""

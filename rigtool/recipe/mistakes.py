@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
+
+from rigtool.errors import did_you_mean
 
 EXPECTED = {
     "float_type": "must be a number",
@@ -74,13 +75,12 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
         return "is missing; add it"
     if item["type"] == "extra_forbidden":
         key, known = str(item["loc"][-1]), set(keys_at(model, item["loc"][:-1]))
-        close = difflib.get_close_matches(key, known, 1)
-        remedy = f"did you mean {close[0]}?" if close else "remove it or correct its spelling"
+        remedy = did_you_mean(key, known, "remove it or correct its spelling")
         return f"is not a key that this table knows; {remedy}"
     message = item["msg"].removeprefix("Value error, ")
     if item["type"] in EXPECTED:
         message = EXPECTED[item["type"]].format(**item.get("ctx", {}))
-    if item["type"] in WITHOUT_VALUE or isinstance(item["input"], dict):
+    if item["type"] in WITHOUT_VALUE or isinstance(item["input"], dict) or ", got " in message:
         return message
     value = repr(item["input"])
     shown = value if len(value) <= LONGEST_VALUE else f"{value[:LONGEST_VALUE]}..."

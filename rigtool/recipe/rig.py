@@ -86,7 +86,7 @@ class ForceArm(Section):
 
 
 class MotorSuspension(Section):
-    """Leaf springs that carry the motor, and pulleys out of centre [App. E, J]."""
+    """Leaf springs that carry the motor, and eccentric pulleys [App. E, J]."""
 
     elasticity: float = Field(2.1e11, gt=0, description="modulus of the leaf springs, Pa")
     elasticity_relative_u: float = Field(0.02, ge=0, le=1, description="its relative uncertainty")

@@ -1,6 +1,6 @@
 """A rig on a serial line: which drive, on which port, and what it must never exceed.
 
-Limits have no defaults: only who stands at the bench knows what the rig can take.
+Limits have no defaults: only the person at the bench knows what the rig withstands.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from rigtool.errors import UsageError
+from rigtool.errors import UsageError, did_you_mean
 
 FOLDER = "share/rigtool/recipes"
 """Folder of the recipes in a wheel, below the data folder of the environment."""
@@ -36,7 +36,8 @@ def shipped_recipe(name: str) -> str:
     """Return the text of a recipe; `UsageError` for one that does not come with rigtool."""
     known = shipped_recipes()
     if name not in known:
-        raise UsageError(f"no recipe {name} comes with rigtool; choose one of {', '.join(known)}")
+        remedy = did_you_mean(name, known, "choose one of them")
+        raise UsageError(f"no recipe {name} comes with rigtool, only {', '.join(known)}; {remedy}")
     return known[name].read_text(encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""Physical parameters of the virtual rig: what a real bench would not know.
+"""Physical parameters of the virtual rig: values that are not known at a real bench.
 
 Only `rigtool.rigs.virtual` reads these. Angles in rad, torques in N m at the shaft named, SI
 throughout; temperatures in degC.
@@ -117,7 +117,7 @@ class Arm(Section):
 
 
 class Eccentricity(Section):
-    """Pulleys out of centre against the leaf springs [App. E, J]."""
+    """Eccentric pulleys against the leaf springs [App. E, J]."""
 
     spring_constant: float = Field(14.5e3, ge=0, description="of the leaf springs, N/m")
     offset: float = Field(60e-6, ge=0, description="both eccentricities together, m")
@@ -173,7 +173,7 @@ Positive = Annotated[float, Field(gt=0)]
 PositiveRange = Annotated[tuple[Positive, Positive], *_Between]
 
 
-class Contact(Section):
+class VirtualContact(Section):
     """When something touches the output: at given times, or drawn from the seed.
 
     Times count from the start of each motion that is open to contacts. A number, or the two ends
@@ -196,7 +196,7 @@ class Contact(Section):
         return self
 
 
-class Eased(Contact):
+class Eased(VirtualContact):
     """A contact that comes and goes within a time of its own."""
 
     rise_time: float = Field(0.05, ge=0, description="to the full force, and from it, s")
@@ -228,7 +228,7 @@ class Mass(Eased):
     ] = Field(description="weight, N")
 
 
-class Sine(Contact):
+class Sine(VirtualContact):
     """A force that swings around zero, beginning there."""
 
     kind: Literal["sine"]
@@ -236,7 +236,7 @@ class Sine(Contact):
     frequency_hz: Hertz = Field(description="Hz")
 
 
-class Ramp(Contact):
+class Ramp(VirtualContact):
     """A force that rises linearly from zero, and lets go at once."""
 
     kind: Literal["ramp"]
@@ -244,7 +244,7 @@ class Ramp(Contact):
     duration: Seconds = Field(description="of the rise, s")
 
 
-class Tissue(Contact):
+class Tissue(VirtualContact):
     """Spring and damper from an angle of the output on; tissue pushes, and never pulls."""
 
     kind: Literal["tissue"]
@@ -257,7 +257,7 @@ AnyContact = Annotated[Pulse | Mass | Sine | Ramp | Tissue, Field(discriminator=
 
 
 class Hand(Section):
-    """Somebody else who moves the rig while it is observed: drawn free motion.
+    """A hand, or another controller, that moves the rig while it is observed: drawn free motion.
 
     Each stretch of time has its pace, or is a pause; the direction changes as a sum of sines does.
     """

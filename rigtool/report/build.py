@@ -69,7 +69,7 @@ class Report:
 
     `requirements` are those of the recipes, with verdicts; `warnings` concern runs that do not
     belong together; `remarks` are the notes of each run, by its label. `force_tables` are Tables 8
-    and 9, `budgets` what the headline results' uncertainty is made of, `results` all results of
+    and 9, `budgets` those of the headline results, `results` all results of
     each run; `compared` where published values are beside them.
     """
 

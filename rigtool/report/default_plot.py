@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rigtool.errors import RunFileError, UsageError
+from rigtool.errors import RunFileError, UsageError, did_you_mean
 from rigtool.escapes import figure as figure_text
 from rigtool.quantity import display_unit
 from rigtool.report.figures import PLOTS, style
@@ -64,8 +64,8 @@ def plot_names(run: Run) -> list[str]:
 def chosen_name(run: Run, name: str | None) -> str:
     """Return the one of `plot_names` that a name stands for; the first one for None.
 
-    A bare name is that of a table or recording; a recording stands for its first signal. Raises
-    `RunFileError` and `UsageError` as `write_plot`.
+    A bare name is that of a table, a recording or a signal; a recording stands for its first
+    signal. Raises `RunFileError` and `UsageError` as `write_plot`.
     """
     names = plot_names(run)
     if not names:
@@ -73,11 +73,16 @@ def chosen_name(run: Run, name: str | None) -> str:
     if name is None:
         return names[0]
     for own in names:
-        if name in (own, own.partition("/")[2]) or own.startswith(
+        if name in (own, own.partition("/")[2], own.rpartition("/")[2]) or own.startswith(
             (f"{name}/", f"recordings/{name}/")
         ):
             return own
-    raise UsageError(f"{run.path}: has no part {name!r} to draw: choose one of {', '.join(names)}")
+    known = [*names, *(part for own in names for part in own.split("/"))]
+    hint = did_you_mean(name, known)
+    raise UsageError(
+        f"{run.path}: has no part {name!r} to draw: choose one of {', '.join(names)}"
+        f"{hint and f'; {hint}'}"
+    )
 
 
 def draw_plot(run: Run, name: str) -> Figure:

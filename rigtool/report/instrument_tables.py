@@ -1,4 +1,4 @@
-"""Tables of a real instrument with a sensor: readings by level of load, and accuracy."""
+"""Tables of force over time: where it is largest, and its accuracy against a sensor."""
 
 from __future__ import annotations
 
@@ -7,20 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rigtool.report.formats import Cell, ReportColumn, ReportTable, mean_cell, number_cell, records
+from rigtool.report.formats import Cell, ReportColumn, ReportTable, mean_cell, number_cell
 from rigtool.report.published import published_accuracy
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
-
-_LEVELS = (
-    ReportColumn("strokes", "Strokes"),
-    ReportColumn("applied_torque", "Applied (sensor)", "mN m", "N m"),
-    ReportColumn("mean_torque", "Mean", "mN m", "N m", uncertain=True),
-    ReportColumn("std_torque", "S", "mN m", "N m"),
-    ReportColumn("error_torque", "Error", "mN m", "N m"),
-    ReportColumn("error_percent", "Error", "%", "%"),
-)
 
 _ACCURACY = (
     ReportColumn("source", "From", numeric=False),
@@ -40,6 +31,9 @@ _OVER_TIME = (
     ReportColumn("force", "Force", "N", "N"),
 )
 
+_JUDGED = ("bandwidth", "rmse_closing", "rmse_opening", "rmse_moving", "coverage_95")
+"""Results that are compared with what others published."""
+
 SECTIONS = 10
 """Sections of the time of a force over time that the table shows."""
 
@@ -47,19 +41,16 @@ _SPLITS = ("runs kept from learning", "random part of the samples")
 
 
 def instrument_tables(run: Run, label: str) -> list[ReportTable]:
-    """Return the tables of a run of measure-force without known loads.
+    """Return the tables of force over time.
 
-    For an imported run that had a sensor these are its loads and its accuracy; for force over time
-    alone, torque and force with their band.
+    For an imported run that had a sensor this is its accuracy; without known loads, torque and
+    force with their band.
     """
-    found = []
-    if "levels" in run.tables:
-        found.append(_levels_table(run, label))
-    if "accuracy" in run.tables:
-        found.append(_accuracy_table(run, label))
-    if not found and "force" in run.tables:
-        found.append(_over_time_table(run, label))
-    return found
+    if all(name in run.results for name in _JUDGED):
+        return [_accuracy_table(run, label)]
+    if "force" in run.tables and "loads" not in run.tables:
+        return [_over_time_table(run, label)]
+    return []
 
 
 def _over_time_table(run: Run, label: str) -> ReportTable:
@@ -89,29 +80,9 @@ def _over_time_table(run: Run, label: str) -> ReportTable:
     )
 
 
-def _levels_table(run: Run, label: str) -> ReportTable:
-    levels = run.table("levels")
-    return ReportTable(
-        name=f"table-levels-{label}",
-        title=f"Torque of a real instrument against its sensor ({label})",
-        columns=_LEVELS,
-        rows=tuple(
-            (
-                Cell(f"{row['strokes']:.0f}", row["strokes"]),
-                number_cell(row["applied_torque"], ".4g"),
-                mean_cell(row["mean_torque"], row["mean_torque_u"]),
-                number_cell(row["std_torque"], ".2f"),
-                number_cell(row["error_torque"], "+.2f"),
-                number_cell(row["error_percent"], "+.1f", 1),
-            )
-            for row in records(levels)
-        ),
-        note=levels.description.capitalize() + ".",
-    )
-
-
 def _accuracy_table(run: Run, label: str) -> ReportTable:
-    rows = [_accuracy_row("rigtool", row) for row in records(run.table("accuracy"))]
+    own = {name: run.result(name).value for name in _JUDGED}
+    rows = [_accuracy_row("rigtool", {"split": 0, **own})]
     rows += [_accuracy_row(row["source"], row) for row in published_accuracy(run.rig or "")]
     return ReportTable(
         name=f"table-accuracy-{label}",

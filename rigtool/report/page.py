@@ -1,4 +1,4 @@
-"""The HTML page: one file that refers to no other."""
+"""The HTML page: one self-contained file."""
 
 from __future__ import annotations
 

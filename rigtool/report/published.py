@@ -1,4 +1,4 @@
-"""Published values: those of the thesis, and those that others reached with the same data.
+"""Published values: those of the thesis, and those of other groups on the same data.
 
 No other module reads `published.toml` and `published_instruments.toml`.
 """
@@ -76,7 +76,8 @@ def published_entry(path: str) -> Any:
 
 
 def published_accuracy(rig: str) -> list[dict[str, Any]]:
-    """Return the errors that others reached with the data of a rig, whose name begins alike."""
+    """Return the errors that other groups reached with the data of a rig, whose name begins
+    alike."""
     reference = _reference("published_instruments.toml")
     return [
         row for name, entry in reference.items() if rig.startswith(name) for row in entry["rows"]

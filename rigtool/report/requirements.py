@@ -1,7 +1,7 @@
 """Requirements of a recipe, and whether the runs meet them.
 
-A figure meets a limit where it does so with its expanded uncertainty (k = 2), and misses it where
-it does so with it; between both the runs do not decide (ISO 14253-1).
+A figure meets a limit where the whole interval of its expanded uncertainty (k = 2) does, and misses
+it where the whole interval does; otherwise the runs do not decide (ISO 14253-1).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rigtool.quantity import Quantity, display_unit, format_number, format_quantity
+from rigtool.quantity import Quantity, customary, format_number, format_quantity
 from rigtool.report.formats import (
     NO_VALUE,
     Cell,
@@ -41,13 +41,14 @@ UNCORRECTED = "loads_uncorrected"
 
 
 def force_tables(run: Run, label: str) -> list[ReportTable]:
-    """Return Table 8 or 9 of a run of measure-force; without loads, the tables of its sensor.
+    """Return Table 8 or 9 of a run of measure-force, and tables of its force over time.
 
     Where its loads are corrected, a table of three readings comes first (published, the thesis's
     way, corrected), then a table of each of the latter two.
     """
+    over_time = instrument_tables(run, label)
     if "loads" not in run.tables:
-        return instrument_tables(run, label)
+        return over_time
     if UNCORRECTED not in run.tables:
         found = [force_table(run, label)]
     else:
@@ -56,12 +57,17 @@ def force_tables(run: Run, label: str) -> list[ReportTable]:
             force_table(run, f"{label}, none", UNCORRECTED),
             force_table(run, f"{label}, {correction_of(run)}"),
         ]
-    return found if is_of_thesis(run.rig) else [_as_own(table) for table in found]
+    return over_time + (found if is_of_thesis(run.rig) else [_as_own(table) for table in found])
 
 
 def _as_own(table: ReportTable) -> ReportTable:
     """Return a table of another rig than the thesis's: without published columns and numbers."""
-    own = [n for n, column in enumerate(table.columns) if "published" not in column.key]
+    none = {"applied_force"} if all(row[0] is NO_VALUE for row in table.rows) else set()
+    own = [
+        n
+        for n, column in enumerate(table.columns)
+        if "published" not in column.key and column.key not in none
+    ]
     _, _, name = table.name.split("-", 2)
     return replace(
         table,
@@ -85,7 +91,7 @@ def force_table(run: Run, label: str, table: str = "loads") -> ReportTable:
     rows = [
         _force_row(load, published.row(load["applied_force"], load["applied_torque"]))
         for load in records(run.table(table))
-        if load["applied_force"] > 0  # the thesis's tables have no cycles without load
+        if load["applied_torque"] != 0  # the thesis's tables have no cycles without load
     ]
     return ReportTable(
         name=f"table-{published.number}-{label.replace(', ', '-')}",
@@ -148,15 +154,13 @@ def results_table(run: Run, label: str) -> ReportTable:
     rows = []
     for name, quantity in run.results.items():
         published = published_value(run.command, name, attachment) if compared else None
-        factor, unit = display_unit(quantity.unit, quantity.value)
+        shown = customary(name, quantity)
         rows.append(
             (
                 Cell(name, name),
-                _quantity_cell(quantity, factor),
-                Cell("" if unit == "1" else unit, quantity.unit),
-                NO_VALUE
-                if published is None
-                else Cell(f"{published.value * factor:.4g}", published.value),
+                Cell(format_number(shown.value, shown.u), quantity.value, quantity.u),
+                Cell("" if shown.unit == "1" else shown.unit, quantity.unit),
+                NO_VALUE if published is None else _published_cell(name, published.value, quantity),
                 NO_VALUE if published is None else Cell(published.section, published.section),
                 Cell(quantity.reason or "", quantity.reason or ""),
             )
@@ -254,8 +258,12 @@ _FULL_NOTE = (
 
 
 def _zero_note(run: Run) -> str:
-    """Return whether the reading without load was subtracted; the thesis does not state it."""
-    if run.recipe is None or "mean_torque_no_load" not in run.results:
+    """Return whether the reading without load was subtracted; the thesis does not state it.
+
+    Without a recipe, what the loads are."""
+    if run.recipe is None:
+        return run.table("loads").description.capitalize() + "."
+    if "mean_torque_no_load" not in run.results:
         return ""
     zero = format_quantity(run.results["mean_torque_no_load"])
     if run.recipe.measure_force.zero:
@@ -279,6 +287,7 @@ def _force_row(measured: dict[str, float], published: dict[str, float] | None) -
     )
 
 
-def _quantity_cell(quantity: Quantity, factor: float) -> Cell:
-    u = None if quantity.u is None else quantity.u * factor
-    return Cell(format_number(quantity.value * factor, u), quantity.value, quantity.u)
+def _published_cell(name: str, value: float, beside: Quantity) -> Cell:
+    """Return a published value in the unit in which the result beside it is shown."""
+    published = Quantity(value, beside.unit, reason="published")
+    return Cell(f"{customary(name, published, beside.value).value:.4g}", value)

@@ -130,7 +130,7 @@ class Rig(Protocol):
     """Receives the status during a motion, where signals come later; it must not block."""
 
     streams: bool = False
-    """Whether that is every sample, as it comes, with all channels."""
+    """Whether `watcher` receives every sample, with all channels, while the motion runs."""
 
     def __enter__(self) -> Self:
         """Connect; nothing moves."""
@@ -146,11 +146,12 @@ class Rig(Protocol):
         return None
 
     def lacks(self, need: str) -> str | None:
-        """Return why this one of `NEEDS`, or this channel, is not offered; None where it is."""
+        """Return the reason why one of `NEEDS`, or a channel, is not offered; None where it is
+        offered."""
         return None
 
     def use_only(self, channels: Collection[str]) -> None:
-        """Leave alone the instruments that fill none of these channels; called before `with`."""
+        """Ignore instruments that fill none of these channels; called before `with`."""
         return None
 
     def permit(self, plan: str) -> None:

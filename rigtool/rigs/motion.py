@@ -109,7 +109,8 @@ class Triangle:
         stroke, turn, v = self.stroke_time, self.turn_time, self.speed
         number = np.floor(time / stroke)
         within = time - number * stroke
-        sign = 1.0 - 2.0 * (number % 2)  # falling strokes are rising ones mirrored
+        # Falling strokes are rising ones mirrored; a remainder would take a third of the time.
+        sign = 1.0 - 2.0 * (number - 2.0 * np.floor(number / 2.0))
         # A stroke is symmetric about its middle: count time and travel from there.
         late = within - stroke / 2
         straight = stroke / 2 - turn
@@ -139,8 +140,9 @@ class Move:
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """See `Motion.setpoint`."""
         s = np.clip(time / self.duration, 0.0, 1.0)
-        position = self.angle * s**3 * (10 - 15 * s + 6 * s**2)
-        speed = self.angle / self.duration * 30 * s**2 * (1 - s) ** 2
+        # Products: how a power is rounded depends on the processor.
+        position = self.angle * (s * s * s) * (10 - 15 * s + 6 * (s * s))
+        speed = self.angle / self.duration * 30 * (s * s) * ((1 - s) * (1 - s))
         acceleration = self.angle / self.duration**2 * 60 * s * (1 - s) * (1 - 2 * s)
         return position, speed, acceleration
 

@@ -65,7 +65,7 @@ def _results(
             yield f"{where}: unit {one.unit} | {other.unit}"
             continue
         if tolerance.beyond(np.array([one.value]), np.array([other.value])).any():
-            line = f"{where}: {format_quantity(one)} | {format_quantity(other)}"
+            line = f"{where}: {format_quantity(one, name)} | {format_quantity(other, name)}"
             yield line + _significance(one, other)
         u_one, u_other = (np.array([math.nan if q.u is None else q.u]) for q in (one, other))
         if tolerance.beyond(u_one, u_other).any():

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rigtool.errors import RunFileError, UsageError
+from rigtool.errors import RunFileError, UsageError, did_you_mean
 from rigtool.escapes import csv_text
 from rigtool.quantity import Quantity
 from rigtool.runfile import schema
@@ -66,7 +66,8 @@ def export(run: Run, output: str | os.PathLike[str], part: str | None, overwrite
 def write_new(
     output: Path, overwrite: bool, write: Callable[[Path], object], inputs: Sequence[Path] = ()
 ) -> None:
-    """Let `write` make a file beside `output`, that takes its name when it is whole.
+    """Let `write` make a file beside `output`; the file takes the name of `output` when it is
+    complete.
 
     Raises `UsageError` where the output exists, unless `overwrite`.
     """
@@ -103,8 +104,12 @@ def choose(run: Run, part: str | None) -> ExportedPart:
         name for name in parts if part is None or name == part or name.rpartition("/")[2] == part
     ]
     if len(found) != 1:
-        what = "holds more than one thing" if part is None else f"has {len(found)} parts {part!r}"
-        raise UsageError(f"{run.path}: {what}: choose by --part from {', '.join(parts) or 'none'}")
+        what = "holds more than one thing" if part is None else f"has no single part {part!r}"
+        hint = "" if part is None else did_you_mean(part, parts)
+        raise UsageError(
+            f"{run.path}: {what}: choose by --part from {', '.join(parts) or 'none'}"
+            f"{hint and f'; {hint}'}"
+        )
     chosen = parts[found[0]]
     if isinstance(chosen, Recording):
         return ExportedPart(dict(chosen.units), _recording(chosen))

@@ -105,7 +105,10 @@ def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
     path = Path(path)
     if not os.path.isfile(path):
         what = "is a folder, not a file" if os.path.isdir(path) else "no such file"
-        raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")
+        hint = "; recipes end in .toml" if path.suffix not in (".h5", ".part") else ""
+        raise RunFileError(
+            f"{path}: {what}; give a run file (.h5) that a rigtool command wrote{hint}"
+        )
     try:
         with path.open("rb") as stream:
             size, magic = os.fstat(stream.fileno()).st_size, stream.read(8)

@@ -87,7 +87,7 @@ def own_file(output: Path) -> Iterator[Path]:
 
 @contextmanager
 def own_folder(parent: Path) -> Iterator[Path]:
-    """Give a new, empty folder in `parent`; it goes with all that is left in it.
+    """Give a new, empty folder in `parent`; it is removed with its contents.
 
     Raises `RigtoolError` where the disk refuses.
     """

@@ -122,9 +122,8 @@ def write(group: h5py.Group, provenance: Provenance) -> None:
 
 
 def read(group: tree.Group) -> dict[str, Any]:
-    """Return all fields of provenance, hashes included; absent ones are None.
-
-    Raises ValueError where one is missing that every run has, or is no text.
+    """Return all fields of provenance, hashes included; absent ones are None. Raises ValueError
+    where a mandatory field is missing or not a text.
     """
     fields = (*Provenance.__dataclass_fields__, *_HASHES)
     found: dict[str, Any] = {

@@ -58,6 +58,11 @@ class Recording:
         self.size = _common_size(group)
 
     @property
+    def path(self) -> Path:
+        """The run file that holds it."""
+        return self._path
+
+    @property
     def units(self) -> dict[str, str]:
         """Unit of each channel."""
         return {channel.name: channel.unit for channel in self.channels}

@@ -43,7 +43,7 @@ def recover(
     """
     part = Path(part)
     output = _output(part, output, overwrite)
-    # The part may have the name that a writer of `output` would give to its own.
+    # The part may have the name that a writer of `output` would give to its own part.
     with own_folder(output.parent) as folder, _open_unfinished(part) as run:
         beside = folder / "recovered.h5"
         specs = [_spec(recording) for recording in run.recordings.values()]

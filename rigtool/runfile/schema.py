@@ -49,9 +49,10 @@ LIBVER = ("v110", "v110")
 """`latest` would mean HDF5 2.0, which h5dump 1.10 and MATLAB cannot read."""
 
 PAGES: dict[str, Any] = {"fs_strategy": "page", "fs_page_size": 4096}
-"""HDF5 then lays nothing that is smaller than a page across the edge of one ("paged aggregation",
-H5Pset_file_space_strategy). A kernel stops the write of a killed process between two pages of
-memory: what HDF5 had rewritten in place is the old or the new, never half of each."""
+"""With these settings no object smaller than a page crosses the edge of a page ("paged
+aggregation", H5Pset_file_space_strategy). A kernel stops the write of a killed process between two
+pages of memory: a header that HDF5 rewrites in place is then the old one or the new one, never half
+of each."""
 
 
 def chunk_of(rate_hz: float) -> int:

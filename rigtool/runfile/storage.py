@@ -1,4 +1,4 @@
-"""What a disk may refuse, as a message; and making sure that what was written is on it.
+"""Errors of a disk as messages, and making sure that written data are on the disk.
 
 HDF5 does not survive a write that fails: it cannot close the file any more, and may take the
 process with it. So space is reserved before HDF5 is given anything to write; where that fails, HDF5

@@ -16,7 +16,7 @@ def result_lines(results: Mapping[str, Quantity]) -> list[str]:
     width = max(map(len, results), default=0)
     lines = []
     for name, quantity in results.items():
-        line = f"{name:{width}}  {format_quantity(quantity)}"
+        line = f"{name:{width}}  {format_quantity(quantity, name)}"
         if quantity.u is None:
             line += f"  (no uncertainty: {quantity.reason})"
         lines.append(line)
@@ -25,7 +25,7 @@ def result_lines(results: Mapping[str, Quantity]) -> list[str]:
 
 def budget_lines(name: str, quantity: Quantity) -> list[str]:
     """Return the uncertainty budget of a result as aligned lines, the largest share first."""
-    head = f"{name}  {format_quantity(quantity)}"
+    head = f"{name}  {format_quantity(quantity, name)}"
     if quantity.u is None:
         return [f"{head}  (no uncertainty: {quantity.reason})"]
     if not quantity.budget:

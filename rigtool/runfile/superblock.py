@@ -1,4 +1,4 @@
-"""What HDF5 does not offer at a file's start: opening it unclosed, and leaving times out of it.
+"""Access to a file's superblock that HDF5 does not offer: opening unclosed files, clearing times.
 
 HDF5 sets a flag in the superblock while a file is being written, and refuses to open a file with
 that flag. Reading as a follower of the writer (SWMR) does not suit remains that may be damaged:

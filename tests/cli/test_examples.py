@@ -66,6 +66,9 @@ def prepare(bench, line):
         arrays = {"t": recorded.time, "i": recorded.current, "f": recorded.torque / 0.5}
         take(bench, STAIRCASE, {"a": {**arrays, "degc": recorded.temperature}})
         (bench / "runs").rename(bench / "imported")
+    elif "loaded.h5" in line:
+        for name in ("loaded.h5", "bare.h5"):
+            shutil.copy(bench / "friction.h5", bench / name)
     elif "stribeck imported/" in line:
         hold(bench, (-20, -10, -5, 5, 10, 20))
     elif "run07.csv" in line:

@@ -202,11 +202,11 @@ def test_a_condition_is_taken_from_the_folder(folder, capsys):
 
 @needs_data
 def test_instruments_of_the_mis_tool_set(tmp_path, capsys):
-    source = DATA / "mis-tool" / "Tool_4_Maryland_L_4"
-    arguments = ("import", source, "--map", MAPPINGS / "mis-tool.toml", "-o", tmp_path / "tool4")
+    tool = DATA / "mis-tool" / "Tool_4_Maryland_L_4"
+    source = [tool / f"{name}.TXT.gz" for name in ("00", "27", "49")]  # of 50, to be quick
+    arguments = ("import", *source, "--map", MAPPINGS / "mis-tool.toml", "-o", tmp_path / "tool4")
     assert call(capsys, *arguments)[0] == 0
-    names = [f"{frequency}{load}.h5" for frequency in range(5) for load in range(10)]
-    assert sorted(os.listdir(tmp_path / "tool4")) == names
+    assert sorted(os.listdir(tmp_path / "tool4")) == ["00.h5", "27.h5", "49.h5"]
     with open_run(tmp_path / "tool4" / "49.h5") as run:
         recording = run.recording("imported")
         assert recording.condition("load_number") == 9

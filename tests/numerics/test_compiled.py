@@ -1,5 +1,8 @@
 """Functions are compiled where nothing can be kept, too."""
 
+import subprocess
+import sys
+
 from numba.core import caching
 
 from rigtool.numerics.compiled import compiled
@@ -16,3 +19,14 @@ def test_without_a_place_for_machine_code(monkeypatch):
     for locator in caching._CacheLocator.__subclasses__():
         monkeypatch.setattr(locator, "from_function", classmethod(none))
     assert compiled(twice)(21) == 42
+
+
+def test_numba_is_imported_with_the_first_call():
+    code = (
+        "import sys\n"
+        "import rigtool.experiments.force_filter.kalman\n"
+        "from rigtool.rigs.virtual.kernel import _bristle\n"
+        "print('numba' in sys.modules, _bristle(0.5, 0.0, 1e-4, 1e-3), 'numba' in sys.modules)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert found.stdout == "False 0.5 True\n", found.stderr

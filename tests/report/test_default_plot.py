@@ -66,5 +66,5 @@ def test_a_part_by_its_name(tmp_path):
     assert axes.get_title() == "stribeck: breakaway"
     with open_run(tmp_path / "a.h5") as run:
         assert plot_names(run)[0] == f"tables/{next(iter(run.tables))}"
-    with pytest.raises(UsageError, match="has no part 'sweeps' to draw: choose one of tables/"):
+    with pytest.raises(UsageError, match=r"has no part 'sweeps' to draw.* did you mean sweep"):
         drawn(tmp_path / "d.h5", recording, TABLES, "sweeps")

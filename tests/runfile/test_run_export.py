@@ -173,7 +173,7 @@ def test_netcdf_of_another_reader(run_path, tmp_path):
         ("a", None, "use one of .csv, .parquet, .mat, .nc"),
         ("a.mat", "sweep", "--part is for .csv and .parquet"),
         ("a.csv", None, "more than one thing: choose by --part from results, recordings/sweep"),
-        ("a.csv", "nothing", "has 0 parts 'nothing'"),
+        ("a.csv", "nothing", "has no single part 'nothing'"),
     ],
 )
 def test_what_is_not_clear_is_asked(run_path, tmp_path, name, part, message):

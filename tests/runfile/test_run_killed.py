@@ -24,10 +24,10 @@ from rigtool.errors import RigtoolError, RunFileError, UsageError
 from rigtool.runfile import RunWriter, chunk_of, open_run, writer
 from rigtool.runfile.recovery import recover
 from tests.runfile.whole_run import SPECS, samples, write
+from tests.thorough import first_of
 
 ROOT = Path(__file__).parents[2]
 RECIPE, FIXTURES = ROOT / "recipes" / "briaire-2006.toml", ROOT / "tests" / "fixtures"
-KILLS = 17
 
 # Short, but each with several recordings of more than a chunk.
 COMMANDS = {
@@ -164,8 +164,9 @@ def require_beginning(path: Path, counts: dict[str, int], whole: Path) -> None:
                 )
 
 
+@pytest.mark.parametrize("kills", first_of([6, 34]))
 @pytest.mark.parametrize("command", list(COMMANDS))
-def test_a_command_killed_at_any_moment(tmp_path, capsys, command):
+def test_a_command_killed_at_any_moment(tmp_path, capsys, command, kills):
     path, back, whole = (tmp_path / name for name in ("run.h5", "back.h5", "whole.h5"))
     part = Path(f"{path}.part")
     assert call(command_line(command, whole)) == 0  # imports and compiles
@@ -177,7 +178,7 @@ def test_a_command_killed_at_any_moment(tmp_path, capsys, command):
     earlier = (FIXTURES / "kt.h5").read_bytes()
     luck = random.Random(20061)
     outcomes = {"finished": 0, "recovered": 0, "nothing": 0}
-    for _ in range(KILLS):
+    for _ in range(kills):
         part.unlink(missing_ok=True)
         path.write_bytes(earlier)
         moment = luck.uniform(0, undisturbed.times[-1])
@@ -196,7 +197,7 @@ def test_a_command_killed_at_any_moment(tmp_path, capsys, command):
             require_beginning(back, counts, whole)
         outcomes["recovered" if counts else "nothing"] += 1
     # Most moments are in the middle of it, or the test would prove little.
-    assert outcomes["recovered"] >= KILLS // 2, outcomes
+    assert outcomes["recovered"] >= kills // 2, outcomes
 
 
 def interrupted(path: Path, size: int = 10_000, recordings=SPECS) -> Path:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE, Command, current_output, example
+from rigtool.cli.options import FILE, Command, Number, current_output, example
 
 
 @click.command(cls=Command, epilog=example("rigtool diff kt.h5 kt-again.h5 --rtol 1e-6"))
 @click.argument("first", type=FILE, metavar="RUN.h5")
 @click.argument("second", type=FILE, metavar="RUN.h5")
-@click.option("--rtol", type=click.FloatRange(min=0), default=0.0, help="Relative tolerance.")
-@click.option("--atol", type=click.FloatRange(min=0), default=0.0, help="Absolute tolerance, SI.")
+@click.option("--rtol", type=Number(min=0), default=0.0, help="Relative tolerance.")
+@click.option("--atol", type=Number(min=0), default=0.0, help="Absolute tolerance, SI.")
 @click.pass_context
 def command(ctx: click.Context, first: str, second: str, rtol: float, atol: float) -> None:
     """Show where two runs differ.

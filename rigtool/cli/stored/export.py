@@ -79,8 +79,8 @@ def command(
     cogging table (.cfg); odrive, 3600 values of the turn; fourier, the orders above the noise;
     table, a .mat of the table alone. The loss by rounding is reported.
 
-    What implementation D learned becomes the force sensor of measure-force --record in C99 by
-    --format c-sensor: one header that reads the torque on the output from current and encoder.
+    --format c-sensor writes the force sensor of measure-force --record in C99, from tables of
+    implementation D: one header that reads the torque on the output from current and encoder.
     """
     from rigtool.experiments.deploy.stored_export import chosen_format, export_table
     from rigtool.runfile import open_run

@@ -146,7 +146,7 @@ def identifier(stem: str) -> str:
 
 
 def comment(lines: Sequence[str]) -> str:
-    """Return lines as a C comment that nothing in them can end."""
+    """Return lines as a C comment; nothing in the lines can end it."""
     return "/*\n" + "".join(f" * {c_comment(line)}".rstrip() + "\n" for line in lines) + " */"
 
 

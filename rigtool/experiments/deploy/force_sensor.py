@@ -24,7 +24,7 @@ from rigtool.numerics.arrays import Array
 Number = float | int | str | Array
 
 DIGITS = 12
-"""Of the maps; all other numbers are exact."""
+"""Digits of the maps' numbers; all other numbers are exact."""
 
 INT32 = 2**31 - 1
 """Largest count of an encoder in the header."""
@@ -85,12 +85,12 @@ def sensor_header(
 
 
 def _within(span: float, step_time: float) -> int:
-    """Return the steps that a span of time, s, back from one and it itself are."""
+    """Return the number of steps in a span of time, s, that ends with a step, included."""
     return 2 * max(1, round(span / step_time / 2)) + 1
 
 
 def _lasting(left: float, step_time: float) -> int:
-    """Return the steps that a time, s, lasts where each takes its own off it."""
+    """Return the number of steps after which a time, s, is over."""
     steps = 0
     while left > 0:
         left -= step_time

@@ -27,8 +27,8 @@ class PositionMap:
     """Values (n,) at equal steps of a turn from `start`, rad, their mean over the turn removed.
 
     `u` (n,) is their standard uncertainty, in the same unit. `mean` is the removed mean, `speed`
-    the one the map belongs to, rad/s, negative where only that direction was learned;
-    `both_directions` is true for the mean of two.
+    that of the map, rad/s, negative where only that direction was learned; `both_directions` is
+    true for the mean of two.
     """
 
     start: float

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.deploy.force_sensor import sensor_header
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of, require_calibration
 from rigtool.experiments.force_sensor.procedure_reading import instrument_of
-from rigtool.experiments.force_sensor.results_over_time import COVERAGE_FACTOR
 from rigtool.experiments.learning.stored_table import origin_of
 from rigtool.recipe import Recipe
 from rigtool.runfile import Run

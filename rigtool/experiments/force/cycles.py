@@ -7,7 +7,7 @@ subtracts from the other [8.2]:
 
     T_lifting = T_load + T_ef,  T_lowering = T_load - T_ef,  T_ef = (T_lifting - T_lowering) / 2
 
-A soft instrument lets the load lag behind: the peak appears at a later angle than 90 degrees, and
+In a soft instrument the load lags behind: the peak appears at a later angle than 90 degrees, and
 T_load / shift estimates the stiffness (thesis Fig. 62).
 """
 
@@ -65,8 +65,9 @@ class Normality:
     """Readings against a normal distribution.
 
     `ordered` (n,) are the readings sorted, `quantile` (n,) where a standard normal distribution
-    expects them, `probability` (n,) the same as probability; `correlation` is that of the two
-    (1 for a straight plot), `p` the Shapiro-Wilk probability of a scatter this unlike a normal one.
+    expects them, `probability` (n,) the same as probability; `correlation` is that of the two (1
+    for a straight plot), `p` the Shapiro-Wilk probability of a sample at least this unlike a normal
+    one.
     """
 
     ordered: Array
@@ -148,7 +149,7 @@ def statistics(values: ArrayLike, applied: float) -> LoadStatistics:
 
     u = S / sqrt(m), where m = n (1 - r) / (1 + r) allows for a correlation r >= 0 from one reading
     to the next (first-order autoregression; Bayley and Hammersley, J. R. Stat. Soc. Suppl. 8
-    (1946) 184). A negative r is not credited: forty readings cannot prove it.
+    (1946) 184). A negative r is taken as zero: forty readings cannot prove it.
     """
     (x,) = require_signals(3, values=values)
     mean, std = float(x.mean()), float(x.std(ddof=1))

@@ -13,37 +13,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.force.imported_strokes import levels_table, read_strokes, scatter_results
+from rigtool.experiments.force.imported_strokes import read_strokes, scatter_results, stroke_loads
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_sensor.results_over_time import Reading, over_time_tables
-from rigtool.experiments.imported import RECORDING, require_one_rig, signals_of
-from rigtool.experiments.imported_load.imported_accuracy import (
-    FAST,
-    REFERENCE,
-    WIDE,
-    Accuracy,
-    LoadSignals,
-    accuracy,
-    accuracy_columns,
-    carries,
-    judge,
-    levels_of,
-    read_signals,
-)
+from rigtool.experiments.imported import RECORDING
+from rigtool.experiments.imported_load.basis import LoadSignals
+from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_all
+from rigtool.experiments.imported_load.learning import levels_of
 from rigtool.experiments.imported_load.loop import DOUBTED, REFUSED
 from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
 from rigtool.experiments.imported_load.region import reached
-from rigtool.experiments.imported_load.stored import RANDOM, WIDE_MODEL, load_model_from
+from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.experiments.outcome import Outcome
-from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Recording, Run, Table
+from rigtool.runfile import Column, Run, Table
 
 MOST_BEYOND = 0.25
-"""Part of the way beyond the learned stroke, from which on positions are those of another zero."""
+"""Part of the way beyond the learned stroke from which on the encoder was zeroed elsewhere."""
 
-LEFT_OUT, RANDOM_HALF = 0, 1
-"""How the samples that are judged were kept from learning: other runs, or random halves."""
+FAST = 0.25
+"""Strokes count as moving fast from this speed of the output on, rad/s, as by O'Neill et al., IEEE
+RA-L 3(4) 3027-3034, 2018."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,22 +50,20 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     Raises `UsageError` for tables of another rig, `InsufficientDataError` for those of another
     mounting and where all is outside what was learned.
     """
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
     model, unit = load_model_from(tables)
     _require_learned_here(runs, tables)
-    measured = _measured(runs, recordings, model, kt, unit)
+    read = read_all(runs, kt, model.bandwidth_hz, unit)
+    measured = [Measured(one, model.estimate(one.effort, one.path)) for one in read]
     _require_stroke(measured, model, tables)
     notes = [*_require_inside(measured, model), *_also_learned(runs, tables)]
     measured, remarks = _of_this_mounting(measured, model, tables)
+    rows = [_reading(item) for item in measured]
+    results, found = over_time_tables(rows, model.scales.torque, model.bandwidth_hz)
+    found["force"] = _with_motion(found["force"], measured, model.direction)
+    results |= _own_results(Reading.joined(rows), model)
     notes += remarks
-    results, found = over_time_tables(
-        [_reading(item) for item in measured], model.scales.torque, model.bandwidth_hz
-    )
-    found["force"] = _with_motion(found["force"], measured, unit, model.direction)
-    results |= _own_results(measured)
     if all(item.signals.reference is not None for item in measured):
-        more, judged_tables, remarks = _judged(runs, recordings, measured, tables, kt, unit)
+        more, judged_tables, remarks = _judged(measured, rows, model)
         results |= more
         found |= judged_tables
         notes += remarks
@@ -84,28 +72,8 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     return Outcome(results, found, tuple(notes))
 
 
-def _measured(
-    runs: Sequence[Run],
-    recordings: Sequence[Recording],
-    model: LoadModel,
-    kt: Run | None,
-    unit: str,
-) -> list[Measured]:
-    """Return signals and estimates; `UsageError` where the effort is not in the model's unit."""
-    measured = []
-    for run, recording in zip(runs, recordings, strict=True):
-        signals = read_signals(run, recording, kt, model.bandwidth_hz)
-        if signals.effort_unit != unit:
-            raise UsageError(
-                f"{run.path}: its effort is in {signals.effort_unit}, the tables were learned "
-                f"in {unit}: give --kt to both commands or to neither"
-            )
-        measured.append(Measured(signals, model.estimate(signals.effort, signals.path)))
-    return measured
-
-
 def _require_stroke(measured: Sequence[Measured], model: LoadModel, tables: Run) -> None:
-    """Raise `InsufficientDataError` where much of the way is beyond the stroke that was learned."""
+    """Raise `InsufficientDataError` where much of the way is beyond the learned stroke."""
     paths = [item.signals.path for item in measured]
     place = np.concatenate([model.place(path)[path.regular] for path in paths])
     beyond = float(np.mean(~reached(place)))
@@ -123,7 +91,7 @@ def _of_this_mounting(
 ) -> tuple[list[Measured], list[str]]:
     """Return the estimates with u widened where strokes to and fro disagree, and notes.
 
-    Raises `InsufficientDataError` where they disagree as none of the learned recordings did.
+    Raises `InsufficientDataError` where strokes disagree more than in any learned recording.
     """
     loop = model.loop
     misfits = np.array([_misfit(item, model) for item in measured])
@@ -159,9 +127,8 @@ def _of_this_mounting(
 
 
 def _misfit(item: Measured, model: LoadModel) -> float:
-    rows, estimate, path = item.signals.counts, item.estimate, item.signals.path
-    torque = np.where(estimate.inside, estimate.torque, np.nan)[rows] / model.scales.torque
-    return model.loop.misfit(model.place(path)[rows], path.speed[rows] > 0, torque)
+    path, torque = item.signals.path, item.estimate.moving / model.scales.torque
+    return model.loop.misfit(model.place(path), path.speed > 0, torque)
 
 
 def _require_learned_here(runs: Sequence[Run], tables: Run) -> None:
@@ -185,9 +152,8 @@ def _also_learned(runs: Sequence[Run], tables: Run) -> list[str]:
 
 def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]:
     """Return notes on samples without an estimate; raise where no sample has one."""
-    rows = np.concatenate([item.signals.counts for item in measured])
-    states = np.concatenate([item.estimate.states for item in measured])[rows]
-    wild = np.concatenate([~item.signals.path.regular for item in measured])[rows]
+    states = np.concatenate([item.estimate.states for item in measured])
+    wild = np.concatenate([~item.signals.path.regular for item in measured])
     inside = np.isin(states, (State.AGAINST, State.WITH))
     hidden = np.isin(states, (State.REVERSED, State.STILL))
     if not inside.any():
@@ -212,75 +178,47 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
     return notes
 
 
-def _own_results(measured: Sequence[Measured]) -> dict[str, Quantity]:
+def _own_results(whole: Reading, model: LoadModel) -> dict[str, Quantity]:
     """Return the results that need no sensor."""
-    parts = [
-        [getattr(item.estimate, name)[item.signals.counts] for item in measured]
-        for name in ("inside", "states", "u", "low", "high")
-    ]
-    inside, states, u, low, high = (np.concatenate(part) for part in parts)
-    hidden = np.isin(states, (State.REVERSED, State.STILL))
-    count = "a count"
+    moving = (whole.states == State.AGAINST) | (whole.states == State.WITH)
     found = {
-        "samples": Quantity(int(np.sum(inside)), "1", reason=count),
-        "samples_outside": Quantity(int(np.sum(states == State.OUTSIDE)), "1", reason=count),
-        "samples_still": Quantity(int(np.sum(hidden)), "1", reason=count),
+        "bandwidth": Quantity(model.bandwidth_hz, "Hz", reason="of all signals, as learned"),
         "torque_u_median": Quantity(
-            float(np.median(u[inside])), "N m", reason="itself an uncertainty: of one sample"
+            float(np.median(whole.u[moving])), "N m", reason="itself an uncertainty: of one sample"
         ),
     }
-    if hidden.any():
-        found["dead_band"] = Quantity(
-            float(np.median((high - low)[hidden])),
-            "N m",
-            reason="the median width, near standstill and after reversals",
-        )
+    if whole.hidden.any():
+        width = float(np.median(2 * whole.half[whole.hidden]))
+        reason = "the median width, near standstill and after reversals"
+        found["dead_band"] = Quantity(width, "N m", reason=reason)
     return found
 
 
 def _reading(item: Measured) -> Reading:
     """Return a run as force over time has it."""
-    signals, estimate = item.signals, item.estimate
-    rows = signals.counts
-
-    def kept(values: Array) -> Array:
-        return np.nan_to_num(values[rows])  # no value: the state is that of none
-
+    time, estimate = item.signals.path.time, item.estimate
     return Reading(
         name=RECORDING,
-        step_time=float(np.diff(signals.path.time[:2])[0]),
-        time=signals.path.time[rows],
-        torque=kept(estimate.torque),
-        u=kept(estimate.u),
-        causal=np.empty(0),
-        causal_u=np.empty(0),
-        causal_states=np.empty(0, dtype=estimate.states.dtype),
-        states=estimate.states[rows],
-        reference=None if signals.reference is None else signals.reference[rows],
-        limited=0,
+        step_time=float(time[-1] - time[0]) / max(len(time) - 1, 1),
+        time=time,
+        torque=np.nan_to_num(estimate.torque),  # no value: the state is that of none
+        u=np.nan_to_num(estimate.u),
+        states=estimate.states,
+        reference=item.signals.reference,
+        dead_bands=True,
     )
 
 
-def _with_motion(table: Table, measured: Sequence[Measured], unit: str, direction: int) -> Table:
-    """Return the table with what the torque was read from; low and high are those of the dead band
-    where friction may act either way."""
-
-    def joined(values: Sequence[Array]) -> Array:
-        rows = [item.signals.counts for item in measured]
-        return np.concatenate([own[row] for own, row in zip(values, rows, strict=True)])
-
-    columns = dict(table.columns)
-    for name in ("low", "high"):
-        values = joined([getattr(item.estimate, name) for item in measured])
-        columns[name] = replace(columns[name], values=values)
-    columns |= {
-        "position": Column(joined([m.signals.path.position for m in measured]), "rad", "motor"),
-        "speed": Column(
-            joined([direction * m.signals.output_speed for m in measured]),
-            "rad/s",
-            "of the output, positive against the load",
-        ),
-        "effort": Column(joined([m.signals.effort for m in measured]), unit, "of the motor"),
+def _with_motion(table: Table, measured: Sequence[Measured], direction: int) -> Table:
+    """Return the table with what the torque was read from."""
+    signals = [item.signals for item in measured]
+    position = np.concatenate([one.path.position for one in signals])
+    speed = direction * np.concatenate([one.output_speed for one in signals])
+    effort = np.concatenate([one.effort for one in signals])
+    columns = dict(table.columns) | {
+        "position": Column(position, "rad", "motor"),
+        "speed": Column(speed, "rad/s", "of the output, positive against the load"),
+        "effort": Column(effort, signals[0].effort_unit, "of the motor"),
     }
     return replace(
         table,
@@ -289,78 +227,25 @@ def _with_motion(table: Table, measured: Sequence[Measured], unit: str, directio
     )
 
 
-# -- judged by the sensor
-
-
 def _judged(
-    runs: Sequence[Run],
-    recordings: Sequence[Recording],
-    measured: Sequence[Measured],
-    tables: Run,
-    kt: Run | None,
-    unit: str,
+    measured: Sequence[Measured], rows: Sequence[Reading], model: LoadModel
 ) -> tuple[dict[str, Quantity], dict[str, Table], list[str]]:
-    """Return results, tables and notes of the comparison with the sensor."""
-    model, _ = load_model_from(tables)
-    found = _accuracy(measured, model)
-    strokes = read_strokes([(m.signals, m.estimate) for m in measured], model.direction)
-    rows = [(LEFT_OUT, model.bandwidth_hz, found)]
-    if WIDE_MODEL in tables.tables and carries(recordings, WIDE):
-        model, _ = load_model_from(tables, WIDE_MODEL)
-        rows.append(
-            (LEFT_OUT, WIDE, _accuracy(_measured(runs, recordings, model, kt, unit), model))
-        )
-    numbers = levels_of([item.signals for item in measured])
-    more, notes = scatter_results(strokes)
-    found_tables = {"accuracy": _accuracy_table(rows, tables)}
-    if (table := levels_table(strokes, numbers)) is not None:
-        found_tables["levels"] = table
-    else:
+    """Return results, tables and notes of the comparison with the sensor: of strokes."""
+    fast = [model.direction * m.signals.output_speed / FAST for m in measured]
+    pairs = [(m.signals, m.estimate.moving, f > 1) for m, f in zip(measured, fast, strict=True)]
+    strokes = read_strokes(pairs)
+    results, notes = scatter_results(strokes)
+    error = np.concatenate([m.estimate.moving - m.signals.sensor for m in measured])
+    speed = np.concatenate(fast)
+    reason = f"itself a measure of uncertainty; NaN: no such stroke is faster than {FAST:g} rad/s"
+    for name, own in (("closing", speed > 1), ("opening", speed < -1)):
+        known = error[own & np.isfinite(error)]
+        rms = float(np.sqrt(np.mean(known**2))) if known.size else np.nan
+        results[f"rmse_{name}"] = Quantity(rms, "N m", reason=reason)
+    table = stroke_loads(strokes, levels_of([item.signals for item in measured]))
+    if table is None:
         notes.append(
             f"no closing stroke passes the middle of the stroke faster than {FAST:g} rad/s: "
-            "there is no table of levels"
+            "there is no table of loads"
         )
-    return {**_accuracy_results(found), **more}, found_tables, notes
-
-
-def _accuracy(measured: Sequence[Measured], model: LoadModel) -> Accuracy:
-    return accuracy([judge(item.signals, item.estimate, model.direction) for item in measured])
-
-
-def _accuracy_results(found: Accuracy) -> dict[str, Quantity]:
-    reason = "itself a measure of uncertainty"
-    slow = f"{reason}; NaN: no such stroke is faster than {FAST:g} rad/s"
-    return {
-        "rmse_closing": Quantity(found.closing, "N m", reason=slow),
-        "rmse_opening": Quantity(found.opening, "N m", reason=slow),
-        "rmse_moving": Quantity(found.moving, "N m", reason=reason),
-        "coverage_95": Quantity(found.coverage, "1", reason=reason),
-    }
-
-
-def _accuracy_table(rows: Sequence[tuple[int, float, Accuracy]], tables: Run) -> Table:
-    """Return errors by split and bandwidth: of these runs, and of those that were learned from."""
-    split = [float(kind) for kind, _, _ in rows]
-    bandwidth = [bandwidth for _, bandwidth, _ in rows]
-    columns = accuracy_columns([item for _, _, item in rows])
-    values = {name: list(column.values) for name, column in columns.items()}
-    if RANDOM in tables.tables:
-        random = tables.table(RANDOM)
-        split += [float(RANDOM_HALF)] * len(random["bandwidth"])
-        bandwidth += list(random["bandwidth"])
-        for name in values:
-            values[name] += list(random[name])
-    return Table(
-        ("row",),
-        {
-            "row": Column(np.arange(len(split)), "1"),
-            "split": Column(np.array(split), "1", "0: runs kept from learning; 1: random halves"),
-            "bandwidth": Column(np.array(bandwidth), "Hz", "of all signals"),
-            **{
-                name: Column(np.array(values[name]), column.unit, column.description)
-                for name, column in columns.items()
-            },
-        },
-        "rmse_closing",
-        "errors against the sensor",
-    )
+    return results, {} if table is None else {"loads": table}, notes

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.imported_load.imported_accuracy import FAST, LoadSignals
-from rigtool.experiments.imported_load.model import TorqueEstimate
-from rigtool.numerics.arrays import Array
+from rigtool.experiments.force.results import COLUMNS, LoadRow, loads_table
+from rigtool.experiments.imported_load.basis import LoadSignals
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Table
+from rigtool.runfile import Table
 
 CELLS = 25
 """Positions along the stroke at which repeats are compared."""
@@ -38,47 +38,38 @@ class Strokes:
     sensor: Array
 
 
-def read_strokes(
-    items: Sequence[tuple[LoadSignals, TorqueEstimate]], direction: int
-) -> list[Strokes]:
-    """Return the fast strokes against the load of each run, at common positions."""
+def read_strokes(items: Sequence[tuple[LoadSignals, Array, Mask]]) -> list[Strokes]:
+    """Return the fast strokes of each run at common positions.
+
+    `items` are signals, the torque as measured (n,) N m, NaN without one, and where the strokes are
+    (n,).
+    """
     found = []
-    for signals, _ in items:
-        fast = signals.counts & (direction * signals.output_speed > FAST)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], fast.astype(int), [0]])))
+    for *_, fast in items:
+        edges = np.flatnonzero(np.diff(fast.astype(int), prepend=0, append=0))
         found.append([slice(a, b) for a, b in edges.reshape(-1, 2) if b - a > 2])
     places = [
-        signals.place[part]
-        for (signals, _), parts in zip(items, found, strict=True)
-        for part in parts
+        own.place[part] for (own, *_), parts in zip(items, found, strict=True) for part in parts
     ]
     if not places:
         return []
     low, high = min(p.min() for p in places), max(p.max() for p in places)
     grid = low + (np.arange(2 * CELLS + 1) / (2 * CELLS)) * (high - low)
     strokes = []
-    for (signals, estimate), parts in zip(items, found, strict=True):
-        torque = np.full((len(parts), len(grid)), np.nan)
-        sensor = torque.copy()
-        for row, part in enumerate(parts):
+    for (signals, measured, _), parts in zip(items, found, strict=True):
+        rows = np.full((2, len(parts), len(grid)), np.nan)
+        for number, part in enumerate(parts):
             place = signals.place[part]
             order = np.argsort(place, kind="stable")
-            moving = np.where(estimate.inside, estimate.torque, np.nan)
-            for values, of in ((torque, moving), (sensor, _sensor(signals))):
-                values[row] = np.interp(
+            for values, of in zip(rows[:, number], (measured, signals.sensor), strict=True):
+                values[:] = np.interp(
                     grid, place[order], of[part][order], left=np.nan, right=np.nan
                 )
-        strokes.append(Strokes(grid, torque, sensor))
+        strokes.append(Strokes(grid, *rows))
     return strokes
 
 
-def _sensor(signals: LoadSignals) -> Array:
-    if signals.reference is None:
-        raise ValueError("strokes are compared with a sensor")
-    return signals.reference
-
-
-def levels_table(strokes: Sequence[Strokes], numbers: Sequence[int]) -> Table | None:
+def stroke_loads(strokes: Sequence[Strokes], numbers: Sequence[int]) -> Table | None:
     """Return applied and measured torque at the middle of the closing strokes, by level [Table 8].
 
     Torque that resists closing counts as positive. `numbers` are the levels of the runs. None where
@@ -87,7 +78,7 @@ def levels_table(strokes: Sequence[Strokes], numbers: Sequence[int]) -> Table | 
     if not strokes:
         return None
     middle = len(strokes[0].place) // 2
-    rows: list[list[float]] = []
+    rows: list[LoadRow] = []
     pooled = np.concatenate([item.sensor[:, middle] for item in strokes])
     sign = math.copysign(1.0, float(np.nansum(pooled)))
     for level in sorted(set(numbers)):
@@ -98,40 +89,44 @@ def levels_table(strokes: Sequence[Strokes], numbers: Sequence[int]) -> Table | 
                 torque.append(sign * item.torque[known, middle])
                 sensor.append(sign * item.sensor[known, middle])
                 errors.append(float(np.mean(torque[-1] - sensor[-1])))
-        if not torque:
-            continue
-        every, applied = np.concatenate(torque), float(np.mean(np.concatenate(sensor)))
-        mean, runs = float(every.mean()), len(torque)
-        std = float(every.std(ddof=1)) if every.size >= REPEATS else math.nan
-        # Runs disagree by more than the strokes of one: they are what repeats the measurement.
-        u = float(np.std(errors, ddof=1)) / math.sqrt(runs) if runs >= REPEATS else math.nan
-        error = mean - applied
-        percent = (100 / applied) if applied else math.nan
-        rows.append(
-            [level, runs, every.size, applied, mean, u, std, error, error * percent, u * percent]
-        )
+        if torque:
+            rows.append(_row(np.concatenate(torque), np.concatenate(sensor), np.array(errors)))
     if not rows:
         return None
-    names = (
-        ("level", "1", "lowest first"),
-        ("runs", "1", "at this level"),
-        ("strokes", "1", "of all runs"),
-        ("applied_torque", "N m", "the sensor's mean"),
-        ("mean_torque", "N m", "measured, mean of all strokes"),
-        ("mean_torque_u", "N m", "of mean_torque - applied_torque, from how runs disagree"),
-        ("std_torque", "N m", "S of a stroke"),
-        ("error_torque", "N m", "mean less applied"),
-        ("error_percent", "%", "of the applied torque"),
-        ("error_percent_u", "%", ""),
-    )
-    values = np.array(rows).T
     place = strokes[0].place[middle]
-    return Table(
-        ("level",),
-        {name: Column(v, unit, what) for v, (name, unit, what) in zip(values, names, strict=True)},
-        "mean_torque",
-        f"closing strokes where the load is at {place:.4g} rad; torque against closing is positive",
+    about = (
+        f"closing strokes where the load is at {place:.4g} rad; torque against closing is positive"
     )
+    return loads_table(rows, {k: v for k, v in {**COLUMNS, **_OWN}.items() if v}, about)
+
+
+_OWN = {
+    "applied_force": ("N", "NaN: a torque is applied"),
+    "applied_torque": ("N m", "the sensor's mean"),
+    "applied_torque_u": None,
+    "mean_torque": ("N m", "measured, mean of all strokes"),
+    "mean_torque_u": ("N m", "standard uncertainty of the error, from how runs disagree"),
+    "error_torque_u": None,
+    "cycles": ("1", "strokes of all runs"),
+    "effective_cycles": ("1", "runs"),
+}
+"""What differs from other tables of loads; None: not there."""
+
+
+def _row(torque: Array, sensor: Array, errors: Array) -> LoadRow:
+    """Return one load from strokes (n,) and the mean errors of runs (r,), N m.
+
+    Runs disagree by more than the strokes of one: they are what repeats the measurement.
+    """
+    runs, mean = len(errors), float(torque.mean())
+    shown = Quantity(mean, "N m", reason="of one run: its scatter is not known")
+    if runs >= REPEATS:
+        shown = Quantity(mean, "N m", float(errors.std(ddof=1)) / math.sqrt(runs), float(runs - 1))
+    std = float(torque.std(ddof=1)) if torque.size >= REPEATS else math.nan
+    applied = Quantity(float(sensor.mean()), "N m", reason="by the sensor")
+    # S / sqrt(2 (n - 1)) for normal readings (GUM E.4.3)
+    std_u = std / math.sqrt(2 * max(torque.size - 1, 1))
+    return LoadRow(math.nan, applied, shown, std, std_u, float(torque.size), float(runs))
 
 
 def scatter_results(strokes: Sequence[Strokes]) -> tuple[dict[str, Quantity], list[str]]:

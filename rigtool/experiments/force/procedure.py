@@ -15,7 +15,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force.imported import analyse_imported
 from rigtool.experiments.force.procedure_readings import read_load
-from rigtool.experiments.force.results import ZERO_AGAIN, Reading, load_rows, loads_outcome
+from rigtool.experiments.force.results import ZERO_AGAIN, LoadReadings, load_rows, loads_outcome
 from rigtool.experiments.force.results_instrument import instrument_outcome
 from rigtool.experiments.force.results_method import (
     lacking_torque,
@@ -147,7 +147,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: Run) -> Out
 
 def _corrected(
     run: Run,
-    loads: list[Reading],
+    loads: list[LoadReadings],
     recipe: Recipe,
     constant: Quantity,
     lacking: float,

@@ -8,7 +8,7 @@ import numpy as np
 
 from rigtool.experiments.controller_torque import loop_blocks, naming
 from rigtool.experiments.force.cycles import find_cycles, readings
-from rigtool.experiments.force.results import Reading
+from rigtool.experiments.force.results import LoadReadings
 from rigtool.experiments.force.results_method import resolution_u, unsteady_torque
 from rigtool.experiments.force_model.procedure_learning import stroke_record
 from rigtool.numerics.arrays import Array
@@ -28,7 +28,7 @@ def read_load(
     torque_constant: float,
     lacking: float,
     whole: Run | None = None,
-) -> Reading:
+) -> LoadReadings:
     """Filter a recording, cut it into cycles and read the torque of each.
 
     `torque_constant` is in N m/A, `lacking` N m is what samples lack (`results_method`). With the
@@ -54,7 +54,7 @@ def read_load(
             resolution_u(recording, recipe, torque_constant),
         )
         values = readings(angle, torque, cycles, math.radians(settings.measure_angle))
-    return Reading(
+    return LoadReadings(
         name=recording.name,
         force=recording.condition("force"),
         asked_cycles=round(recording.condition("cycles")),

@@ -41,13 +41,13 @@ SIGNIFICANCE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class LoadReadings:
     """One recording, filtered: signals (n,), its cycles, and the torque read in each (cycles,).
 
     `position` in quad counts of the motor; `torque` at the output and `feedforward` (of the learned
     table) at the motor, N m. `method_u` N m is the standard uncertainty at the output by the errors
-    that the method adds to a reading. `whole` holds the same cycles laid over each other,
-    where loads are read from whole strokes.
+    that the method adds to a reading. `whole` holds the mean of the same cycles, where loads are
+    read from whole strokes.
     """
 
     name: str
@@ -139,7 +139,7 @@ def stroke_grid(recipe: Recipe) -> Array:
 
 
 def load_rows(
-    loads: Sequence[Reading], recipe: Recipe, constant: Quantity, table_u: float
+    loads: Sequence[LoadReadings], recipe: Recipe, constant: Quantity, table_u: float
 ) -> list[LoadRow]:
     """Return Table 8 or 9, load by load, from readings at one angle of the rising strokes.
 
@@ -180,7 +180,9 @@ def mean_results(rows: Sequence[LoadRow]) -> dict[str, Quantity]:
     return {"mean_torque_no_load": loads.pop("mean_torque_load_000"), **loads}
 
 
-def loads_outcome(loads: Sequence[Reading], rows: Sequence[LoadRow], recipe: Recipe) -> Outcome:
+def loads_outcome(
+    loads: Sequence[LoadReadings], rows: Sequence[LoadRow], recipe: Recipe
+) -> Outcome:
     """Return Table 8 or 9 and the figures of the unloaded cycles, from readings and their rows."""
     unloaded, judged = rows[0], normality(loads[0].values)
     results = {
@@ -238,9 +240,9 @@ def _mean_quantity(
 ) -> Quantity:
     """Return the mean torque with its whole uncertainty; `constant` is that at one rotor angle.
 
-    torque = factor * (Kt * current + offset) + method (GUM 5.1.2). The offset is zero;
-    `offset_u`, N m at the motor, is how well that is known: from the zero reading, or from the
-    learned table. `method_u` is that of `Reading`.
+    torque = factor * (Kt * current + offset) + method (GUM 5.1.2). The offset is zero; `offset_u`,
+    N m at the motor, is its standard uncertainty, from the zero reading or from the learned table.
+    `method_u` is that of `LoadReadings`.
     """
     rig, mean = recipe.rig, row.mean
     lines = [
@@ -268,7 +270,7 @@ def _applied_quantity(recipe: Recipe, force: float, angle: float) -> Quantity:
 
 
 def reference_lines(recipe: Recipe, force: float, torque: float) -> list[Component]:
-    """Return what makes a torque uncertain that is known by weights on a length."""
+    """Return the budget lines of a reference torque, which weights on a length make."""
     rig = recipe.rig
     return [
         Component(WEIGHTS, force, "N", force * rig.weights_relative_u, None, torque / force),
@@ -283,7 +285,7 @@ def _ratio_line(recipe: Recipe, relative: float) -> Component:
     return Component(ANGLE_RATIO, rig.angle_ratio, "1", u, None, relative / rig.angle_ratio)
 
 
-def _values_table(loads: Sequence[Reading]) -> Table:
+def _values_table(loads: Sequence[LoadReadings]) -> Table:
     values = np.full((len(loads), max(load.values.size for load in loads)), math.nan)
     for row, load in zip(values, loads, strict=True):
         row[: load.values.size] = load.values
@@ -299,7 +301,7 @@ def _values_table(loads: Sequence[Reading]) -> Table:
     )
 
 
-def _curve_tables(loads: Sequence[Reading], recipe: Recipe) -> dict[str, Table]:
+def _curve_tables(loads: Sequence[LoadReadings], recipe: Recipe) -> dict[str, Table]:
     grid = stroke_grid(recipe)
     position = Column(
         up_and_down(grid, 2 * grid[-1] - grid), "count", "of the motor, up and then down again"
@@ -345,7 +347,7 @@ def _curve_tables(loads: Sequence[Reading], recipe: Recipe) -> dict[str, Table]:
     }
 
 
-def _load_notes(loads: Sequence[Reading], rows: Sequence[LoadRow], p: float) -> list[str]:
+def _load_notes(loads: Sequence[LoadReadings], rows: Sequence[LoadRow], p: float) -> list[str]:
     notes = []
     if p < SIGNIFICANCE:
         notes.append(

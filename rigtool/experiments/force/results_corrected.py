@@ -4,8 +4,8 @@
 strokes; what remains, by the tendon's stretch and by ripple that grows with the current, is part of
 its uncertainty. `full` reads the load from whole strokes, lifting and lowering, with the model
 learned at known loads (`experiments.load_disturbance.reading`), the motor constant at the motor's
-own temperature. A load outside what was learned has no value; near standstill none has, only a dead
-band.
+own temperature. A load outside the learned range has no value; near standstill every load has a
+dead band instead of a value.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force.results import (
     COLUMNS,
+    LoadReadings,
     LoadRow,
-    Reading,
     loads_table,
     mean_results,
     reference_lines,
@@ -51,14 +51,14 @@ ITERATIONS = 50
 
 
 def without_load_friction(
-    loads: Sequence[Reading], recipe: Recipe, tables: Run
-) -> tuple[list[Reading], Array]:
+    loads: Sequence[LoadReadings], recipe: Recipe, tables: Run
+) -> tuple[list[LoadReadings], Array]:
     """Return readings without the friction that grows with load, and the u that this adds, N m
     (loads,).
 
-    `loads` begin with the one without load. Solves T + friction(T) = reading - zero for T. To u
-    belong the friction's own and all that it does not take off, which is known to be there: the
-    correction stays that of friction alone. The u of a load beyond the learned ones is NaN.
+    `loads` begin with the one without load. Solves T + friction(T) = reading - zero for T. u
+    includes that of the friction and the errors that remain, of stretch and ripple: the correction
+    is that of friction alone. The u of a load beyond the learned ones is NaN.
     """
     disturbance = corrects(tables, recipe)
     zero = float(loads[0].values.mean())
@@ -81,8 +81,8 @@ def load_outcome(
 ) -> Outcome:
     """Return the outcome `base` of readings `without_load_friction` with the u that it adds.
 
-    `found` are the rows of these readings, `thesis` those of the readings as they were. Raises
-    `InsufficientDataError` where all loads are beyond the learned ones.
+    `found` are the rows of these readings, `thesis` those of the readings before the correction.
+    Raises `InsufficientDataError` where all loads are beyond the learned ones.
     """
     if np.isnan(added_u[1:]).all():
         raise InsufficientDataError(
@@ -172,7 +172,7 @@ WHOLE_TEXTS = {
 
 def full_outcome(
     base: Outcome,
-    loads: Sequence[Reading],
+    loads: Sequence[LoadReadings],
     again: Sequence[Record],
     thesis: Sequence[LoadRow],
     recipe: Recipe,
@@ -230,13 +230,13 @@ def full_outcome(
     return _with_rows(base, rows, thesis, WHOLE_TEXTS, about, notes)
 
 
-def _whole(load: Reading) -> Record:
+def _whole(load: LoadReadings) -> Record:
     assert load.whole is not None
     return load.whole
 
 
 def _outside(disturbance: Disturbance, reading: LoadReading | InsufficientDataError) -> str:
-    """Return why a reading has no value, nothing where it has."""
+    """Return the reason why a reading has no value, empty where it has one."""
     if isinstance(reading, InsufficientDataError):
         return str(reading)
     if reading.moment <= BEYOND * disturbance.torque:
@@ -329,7 +329,7 @@ def corrects(tables: Run, recipe: Recipe) -> Disturbance:
 
 
 def slower_than_learned(disturbance: Disturbance, recipe: Recipe) -> str:
-    """Return why a motion is too slow for a value, nothing where it is not."""
+    """Return the reason why a motion is too slow for a value, empty where it is not."""
     speed = recipe.measure_force.speed_rev_per_s
     slowest = disturbance.speeds[0] / (2 * math.pi * recipe.rig.angle_ratio)
     if speed * SPEED_SLACK >= slowest:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force.cycles import Peaks, peaks
-from rigtool.experiments.force.results import Reading, applied_torque, stroke_grid
+from rigtool.experiments.force.results import LoadReadings, applied_torque, stroke_grid
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity, combined, error_line, inherited, scaled
@@ -17,7 +17,9 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
 
 
-def instrument_outcome(extra: Mapping[str, Reading], recipe: Recipe, constant: Quantity) -> Outcome:
+def instrument_outcome(
+    extra: Mapping[str, LoadReadings], recipe: Recipe, constant: Quantity
+) -> Outcome:
     """Return load friction from `hysteresis` and stiffness from `shift`, where they were recorded.
 
     Where a load shows no peak within the stroke, its results are left out and a note states the
@@ -40,7 +42,7 @@ def instrument_outcome(extra: Mapping[str, Reading], recipe: Recipe, constant: Q
     return Outcome(results, tables, tuple(notes))
 
 
-def _lifted_table(reading: Reading, recipe: Recipe) -> Table:
+def _lifted_table(reading: LoadReadings, recipe: Recipe) -> Table:
     grid = stroke_grid(recipe)
     up, down = reading.strokes(reading.torque, grid)
     angle = np.radians(recipe.measure_force.angle) * grid / grid[-1]
@@ -61,7 +63,7 @@ def _lifted_table(reading: Reading, recipe: Recipe) -> Table:
     )
 
 
-def _peaks(reading: Reading, recipe: Recipe) -> Peaks:
+def _peaks(reading: LoadReadings, recipe: Recipe) -> Peaks:
     """Find the peak of each stroke, leaving out where it turns."""
     settings, grid = recipe.measure_force, stroke_grid(recipe)
     degrees = settings.angle * grid / grid[-1]
@@ -88,8 +90,9 @@ def _friction_results(found: Peaks, constant: Quantity) -> dict[str, Quantity]:
 def _stiffness_results(found: Peaks, force: float, recipe: Recipe) -> dict[str, Quantity]:
     """Return where the peak lies and the stiffness that follows.
 
-    The shift while lifting is what the thesis reads; friction adds to the tendon's stretch there
-    and takes off while lowering, so that their mean is the load's own: stiffness = load / mean.
+    The thesis reads the shift while lifting. Friction adds to the tendon's stretch while lifting
+    and subtracts from it while lowering, so that the mean of both shifts is due to the load alone:
+    stiffness = load / mean.
     """
     rig, middle = recipe.rig, math.pi / 2
     load = float(applied_torque(recipe, force, middle))
@@ -102,7 +105,9 @@ def _stiffness_results(found: Peaks, force: float, recipe: Recipe) -> dict[str, 
         "peak_angle_shift_mean": mean,
     }
     if mean.value > 0:
-        reason = "ripple that grows with current moves the peak, by how much these data do not show"
+        reason = (
+            "ripple that grows with current moves the peak by an amount that these data do not show"
+        )
         results["stiffness"] = Quantity(load / mean.value, "N m/rad", reason=reason)
     return results
 

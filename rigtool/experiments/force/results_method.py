@@ -28,14 +28,14 @@ from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Recording, Run
 
 UNSTEADY = 0.3
-"""Part by which the speed at the reading, low-passed as the torque is, may differ from its set
-point: beyond, the reading shows the ends of the stroke rather than the place."""
+"""Part by which the speed at the reading, low-passed as the torque, may differ from its set point:
+with more, the reading shows the ends of the stroke rather than the angle of the reading."""
 
 SLOW = 0.5
 """Up-and-downs in a period of the low-pass: with more, it removes the strokes themselves."""
 
 NOTEWORTHY = 0.01
-"""Part of the smallest load from which on what samples lack is worth a note."""
+"""Part of the smallest load from which on the current that samples miss gets a note."""
 
 
 def require_slow_strokes(recipe: Recipe, motion: Triangle) -> None:
@@ -90,8 +90,8 @@ def unsteady_torque(
 
         T + fed = c + F v / v_wanted + J a,   in the reading:  F |1 - v / v_wanted| + |J a - fed|
 
-    J is what the samples make of it: where set points of speed come in steps, a current that is
-    sampled right after each is larger than its mean while the shaft accelerates. Raises
+    J is fitted to the samples: where set points of speed come in steps, a current that is
+    sampled right after each step is larger than its mean while the shaft accelerates. Raises
     `InsufficientDataError` where v at the reading is off by more than `UNSTEADY`.
     """
     settings = recipe.measure_force
@@ -106,7 +106,7 @@ def unsteady_torque(
             f"over what a low-pass of {settings.lowpass_hz:g} Hz remembers, its set point is "
             f"{wanted:.3g} rad/s (limit: {UNSTEADY:.0%} off): the ends of the stroke are in the "
             "reading; set speed_rev_per_s lower, lowpass_hz higher, or measure_angle to the middle "
-            "of the stroke, which a load that a soft loop lets lag behind moves"
+            "of the stroke (in a soft loop the rotor lags behind the load and moves the middle)"
         )
     acceleration = np.gradient(speed) * rate
     speed /= wanted

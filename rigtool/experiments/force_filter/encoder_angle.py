@@ -10,9 +10,8 @@ R. E. Carlson, SIAM J. Numer. Anal. 17(2) 238-246, 1980).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 def known_angles(encoder: Array) -> tuple[Array, Array]:

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter import kalman, passed, smoother
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.plant import STATES, TORQUE, Plant, as_record
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 PIECE = 8192
 """Steps that are filtered at a time where the smoother keeps what the filter did."""
@@ -187,7 +186,7 @@ class Smoother:
         self._count = 0
 
     def add(self, estimate: Estimate) -> tuple[Array, Array]:
-        """Take what the filter kept of steps; return torque and deviation of the next, (m,) N m.
+        """Take the kept data of steps; return torque and deviation of the next steps, (m,) N m.
 
         As many as are followed by enough; often none.
         """
@@ -199,11 +198,11 @@ class Smoother:
         return self._backwards(self._ahead)
 
     def finish(self) -> tuple[Array, Array]:
-        """Return torque and deviation of all that waits, (m,) N m each."""
+        """Return torque and deviation of all waiting steps, (m,) N m each."""
         return self._backwards(0)
 
     def _backwards(self, ahead: float) -> tuple[Array, Array]:
-        """Smooth what waits, and hand it out but for `ahead` steps at the end, at least."""
+        """Smooth the waiting steps, and hand out all but at least the last `ahead` of them."""
         adjoint, information = np.zeros(STATES), np.zeros((STATES, STATES))
         done: deque[tuple[Array, Array]] = deque()
         behind = 0

@@ -1,4 +1,4 @@
-"""An encoder's count as what it is: the angle lies between two edges.
+"""An encoder's count as an interval: the angle lies between two edges.
 
     x ~ N(m, s^2) restricted to low <= x < high:  with alpha, beta the edges in s from m,
     Z = Phi(beta) - Phi(alpha),  d = (phi(alpha) - phi(beta)) / Z

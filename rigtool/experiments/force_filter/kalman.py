@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import passed
+from rigtool.experiments.force_filter.combined import four
 from rigtool.experiments.force_filter.interval import truncated
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
@@ -44,9 +45,8 @@ from rigtool.experiments.force_filter.plant import (
     Record,
     advance,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 SHORT, LONG = 6e-3, 0.1
 """Memories of the leaky sums of corrections, s."""
@@ -55,7 +55,7 @@ STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
 LEAST_VARIANCE = 1e-3
-"""Of the angle after an update, relative to before: keeps the covariance positive."""
+"""Smallest variance of the angle after an update, relative to before: it stays positive."""
 
 STATE = np.dtype(
     [
@@ -132,6 +132,21 @@ def _level(s: Record) -> float:
 
 
 @compiled
+def _propagate(rows: Array, covariance: Array, work: Array) -> None:
+    """Let work (7, 12) = Phi P, and the covariance of the moving states Phi P Phi'."""
+    for i in range(MOVING_STATES):
+        for j in range(0, STATES, 4):
+            a, b, c, d = four(rows[i], covariance, STATES, j)
+            work[i, j], work[i, j + 1], work[i, j + 2], work[i, j + 3] = a, b, c, d
+    for i in range(MOVING_STATES):
+        for j in range(i + 1):
+            total = 0.0
+            for m in range(STATES):
+                total += work[i, m] * rows[j, m]
+            covariance[i, j] = covariance[j, i] = total
+
+
+@compiled
 def _predict(
     s: Record,
     p: Record,
@@ -158,21 +173,10 @@ def _predict(
     for k in range(len(torque)):
         advance(x, p, friction_map, torque[k], viscous[k], rows, spread, outer)
     kept = math.exp(-span / u.friction_noise_time)
-    passed.predict(s, low_pass, rows, kept, NOISE)
+    passed.predict(s, low_pass, rows, kept, NOISE, work)
     x[NOISE] *= kept
-    # work = Phi P, then P = work Phi'; the last rows of Phi are diagonal
+    _propagate(rows, covariance, work)
     for i in range(MOVING_STATES):
-        for j in range(STATES):
-            total = 0.0
-            for m in range(STATES):
-                total += rows[i, m] * covariance[m, j]
-            work[i, j] = total
-    for i in range(MOVING_STATES):
-        for j in range(i + 1):
-            total = 0.0
-            for m in range(STATES):
-                total += work[i, m] * rows[j, m]
-            covariance[i, j] = covariance[j, i] = total
         for j in range(MOVING_STATES, STATES):
             scale = kept if j == NOISE else 1.0
             covariance[i, j] = covariance[j, i] = work[i, j] * scale

@@ -1,4 +1,4 @@
-"""What a drive does at each step: its error depends on that, and whether it is known at all.
+"""The state of motion at each step: the error depends on it, and whether there is a value.
 
 With rotor speed w, deflection h of the long bristle (`plant`) and torque M on the output,
 
@@ -19,30 +19,31 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
+
 States = NDArray[np.int32]
 
 STILL_TIME = 0.1
 """Within this time, s, a rotor that stands still passes one edge of the encoder at most."""
 
 LIMIT_TIME = 0.1
-"""About a current at its limit, s: the torque has no value."""
+"""Time about a current at its limit in which the torque has no value, s."""
 
 SPEED_TIME = 0.05
-"""That a speed is the mean over, s, where it is compared with what was learned."""
+"""Time over which a speed is averaged before the comparison with learned speeds, s."""
 
 SLIDING = 0.9
 """Part of its deflection at which friction is that of sliding."""
 
 BEYOND = 1.1
-"""Of speed and torque that were learned: what is given nonetheless."""
+"""Multiple of the learned speed and torque up to which values are given."""
 
 SLOW = 0.4999
-"""Of the slowest speed that was learned under load: below, a rotor that slides creeps. Half of a
-round speed is a whole number of counts, and rounding would choose the side."""
+"""Part of the slowest speed learned under load, below which a sliding rotor creeps. A little less
+than half: at half of a round speed, rounding would choose the side."""
 
 BEYOND_ANGLE = 0.01
-"""Of the range of angles, on both sides."""
+"""Part of the range of angles by which values go beyond it, on both sides."""
 
 
 class State(IntEnum):
@@ -100,7 +101,7 @@ class Reach:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """What states follow from, at each of m steps.
+    """Signals from which states follow, at each of m steps.
 
     `low` rad is the lower edge of the angle's count, `speed` rad/s and the deflection of the long
     bristle `housing` are the filter's, `torque` N m is that on the output, positive where it
@@ -160,7 +161,7 @@ class Judge:
         return states
 
     def kinds(self, states: States, moments: Moments) -> States:
-        """Return what the error depends on at each step: the state, or `CREEPING`, (m,)."""
+        """Return the kind of error at each step: the state, or `CREEPING`, (m,)."""
         sliding = (states == State.AGAINST) | (states == State.WITH)
         slow = np.abs(self._mean_speed(moments.low)) < self.reach.slow
         found: States = np.where(sliding & slow, CREEPING, states).astype(np.int32)

@@ -13,12 +13,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.plant import ANGLE, MOVING_STATES, STATES, TORQUE
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-Array = NDArray[np.float64]
 Record = Any
 
 ORDER = 2
@@ -28,7 +27,7 @@ FIELDS = [
     ("passed_covariance", "f8", (ORDER, ORDER)),
     ("shared_covariance", "f8", (STATES, ORDER)),
 ]
-"""Of the filter's state: mean and covariance of q, and covariance of x and q."""
+"""Fields of the filter's state: mean and covariance of q, and covariance of x and q."""
 
 
 def section(bandwidth_hz: float, step_time: float) -> Array:
@@ -45,47 +44,45 @@ def delay(bandwidth_hz: float) -> float:
 
 
 @compiled
-def predict(s: Record, low_pass: Array, derivative: Array, kept: float, noise: int) -> None:
+def predict(
+    s: Record, low_pass: Array, derivative: Array, kept: float, noise: int, work: Array
+) -> None:
     """Advance q and its covariances by a step, before x: `derivative` (7, 12) of x by itself.
 
-    `kept` is what remains of state `noise`; the other states behind the moving ones stay.
+    `kept` is what remains of state `noise`; the other states behind the moving ones stay. `work`
+    (2, 12) is overwritten.
     """
     q, own, shared, x, p = s.passed, s.passed_covariance, s.shared_covariance, s.mean, s.covariance
-    new_q = np.zeros(ORDER)
-    new_own = np.zeros((ORDER, ORDER))
-    new_shared = np.zeros((STATES, ORDER))
     for i in range(ORDER):
-        new_q[i] = low_pass[i, ORDER] * x[TORQUE]
-        for j in range(ORDER):
-            new_q[i] += low_pass[i, j] * q[j]
-            total = low_pass[i, ORDER] * p[TORQUE, TORQUE] * low_pass[j, ORDER]
-            for m in range(ORDER):
-                total += low_pass[i, m] * shared[TORQUE, m] * low_pass[j, ORDER]
-                total += low_pass[i, ORDER] * shared[TORQUE, m] * low_pass[j, m]
-                for k in range(ORDER):
-                    total += low_pass[i, m] * own[m, k] * low_pass[j, k]
-            new_own[i, j] = total
         for n in range(STATES):
-            new_shared[n, i] = p[n, TORQUE] * low_pass[i, ORDER]
+            work[i, n] = p[n, TORQUE] * low_pass[i, ORDER]
             for j in range(ORDER):
-                new_shared[n, i] += shared[n, j] * low_pass[i, j]
+                work[i, n] += shared[n, j] * low_pass[i, j]
+    first, second, cross, other = own[0, 0], own[1, 1], own[0, 1], shared[TORQUE]
     for i in range(ORDER):
-        q[i] = new_q[i]
-        for j in range(ORDER):
-            own[i, j] = new_own[i, j]
-        for n in range(STATES):
-            if n < MOVING_STATES:
-                shared[n, i] = 0.0
-                for m in range(STATES):
-                    shared[n, i] += derivative[n, m] * new_shared[m, i]
-            else:
-                shared[n, i] = new_shared[n, i] * (kept if n == noise else 1.0)
+        for j in range(i + 1):
+            a, b, c = low_pass[i]
+            d, e, f = low_pass[j]
+            total = a * first * d + (a * e + b * d) * cross + b * second * e
+            total += (a * f + c * d) * other[0] + (b * f + c * e) * other[1]
+            own[i, j] = own[j, i] = total + c * f * p[TORQUE, TORQUE]
+    before, after = q[0], q[1]
+    for i in range(ORDER):
+        q[i] = low_pass[i, 0] * before + low_pass[i, 1] * after + low_pass[i, ORDER] * x[TORQUE]
+    for i in range(ORDER):
+        for n in range(MOVING_STATES):
+            total = 0.0
+            for m in range(STATES):
+                total += derivative[n, m] * work[i, m]
+            shared[n, i] = total
+        for n in range(MOVING_STATES, STATES):
+            shared[n, i] = work[i, n] * (kept if n == noise else 1.0)
 
 
 @compiled
 def update(s: Record, gain: Array, shift: float, removed: float, variance: float) -> None:
-    """Take in what an update found, before x: its gain (12,), the angle's shift, and `removed`,
-    by which the angle's variance fell from `variance`."""
+    """Update with a correction of the filter, before x: its gain (12,), the angle's shift, and
+    `removed`, by which the angle's variance fell from `variance`."""
     q, own, shared = s.passed, s.passed_covariance, s.shared_covariance
     for i in range(ORDER):
         own_gain = shared[ANGLE, i] / variance

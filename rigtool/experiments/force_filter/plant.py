@@ -29,9 +29,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-Array = NDArray[np.float64]
 Record = Any  # the one element of a structured array, with its fields as attributes
 
 ANGLE, SPEED, BRISTLE, HOUSING, GRASPER, GRASPER_SPEED, TIP = range(7)
@@ -152,6 +152,34 @@ def _housing(p: Record, friction_map: Array, x: Array, h: float, twist: float) -
 
 
 @compiled
+def _carry(
+    rows: Array,
+    dt: float,
+    speed: tuple[float, ...],
+    outer: tuple[float, ...],
+    bend: tuple[float, ...],
+) -> None:
+    """Advance the derivatives of the moving states by those of each sample's equations.
+
+    `speed` are those of the rotor's new speed by the first six states, `outer` those of the
+    grasper's by angle, speed, a, v and t, `bend` those of each bristle by itself and its speed.
+    """
+    w0, w1, w2, w3, w4, w5 = speed
+    v0, v1, v2, v3, v4 = outer
+    z_by_z, z_by_w, h_by_h, h_by_w, t_by_t, t_by_v = bend
+    for j in range(STATES):  # in a form that a processor does for several columns at once
+        angle, w, z, h = rows[ANGLE, j], rows[SPEED, j], rows[BRISTLE, j], rows[HOUSING, j]
+        a, v, t = rows[GRASPER, j], rows[GRASPER_SPEED, j], rows[TIP, j]
+        new_w = w0 * angle + w1 * w + w2 * z + w3 * h + w4 * a + w5 * v
+        new_v = v0 * angle + v1 * w + v2 * a + v3 * v + v4 * t
+        rows[ANGLE, j], rows[SPEED, j] = angle + dt * new_w, new_w
+        rows[GRASPER, j], rows[GRASPER_SPEED, j] = a + dt * new_v, new_v
+        rows[BRISTLE, j] = z_by_z * z + z_by_w * w
+        rows[HOUSING, j] = h_by_h * h + h_by_w * w
+        rows[TIP, j] = t_by_t * t + t_by_v * v
+
+
+@compiled
 def advance(
     x: Array,
     p: Record,
@@ -165,7 +193,8 @@ def advance(
     """Advance the states x (12,) by one sample under a drive torque [N m].
 
     `rows` (12, 12), where it is not None, is the derivative of x by the states of an earlier time,
-    and is carried along; speeds within their spread [rad/s] of zero have no certain direction.
+    in the last rows the identity's, and is carried along; speeds within their spread [rad/s] of
+    zero have no certain direction.
     """
     dt, r, g = p.sample_time, p.angle_ratio, p.torque_factor
     bare = p.grasper_inertia <= 0.0
@@ -189,31 +218,33 @@ def advance(
         x[GRASPER] += dt * x[GRASPER_SPEED]
     if rows is None:
         return
-    by_w += p.housing_viscous
     by_twist += 1.0 / g
-    for j in range(STATES):  # the same once more, for small changes
-        d_angle, d_w, d_a, d_v = (
-            rows[ANGLE, j],
-            rows[SPEED, j],
-            rows[GRASPER, j],
-            rows[GRASPER_SPEED, j],
-        )
-        d_z = z_by_z * rows[BRISTLE, j] + z_by_w * d_w
-        d_h = h_by_h * rows[HOUSING, j] + h_by_w * d_w
-        d_t = t_by_t * rows[TIP, j] + t_by_v * d_v
-        d_twist = p.stiffness * (d_angle / r - d_a) + p.damping * (d_w / r - d_v)
-        if bare:
-            d_twist = rows[TORQUE, j]
-        d_net = by_z * d_z + by_old * rows[BRISTLE, j] + by_w * d_w + z * rows[NOISE, j]
-        d_net += by_h * d_h + by_twist * d_twist + by_a * d_a + by_load * rows[LOAD, j]
-        d_net += sine * rows[SINE, j] + cosine * rows[COSINE, j]
-        d_outer = d_twist - p.tip_friction * d_t - rows[TORQUE, j]
-        d_w -= dt / p.inertia * d_net
-        d_angle += dt * d_w
-        if bare:
-            d_v, d_a = d_w / r, d_angle / r
-        else:
-            d_v += dt / p.grasper_inertia * d_outer
-            d_a += dt * d_v
-        rows[ANGLE, j], rows[SPEED, j], rows[BRISTLE, j], rows[HOUSING, j] = d_angle, d_w, d_z, d_h
-        rows[GRASPER, j], rows[GRASPER_SPEED, j], rows[TIP, j] = d_a, d_v, d_t
+    by_w += p.housing_viscous + by_z * z_by_w + by_h * h_by_w
+    pull, drag = (0.0, 0.0) if bare else (p.stiffness, p.damping)
+    e, f = dt / p.inertia, 0.0 if bare else dt / p.grasper_inertia
+    speeds = (
+        -e * by_twist * pull / r,
+        1.0 - e * (by_w + by_twist * drag / r),
+        -e * (by_z * z_by_z + by_old),
+        -e * by_h * h_by_h,
+        e * (by_twist * pull - by_a),
+        e * by_twist * drag,
+    )
+    outer_speeds = (
+        f * pull / r,
+        f * drag / r,
+        -f * pull,
+        1.0 - f * (drag + p.tip_friction * t_by_v),
+        -f * p.tip_friction * t_by_t,
+    )
+    bends = (z_by_z, z_by_w, h_by_h, h_by_w, t_by_t, t_by_v)
+    _carry(rows, dt, speeds, outer_speeds, bends)
+    last = (sine, cosine, by_load, z, by_twist if bare else 0.0)
+    for j in range(MOVING_STATES, STATES):
+        rows[SPEED, j] -= e * last[j - MOVING_STATES]
+        rows[ANGLE, j] -= dt * e * last[j - MOVING_STATES]
+    rows[GRASPER_SPEED, TORQUE] -= f
+    rows[GRASPER, TORQUE] -= dt * f
+    if bare:
+        for j in range(STATES):
+            rows[GRASPER_SPEED, j], rows[GRASPER, j] = rows[SPEED, j] / r, rows[ANGLE, j] / r

@@ -1,4 +1,4 @@
-"""The same estimate with what came later: the filter's equations run backwards.
+"""The estimate with later samples: the filter's equations run backwards.
 
     adjoint   l~ = (I - g K H)' l - H' s d / s^2,        l of the step before = Phi' l~
               L~ = (I - g K H)' L (I - g K H) + H' H g / s^2,   L = Phi' L~ Phi
@@ -14,8 +14,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.experiments.force_filter.combined import four
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     LOAD,
@@ -24,13 +24,12 @@ from rigtool.experiments.force_filter.plant import (
     SINE,
     STATES,
 )
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 
 def room(count: int) -> tuple[Array, ...]:
-    """Return room for what the filter keeps of `count` steps.
+    """Return arrays for the data that the filter keeps of `count` steps.
 
     Derivative of the moving states (count, 7, 12), where a stroke began (count,), correction s d /
     s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update, (count,) each, its gain
@@ -43,20 +42,30 @@ def room(count: int) -> tuple[Array, ...]:
 
 
 @compiled
+def _times(symmetric: Array, vector: Array, product: Array) -> None:
+    """Let product (12,) be a symmetric matrix (12, 12) times a vector (12,)."""
+    for j in range(0, STATES, 4):
+        a, b, c, d = four(vector, symmetric, STATES, j)
+        product[j], product[j + 1], product[j + 2], product[j + 3] = a, b, c, d
+
+
+@compiled
 def _before_update(
-    adjoint: Array, information: Array, gain: Array, correction: float, g: float, s2: float
+    adjoint: Array,
+    information: Array,
+    gain: Array,
+    correction: float,
+    g: float,
+    s2: float,
+    column: Array,
 ) -> None:
-    total = 0.0
+    # (I - g K H)' L (I - g K H): only row and column of the angle change
+    _times(information, gain, column)
+    total = square = 0.0
     for i in range(STATES):
         total += gain[i] * adjoint[i]
-    adjoint[ANGLE] -= g * total + correction
-    # (I - g K H)' L (I - g K H): only row and column of the angle change
-    column = np.zeros(STATES)
-    square = 0.0
-    for i in range(STATES):
-        for j in range(STATES):
-            column[i] += information[i, j] * gain[j]
         square += gain[i] * column[i]
+    adjoint[ANGLE] -= g * total + correction
     for i in range(STATES):
         if i != ANGLE:
             information[i, ANGLE] -= g * column[i]
@@ -66,30 +75,28 @@ def _before_update(
 
 @compiled
 def _before_prediction(
-    adjoint: Array, information: Array, derivative: Array, fresh: bool, kept: float, work: Array
+    adjoint: Array, information: Array, derivative: Array, diagonal: Array, work: Array
 ) -> None:
-    diagonal = np.ones(STATES)
-    diagonal[NOISE] = kept
-    if fresh:
-        for i in range(SINE, LOAD + 1):
-            diagonal[i] = 0.0
-    old = adjoint.copy()
-    for j in range(STATES):
-        adjoint[j] = old[j] * diagonal[j] if j >= MOVING_STATES else 0.0
-        for m in range(MOVING_STATES):
-            adjoint[j] += derivative[m, j] * old[m]
+    """`diagonal` (12,) is that of the last rows of Phi, zero where they are those of `derivative`;
+    the last row of `work` (13, 12) is for the adjoint."""
+    for i in range(STATES + 1):
+        row = information[i] if i < STATES else adjoint
+        for j in range(0, STATES, 4):
+            a, b, c, d = four(row, derivative, MOVING_STATES, j)
+            work[i, j] = a + row[j] * diagonal[j]
+            work[i, j + 1] = b + row[j + 1] * diagonal[j + 1]
+            work[i, j + 2] = c + row[j + 2] * diagonal[j + 2]
+            work[i, j + 3] = d + row[j + 3] * diagonal[j + 3]
     for i in range(STATES):
-        for j in range(STATES):
-            total = information[i, j] * diagonal[j] if j >= MOVING_STATES else 0.0
-            for m in range(MOVING_STATES):
-                total += information[i, m] * derivative[m, j]
-            work[i, j] = total
-    for i in range(STATES):
-        for j in range(i + 1):
-            total = diagonal[i] * work[i, j] if i >= MOVING_STATES else 0.0
-            for m in range(MOVING_STATES):
-                total += derivative[m, i] * work[m, j]
-            information[i, j] = information[j, i] = total
+        adjoint[i] = work[STATES, i]
+        for j in range(0, i + 1, 4):
+            a, b, c, d = four(derivative[:, i], work, MOVING_STATES, j)
+            information[i, j] = a + diagonal[i] * work[i, j]
+            information[i, j + 1] = b + diagonal[i] * work[i, j + 1]
+            information[i, j + 2] = c + diagonal[i] * work[i, j + 2]
+            information[i, j + 3] = d + diagonal[i] * work[i, j + 3]
+        for j in range(i):
+            information[j, i] = information[i, j]
 
 
 @compiled
@@ -109,17 +116,20 @@ def backwards(
     friction noise.
     """
     derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
-    work = np.empty((STATES, STATES))
+    work, column = np.empty((STATES + 1, STATES)), np.empty(STATES)
+    diagonal = np.zeros(STATES)
     for k in range(len(torque) - 1, -1, -1):
         row = passed_row[k]
+        _times(information, row, column)
         shift = reduction = 0.0
         for i in range(STATES):
             shift += torque_row[k, i] * adjoint[i]
-            inner = 0.0
-            for j in range(STATES):
-                inner += information[i, j] * row[j]
-            reduction += row[i] * inner
+            reduction += row[i] * column[i]
         torque[k] -= shift
         deviation[k] = math.sqrt(max(deviation[k] ** 2 - reduction, 0.0))
-        _before_update(adjoint, information, gain[k], correction[k], weight[k], variance[k])
-        _before_prediction(adjoint, information, derivative[k], fresh[k] > 0.5, kept, work)
+        for i in range(MOVING_STATES, STATES):
+            drawn = fresh[k] > 0.5 and SINE <= i <= LOAD
+            diagonal[i] = 0.0 if drawn else kept if i == NOISE else 1.0
+        correct = correction[k], weight[k], variance[k]
+        _before_update(adjoint, information, gain[k], *correct, column)
+        _before_prediction(adjoint, information, derivative[k], diagonal, work)

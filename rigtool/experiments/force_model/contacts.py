@@ -34,22 +34,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.motion_states import State, States
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 WINDOW = 0.06
 """Time of a jump, s: a hand's or a tool's touch rises within it."""
 
 LAG = 0.01
-"""Of the low-pass, s."""
+"""Time constant of the low-pass, s."""
 
 AFTER = 3 * WINDOW
 """Time after a reversal in which its errors are not over, s: a jump looks back by one window."""
 
 STROKE = 1.0
-"""That errors of the level are remembered for, s, and the longest from begin to finding."""
+"""Memory of the level's errors, s, and the longest time from begin to finding."""
 
 FALSE_ALARMS = 1 / 3600
 """Rate of false alarms of all tests in a motion of one kind, Hz: one an hour."""
@@ -60,7 +60,7 @@ FEWEST = 50
 """Blocks of a motion without which there is no threshold, and no contact is found in it."""
 
 SETTLING = 2.0
-"""Begin of a stretch that no test looks at, s: the filter does not know the history."""
+"""Time at the begin of a stretch without tests, s: the filter does not know the history."""
 
 
 class Motion(IntEnum):

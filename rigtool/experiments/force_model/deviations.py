@@ -1,4 +1,4 @@
-"""How far friction deviates by itself, from what cycles of one motion do not share.
+"""Random deviations of friction, from the differences of cycles of one motion.
 
 What a cycle's torque deviates from the mean cycle is, along a stroke,
 
@@ -14,24 +14,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_model.records import ROWS_HZ, Record
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import MIN_READINGS, steady_us
-
-Array = NDArray[np.float64]
 
 APART = 5
 """Rows from one that is compared to the next: f hardly changes between them."""
 
 SHORTEST = 20
-"""Compared rows without which a stroke says nothing about what is slow in it."""
+"""Fewest compared rows with which a stroke shows slow deviations."""
 
 LEAST = 1e-4
-"""Of the friction: white noise, and where the search begins 0.01 of it."""
+"""Smallest white noise, in parts of the friction; the search begins at 0.01."""
 
 SPAN = 12.0
-"""Of the logarithms, either way."""
+"""Range of the logarithms in the search, either way."""
 
 
 @dataclass(frozen=True)

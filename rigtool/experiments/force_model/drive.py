@@ -1,4 +1,4 @@
-"""What current and rotor angle give at the shaft: the input of a filter over motor and tendon.
+"""Torque at the shaft from current and rotor angle: the input of a filter over motor and tendon.
 
     T = kT (i + i0) - offset - cogging - lag(kT-ripple),   b = drag by rotor angle
 
@@ -12,14 +12,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.plant import Plant
 from rigtool.experiments.force_model.learning import Learned
 from rigtool.experiments.force_model.model import Kind, Term, wave
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 MAP_SIZE = 2048
 """Points of a turn: orders up to 12 are interpolated between them within 1e-5."""
@@ -117,7 +115,7 @@ def drive_of(model: Learned) -> Drive:
 
 
 def plant_of(model: Learned, sample_time: float) -> Plant:
-    """Return what a filter runs on, of a learned model, at a sample time, s."""
+    """Return the equations of a learned model that a filter runs on, at a sample time, s."""
     terms, coefficient, shape, known = model.terms, model.coefficient, model.shape, model.known
     sums = {
         kind: sum(

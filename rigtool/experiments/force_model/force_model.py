@@ -1,4 +1,4 @@
-"""A learned model with what deviates from it: all that a filter for torque over time needs.
+"""A learned model with the deviations from it: everything that a filter for torque over time needs.
 
 Equations: `model`, those of the filter `plant`; load_stroke = L / load friction coefficient.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import KINDS
@@ -18,8 +17,7 @@ from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.drive import Drive, drive_of, plant_of
 from rigtool.experiments.force_model.learning import Learned
 from rigtool.experiments.force_model.model import Kind
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 @dataclass(frozen=True)

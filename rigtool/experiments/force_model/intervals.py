@@ -1,4 +1,4 @@
-"""From the filter's deviation to the standard uncertainty, by what the drive does.
+"""From the filter's deviation to the standard uncertainty, by the state of motion.
 
     u^2 = (c s)^2 + (g M)^2,   s the filter's deviation, M the torque on the output
 
@@ -22,23 +22,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import CREEPING, KINDS, State, States
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 APART = 20e-3
-"""From one compared step to the next, s."""
+"""Time from one compared step to the next, s."""
 
 INDEPENDENT = 1.0
-"""Of a recording, s: a stroke's own friction is one error for all of it."""
+"""Time that one independent error is worth, s: a stroke's own friction is one error."""
 
 EXPECTED, SLIDING_EXPECTED = 2.0, 50.0
 """Errors of deviation s that count as if they had been seen; while the rotor slides."""
 
-COVERAGE, FACTOR = 0.95, 1.96
-"""Of an interval, and its half width in standard deviations of normal errors."""
+COVERAGE = 0.95
+"""Of an interval that is `COVERAGE_FACTOR` u wide to either side."""
 
 FEWEST = 100
 """Compared steps of a kind without which its factors are those of all kinds."""
@@ -76,17 +75,24 @@ def scales(parts: Sequence[Errors]) -> Array:
     torque = np.concatenate([part.torque for part in parts])
     kinds = np.concatenate([part.kinds for part in parts])
     found = np.ones((2, KINDS, 2)) * (1.0, 0.0)
+    of_all: dict[float, Array] = {}
     for together in TOGETHER:
         chosen = np.isin(kinds, together)
         expected = SLIDING_EXPECTED if State.AGAINST in together else EXPECTED
-        if chosen.sum() < FEWEST:
-            chosen[:] = True
-        for form in range(2):
-            own = _of_least_score(
-                error[form, chosen], deviation[form, chosen], torque[chosen], expected
-            )
-            found[form, list(together)] = own
+        if chosen.sum() >= FEWEST:
+            own = _of_both(error[:, chosen], deviation[:, chosen], torque[chosen], expected)
+        else:
+            if expected not in of_all:
+                of_all[expected] = _of_both(error, deviation, torque, expected)
+            own = of_all[expected]
+        found[:, list(together)] = own[:, None]
     return found
+
+
+def _of_both(error: Array, deviation: Array, torque: Array, expected: float) -> Array:
+    """Return c and g of smoothed and of causal torque, (2, 2)."""
+    pairs = zip(error, deviation, strict=True)
+    return np.stack([_of_least_score(*own, torque, expected) for own in pairs])
 
 
 def _of_least_score(error: Array, deviation: Array, torque: Array, expected: float) -> Array:
@@ -104,7 +110,7 @@ def _of_least_score(error: Array, deviation: Array, torque: Array, expected: flo
 
 def _score(errors: Array, u: Array, expected: float = 0.0, factor: float = 1.0) -> float:
     """Return the score of errors (n,), and of those that are expected, with a factor for u."""
-    half, edge, penalty = FACTOR * u, FACTOR * factor, 2 / (1 - COVERAGE)
+    half, edge, penalty = COVERAGE_FACTOR * u, COVERAGE_FACTOR * factor, 2 / (1 - COVERAGE)
     seen = float(np.sum(2 * half + penalty * np.maximum(errors - half, 0))) * APART / INDEPENDENT
     density = math.exp(-(edge**2) / 2) / math.sqrt(2 * math.pi)
     beyond = density - edge * math.erfc(edge / math.sqrt(2)) / 2

@@ -35,11 +35,10 @@ from rigtool.experiments.force_model.model import (
 )
 from rigtool.experiments.force_model.paths import bristle
 from rigtool.experiments.force_model.records import SLOWEST, Record
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 NAMES = tuple(f.name for f in fields(Shape) if f.name not in ("bearing_length", "housing_length"))
-"""What sliding shows of a shape."""
+"""Parameters of a shape that sliding determines."""
 
 SHAPE_SPREAD = {
     "tip_length": 0.7,
@@ -51,25 +50,25 @@ SHAPE_SPREAD = {
     "grasper_inertia": 1.0,
     "load_onset": 1.5,
 }
-"""Of the logarithm of each, before anything is known."""
+"""Prior standard deviation of the logarithm of each parameter."""
 
 STEP = 0.02
-"""For derivatives by the logarithms."""
+"""Step for derivatives by the logarithms."""
 
 LONGEST = 0.7
-"""Of a step, in logarithms."""
+"""Length of the longest step, in logarithms."""
 
 ROUNDS, ENOUGH = 15, 0.3
-"""Steps at most, and how short the last one is, in standard deviations."""
+"""Most steps, and the length of the last step, in standard deviations."""
 
 NEAR = 0.3
 """Step, in logarithms, from which on records are weighed one by one."""
 
 LENGTH_SPREAD = 1.0
-"""Of the logarithm of a bristle's length, before anything is known."""
+"""Prior standard deviation of the logarithm of a bristle's length."""
 
 STRETCHES = np.geomspace(1e-2, 1.0, 9)
-"""Of the tendon under the largest load, rad: the search begins at the best of them."""
+"""Stretches of the tendon under the largest load, rad: the search begins at the best."""
 
 DAMPING_RATIO, GRASPER_HZ, LOAD_ARM = 0.1, 70.0, 0.02
 """Where it begins besides: the damping ratio under the largest load, the resonance of the bare
@@ -79,7 +78,7 @@ INDEPENDENT = 30.0
 """Rows that one independent row is worth: friction's own noise lasts longer than a row."""
 
 LEAST_RMS = 2e-3
-"""Of the friction: no record is trusted to a smaller residual, relative."""
+"""Smallest rms residual that a record is trusted to, in parts of the friction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +137,8 @@ def learn_sliding(
     sizes = sizes_of(records, known)
     terms = terms_for(sizes, known)
     tried = [_start(sizes, known, count, stretch) for stretch in STRETCHES.tolist()]
-    telling = _telling(records)
-    scan = Problem(telling, terms, known, tried[0], deviation, sizes.friction)
+    showing = _showing_tendon(records)
+    scan = Problem(showing, terms, known, tried[0], deviation, sizes.friction)
     shape = min(tried, key=scan.misfit)
     problem = Problem(records, terms, known, shape, deviation, sizes.friction)
     coefficient, covariance = problem.step(shape, None)
@@ -154,15 +153,15 @@ def learn_sliding(
     return Sliding(learned, problem, problem.normal(shape, coefficient))
 
 
-def _telling(records: Sequence[Record]) -> list[Record]:
-    """Return the records that show a tendon: the largest load, and as long strokes without one."""
+def _showing_tendon(records: Sequence[Record]) -> list[Record]:
+    """Return the records that show a tendon: the largest load, and equal strokes without load."""
     largest = max(record.moment for record in records)
     sizes = {record.angle.size for record in records if record.moment == largest}
     return [r for r in records if r.moment in (0.0, largest) and r.angle.size in sizes]
 
 
 def sizes_of(records: Sequence[Record], known: Known) -> Sizes:
-    """Return what spreads are relative to, from the records themselves.
+    """Return the sizes to which priors are relative, from the records.
 
     Raises `InsufficientDataError` where none without load slides in both directions.
     """
@@ -309,7 +308,7 @@ class Problem:
         return solution, covariance
 
     def misfit(self, shape: Shape) -> float:
-        """Return what the best coefficients leave at a shape: least squares' own sum."""
+        """Return the residual sum of squares of the best coefficients at a shape."""
         normal = self.normal(shape, None).sum(axis=0)
         solution, _ = self.solved(normal, shape, 0)
         return float(normal[-1, -1] - normal[-1, :-1] @ solution)
@@ -330,7 +329,7 @@ class Problem:
         self.variance = np.maximum(pooled, power * near) * INDEPENDENT
 
     def remaining(self, number: int, shape: Shape, coefficient: Array) -> Array:
-        """Return what coefficients (t,) and the strokes' own deviations leave of used rows (r,)."""
+        """Return the residuals of coefficients (t,) and strokes' deviations at used rows (r,)."""
         columns, right = self.rows(number, shape, None)
         left: Array = (right - coefficient @ columns)[self.records[number].used]
         v = self.variance[number]
@@ -340,7 +339,7 @@ class Problem:
 
 
 def measured(record: Record, known: Known) -> Array:
-    """Return what the motor puts out along a record, less what its own inertia takes (n,), N m."""
+    """Return the motor's torque along a record, less that of its own inertia (n,), N m."""
     current = record.current + known.offset
     return record.torque_constant * current - known.inertia * record.acceleration
 

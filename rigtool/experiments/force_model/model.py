@@ -41,12 +41,10 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_model.paths import bristle, lagged, tendon
 from rigtool.experiments.force_model.records import Record
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 
 class Kind(IntEnum):
@@ -103,7 +101,7 @@ class Shape:
 
 @dataclass(frozen=True)
 class Known:
-    """What the rig's owner knows: `angle_ratio` motor angle per output angle, `torque_factor`
+    """Known properties of the rig: `angle_ratio` motor angle per output angle, `torque_factor`
     output torque per motor torque, `inertia` kg m2 on the shaft, and the `offset` A that the
     amplifier adds to what it is asked for."""
 
@@ -114,7 +112,7 @@ class Known:
 
 
 _OF_TENDON = ("stiffness", "damping", "grasper_inertia", "tip_friction", "tip_length")
-"""Of a shape, what the tendon looks at."""
+"""Parameters of a shape on which the tendon depends."""
 
 _LAGGING = (Kind.RIPPLE, Kind.GAIN_RIPPLE, Kind.SQUARE_RIPPLE)
 _FIXED = (Kind.OFFSET, Kind.INERTIA, Kind.VISCOUS, Kind.COGGING)
@@ -149,7 +147,7 @@ class Prediction:
         self._rest = [(terms[n], coefficient[n], values[n]) for n in rest]
 
     def torque(self, shape: Shape) -> Array:
-        """Return the torque (n,), N m, less what the known inertia takes."""
+        """Return the torque (n,), N m, less that of the known inertia."""
         return self.along(self._state.at(shape))
 
     def along(self, state: State) -> Array:
@@ -170,7 +168,7 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What a shape makes of a record: bristles, torque carried N m, angle of the output rad."""
+    """State along a record for a shape: bristles, torque carried N m, angle of the output rad."""
 
     record: Record
     shape: Shape
@@ -271,12 +269,12 @@ COGGING_ORDERS, RIPPLE_ORDERS, GAIN_ORDERS = range(1, 13), range(1, 7), range(1,
 HOUSING_ORDERS, LOAD_FRICTION_ORDERS = range(1, 7), range(1, 3)
 
 OFFSET_SPREAD = 0.01
-"""Of the friction: a constant torque besides the amplifier's offset."""
+"""Prior of a constant torque besides the amplifier's offset, in parts of the friction."""
 
 LOAD_FRICTION_SPREAD = 0.3
 GAIN_SPREAD = 0.02
 RIPPLE_SPREAD = 0.01
-"""Relative: friction per torque carried; torque per ampere and ratio; an order of the ripple."""
+"""Relative priors: friction per torque; torque per ampere and ratio; an order of the ripple."""
 
 
 def terms_for(sizes: Sizes, known: Known) -> tuple[Term, ...]:

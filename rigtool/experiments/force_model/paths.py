@@ -1,4 +1,4 @@
-"""What a path leaves behind: bristles, lagging waves, a load swinging on its tendon.
+"""Effects that depend on the path: bristles, lagging waves, a load swinging on its tendon.
 
 bristle     dz = (sign(dx) - z) |dx| / length, solved exactly for each step of a path
             (P. R. Dahl, AIAA J. 14(12) 1675-1682, 1976): it depends on the path, not on time
@@ -11,11 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
-
-Array = NDArray[np.float64]
 
 LONGEST_STEP = 2.5e-4
 """And under a load in s: half of it is what the torque carried comes late."""

@@ -10,20 +10,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.rigs.motion import SpeedProfile
-
-Array = NDArray[np.float64]
 
 TRIANGLES = (3, 6, 12, 25, 50, 100)
 """Counts of the encoder from end to end, in turn."""
 
 LEGS = 6
-"""Of each triangle."""
+"""Strokes of each triangle."""
 
 LEG_TIME = 0.35
-"""From end to end of a triangle, s."""
+"""Time from end to end of a triangle, s."""
 
 HOLD_TIME = 1.0
 
@@ -31,7 +28,7 @@ SLOWEST = 0.1
 """Speed of free motion, rad/s of the motor."""
 
 ACCELERATION_TIME = 0.1
-"""From standstill to speed, s."""
+"""Time from standstill to speed, s."""
 
 PAUSES = 0.15
 """Share of free motion's moves that are followed by a pause of up to `HOLD_TIME`."""

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import constants
 
 from rigtool.experiments.controller_torque import CHANNELS as LOOP_CHANNELS
@@ -31,19 +30,17 @@ from rigtool.recipe import Recipe
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Recording, Run
 
-Array = NDArray[np.float64]
-
 CHANNELS = (*LOOP_CHANNELS, "temperature")
-"""What is recorded of a hanging load."""
+"""Channels that are recorded under a hanging load."""
 
 FREE_TIME = 14.0
-"""Of the exploration's free motion, s."""
+"""Time of the exploration's free motion, s."""
 
 FREE_SPEED = 2.0
 """Highest speed of free motion, rev/s of the output, where that was learned."""
 
 STEP_TIME = 1e-3
-"""Of the filter, s."""
+"""Time of a step of the filter, s."""
 
 COMPARED_SPEEDS = 2
 """Of the strokes under known loads, the slowest: errors of those without load and of those with the
@@ -138,7 +135,7 @@ def _known(recording: Recording, recipe: Recipe, kt: Run) -> tuple[LoopSignals, 
 
 
 def _input(own: LoopSignals, under: Condition, model: ForceModel) -> Signals:
-    """Return what the filter takes of a recording."""
+    """Return the filter's input from a recording."""
     constant = np.full(len(own.encoder), under.torque_constant)
     known = np.array([own.encoder, own.total, constant])
     return Sampler(Grid.of(_interval(own)), under.count, model.drive).add(known, last=True)[0]
@@ -199,7 +196,7 @@ def _errors(
 
 
 def stroke_record(recording: Recording, recipe: Recipe, kt: Run, force: float = 0.0) -> Record:
-    """Lay the strokes of a recording over each other, under the load of a known force, N.
+    """Average the strokes of a recording under the load of a known force, N.
 
     The torque constant is that at the motor's temperature in this recording. Raises
     `InsufficientDataError` for less than a cycle, and where the loop saturates or is not held.

@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_model.paths import bristle
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.moves import rising_crossings
 from rigtool.numerics.steady_mean import steady_mean
 
-Array = NDArray[np.float64]
-
 LOWPASS_HZ = 30.0
-"""Cut-off of all that is compared; friction's reversals and an instrument's swing lie below."""
+"""Cut-off of all compared signals; friction's reversals and an instrument's swing lie below."""
 
 MOTION_HZ = 80.0
 """Cut-off of the angle before it is differentiated: what is left of the encoder's steps."""
@@ -37,7 +36,7 @@ GRID_HZ = 500.0
 """Samples a second of the grid."""
 
 SLOW_PERIOD = 3.0
-"""From which on half of the grid does, s."""
+"""Period from which on half of the grid is enough, s."""
 
 SLOWEST = 160.0
 """Counts a second below which a rotor does not slide evenly."""
@@ -46,13 +45,13 @@ FORGOTTEN = 25.0
 """Counts after a turn that are left out: bristles are bent again, however long they are."""
 
 SMEARED = 0.04
-"""What the low-pass spreads to either side, s."""
+"""Time over which the low-pass spreads a sample to either side, s."""
 
 FEWEST_CYCLES = 3
 """Of a recording whose first one is kept, though it runs in."""
 
 END = 0.3
-"""Left out at both ends of a motion that does not repeat, s: what wraps around is gone there."""
+"""Time left out at both ends of a motion that does not repeat, s: wrapping fades there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +163,7 @@ class Condition:
 def repeated(
     encoder: Array, current: Array, setpoint: Array, interval: float, under: Condition
 ) -> Record:
-    """Lay the cycles of a motion over each other; signals (n,) every `interval` s, counts, A, rad.
+    """Average the cycles of a motion; signals (n,) every `interval` s, counts, A, rad.
 
     The cycle that runs in is left out. Raises `InsufficientDataError` where not one is left.
     """

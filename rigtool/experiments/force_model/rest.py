@@ -1,4 +1,4 @@
-"""What rest and reversals show of a model: the filter itself is run, with nothing on the output.
+"""Learning from rest and reversals: the filter itself is run, with nothing on the output.
 
 Within a count the rotor's angle is not seen, and that is where bristles bend: a balance of torques
 at known angles cannot say how long they are. The filter of `kalman` carries the angle along between
@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.estimate import Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
@@ -29,8 +28,7 @@ from rigtool.experiments.force_model.learning import (
     moved,
 )
 from rigtool.experiments.force_model.model import Kind
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 SHOWN_SHAPE = ("tip_length", "stribeck_speed")
 SHOWN_KINDS = (
@@ -40,15 +38,15 @@ SHOWN_KINDS = (
     Kind.HOUSING,
     Kind.HOUSING_SIDED,
 )
-"""What rest shows, besides lengths."""
+"""Terms that rest determines, besides lengths."""
 
 BANDWIDTH_HZ = 10.0
 SETTLING = 1.0
-"""Of the filter at its begin, s."""
+"""Settling time of the filter at its begin, s."""
 
 ROWS_HZ = 50.0
 ERROR = 0.03
-"""Of the friction: error of a row."""
+"""Error of a row, in parts of the friction."""
 
 INDEPENDENT = 20.0
 """Rows that one independent row is worth: a stroke's deviation lasts for all of it."""
@@ -60,11 +58,11 @@ short one's share of the friction; the best of all."""
 HUBER = 2.0
 ROUNDS = 8
 ENOUGH = 0.01
-"""Of the cost: a round that gains less is the last one."""
+"""Part of the cost below which a gain ends the search."""
 
 STEP = 0.05
 LONGEST = 2.0
-"""Of the parameters, in standard deviations of their prior."""
+"""Longest step of a parameter, in standard deviations of its prior."""
 
 HELD = 1e-3
 """Random walk of the torque here, N m per square root of a second: nothing acts, and what a filter
@@ -76,7 +74,7 @@ speed can lose a count and not find back: errors then leap where a parameter har
 search stops at the next leap."""
 
 THINNED = 2
-"""Samples of the loop that are one of the filter's here: half the time."""
+"""Samples of the loop in one sample of the filter here, which halves the time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +92,7 @@ class Exploration:
 def learn_rest(
     learned: Learned, exploration: Exploration, uncertainty: Uncertainty, step_time: float
 ) -> Learned:
-    """Return the model with what an exploration shows of rest and reversals.
+    """Return the model, improved by an exploration of rest and reversals.
 
     `step_time` s is that of the filter.
     """
@@ -152,7 +150,7 @@ class RestProblem:
         return replace(self.learned, shape=shape, coefficient=every[len(NAMES) :])
 
     def errors(self, parameters: Array) -> Array:
-        """Return the torque that the filter finds where there is none, low-passed (r,), N m."""
+        """Return the torque that the filter finds although none acts, low-passed (r,), N m."""
         from scipy.signal import sosfilt
 
         model = self.model(parameters)
@@ -225,7 +223,7 @@ class RestProblem:
 
 
 def plant_is_sound(plant: object) -> bool:
-    """Return whether frictions are such as a plant can have."""
+    """Return whether frictions are physically possible."""
     values = [getattr(plant, name) for name in ("coulomb", "static", "housing_friction", "inertia")]
     return min(values) > 0
 

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_filter.estimate import Signals
 from rigtool.experiments.force_model.drive import Drive
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 SAMPLE_TIME = 0.25e-3
 """Longest sample of the filter, s: bristles and tendon swing within milliseconds."""
 
 STEP_TIME = 1e-3
-"""From one angle that the filter takes in to the next, s."""
+"""Time from one angle that the filter takes in to the next, s."""
 
 CONTEXT = 4096
 """Recorded samples on either side from which angles between counts are interpolated."""
@@ -93,7 +92,7 @@ class Sampler:
         self._before = 0  # of the held ones: context alone
 
     def add(self, samples: Array, *, last: bool = False) -> tuple[Signals, Array]:
-        """Return what the filter takes of samples (c, n), and the others at its samples (c - 3, k).
+        """Return the filter's input from samples (c, n), and the others at its samples (c - 3, k).
 
         The first three rows are the encoder in counts, the current in A, and the torque constant
         in N m/A. After the `last` ones nothing waits but less than an average.

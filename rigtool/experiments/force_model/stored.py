@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.force_filter.motion_states import KINDS
@@ -14,17 +13,16 @@ from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import NAMES, Learned
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
+from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
-
-Array = NDArray[np.float64]
 
 TERMS, COVARIANCE = "force_terms", "force_covariance"
 SCALES, LIMITS = "force_scales", "contact_thresholds"
 
 PREFIX = "model_"
-"""Of results that belong to the model."""
+"""Prefix of results that belong to the model."""
 
 OFFSET = "offset_current"
 
@@ -45,7 +43,7 @@ UNITS = {
     "noise_time": "s",
     OFFSET: "A",
 }
-"""Of shape, deviations and the amplifier's offset."""
+"""Units of shape, deviations and the amplifier's offset."""
 
 _MOTIONS = ", ".join(f"{motion.value} {motion.name.lower()}" for motion in Motion)
 

@@ -32,12 +32,11 @@ from rigtool.experiments.force_filter.motion_states import SLIDING
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
+from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-Array = NDArray[np.float64]
-
 ROW_TIME = 20e-3
-"""Of a row, s: friction's own noise hardly changes within it."""
+"""Time of a row, s: friction's own noise hardly changes within it."""
 
 NOISE, WALK, AFTER_REVERSAL, CONTACT = 0.7, 2.0, 1.5, 100.0
 """In deviations of a stroke: noise of a row, random walk of M per square root of a second, and what
@@ -52,13 +51,13 @@ GATE = 3.0
 """Standard deviations from which on a row does not fit."""
 
 DECIDED = 10.0
-"""Of the logarithm of both likelihoods' ratio: beyond, rows need not fit the less likely one."""
+"""Logarithm of the likelihoods' ratio beyond which rows need not fit the less likely one."""
 
 CERTAIN = 50.0
-"""Of the logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
+"""Largest logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
 
 LARGEST = 3.0
-"""Amplitude of another power-up over the learned one, of an order."""
+"""Largest ratio of an order's amplitude at another power-up to the learned one."""
 
 REFUTED = -1.5 * CERTAIN
 """Logarithm of the ratio that stays once the ripple is larger than any power-up makes it."""

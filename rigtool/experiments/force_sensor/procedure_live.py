@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from rigtool.errors import RecipeError
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.steps import SAMPLE_TIME, unbroken
 from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
 from rigtool.experiments.force_sensor.procedure_reading import NEEDED, instrument_of
-from rigtool.experiments.force_sensor.results_over_time import COVERAGE_FACTOR
 from rigtool.experiments.force_sensor.sensor import Sensor
 from rigtool.experiments.procedure import Procedure
 from rigtool.numerics.arrays import Array

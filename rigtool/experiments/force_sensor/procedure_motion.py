@@ -17,13 +17,13 @@ POINTS = 32
 """Pieces of constant acceleration in a period of the sine."""
 
 PIECES = 32
-"""The same between two points of a path, whose speed is a parabola."""
+"""Pieces of constant acceleration between two points of a path, whose speed is a parabola."""
 
 COLUMNS = ("time_s", "angle_deg")
-"""Of a path's file."""
+"""Columns of a path's file."""
 
 AT_THE_EDGE = 1e-3
-"""Of speed and range of angles: rounding of a recipe's numbers."""
+"""Relative excess of speed and range of angles that rounding of a recipe's numbers explains."""
 
 
 def moved(recipe: Recipe, seconds: float) -> tuple[float | None, Motion]:

@@ -7,22 +7,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from rigtool.experiments.force_filter.estimate import PIECE, Smoother, without_delay
+from rigtool.experiments.force_filter.estimate import (
+    PIECE,
+    Filter,
+    Smoother,
+    without_delay,
+)
 from rigtool.experiments.force_filter.motion_states import Moments, Reach
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.steps import unbroken
-from rigtool.experiments.force_sensor.results_over_time import SIGNALS, Reading, Recorded
-from rigtool.experiments.force_sensor.sensor import Instrument, Sensor
+from rigtool.experiments.force_sensor.results_over_time import (
+    Reading,
+    Recorded,
+    steps_of_a_row,
+)
+from rigtool.experiments.force_sensor.sensor import Instrument, Sensed, Sensor
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
+from rigtool.numerics.lowpass import delayed, lowpass
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
@@ -38,13 +49,13 @@ RATE_SAMPLES = 8192
 """Samples that the sampling frequency is taken from."""
 
 AS_ASKED = 1e-6
-"""Of the interval between samples: it is that of the recipe, which a sensor knows beforehand."""
+"""Relative difference within which the interval between samples is that of the recipe."""
 
 
 def instrument_of(
     recipe: Recipe, kt: Run, model: ForceModel, reach: Reach, interval: float
 ) -> Instrument:
-    """Return what a sensor knows of this rig, for samples every `interval` s."""
+    """Return the sensor's properties of this rig, for samples every `interval` s."""
     rig = recipe.rig
     cold = torque_per_ampere_at(kt, 0.0).value
     slope = torque_per_ampere_at(kt, 1.0).value - cold
@@ -56,7 +67,7 @@ def instrument_of(
 def instrument_for(
     recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, reach: Reach
 ) -> Instrument:
-    """Return what a sensor knows of this rig, for the samples of a recording."""
+    """Return the sensor's properties of this rig, for the samples of a recording."""
     return instrument_of(recipe, kt, model, reach, _interval(recording, recipe))
 
 
@@ -73,18 +84,23 @@ def read_recording(
     instrument = instrument_for(recording, recipe, kt, model, reach)
     interval = instrument.interval
     parts: list[Reading] = []
-    stretch, breaks, first, last = None, -1, math.nan, math.nan
-    for block, begins in unbroken_blocks(recording, instrument):
-        if begins:
-            breaks += 1
-            parts += [] if stretch is None else stretch.reading()
-            stretch = _Stretch(recording.name, instrument, float(block[0, 0]))
-        assert stretch is not None
-        stretch.add(block[1:])
-    parts += [] if stretch is None else stretch.reading()
+    breaks, read = -1, 0.0
+    with ThreadPoolExecutor(2) as workers:
+        stretch: _Stretch | None = None
+        for block, begins in unbroken_blocks(recording, instrument):
+            if begins:
+                breaks += 1
+                parts += [] if stretch is None else stretch.reading()
+                read += 0.0 if stretch is None else stretch.seconds
+                began = float(block[0, 0])
+                stretch = _Stretch(recording.name, instrument, began, workers)
+            assert stretch is not None
+            stretch.add(block[1:])
+        if stretch is not None:
+            parts += stretch.reading()
+            read += stretch.seconds
     (first,) = recording.read("time", 0, 1)
     (last,) = recording.read("time", recording.size - 1)
-    read = sum(len(part.torque) * part.step_time for part in parts)
     lost = last + interval - first - read if breaks or not parts else 0.0
     return Recorded(recording.name, tuple(parts), breaks, lost)
 
@@ -122,41 +138,77 @@ def unbroken_blocks(recording: Recording, instrument: Instrument) -> Iterator[tu
 
 
 class _Stretch:
-    """Samples without a gap: causal at once, smoothed as soon as enough has followed."""
+    """Samples without a gap: causal at once, smoothed as soon as enough has followed.
 
-    def __init__(self, name: str, instrument: Instrument, began: float) -> None:
+    `workers` smooth, and run the filter that contacts are found with, while the next samples are
+    read. `seconds` have a torque once the stretch is over. Of what only the table's rows show,
+    only rows are kept: an hour has 3.6 million steps.
+    """
+
+    def __init__(self, name: str, instrument: Instrument, began: float, workers: Executor) -> None:
         step_time = instrument.grid.step_time
-        self._name, self._instrument = name, instrument
+        self._name, self._instrument, self._workers = name, instrument, workers
         self._began = began - instrument.interval / 2
-        sought = bool(np.isfinite(instrument.model.limits).any())
-        self._sensor = Sensor(instrument, keep=True, contacts=sought)
+        self._every = steps_of_a_row(step_time, instrument.bandwidth_hz)
+        self._sensor = Sensor(instrument)
+        self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
+        self._untouched: Filter | None = None
+        if np.isfinite(instrument.model.limits).any():
+            self._untouched = instrument.filter(instrument.model.untouched)
+        self._later: list[Future[None]] = []
         self._judge = instrument.judge(causal=False)
         self._waiting: Moments | None = None  # of which some, in front, give states alone
         self._in_front = 0
         self._found: dict[str, list[Any]] = {name: [] for name in FOUND}
-        self._untouched: list[Array] = []
-        self._limited = 0
+        self._steps = self._limited = 0
+        self.seconds = 0.0
 
     def add(self, samples: Array, *, last: bool = False) -> None:
         """Read samples (c, n): encoder, current, temperature, and the reference where it is."""
         sensed = self._sensor.add(samples, last=last)
         self._limited += int(self._instrument.limited(samples[1]).sum())
+        self._settle()
         estimate = sensed.estimate
+        rows = slice(-self._steps % self._every, None, self._every)
+        self._steps += len(sensed.states)
         angle = estimate.low + self._instrument.count / 2
-        found = [angle, sensed.torque, sensed.u, sensed.states, *sensed.others]
-        names = ("angle", "causal", "causal_u", "causal_states", "reference")
-        for name, values in zip(names, found, strict=False):
-            self._found[name].append(values)
-        if sensed.untouched is not None:
-            self._untouched.append(sensed.untouched.astype(np.float32))
+        self._keep("angle", angle, np.float64)
+        self._keep("causal", sensed.torque[rows], np.float64)
+        self._keep("causal_u", sensed.u[rows], np.float64)
+        self._keep("causal_states", sensed.states, np.int8)
+        for reference in sensed.others:
+            self._keep("reference", reference, np.float64)
         before = self._waiting
         self._waiting = sensed.moments if before is None else before.joined(before, sensed.moments)
-        assert sensed.again is not None
-        self._smooth(*self._smoother.add(sensed.again))
+        self._later = [self._workers.submit(self._smooth, sensed, last)]
+        if self._untouched is not None:
+            self._later.append(self._workers.submit(self._test, self._untouched, sensed))
 
-    def _smooth(self, torque: Array, deviation: Array) -> None:
-        """Take smoothed values of the steps that wait the longest, and give them their states."""
+    def _keep(self, name: str, values: Any, kind: Any) -> None:
+        self._found[name].append(np.array(values, dtype=kind))
+
+    def _settle(self) -> None:
+        """Wait for what is done beside: it uses what the next samples change."""
+        for task in self._later:
+            task.result()
+
+    def _test(self, untouched: Filter, sensed: Sensed) -> None:
+        """Keep what the tests for contacts look at."""
+        other = untouched.add(sensed.signals, less=sensed.less)
+        self._keep("doubt", sensed.doubt, np.float32)
+        self._keep("untouched", other.torque, np.float32)
+        self._keep("untouched_u", other.deviation, np.float32)
+
+    def _smooth(self, sensed: Sensed, last: bool) -> None:
+        """Smooth the steps that wait the longest."""
+        kept = self._again.add(sensed.signals, sensed.estimate, last=last)
+        self._judged(*self._smoother.add(kept))
+        if last:
+            self._judged(*self._smoother.finish())
+
+    def _judged(self, torque: Array, deviation: Array) -> None:
+        """Keep smoothed steps, and give them their states."""
         if not len(torque):
             return
         assert self._waiting is not None
@@ -166,41 +218,86 @@ class _Stretch:
         own = part.torque.copy()
         own[first:end] = torque
         states = judge.states(replace(part, torque=own))
-        kinds = judge.kinds(states, part)[first:end]
-        smoothed: tuple[Any, ...] = (torque, deviation, states[first:end], kinds)
-        for name, values in zip(("torque", "u", "states", "kinds"), smoothed, strict=True):
-            self._found[name].append(values)
+        self._keep("torque", torque, np.float64)
+        self._keep("u", deviation, np.float64)
+        self._keep("states", states[first:end], np.int8)
+        self._keep("kinds", judge.kinds(states, part)[first:end], np.int8)
         self._in_front = min(end, judge.span)
         self._waiting = self._waiting.part(end - self._in_front)
 
     def reading(self) -> list[Reading]:
-        """Return what was read, once the stretch is over; nothing where it is too short."""
-        rows = np.empty((4 if self._found["reference"] else 3, 0))
-        self.add(rows, last=True)
-        self._smooth(*self._smoother.finish())
-        step_time = self._instrument.grid.step_time
-        whole: dict[str, Any] = {
-            n: np.concatenate(self._found.pop(n)) for n in FOUND if self._found[n]
-        }
-        if not whole or len(whole["torque"]) * step_time < SHORTEST:
+        """Return the rows of what was read, once the stretch is over; nothing where it is too
+        short."""
+        self.add(np.empty((4 if self._found["reference"] else 3, 0)), last=True)
+        self._settle()
+        step_time, every = self._instrument.grid.step_time, self._every
+        if self._steps * step_time < SHORTEST:
             return []
-        reference = whole.pop("reference", None)
-        bandwidth = self._instrument.bandwidth_hz
-        deviation = without_delay(whole["u"], bandwidth, step_time)
-        ripple, variance, _ = self._sensor.power_up.whole(whole.pop("angle"), whole["torque"])
-        whole["torque"] = whole["torque"] - ripple
-        scales, deviation = self._instrument.model.scales[0], np.sqrt(deviation**2 + variance)
-        whole["u"] = standard_uncertainty(scales, deviation, whole["torque"], whole.pop("kinds"))
-        found: list[Contact] = []
-        if self._untouched:
-            torque, deviation, doubt = np.hstack(self._untouched)
-            states = whole["causal_states"]
-            tested = trial(torque, deviation, states, step_time, doubt)
-            found = contacts(tested, self._instrument.model.limits)
-        steps = np.arange(1.0, len(whole["torque"]) + 1)
-        time: Any = self._began + step_time * steps
-        whole |= {"limited": self._limited, "contacts": tuple(found), "reference": reference}
-        return [Reading(self._name, step_time, time, **whole)]
+        self.seconds = self._steps * step_time
+        contacts = self._contacts()
+        time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
+        torque, u = self._whole()
+        reference = self._taken("reference") if self._found["reference"] else None
+        rate, bandwidth = 1 / step_time, self._instrument.bandwidth_hz
+        return [
+            Reading(
+                self._name,
+                step_time * every,
+                time,
+                lowpass(rate, torque, bandwidth)[::every].copy(),
+                u,
+                self._taken("states")[::every].astype(np.int32),
+                self._taken("causal"),
+                self._taken("causal_u"),
+                self._taken("causal_states")[::every].astype(np.int32),
+                None if reference is None else lowpass(rate, reference, bandwidth)[::every].copy(),
+                self._limited,
+                None if reference is None else delayed(rate, reference, bandwidth)[::every].copy(),
+                contacts,
+                every,
+            )
+        ]
+
+    def _taken(self, name: str) -> Any:
+        """Return what was kept as one, and keep it no longer."""
+        return np.concatenate(self._found.pop(name))
+
+    def _contacts(self) -> tuple[Contact, ...]:
+        """Return the contacts, in steps."""
+        if self._untouched is None:
+            return ()
+        torque, deviation = self._taken("untouched"), self._taken("untouched_u")
+        states = np.concatenate(self._found["causal_states"])
+        doubt, step_time = self._taken("doubt"), self._instrument.grid.step_time
+        tested = trial(torque, deviation, states, step_time, doubt)
+        return tuple(contacts(tested, self._instrument.model.limits))
+
+    def _whole(self) -> tuple[Array, Array]:
+        """Return the torque (m,) less what this power-up's ripple adds, and u of its rows, N m."""
+        instrument, every = self._instrument, self._every
+        torque: Array = self._taken("torque")
+        ripple, variance, _ = self._sensor.power_up.whole(self._taken("angle"), torque)
+        torque -= ripple
+        bandwidth, step_time = instrument.bandwidth_hz, instrument.grid.step_time
+        deviation = without_delay(self._taken("u"), bandwidth, step_time)[::every]
+        deviation = np.sqrt(deviation**2 + variance[::every])
+        kinds = self._taken("kinds")[::every]
+        scales = instrument.model.scales[0]
+        return torque, standard_uncertainty(scales, deviation, torque[::every], kinds)
 
 
-FOUND = (*(name for name in SIGNALS if name != "time"), "reference", "angle", "kinds")
+FOUND = (
+    "torque",
+    "u",
+    "states",
+    "kinds",
+    "causal",
+    "causal_u",
+    "causal_states",
+    "reference",
+    "angle",
+    "untouched",
+    "untouched_u",
+    "doubt",
+)
+"""At each step, but for the causal torque and its u, which are kept at the table's rows."""

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
-from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
-from rigtool.experiments.force_sensor.accuracy import (
+from rigtool.experiments.force_filter.accuracy import (
     BANDS,
+    COVERAGE_FACTOR,
     JUDGED,
     Accuracy,
     accuracy,
     by_band_and_state,
 )
+from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
+from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
 from rigtool.experiments.outcome import Outcome
-from rigtool.numerics.arrays import Array
-from rigtool.numerics.lowpass import FILTER_ORDER, lowpass
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
@@ -29,16 +29,15 @@ from rigtool.runfile import Column, Table
 ROWS = 20
 """Rows of the table in a period of the low-pass."""
 
-COVERAGE_FACTOR = 1.96
-"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
-
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Torque on the output at each step of a stretch without gaps (m,), N m: smoothed, and causal
-    behind the low-pass (empty where there is none), each with its states; deviations are those
-    behind the low-pass. `reference` N m where it was recorded. `limited` counts the samples whose
-    current was at its limit; `contacts` are in steps."""
+    """Rows of the torque on the output in a stretch without gaps (m,), N m, low-passed: smoothed,
+    and causal (empty where there is none), each with standard uncertainty and states. `reference`
+    N m where it was recorded, low-passed as each. `limited` counts the samples whose current was at
+    its limit; `contacts` are in steps, `every` of which are a row. With `dead_bands`, the torque of
+    the states REVERSED and STILL is the middle of a dead band, its u that of a rectangular
+    distribution (GUM 4.3.7)."""
 
     name: str
     step_time: float
@@ -46,13 +45,27 @@ class Reading:
     torque: Array
     u: Array
     states: States
-    causal: Array
-    causal_u: Array
-    causal_states: States
-    reference: Array | None
-    limited: int
+    causal: Array = field(default_factory=lambda: np.empty(0))
+    causal_u: Array = field(default_factory=lambda: np.empty(0))
+    causal_states: States = field(default_factory=lambda: np.empty(0, dtype=np.int32))
+    reference: Array | None = None
+    limited: int = 0
     causal_reference: Array | None = None
     contacts: tuple[Contact, ...] = ()
+    every: int = 1
+    dead_bands: bool = False
+
+    @property
+    def hidden(self) -> Mask:
+        """Where there is a dead band instead of an estimate (m,)."""
+        found: Mask = self.dead_bands & np.isin(self.states, (State.REVERSED, State.STILL))
+        return found
+
+    @property
+    def half(self) -> Array:
+        """Half of the 95 % interval, or of the dead band (m,), N m."""
+        half: Array = np.where(self.hidden, math.sqrt(3), COVERAGE_FACTOR) * self.u
+        return half
 
     @classmethod
     def joined(cls, parts: Sequence[Reading]) -> Reading:
@@ -68,23 +81,10 @@ class Reading:
                 together[name] = np.concatenate([getattr(part, name) for part in parts])
         return replace(first, **together, limited=sum(part.limited for part in parts))
 
-    def low_passed(self, cutoff_hz: float) -> Reading:
-        """Return the rows of the table, low-passed at a cut-off, Hz, as the causal torque is."""
-        from scipy.signal import butter, sosfilt
 
-        rate = 1 / self.step_time
-        sections = butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos")
-        every = max(1, int(rate / (ROWS * cutoff_hz)))
-        kept = {name: getattr(self, name)[::every] for name in SIGNALS if name != "torque"}
-        if self.reference is not None:
-            kept["reference"] = lowpass(rate, self.reference, cutoff_hz)[::every]
-            kept["causal_reference"] = sosfilt(sections, self.reference)[::every]
-        return replace(
-            self,
-            step_time=self.step_time * every,
-            torque=lowpass(rate, self.torque, cutoff_hz)[::every],
-            **kept,
-        )
+def steps_of_a_row(step_time: float, bandwidth_hz: float) -> int:
+    """Return how many steps of `step_time` s are a row of the table."""
+    return max(1, int((1 / step_time) / (ROWS * bandwidth_hz)))
 
 
 SIGNALS = (
@@ -119,7 +119,7 @@ def force_outcome(
     """
     bandwidth = recipe.measure_force.motion.bandwidth_hz
     parts = [(number, part) for number, r in enumerate(recordings) for part in r.parts]
-    rows = [part.low_passed(bandwidth) for _, part in parts]
+    rows = [part for _, part in parts]
     results, tables = over_time_tables(
         rows,
         reach.torque,
@@ -129,7 +129,7 @@ def force_outcome(
         lost=sum(r.lost for r in recordings),
     )
     if np.isfinite(limits).any():
-        tables |= (events := _events(parts, rows))
+        tables |= (events := _events(parts))
         count = events["events"].shape[0] if events else 0
         results["contacts"] = Quantity(float(count), "1", reason="counted")
     known = tables["force"]["state"] != State.OUTSIDE
@@ -192,7 +192,6 @@ def _table(
 
     so_far = whole.causal_states != State.OUTSIDE
 
-    half = COVERAGE_FACTOR * whole.u
     states = ", ".join(f"{state.value} {name}" for state, name in NAMES.items())
     columns = {
         "row": Column(np.arange(len(number)), "1"),
@@ -201,8 +200,8 @@ def _table(
         "torque": Column(valid(whole.torque), "N m", "on the output, from the whole recording"),
         "force": Column(valid(whole.torque / (load_arm or np.nan)), "N", "at the tip"),
         "u": Column(valid(whole.u), "N m", "standard uncertainty of torque"),
-        "low": Column(valid(whole.torque - half), "N m", "lower end of the 95 % interval"),
-        "high": Column(valid(whole.torque + half), "N m", "upper end of the 95 % interval"),
+        "low": Column(valid(whole.torque - whole.half), "N m", "lower end of the 95 % interval"),
+        "high": Column(valid(whole.torque + whole.half), "N m", "upper end of the 95 % interval"),
         "state": Column(whole.states, "1", states),
     }
     if load_arm is None:
@@ -241,22 +240,22 @@ def _judged(rows: Reading, largest: float) -> tuple[dict[str, Quantity], Table]:
         "band": Column(np.array(BANDS[:-1]) * largest, "N m", "lower end of the load's band"),
         "state": Column(np.array([int(state) for state in JUDGED]), "1", "as in table force"),
     }
-    for prefix, torque, reference, u, states in (
-        ("", rows.torque, rows.reference, rows.u, rows.states),
+    for prefix, torque, reference, half, states in (
+        ("", rows.torque, rows.reference, rows.half, rows.states),
         (
             "causal_",
             rows.causal,
             rows.causal_reference,
-            rows.causal_u,
+            COVERAGE_FACTOR * rows.causal_u,
             rows.causal_states,
         ),
     ):
         if reference is None:
             continue  # there is no causal form
         known = states != State.OUTSIDE
-        moving = known & (states != State.STILL)
+        moving = known & (states != State.STILL) & ~rows.hidden
         error = np.where(known, torque - reference, np.nan)
-        covered = np.abs(error) <= COVERAGE_FACTOR * u
+        covered = np.abs(error) <= half
         overall, while_moving = (accuracy(error, covered, among) for among in (known, moving))
         why = "the deviation from the reference itself"
         results |= {
@@ -283,19 +282,18 @@ def _cells(prefix: str, cells: list[list[Accuracy]]) -> dict[str, Column]:
     }
 
 
-def _events(parts: Sequence[tuple[int, Reading]], rows: Sequence[Reading]) -> dict[str, Table]:
-    """Return the table of contacts, from stretches and their rows; none without contacts."""
+def _events(parts: Sequence[tuple[int, Reading]]) -> dict[str, Table]:
+    """Return the table of contacts of numbered stretches; none without contacts."""
     found: list[tuple[float, ...]] = []
-    for (number, part), row in zip(parts, rows, strict=True):
-        every = round(row.step_time / part.step_time)
-        known = row.states != State.OUTSIDE
-        for contact in part.contacts:
-            span = slice(contact.begin // every, contact.end // every + 1)
+    for number, row in parts:
+        known, step_time = row.states != State.OUTSIDE, row.step_time / row.every
+        for contact in row.contacts:
+            span = slice(contact.begin // row.every, contact.end // row.every + 1)
             torque, u = row.torque[span][known[span]], row.u[span][known[span]]
             if not len(torque):
                 continue
             peak = int(np.argmax(np.abs(torque)))
-            times = part.time[[contact.begin, contact.found, contact.end]]
+            times = row.time[0] + step_time * np.array([contact.begin, contact.found, contact.end])
             found.append((number, *times, torque[peak], u[peak], torque.mean(), u.mean()))
     if not found:
         return {}

@@ -14,22 +14,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_filter.estimate import Again, Estimate, Filter
+from rigtool.experiments.force_filter.estimate import Again, Estimate, Filter, Signals
+from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach, States
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.steps import CONTEXT, Grid, Sampler, Stepper
 from rigtool.experiments.force_sensor.power_up import PowerUp
-
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 AT_THE_LIMIT = 0.999
 
 
 @dataclass(frozen=True, eq=False)
 class Instrument:
-    """What a sensor knows besides signals.
+    """Properties that a sensor needs besides signals.
 
     `interval` s is from one recorded sample to the next, `count` rad that of the encoder,
     `torque_constant` N m/A at 0 degC and its change per kelvin, `current_limit` in A;
@@ -54,8 +54,20 @@ class Instrument:
         found: NDArray[np.bool_] = np.abs(current) >= AT_THE_LIMIT * self.current_limit
         return found
 
+    def filter(self, uncertainty: Uncertainty) -> Filter:
+        """Return the filter for samples that begin without a gap."""
+        grid = self.grid
+        plant = self.model.plant(grid.sample_time)
+        return Filter(plant, uncertainty, grid.step_samples, self.bandwidth_hz)
+
+    def again(self) -> Again:
+        """Return the filter whose steps are smoothed, for the same samples."""
+        grid = self.grid
+        plant, u = self.model.plant(grid.sample_time), self.model.uncertainty
+        return Again(plant, u, grid.step_samples, self.bandwidth_hz)
+
     def judge(self, *, causal: bool) -> Judge:
-        """Return what gives states."""
+        """Return the judge of states."""
         return Judge(self.reach, self.count, self.grid.step_time, causal)
 
 
@@ -66,9 +78,8 @@ class Sensed:
     `torque` (m,) N m is that behind the low-pass, less the ripple that this power-up of the
     amplifier adds, `u` its standard uncertainty.
 
-    `untouched` (3, m) N m are torque and deviation of a filter that expects no contact, and the
-    deviation of that ripple, for `contacts`; `again` is what the smoother takes, of earlier steps.
-    Both are None where they were not asked for.
+    `signals` are what the filter took, for another one; `less` (m,) N m is what that ripple takes
+    off the drive torque, and `doubt` (m,) N m its standard deviation on the output.
     """
 
     estimate: Estimate
@@ -77,38 +88,24 @@ class Sensed:
     moments: Moments
     states: States
     others: Array
-    untouched: Array | None = None
-    again: Estimate | None = None
+    signals: Signals
+    less: Array
+    doubt: Array
 
 
 class Sensor:
     """Takes samples without a gap; a gap begins another one.
 
-    With `keep` there is what the smoother needs, with `contacts` what contacts are looked for in,
-    each by a further filter. Without `context` each sample must be a
+    Without `context` each sample must be a
     count of the encoder, and an estimate waits for the sample that ends its step alone.
     """
 
-    def __init__(
-        self,
-        instrument: Instrument,
-        *,
-        keep: bool = False,
-        contacts: bool = False,
-        context: bool = True,
-    ) -> None:
+    def __init__(self, instrument: Instrument, *, context: bool = True) -> None:
         grid, model = instrument.grid, instrument.model
         self._instrument = instrument
         self._sampler = Sampler(grid, instrument.count, model.drive, CONTEXT if context else 0)
         self._stepper = Stepper(grid.step_samples)
-        plant, u = model.plant(grid.sample_time), model.uncertainty
-        self._filter = Filter(plant, u, grid.step_samples, instrument.bandwidth_hz)
-        again = Again(plant, u, grid.step_samples, instrument.bandwidth_hz)
-        self._again = again if keep else None
-        self._untouched = None
-        if contacts:
-            other = Filter(plant, model.untouched, grid.step_samples, instrument.bandwidth_hz)
-            self._untouched = other
+        self._filter = instrument.filter(model.uncertainty)
         self.power_up = PowerUp(model, grid.step_time, instrument.bandwidth_hz)
         self._judge = instrument.judge(causal=True)
         self._before: Moments | None = None
@@ -138,16 +135,10 @@ class Sensor:
             found[0],
             found[1],
         )
-        quiet = None
-        if self._untouched is not None:
-            other = self._untouched.add(signals, less=less)
-            quiet = np.array([other.torque, other.deviation, np.sqrt(variance)])
-        again = None
-        if self._again is not None:
-            again = self._again.add(signals, estimate, last=last)
         states, kinds = self._states(moments)
         u = standard_uncertainty(self._instrument.model.scales[1], deviation, torque, kinds)
-        return Sensed(estimate, torque, u, moments, states, found[2:], quiet, again)
+        doubt = np.sqrt(variance)
+        return Sensed(estimate, torque, u, moments, states, found[2:], signals, less, doubt)
 
     def _states(self, moments: Moments) -> tuple[States, States]:
         """Return states and kinds of these steps, that follow from the steps before them, too."""

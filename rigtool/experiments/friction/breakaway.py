@@ -1,9 +1,9 @@
 """Breakaway torque, at which the shaft begins to move, around the turn [7.1.2, Fig. 22].
 
 A slow ramp of torque first bends the contacts of the bearings (pre-sliding: the shaft creeps by a
-fraction of a degree), then the shaft breaks away and runs off. It has broken away where it moves on
-from one angle to its double within a small part of the ramp's time; the torque is read at the time
-where that motion, extrapolated back as a straight line, begins:
+fraction of a degree), then the shaft breaks away and runs off. The shaft has broken away where it
+moves from one angle to twice that angle within a small part of the ramp's time; the torque is read
+at the time where that motion, extrapolated back as a straight line, begins:
 
     t0 = t1 - (t2 - t1),   t1, t2 = first times beyond the angle and its double
 
@@ -77,14 +77,16 @@ def _onset(time: Array, angle: Array, threshold: float) -> float | None:
     # The shaft may first spring back as the current begins: count from its furthest point.
     moved = angle - np.minimum.accumulate(angle)
     while threshold <= moved.max():
-        once = float(time[np.argmax(moved > threshold)]) if moved.max() > threshold else np.inf
+        once = float(time[np.argmax(moved >= threshold)])
         beyond = moved > 2 * threshold
-        if not beyond.any():
-            # The recording ends during the motion, too early to extrapolate it back.
-            return once if np.isfinite(once) and once >= (1 - BREAKAWAY_TIME) * time[-1] else None
-        twice = float(time[np.argmax(beyond)])
-        if twice - once <= BREAKAWAY_TIME * once:
-            return max(0.0, 2 * once - twice)
+        if beyond.any():
+            doubling = float(time[np.argmax(beyond)]) - once
+        else:
+            # The recording ends during the motion: it would go on as it went beyond the angle.
+            further = max(moved[-1] - threshold, 1e-9)
+            doubling = (float(time[-1]) - once) * threshold / further
+        if doubling <= BREAKAWAY_TIME * once:
+            return max(0.0, once - doubling)
         threshold *= 2
     return None
 
@@ -136,8 +138,8 @@ def around_turn(ramps: list[TorqueRamp], positions: Array | None = None) -> Brea
     stuck = sum(np.isnan(ramp.torque) for ramp in ramps)
     if 2 * stuck >= len(ramps):
         raise InsufficientDataError(
-            f"the shaft did not break away in {stuck} of {len(ramps)} ramps: raise "
-            "stribeck.breakaway_limit, or lower stribeck.breakaway_angle"
+            f"the shaft did not break away in {stuck} of {len(ramps)} ramps: where it stood still, "
+            "raise stribeck.breakaway_limit; where it crept, stribeck.breakaway_angle"
         )
     here = _positions(ramps) if positions is None else positions
     reach = np.pi / len(here)

@@ -9,8 +9,8 @@ the time T uncertain by
 with S the power |X_k|2/n of the torque's discrete Fourier transform at k/T, taken as that of noise
 with one corner, K/T (S0/n where K is large): a corner near 1/T is no flat spectrum. S0 for each K
 by Whittle's likelihood of the lowest k (Arkiv for Matematik 2, 423, 1953); the logarithm of u2 is
-averaged over K by likelihood. Of N revolutions the k that are multiples of N are ripple and left
-out.
+averaged over K by likelihood. With N revolutions, the k that are multiples of N are ripple; they
+are left out.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array, Mask
@@ -67,7 +67,7 @@ class Holds:
     shaking: Array
     settled: Array
 
-    def __getitem__(self, chosen: Mask) -> Holds:
+    def __getitem__(self, chosen: Mask | NDArray[np.intp]) -> Holds:
         return Holds(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
 
@@ -165,7 +165,8 @@ def _warm_up(values: Array) -> int:
 
     The d that minimises the squared standard error of the mean of the rest,
     sum over i >= d of (x_i - mean)^2 / (n - d)^2, over means of five samples (MSER-5: White,
-    Simulation 69(6) 323-334, 1997). Settling adds more deviation than its samples take off.
+    Simulation 69(6) 323-334, 1997). Samples of the settling raise this sum more than
+    their number lowers it.
     """
     batches = values[: len(values) // 5 * 5].reshape(-1, 5).mean(axis=1)
     batches = batches - batches.mean()

@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.friction.holds import MIN_SAMPLES, find_holds, pool
+from rigtool.experiments.friction.holds import MIN_SAMPLES, find_holds
 from rigtool.experiments.friction.imported_motion import add_dynamics
+from rigtool.experiments.friction.imported_pairs import add_changes
 from rigtool.experiments.friction.motion_terms import SmoothedMotion, band_limit
-from rigtool.experiments.friction.procedure_analysis import separate
+from rigtool.experiments.friction.procedure_analysis import fit_holds, separate
 from rigtool.experiments.friction.results import (
     Findings,
     Scale,
@@ -20,8 +21,15 @@ from rigtool.experiments.friction.results import (
     add_static_friction,
     holds_table,
 )
-from rigtool.experiments.friction.stribeck_fit import fit_directions
-from rigtool.experiments.imported import is_linear, known, position_of, require_one_rig, signals_of
+from rigtool.experiments.friction.results_difference import add_curve_difference
+from rigtool.experiments.imported import (
+    is_linear,
+    known,
+    place,
+    position_of,
+    recordings_of,
+    require_one_rig,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
@@ -59,21 +67,31 @@ UNITS_BY_EFFORT = {
 """Units of the results by the unit of the motor's effort, for the units of torque in rad."""
 
 
-def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
+def analyse_imported(
+    runs: Sequence[Run],
+    *,
+    kt: Run | None = None,
+    against: Run | None = None,
+    reference: Run | None = None,
+) -> Outcome:
     """Return friction from holds, one or more a run, or from runs of any motion.
 
-    Raises `UsageError` for runs of both kinds or of several rigs, `InsufficientDataError` where
-    they do not support the result.
+    With `against`, also what changed against it: another imported run of the same motion, or for
+    holds another run of `stribeck`; with `reference`, the ratio of that to the change in a third
+    run. Raises `UsageError` for runs of both kinds or of several rigs, `InsufficientDataError`
+    where they do not support the result.
     """
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
     efforts = [effort_of(recording, kt) for recording in recordings]
     held = [_stretches(recording) for recording in recordings]
     if any(held) and not all(held):
-        moving = ", ".join(run.path.name for run, item in zip(runs, held, strict=True) if not item)
+        moving = ", ".join(
+            place(recording) for recording, item in zip(recordings, held, strict=True) if not item
+        )
         raise UsageError(
-            f"{sum(map(bool, held))} runs hold a constant speed, these do not: {moving}: analyse "
-            "the two kinds one after the other"
+            f"{sum(map(bool, held))} recordings hold a constant speed, these do not: {moving}: "
+            "analyse the two kinds one after the other"
         )
     first = efforts[0]
     found = Findings(Scale(Quantity(1.0, "1", first.relative_u or 0.0)))
@@ -83,11 +101,20 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
             f"the uncertainty of the scale of {first.name} is unknown and not part of the "
             "uncertainties"
         )
+    linear, units = is_linear(recordings[0]), UNITS_BY_EFFORT[first.unit]
+    if against is None and reference is not None:
+        raise UsageError("--reference: is compared with the run of --against: give both")
     if all(held):
-        _add_holds(runs, recordings, efforts, held, found)
+        _add_holds(recordings, efforts, held, found)
+        if against is not None:
+            add_curve_difference(found, against, reference, units.get("N m", "N m"))
+    elif against is not None:
+        pair = recordings_of([run for run in (against, reference) if run is not None])
+        require_one_rig([*recordings, *pair])
+        add_changes(recordings, pair[0], pair[1] if reference is not None else None, kt, found)
     else:
-        _add_motion(runs, recordings, efforts, found)
-    return _in_units(found, UNITS_BY_EFFORT[first.unit], linear=is_linear(recordings[0]))
+        _add_motion(recordings, efforts, found)
+    return _in_units(found, units, linear=linear)
 
 
 def _stretches(recording: Recording) -> list[tuple[int, int]]:
@@ -142,15 +169,14 @@ def _steps(recording: Recording, time: Array, position: Array) -> list[tuple[int
 
 
 def _add_holds(
-    runs: Sequence[Run],
     recordings: Sequence[Recording],
     efforts: Sequence[Effort],
     stretches: Sequence[Sequence[tuple[int, int]]],
     found: Findings,
 ) -> None:
     parts = []
-    inertia = known(recordings[0], "inertia")
-    for run, recording, effort, held in zip(runs, recordings, efforts, stretches, strict=True):
+    inertia = known(recordings[0], "inertia") if efforts[0].unit == "N m" else None
+    for recording, effort, held in zip(recordings, efforts, stretches, strict=True):
         time, angle = recording.read("time"), position_of(recording)
         asked = None
         if recording.has("position_setpoint"):
@@ -168,13 +194,14 @@ def _add_holds(
                 for a, b in held
             ]
         except InsufficientDataError as error:
-            raise InsufficientDataError(f"{run.path}: {error}") from None
-    holds = pool(parts)
+            raise InsufficientDataError(f"{place(recording)}: {error}") from None
+    fits, holds, notes = fit_holds(parts)
+    found.notes += notes
     if inertia is None:
         found.notes.append(
-            "the inertia is not known: holds in which the shaft starts and stops are not left out"
+            "inertia or torque is not known: holds in which the shaft starts and stops are not "
+            "left out"
         )
-    fits = fit_directions(holds.speed, holds.torque, holds.u)
     found.tables["holds"] = holds_table(holds, settled=True)
     settled = int(np.count_nonzero(holds.settled > 0))
     found.notes.append(
@@ -190,10 +217,10 @@ def _add_holds(
 
 
 def _add_motion(
-    runs: Sequence[Run], recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings
+    recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings
 ) -> None:
     motions: list[SmoothedMotion] = []
-    for run, recording, effort in zip(runs, recordings, efforts, strict=True):
+    for recording, effort in zip(recordings, efforts, strict=True):
         try:
             motion = band_limit(
                 time=recording.read("time"),
@@ -201,7 +228,7 @@ def _add_motion(
                 torque=effort.values,
             )
         except InsufficientDataError as error:
-            raise InsufficientDataError(f"{run.path}: {error}") from None
+            raise InsufficientDataError(f"{place(recording)}: {error}") from None
         motions.append(motion)
     add_dynamics(motions, found)
 

@@ -88,11 +88,12 @@ def _notes(dynamics: Dynamics) -> list[str]:
     notes = [
         "from the dynamics of the motion, J a + fv v + fc sign(v) + offset, that explain "
         f"{dynamics.explained:.1%} of its variance up to {min(cutoffs):.3g} Hz or more",
+        "the model is that of one axis: torque of other joints of an arm that move is not in u",
         f"{left_out} of {total} samples left out: below {dynamics.standstill:.0%} of the highest "
         "speed, as the residuals ask for, or at an end; what that changes is part of u",
     ]
     for share, what in (
-        (dynamics.by_speed, "speed: friction is no straight line over speed"),
+        (dynamics.by_speed, "speed: friction is not a straight line over speed"),
         (dynamics.by_position, "position: ripple, a spring or a load acts as well"),
     ):
         if share > NOTED_POWER:

@@ -4,16 +4,16 @@
 
 on the terms that `motion_terms` makes of recordings. The covariance allows for residuals that are
 correlated in time (`residual_covariance`) and for structure in the residuals (`model_doubt`):
-friction that is no straight line over speed (Stribeck), or a function of position (spring, ripple,
-load). The offset is the mean torque over the positions that were visited: on less than a turn, it
-includes a mean of the ripple. Viscous friction is fv + fd in the positive direction and fv - fd in
-the negative one; fd is part of the model where it is significant.
+friction that is not a straight line over speed (Stribeck), or that depends on position (spring,
+ripple, load). The offset is the mean torque over the positions that were visited: on less than a
+turn, it includes a mean of the ripple. Viscous friction is fv + fd in the positive direction and
+fv - fd in the negative one; fd is part of the model where it is significant.
 
 How much is left out around standstill is chosen by the residuals: samples at lower speeds are used
 as long as the model fits them as well as the others. What the choice changes is part of the
 uncertainties.
 
-A linear axis is the same with position in m and force in N: J in kg, fv in N s/m.
+A linear axis has the same equations with position in m and force in N: J in kg, fv in N s/m.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SIGNIFICANT = 3.0
 
 AS_WELL, ON_ONE_SIDE = 3.0, 2.0
 """Standard deviations by which chance raises the power of residuals near standstill, and moves
-their mean along the motion: more is friction that is another one at low speed (Stribeck)."""
+their mean along the motion: with more, friction at low speed differs (Stribeck)."""
 
 ACCELERATION_NOISE_LIMIT = 0.1
 """Largest part of noise in the acceleration's power for which inertia is stated."""
@@ -147,9 +147,10 @@ def _weighted(motions: Sequence[SmoothedMotion]) -> tuple[Array, Array, Array]:
 def _with_all_that_fits(
     motions: Sequence[SmoothedMotion], chosen: Sequence[int]
 ) -> tuple[list[SmoothedMotion], float]:
-    """Return the motions with all samples near standstill that the model fits as well as others.
+    """Return the motions with all samples near standstill that the model fits as well as the
+    others.
 
-    And the part of the highest speed below which samples are left out.
+    Also return the part of the highest speed below which samples are left out.
     """
     here = list(motions)
     standstill = NEAR_STANDSTILL[0]
@@ -231,7 +232,7 @@ def _doubt(
 ) -> tuple[Array, float, float]:
     """Return the uncertainty of each parameter from structure in the residuals, (p,).
 
-    And the parts of the residuals' power that are a function of speed, and of position.
+    Also return the parts of the residuals' power that are a function of speed, and of position.
     """
     used, times = weight > 0, _times(motions)
     speed, position = _speed(motions), _centred(motions)

@@ -10,8 +10,8 @@ with P the residuals' power that a function of the quantity explains, m the numb
 (cosines over the quantity) of which it consists, own_j the power of regressor j that the others do
 not explain, and alike_j the part of that power that a function of the quantity explains. Functions
 are means over ranges of the quantity. A function of the quantity is what residuals in one range
-have in common at different times; a chance mean over a range, however residuals are correlated in
-time, has nothing in common with the mean at other times.
+have in common at different times; a mean over a range that is due to chance does not agree with the
+mean at other times, however the residuals are correlated in time.
 
 The deviation of friction from a straight line over speed has a known shape (Stribeck), so a model
 with that term shows by how much the parameters would change (`curvature`).
@@ -62,8 +62,8 @@ def structure(
 ) -> tuple[float, Array]:
     """Return the part of the residual's power that a function of `over` explains.
 
-    And the uncertainty of each parameter (p,) that follows. `over` (n,), `residual` (n,), `design`
-    (n, p); `times` (n,) numbers the parts of the recordings.
+    Also return the uncertainty of each parameter (p,) that follows. `over` (n,), `residual` (n,),
+    `design` (n, p); `times` (n,) numbers the parts of the recordings.
     """
     total = max(float(np.sum(residual**2)), 1e-300)
     ranges = np.empty(len(over), dtype=np.intp)

@@ -86,16 +86,20 @@ class SmoothedMotion:
         return max(0, self.samples - int(self.used.sum()) * self.every)
 
 
-def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> SmoothedMotion:
+def band_limit(
+    *, time: ArrayLike, position: ArrayLike, torque: ArrayLike, cutoff: float | None = None
+) -> SmoothedMotion:
     """Return the regressors of a recording: signals (n,), time in s, position in rad or m.
 
-    An irregular time axis is resampled first. Raises `InsufficientDataError` where nothing moves,
-    or the recording is too short.
+    The band is that of the motion, or up to `cutoff`, Hz. An irregular time axis is resampled
+    first. Raises `InsufficientDataError` where nothing moves, or the recording is too short.
     """
     t, shaft, effort = require_signals(MIN_SAMPLES, time=time, position=position, torque=torque)
     step, known, (shaft, effort) = resample(t, shaft, effort)
     density = position_noise(shaft, step)
     smoother = _smoother(shaft, step, density)
+    if cutoff is not None:
+        smoother = KernelSmoother(step, CUTOFF / cutoff)
     noise = noise_of_derivatives(density, smoother.width)
     speed = smoother(shaft, 1)
     highest = float(np.percentile(np.abs(speed), 99))
@@ -143,8 +147,8 @@ def band_limit(*, time: ArrayLike, position: ArrayLike, torque: ArrayLike) -> Sm
 def _smoother(position: Array, step: float, density: float) -> KernelSmoother:
     """Return the narrowest kernel that keeps noise out of the acceleration and passes the motion.
 
-    Not narrower than the motion needs: the rest of the band is other dynamics. Where no kernel
-    keeps the noise out, the one that passes the least part of it.
+    Not narrower than the motion needs: the rest of the band is other dynamics. Where no
+    kernel keeps the noise out, the kernel that passes the least of it.
     """
     widest = max(len(position) * step * WIDEST, NARROWEST * step)
     best, least = KernelSmoother(step, NARROWEST * step), math.inf

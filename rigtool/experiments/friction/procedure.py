@@ -2,12 +2,14 @@
 
 Holds at constant speed give the friction; with it, the sweep is repeated with Coulomb and then with
 viscous compensation too, and the torque-speed curve must go flat. Breakaway is measured by slow
-ramps of current from many rotor angles, without and with a radial force on the shaft.
+ramps of current from many rotor angles, without and with a radial force on the shaft; with the
+force, some speeds are held again.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from rigtool.errors import RecipeError
@@ -16,6 +18,7 @@ from rigtool.experiments.friction.procedure_analysis import (
     BREAKAWAY,
     BREAKAWAY_LOADED,
     HOLDS,
+    HOLDS_LOADED,
     SWEEPS,
     analyse,
     coulomb_and_viscous,
@@ -34,6 +37,12 @@ RUN_UP = 1.0
 SETTLE_TIME = 1.0
 """Added to each hold before the whole turns that are averaged, s."""
 
+SLIDING_SPEED = 1.0
+"""Lowest speed of holds under radial force, rad/s."""
+
+LOADED_SPEEDS = 4
+"""Largest number of speeds held under radial force."""
+
 STOP_ANGLE_FACTOR = 4.5
 """A ramp ends when the shaft has moved by this multiple of the breakaway angle."""
 
@@ -48,7 +57,7 @@ def rig_needs(recipe: Recipe) -> tuple[str, ...]:
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
-    """Holds, three sweeps, and two series of ramps."""
+    """Holds, three sweeps, two series of ramps, and holds under radial force."""
     names = channels(
         "time",
         "position_setpoint",
@@ -60,10 +69,10 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     )
     force, every = recipe.stribeck.radial_force, recipe.stribeck.record_every
     conditions = {BREAKAWAY: {"radial_force": (0.0, "N")}}
-    conditions[BREAKAWAY_LOADED] = {"radial_force": (force, "N")}
+    conditions[BREAKAWAY_LOADED] = conditions[HOLDS_LOADED] = {"radial_force": (force, "N")}
     return tuple(
         RecordingSpec(name, names, conditions.get(name, {}), every)
-        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
+        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
     )
 
 
@@ -96,6 +105,10 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
     for name, force in ((BREAKAWAY, 0.0), (BREAKAWAY_LOADED, settings.radial_force)):
         if name == BREAKAWAY or force > 0:
             _ramps(rig, recipe, recorder, kt, name, force, shaft)
+    if settings.radial_force > 0:
+        load = Load(radial_force=settings.radial_force)
+        task = Task(loaded_profile(settings), load=load, record_every=every)
+        record(rig, task, recorder, HOLDS_LOADED)
 
 
 @dataclass
@@ -108,6 +121,26 @@ class _Shaft:
 
 def hold_profile(settings: Stribeck, direction: float) -> SpeedProfile:
     """Return a motion that holds each speed for whole turns, from the lowest to the highest."""
+    holds = []
+    for speed in sorted(settings.hold_speeds):
+        turns = max(settings.hold_revolutions, math.ceil(settings.hold_time * speed / 2 / math.pi))
+        holds.append((direction * speed, turns))
+    return _profile(settings, holds)
+
+
+def loaded_profile(settings: Stribeck) -> SpeedProfile:
+    """Return a motion that holds a few speeds to and fro, so that hung weights move little.
+
+    The lowest hold speeds at which a shaft slides, or the highest of all.
+    """
+    speeds = sorted(settings.hold_speeds)
+    chosen = [speed for speed in speeds if speed >= SLIDING_SPEED][:LOADED_SPEEDS] or speeds[-1:]
+    turns = settings.hold_revolutions
+    return _profile(settings, [(sign * speed, turns) for speed in chosen for sign in (1, -1)])
+
+
+def _profile(settings: Stribeck, holds: Iterable[tuple[float, int]]) -> SpeedProfile:
+    """Return a motion that holds speeds, rad/s, for so many turns each, and comes to rest."""
     times, speeds = [0.0], [0.0]
 
     def go(speed: float, duration: float) -> None:
@@ -117,10 +150,8 @@ def hold_profile(settings: Stribeck, direction: float) -> SpeedProfile:
             times.append(times[-1] + duration)
             speeds.append(speed)
 
-    for speed in sorted(settings.hold_speeds):
-        turn = 2 * math.pi / speed
-        turns = max(settings.hold_revolutions, math.ceil(settings.hold_time / turn))
-        go(direction * speed, SETTLE_TIME + turns * turn)
+    for speed, turns in holds:
+        go(speed, SETTLE_TIME + turns * 2 * math.pi / abs(speed))
     go(0.0, 0.0)
     return SpeedProfile(tuple(times), tuple(speeds))
 

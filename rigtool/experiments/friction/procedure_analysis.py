@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.between_set_points import (
     REMEDY,
     UNSAMPLED_LIMIT,
@@ -30,13 +30,15 @@ from rigtool.experiments.friction.results import (
     add_breakaway,
     add_flatness,
     add_friction,
-    add_radial_load,
+    add_radial_breakaway,
+    add_radial_friction,
     add_static_friction,
     breakaway_table,
     holds_table,
     ramp_table,
     torque_speed_table,
 )
+from rigtool.experiments.friction.results_difference import add_curve_difference
 from rigtool.experiments.friction.stribeck_fit import (
     DirectionFit,
     Offset,
@@ -58,7 +60,7 @@ SATURATED = "lower stribeck.speed_max, or the load on the shaft"
 
 HOLDS = "holds"
 SWEEPS = ("sweep", "sweep_coulomb", "sweep_viscous")
-BREAKAWAY, BREAKAWAY_LOADED = "breakaway", "breakaway_loaded"
+BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED = "breakaway", "breakaway_loaded", "holds_loaded"
 
 
 def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
@@ -71,11 +73,23 @@ def coulomb_and_viscous(holds: Recording, recipe: Recipe, kt: Run) -> Uncertain:
     )
 
 
-def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
-    """Return friction from the recordings that the runs hold; notes name those that are missing."""
+def analyse(
+    runs: Sequence[Run],
+    recipe: Recipe,
+    *,
+    kt: Run,
+    against: Run | None = None,
+    reference: Run | None = None,
+) -> Outcome:
+    """Return friction from the recordings that the runs hold; notes name those that are missing.
+
+    With `against`, also the difference of the held curve against that of another run; with
+    `reference`, the ratio of that to the difference of a third run. Raises `UsageError` where a run
+    without constant speeds is to be compared.
+    """
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
-        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED)
+        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
     }
     everything = [recording for parts in recordings.values() for recording in parts]
     found = Findings(Scale.of(kt, everything))
@@ -85,8 +99,8 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     missing = [name for name, parts in recordings.items() if not parts]
     if missing:
         found.notes.append(f"not recorded, so without results: {', '.join(missing)}")
-    unloaded, highest = _breakaway(recordings[BREAKAWAY], recipe, found.scale)
-    loaded, _ = _breakaway(recordings[BREAKAWAY_LOADED], recipe, found.scale, unloaded)
+    unloaded, highest = _breakaway(recordings[BREAKAWAY], recipe, found)
+    loaded, _ = _breakaway(recordings[BREAKAWAY_LOADED], recipe, found, unloaded)
     curves = _sweeps(recordings, recipe, found)
     fits: dict[int, DirectionFit] = {}
     offset = None
@@ -96,11 +110,23 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
         found.tables["holds"] = holds_table(holds)
         offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
         _note_lacking(UnsampledCurrent.of(runs), holds, found)
+        for recording in recordings[HOLDS_LOADED][:1]:
+            add_radial_friction(
+                holds,
+                _find_holds(recording, recipe, found.scale),
+                recording.condition("radial_force"),
+                found,
+                recipe.rig.weights_relative_u,
+            )
     elif "sweep" in curves:
         fits = _fit_sweep(curves["sweep"])
         found.notes.append("friction is taken from the sweep, without repeated measurements")
     if fits:
         add_friction(fits, offset, found)
+    if against is not None:
+        if not recordings[HOLDS]:
+            raise UsageError(f"{runs[0].path}: holds no constant speeds to compare by --against")
+        add_curve_difference(found, against, reference)
     if (series := unloaded or loaded) is not None:
         found.tables["breakaway"] = breakaway_table(series.position, unloaded, loaded)
     if highest is not None:
@@ -109,8 +135,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run) -> Outcome:
     if unloaded is not None:
         add_breakaway(unloaded, found)
     if unloaded is not None and loaded is not None:
-        force = recordings[BREAKAWAY_LOADED][0].condition("radial_force")
-        add_radial_load(unloaded, loaded, force, found, recipe.rig.weights_relative_u)
+        add_radial_breakaway(unloaded, loaded, found, recipe.rig.weights_relative_u)
     if "sweep_viscous" in curves:
         add_flatness(curves["sweep_viscous"], found)
     return Outcome(found.results, found.tables, tuple(found.notes))
@@ -127,41 +152,37 @@ def _angle(recording: Recording, recipe: Recipe) -> Array:
     return recording.read("encoder") * (2 * np.pi / recipe.rig.encoder_counts)
 
 
+def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
+    """Return the holds of a recording; raises `InsufficientDataError` where current saturates."""
+    with naming(recording):
+        asked = recording.read("current_setpoint")
+        require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED)
+    followed = recording.has("position_setpoint")
+    found = find_holds(
+        time=recording.read("time"),
+        angle=_angle(recording, recipe),
+        torque=controller_torque(recording, scale.value),
+        setpoint=recording.read("position_setpoint") if followed else None,
+        inertia=recipe.rig.nominal_inertia,
+    )
+    # Twice the variance: both directions are rounded to the same steps and err alike, so that the
+    # mean of the two is no better than each.
+    step = scale.value * setpoint_resolution(recording, recipe.stribeck.record_every)
+    return replace(found, u=np.hypot(found.u, step / math.sqrt(6)))
+
+
 def _fit_holds(
     recordings: Iterable[Recording], recipe: Recipe, scale: Scale
 ) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
     """Return the fit by direction (+1, -1), the holds that it rests on, and notes."""
-    parts, notes = [], []
+    parts = []
     setpoints, currents = [], []
     for recording in recordings:
-        with naming(recording):
-            asked = recording.read("current_setpoint")
-            require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED)
-        found = find_holds(
-            time=recording.read("time"),
-            angle=_angle(recording, recipe),
-            torque=controller_torque(recording, scale.value),
-            setpoint=recording.read("position_setpoint")
-            if recording.has("position_setpoint")
-            else None,
-            inertia=recipe.rig.nominal_inertia,
-        )
-        # Twice the variance: both directions are rounded to the same steps and err alike, so that
-        # the mean of the two is no better than each.
-        step = scale.value * setpoint_resolution(recording, recipe.stribeck.record_every)
-        parts.append(replace(found, u=np.hypot(found.u, step / math.sqrt(6))))
+        parts.append(_find_holds(recording, recipe, scale))
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
-    everything = pool(parts)
-    steady = everything[everything.shaking <= SHAKING_LIMIT]
-    if len(steady.speed) < len(everything.speed):
-        shaken = np.abs(everything.speed[everything.shaking > SHAKING_LIMIT])
-        listed = ", ".join(f"{speed:.3g}" for speed in np.unique(np.round(shaken, 3)))
-        notes.append(
-            f"holds left out, because the shaft starts and stops instead of turning: {listed} rad/s"
-        )
-    fits = fit_directions(steady.speed, steady.torque, steady.u)
+    fits, steady, notes = fit_holds(parts)
     if setpoints:
         require_linear_at_low_current(
             current_setpoint=np.concatenate(setpoints),
@@ -169,6 +190,23 @@ def _fit_holds(
             friction_current=float(np.mean([fit.friction for fit in fits.values()])) / scale.value,
         )
     return fits, steady, notes
+
+
+def fit_holds(parts: list[Holds]) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
+    """Return the fit by direction of holds from several recordings, those that are used, and notes.
+
+    Left out are holds in which the shaft starts and stops. Raises `InsufficientDataError` where a
+    direction cannot be fitted.
+    """
+    everything, notes = pool(parts), []
+    steady = everything[everything.shaking <= SHAKING_LIMIT]
+    if len(steady.speed) < len(everything.speed):
+        shaken = np.abs(everything.speed[everything.shaking > SHAKING_LIMIT])
+        listed = ", ".join(f"{speed:.3g}" for speed in np.unique(np.round(shaken, 3)))
+        notes.append(
+            f"holds left out, because the shaft starts and stops instead of turning: {listed} rad/s"
+        )
+    return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
 
 
 def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> None:
@@ -268,21 +306,26 @@ def separate(
 
 
 def _breakaway(
-    recordings: Sequence[Recording], recipe: Recipe, scale: Scale, pair: Breakaway | None = None
+    recordings: Sequence[Recording], recipe: Recipe, found: Findings, pair: Breakaway | None = None
 ) -> tuple[Breakaway | None, Table | None]:
     """Return breakaway around the turn from all ramps, and the highest ramp as a table.
 
-    Positions are those of `pair`, where another series is given to compare with.
+    Positions are those of `pair`, where another series is given to compare with. A note states why
+    ramps without breakaway give no result.
     """
     ramps: list[TorqueRamp] = []
     highest: Table | None = None
     for recording in recordings:
         time, angle = recording.read("time"), _angle(recording, recipe)
-        torque = controller_torque(recording, scale.value)
+        torque = controller_torque(recording, found.scale.value)
         threshold = recipe.stribeck.breakaway_angle
         here = find_ramps(time=time, angle=angle, torque=torque, threshold=threshold)
         highest = highest or ramp_table(here, time, angle, torque)
         ramps.extend(here)
     if not ramps:
         return None, None
-    return around_turn(ramps, None if pair is None else pair.position), highest
+    try:
+        return around_turn(ramps, None if pair is None else pair.position), highest
+    except InsufficientDataError as error:
+        found.notes.append(f"{recordings[0].name!r} is without results: {error}")
+        return None, highest

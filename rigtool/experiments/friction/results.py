@@ -28,7 +28,7 @@ Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""
 
 SCATTER = "scatter"
-"""Line of a budget: what the data themselves scatter, or a fit to them."""
+"""Line of a budget: scatter of the data, or of a fit to them."""
 
 MODEL_POINTS = 120
 """Points of the curve of the friction model in each direction."""
@@ -175,8 +175,8 @@ def add_flatness(curve: TorqueSpeed, found: Findings) -> None:
         )
 
 
-def add_radial_load(
-    unloaded: Breakaway, loaded: Breakaway, force: float, found: Findings, weights_u: float = 0.0
+def add_radial_breakaway(
+    unloaded: Breakaway, loaded: Breakaway, found: Findings, weights_u: float = 0.0
 ) -> None:
     """Add the increase of breakaway torque by a radial force, paired by position [7.1.2.2].
 
@@ -191,14 +191,38 @@ def add_radial_load(
             "no two positions were measured with and without radial force: nothing to compare"
         )
         return
-    estimate = (float(added.mean()), float(added.std(ddof=1)) / math.sqrt(len(added)))
-    dof = float(len(added) - 1)
-    found.add("radial_load_friction", estimate, "N m", dof)
-    if force > 0:
-        added_torque = found.results["radial_load_friction"]
-        weights = error_line("hung weights", estimate[0] * weights_u, "N m")
-        both = combined(estimate[0], "N m", [*added_torque.budget, weights])
-        found.results["radial_friction_coefficient"] = scaled(both, 1 / force, "N m/N")
+    value, u = float(added.mean()), float(added.std(ddof=1)) / math.sqrt(len(added))
+    lines = [
+        error_line(SCATTER, u, "N m", float(len(added) - 1)),
+        error_line("hung weights", value * weights_u, "N m"),
+    ]
+    found.results["radial_load_breakaway"] = found.scale.quantity(value, "N m", lines)
+
+
+def add_radial_friction(
+    unloaded: Holds, loaded: Holds, force: float, found: Findings, weights_u: float = 0.0
+) -> None:
+    """Add the increase of friction in motion by a radial force, N, at speeds held without, too.
+
+    The mean over speeds and directions; where contacts are soft, the shaft breaks away at less
+    than the friction that it then has, with and without the force: breakaway does not show it.
+    `weights_u` is the relative standard uncertainty of the force.
+    """
+    nearest = np.argmin(np.abs(unloaded.speed - loaded.speed[:, None]), axis=1)
+    same = np.abs(unloaded.speed[nearest] / loaded.speed - 1) < 0.01
+    if not same.any():
+        found.notes.append("no speed was held with and without radial force: nothing to compare")
+        return
+    before, after = unloaded[nearest[same]], loaded[same]
+    value = float(np.mean(np.sign(after.speed) * (after.torque - before.torque)))
+    lines = [error_line("hung weights", value * weights_u, "N m")]
+    for name, holds in ((SCATTER, before), ("scatter with the force", after)):
+        square = holds.u**2 / len(after.speed) ** 2
+        dof = float(square.sum() ** 2 / np.sum(square**2 / holds.dof))
+        lines.append(error_line(name, math.sqrt(square.sum()), "N m", dof))
+    added = found.scale.quantity(value, "N m", lines)
+    found.results["radial_load_friction"] = added
+    found.results["radial_friction_coefficient"] = scaled(added, 1 / force, "N m/N")
 
 
 def add_static_friction(

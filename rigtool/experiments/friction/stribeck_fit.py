@@ -34,6 +34,9 @@ BUMP_SIGNIFICANCE = 2.0
 OFF_THE_LINE = 3.0
 """Multiple of its scatter by which the lowest speed must miss the line to be left out."""
 
+OTHER_VELOCITIES = 25
+"""Stribeck velocities that stand for all that the data may not resolve."""
+
 STRUCTURE_LIMIT = 0.08
 """Largest rms structure in the residuals, relative to the mean friction."""
 
@@ -44,7 +47,7 @@ Tustin's, which extrapolates further towards standstill and so must be clearly b
 DIRECTIONS = {1: "positive", -1: "negative"}
 
 ASYMMETRY_U_LIMIT = 0.1
-"""Largest uncertainty of an asymmetry that is separated from a constant torque; else its own."""
+"""Largest uncertainty of an asymmetry that is separated from a constant torque."""
 
 MIN_LEVEL_SPAN = 0.3
 """Smallest relative variation of friction for an extrapolation to no friction."""
@@ -110,9 +113,9 @@ class DirectionFit:
 def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, DirectionFit]:
     """Return the fit of each direction (+1, -1) that was held, from the means of holds (n,).
 
-    One law holds in both: where each by itself prefers another shape of the Stribeck effect, the
-    shape with the lower sum of criteria is taken, since parameters of two models have no mean.
-    Raises `InsufficientDataError` where a direction cannot be fitted.
+    One law holds in both directions: where the directions prefer different shapes of the Stribeck
+    effect, the shape with the lower sum of criteria is taken, since parameters of two models have
+    no mean. Raises `InsufficientDataError` where a direction cannot be fitted.
     """
     fits = _by_direction(speed, torque, u, SHAPES)
     shapes = {fit.exponent for fit in fits.values()} - {None}
@@ -163,15 +166,58 @@ def fit_direction(
     weight = 1 / np.sqrt((scatter**2 + np.median(scatter) ** 2) / 2 + 1e-30)
     best = _line(v, f, weight)
     lowest, needed = _criterion(best, v, f, weight), 0.0
+    curves = {exponent: _stribeck(v, f, weight, exponent) for exponent in shapes}
     for exponent, lead in shapes.items():
-        candidate = _stribeck(v, f, weight, exponent)
+        candidate = curves[exponent]
         if candidate is not None:
             criterion = _criterion(candidate, v, f, weight)
             if criterion + lead < lowest:
                 best, lowest, needed = candidate, criterion, lead
     if best.exponent is None:
         best = _straight_part(v, f, weight)
-    return replace(best, criterion=lowest + needed)
+    covariance = best.covariance.copy()
+    covariance[:2, :2] += _other_models(best, curves, v, f, weight)
+    return replace(best, covariance=covariance, criterion=lowest + needed)
+
+
+def _other_models(
+    chosen: DirectionFit,
+    curves: Mapping[float, DirectionFit | None],
+    v: Array,
+    f: Array,
+    weight: Array,
+) -> Array:
+    """Return the mean square by which fc and fv of other models differ from the chosen fit's.
+
+    The line, and Stribeck curves by exponent: the determined one, or those of all velocities. Each
+    has its Akaike weight, half of which is the line's before the data speak (Burnham and Anderson,
+    Model Selection and Multimodel Inference, 2nd ed., 2002, section 4.3): data that do not resolve
+    a Stribeck effect do not show that there is none. Points that the line leaves out count as its
+    parameters.
+    """
+    line = _straight_part(v, f, weight)
+    left_out = v < line.lowest
+    criteria = [_corrected((f - line.evaluate(v)) * weight * ~left_out, 3 + int(left_out.sum()))]
+    parameters, prior = [line.parameters[:2]], [0.5]
+
+    def add(found: Array, criterion: float, share: float) -> None:
+        parameters.append(found[:2])
+        criteria.append(criterion)
+        prior.append(0.5 / len(curves) * share)
+
+    velocities = np.geomspace(v.min() / 3, v.max() / 3, OTHER_VELOCITIES)
+    for exponent, curve in curves.items() if len(v) > 5 else ():
+        if curve is not None:
+            add(curve.parameters, _criterion(curve, v, f, weight), 1.0)
+            continue
+        for vs in velocities:
+            design = _columns(v, vs, exponent)
+            found = np.asarray(np.linalg.lstsq(design * weight[:, None], f * weight, rcond=None)[0])
+            if found[2] >= found[0]:
+                add(found, _corrected((f - design @ found) * weight, 4), 1 / len(velocities))
+    probable = np.array(prior) * np.exp((min(criteria) - np.array(criteria)) / 2)
+    apart = np.array(parameters) - chosen.parameters[:2]
+    return np.einsum("k,ki,kj->ij", probable / probable.sum(), apart, apart)
 
 
 def mean_by_speed(v: Array, f: Array, u: Array) -> tuple[Array, Array, Array]:
@@ -250,16 +296,12 @@ def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFi
     if len(v) < 6:
         return None
 
-    def columns(vs: float) -> Array:
-        bump = np.exp(-((v / vs) ** exponent))
-        return np.column_stack([1 - bump, v, bump])
-
     def solve(vs: float) -> Array:
-        scaled = columns(vs) * weight[:, None]
+        scaled = _columns(v, vs, exponent) * weight[:, None]
         return np.asarray(np.linalg.lstsq(scaled, f * weight, rcond=None)[0], dtype=np.float64)
 
     def misfit(vs: float) -> float:
-        return float(np.sum(((f - columns(vs) @ solve(vs)) * weight) ** 2))
+        return float(np.sum(((f - _columns(v, vs, exponent) @ solve(vs)) * weight) ** 2))
 
     # The model is linear in all parameters but vs.
     slowest, fastest = v.min() / 3, v.max() / 3
@@ -267,7 +309,7 @@ def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFi
     coulomb, viscous, static = solve(vs)
     bump = (static - coulomb) * np.exp(-((v / vs) ** exponent))
     slope = bump * exponent * (v / vs) ** exponent / vs
-    design = np.column_stack([columns(vs)[:, [0, 1, 2]], slope])
+    design = np.column_stack([_columns(v, vs, exponent), slope])
     fit = _finish(np.array([coulomb, viscous, static, vs]), design, v, f, weight, exponent)
     covariance = fit.covariance
     rise_u = math.sqrt(covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2])
@@ -280,10 +322,19 @@ def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFi
     return fit if determined else None
 
 
+def _columns(v: Array, vs: float, exponent: float) -> Array:
+    """Return the columns (n, 3) of fc, fv and fs in a Stribeck curve of this velocity."""
+    bump = np.exp(-((v / vs) ** exponent))
+    return np.column_stack([1 - bump, v, bump])
+
+
 def _criterion(fit: DirectionFit, v: Array, f: Array, weight: Array) -> float:
-    """Return the corrected Akaike criterion for unknown variance."""
-    n, k = len(v), len(fit.parameters) + 1
-    square = float(np.sum(((f - fit.evaluate(v)) * weight) ** 2))
+    return _corrected((f - fit.evaluate(v)) * weight, len(fit.parameters) + 1)
+
+
+def _corrected(residual: Array, parameters: int) -> float:
+    """Return the corrected Akaike criterion for unknown variance, which counts as a parameter."""
+    n, k, square = len(residual), parameters, float(residual @ residual)
     return n * math.log(max(square / n, 1e-300)) + 2 * k + 2 * k * (k + 1) / max(n - k - 1, 1)
 
 

@@ -32,6 +32,9 @@ WORK_RATE = 5
 ROW_RATE = 50.0
 """Rows per second that are kept after the low-pass, at least: closer neighbours add nothing."""
 
+END = 1.0
+"""Left out at each end of a recording, s, as by O'Neill et al., IEEE RA-L 3(4) 3027-3034, 2018."""
+
 SPEED_BAND = 2
 """The position passes this many times the bandwidth before it is differentiated."""
 
@@ -67,9 +70,8 @@ SPLINE_COUNT = {
 class ShaftPath:
     """How a shaft moved: rows (n,) at even times, s; position in rad or m, speed, acceleration.
 
-    `direction` is near 1 or -1 while moving; `reversed_at` (n,) is the position of the last
-    reversal; `regular` marks rows that are no part of a transient. `factor` and `rate` turn rows
-    into more finely spaced ones: arrays named `fine_*` (m,) are before the low-pass.
+    `regular` marks rows that are no part of a transient. They are `rows` of more finely spaced
+    ones, `rate` a second: arrays named `fine_*` (m,) are before the low-pass.
     """
 
     time: Array
@@ -80,13 +82,36 @@ class ShaftPath:
     fine_position: Array
     fine_speed: Array
     rate: float
-    factor: int
+    rows: slice
     bandwidth_hz: float
 
     def thin(self, fine: Array) -> Array:
         """Return signals (..., m) low-passed, at the rows (..., n)."""
-        thinned: Array = lowpass(self.rate, fine, self.bandwidth_hz)[..., :: self.factor]
+        thinned: Array = lowpass(self.rate, fine, self.bandwidth_hz)[..., self.rows]
         return thinned
+
+
+@dataclass(frozen=True, eq=False)
+class LoadSignals:
+    """What an analysis reads of a recording, at the rows (n,) of its path.
+
+    `output_speed` is that of the output where it has an encoder of its own, else of the motor;
+    `reference` is None without a sensor; `place` (n,) is where the load is, by the best encoder.
+    """
+
+    path: ShaftPath
+    effort: Array
+    effort_unit: str
+    output_speed: Array
+    place: Array
+    reference: Array | None
+
+    @property
+    def sensor(self) -> Array:
+        """Torque of the sensor; `ValueError` without one."""
+        if self.reference is None:
+            raise ValueError("there is no sensor")
+        return self.reference
 
 
 @dataclass(frozen=True)
@@ -123,8 +148,8 @@ def follow(
 ) -> tuple[ShaftPath, list[Array]]:
     """Return the path of a recording, and other signals at its rows, low-passed without phase.
 
-    Signals are (n,), at a constant rate. Raises `InsufficientDataError` where rate or length do not
-    carry the bandwidth.
+    Signals are (n,), at a constant rate; rows leave out `END`. Raises `InsufficientDataError` where
+    rate or length do not carry the bandwidth.
     """
     arrays = {f"signal {i}": signal for i, signal in enumerate(signals)}
     t, p, *rest = require_signals(20, time=time, position=position, **arrays)
@@ -136,7 +161,7 @@ def follow(
     factor = max(1, round(rate / ROW_RATE))
     smooth = lowpass(rate, p, min(SPEED_BAND * bandwidth_hz, 0.45 * rate))
     speed = np.gradient(smooth, 1 / rate)
-    rows = slice(None, None, factor)
+    rows = _without_ends(t[::factor], factor)
     slow = np.gradient(lowpass(rate, p, bandwidth_hz), 1 / rate)
     path = ShaftPath(
         time=t[rows],
@@ -147,10 +172,21 @@ def follow(
         fine_position=p,
         fine_speed=speed,
         rate=rate,
-        factor=factor,
+        rows=rows,
         bandwidth_hz=bandwidth_hz,
     )
     return path, [path.thin(values) for values in rest]
+
+
+def _without_ends(time: Array, factor: int) -> slice:
+    """Return every `factor`th row but those at the ends; `time` (n,) s is that of all of them."""
+    inside = np.flatnonzero((time >= time[0] + END) & (time <= time[-1] - END))
+    if not inside.size:
+        raise InsufficientDataError(
+            f"{time[-1] - time[0]:.3g} s, of which {END:g} s at either end are left out: record "
+            "for longer"
+        )
+    return slice(factor * inside[0], factor * inside[-1] + 1, factor)
 
 
 def _transient(speed: Array, memory: int) -> Mask:

@@ -16,32 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_filter.motion_states import BEYOND
 from rigtool.experiments.imported_load.basis import (
-    GROUPS,
-    LOAD_POWER,
+    LoadSignals,
     Scales,
-    ShaftPath,
     find_scales,
-    motion_functions,
-    size_of,
 )
 from rigtool.experiments.imported_load.loop import learn_loop
-from rigtool.experiments.imported_load.model import FLAT, SIGNS, DesignMatrix, LoadModel, Side
+from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
 from rigtool.experiments.imported_load.region import (
-    BEYOND,
+    CELLS,
     MARGIN,
     NARROW,
+    cell_means,
     learn_region,
     spacing_of,
 )
-from rigtool.experiments.imported_load.side import HeldOut, Rows, groups_for
+from rigtool.experiments.imported_load.side import Fit, HeldOut, Rows, groups_for
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
 Numbers = NDArray[np.intp]
-
-FEWEST_ROWS = 200
-"""Rows in motion, in each direction."""
 
 FOLDS = 10
 """Parts into which levels are put that are left out together, at most."""
@@ -53,43 +48,21 @@ APART_SPEED = 0.1
 """Part of the highest speed by which speeds differ, at least."""
 
 ALIKE = 1.96 / 1.44
-"""Of factors on u: an interval narrower by this holds 85 instead of 95 %, normal distribution."""
-
-SEED = 1
-"""Of the random half; the result hardly depends on it."""
-
-CELLS = 20
-"""Parts of the stroke for which friction that grows with load is reported."""
-
-
-@dataclass(frozen=True, eq=False)
-class Observation:
-    """One recording at a known load: rows (n,) of effort and torque, both as low-passed as `path`.
-
-    `used` marks the rows in use; `level` is a number that recordings at one load share.
-    """
-
-    path: ShaftPath
-    effort: Array
-    torque: Array
-    used: Mask
-    level: int
+"""Ratio of factors on u: an interval narrower by this holds 85 instead of 95 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class Validation:
     """Rows (n,) of levels that were left out of the learning: torque, error and u in N m.
 
-    `speed` has the sign of the direction, `recording` the number of the observation, `row` the row
-    there.
+    `level` is the number of the load, `against` marks rows that move against it.
     """
 
     torque: Array
     error: Array
     u: Array
-    speed: Array
-    recording: Numbers
-    row: Numbers
+    level: Numbers
+    against: Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,13 +81,12 @@ class LoadFriction:
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A model from recordings at so many `paces`, how well it held at levels left out and at a
-    random half of the rows, and friction that grows with load."""
+    """A model from recordings at so many `paces`, how well it held at levels left out, and
+    friction that grows with load."""
 
     model: LoadModel
     paces: int
     validation: Validation
-    random: Validation
     friction: LoadFriction
 
 
@@ -133,54 +105,87 @@ def level_numbers(values: Sequence[float], apart: float = APART) -> list[int]:
     return [int(level) for level in levels]
 
 
+def levels_of(signals: Sequence[LoadSignals]) -> list[int]:
+    """Return the number of the load level of each recording, by its mean reference torque."""
+    means = []
+    for item in signals:
+        moving = item.path.regular
+        means.append(float(np.mean(item.sensor[moving])) if moving.any() else 0.0)
+    return level_numbers(means)
+
+
 def learn_load_model(
-    observations: Sequence[Observation],
+    signals: Sequence[LoadSignals],
     *,
     turn: float = 0.0,
     prior: LoadModel | None = None,
 ) -> Learned:
-    """Learn a model from recordings at two loads or more.
+    """Learn a model from recordings at two loads or more, each with a sensor.
 
     `turn` is one turn of the encoder in the unit of position, 0 where it has none. `prior` is the
     model of another mounting, of the same bandwidth: two loads are then enough.
     Raises `InsufficientDataError` where the recordings do not show how effort grows with load.
     """
-    paths = [item.path for item in observations]
-    scales = find_scales(paths, [item.torque for item in observations], turn)
+    paths = [item.path for item in signals]
+    scales = find_scales(paths, [item.sensor for item in signals], turn)
     if prior is not None:
         scales = _scales_as(prior, scales)
-    folds, levels = _folds(observations)
-    moving = _Moving.of(observations, scales, folds, None if prior is None else prior.effort_scale)
-    sides, held, rows = [], [], []
-    for number, sign in enumerate(SIGNS):
-        rows.append(moving.side(sign, levels, None if prior is None else prior.sides[number]))
-        side, out = rows[-1].model()
-        sides.append(side)
-        held.append(out)
-    slope = moving.both([item.slope for item in held])
-    direction = int(np.sign(np.mean(slope) * np.mean(moving.torque))) or 1
-    error = moving.both([item.error for item in held])
-    resolved = moving.both([item.resolved for item in held])
-    measured = np.where(resolved, moving.torque + error, np.nan)
-    spacing = spacing_of(moving.torque, levels)
-    margins = _margins(sides, direction) * spacing
+    level, pace = np.array(levels_of(signals)), _paces(signals)
+    folds, levels = _folds(level)
+    rows = [Rows.of(signals, scales, sign) for sign in SIGNS]
+    effort_scale = float(np.std(np.concatenate([one.effort for one in rows]))) or 1.0
+    if prior is not None:
+        effort_scale = prior.effort_scale
+    rows = [replace(one, effort=one.effort / effort_scale) for one in rows]
+    priors = (None, None) if prior is None else prior.sides
+    found = [
+        _fit(own, folds, levels, pace, before).model()
+        for own, before in zip(rows, priors, strict=True)
+    ]
+    sides, held = [side for side, _ in found], [out for _, out in found]
+    torque, speed, place, recording = _both(rows, "torque", "speed", "place", "recording")
+    error, u, resolved, slope = _both(held, "error", "u", "resolved", "slope")
+    direction = int(np.sign(np.mean(slope) * np.mean(torque))) or 1
+    spacing = spacing_of(torque, levels)
+    measured = np.where(resolved, torque + error, np.nan)
     model = LoadModel(
         scales=scales,
         bandwidth_hz=paths[0].bandwidth_hz,
-        effort_scale=moving.effort_scale,
+        effort_scale=effort_scale,
         sides=(sides[0], sides[1]),
         torque_range=(
-            float(moving.torque.min()) - MARGIN * spacing,
-            float(moving.torque.max()) + MARGIN * spacing,
+            float(torque.min()) - MARGIN * spacing,
+            float(torque.max()) + MARGIN * spacing,
         ),
         direction=direction,
-        region=learn_region(moving.place, moving.speed, moving.torque, margins),
-        loop=learn_loop(moving.place, moving.speed > 0, measured, moving.recording),
+        region=learn_region(place, speed, torque, _margins(sides, direction) * spacing),
+        loop=learn_loop(place, speed > 0, measured, recording),
     )
-    each = [moving.both(pair) for pair in zip(*(item.slopes for item in held), strict=False)]
-    friction = _friction(moving, slope, each, direction)
-    half, paces = moving.random_half(rows, model), int(moving.pace.max()) + 1
-    return Learned(model, paces, moving.validation(held), half, friction)
+    against = direction * speed > 0
+    each = [np.concatenate(pair) for pair in zip(*(out.slopes for out in held), strict=False)]
+    friction = _friction(place, against, scales, slope, each)
+    torque, error, u = (scales.torque * values[resolved] for values in (torque, error, u))
+    validation = Validation(torque, error, u, level[recording][resolved], against[resolved])
+    return Learned(model, int(pace.max()) + 1, validation, friction)
+
+
+def _both(parts: Sequence[Rows] | Sequence[HeldOut], *names: str) -> list[NDArray]:
+    """Return values of both directions, one behind the other."""
+    return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+
+
+def _fit(rows: Rows, folds: Numbers, levels: int, pace: Numbers, prior: Side | None) -> Fit:
+    """Fit one direction; `folds` and `pace` are numbers of load and speed of each recording."""
+    level, paces = folds[rows.recording], pace[rows.recording]
+    if len(np.unique(level)) < 2:
+        raise InsufficientDataError(
+            "only one load moves in one of the directions: record all loads to and fro"
+        )
+    ways = [level if levels > 2 else rows.recording % FOLDS]
+    if pace.max() > 1:  # speeds beyond the others are outside: those at the ends stay
+        ways.append(np.where((paces == 0) | (paces == pace.max()), -1, paces))
+    names = groups_for(tuple(rows.functions), levels) if prior is None else prior.groups
+    return Fit.of(rows, names, level, ways, prior)
 
 
 def _scales_as(prior: LoadModel, scales: Scales) -> Scales:
@@ -212,189 +217,49 @@ def _margins(sides: Sequence[Side], direction: int) -> Array:
     return margins
 
 
-@dataclass(frozen=True, eq=False)
-class _Moving:
-    """Rows (n,) of all observations that move, without unit, and their functions (n, k).
-
-    `level` and `pace` number loads and speeds; `row` is the place in the observation.
-    """
-
-    scales: Scales
-    effort_scale: float
-    names: tuple[str, ...]
-    functions: Array
-    effort: Array
-    torque: Array
-    speed: Array
-    place: Array
-    recording: Numbers
-    level: Numbers
-    pace: Numbers
-    row: Numbers
-
-    @staticmethod
-    def of(
-        observations: Sequence[Observation],
-        scales: Scales,
-        folds: Sequence[int],
-        effort_scale: float | None,
-    ) -> _Moving:
-        paces = _paces(observations)
-        parts: list[tuple[Array | Numbers, ...]] = []
-        for number, item in enumerate(observations):
-            path = item.path
-            used = item.used & path.regular & (np.abs(path.speed) >= scales.standstill)
-            rows = np.flatnonzero(used)
-            functions = np.empty((len(rows), sum(map(size_of, GROUPS))))
-            for sign in SIGNS:
-                mask = sign * path.speed[rows] > 0
-                by_group = motion_functions(path, scales, sign)
-                names = tuple(by_group)
-                columns = np.hstack([by_group[name][rows[mask]] for name in names])
-                functions = functions[:, : columns.shape[1]]
-                functions[mask] = columns
-            parts.append(
-                (
-                    functions,
-                    item.effort[rows],
-                    item.torque[rows] / scales.torque,
-                    path.speed[rows] / scales.speed,
-                    (path.position[rows] - scales.low) / (scales.high - scales.low),
-                    *(np.full(len(rows), n) for n in (number, folds[number], paces[number])),
-                    rows,
-                )
-            )
-        functions, effort, *rest = (np.concatenate(part) for part in zip(*parts, strict=True))
-        scale = effort_scale or (float(np.std(effort)) if len(effort) else 0.0) or 1.0
-        return _Moving(scales, scale, names, functions, effort / scale, *rest)
-
-    def side(self, sign: int, levels: int, prior: Side | None) -> Rows:
-        """Return the rows of one direction."""
-        mask = sign * self.speed > 0
-        if (count := int(np.count_nonzero(mask))) < FEWEST_ROWS:
-            raise InsufficientDataError(
-                f"{count} rows move in the {'positive' if sign > 0 else 'negative'} direction, "
-                f"{FEWEST_ROWS} are needed: record more strokes to and fro"
-            )
-        level = np.unique(self.level[mask], return_inverse=True)[1]
-        if level.max() == 0:
-            raise InsufficientDataError(
-                "only one load moves in one of the directions: record all loads to and fro"
-            )
-        recording = np.unique(self.recording[mask], return_inverse=True)[1]
-        folds = [level if levels > 2 else recording % FOLDS]
-        if self.pace.max() > 1:  # speeds beyond the others are outside: those at the ends stay
-            pace = self.pace[mask]
-            folds.append(np.where((pace == 0) | (pace == self.pace.max()), -1, pace))
-        names = groups_for(self.names, levels) if prior is None else prior.groups
-        ends_of = dict(zip(self.names, np.cumsum([size_of(n) for n in self.names]), strict=True))
-        columns = np.concatenate([np.arange(ends_of[n] - size_of(n), ends_of[n]) for n in names])
-        design = DesignMatrix(
-            self.functions[np.ix_(mask, columns)],
-            np.concatenate([np.full(size_of(n), LOAD_POWER.get(n, 0)) for n in names]),
-        )
-        return Rows.of(
-            names,
-            design,
-            self.effort[mask],
-            self.torque[mask],
-            self.speed[mask],
-            recording,
-            level,
-            folds,
-            prior,
-        )
-
-    def both(self, parts: Sequence[NDArray]) -> NDArray:
-        """Return values of both directions in the order of all rows."""
-        values = np.empty(len(self.speed), dtype=parts[0].dtype)
-        for sign, part in zip(SIGNS, parts, strict=True):
-            values[sign * self.speed > 0] = part
-        return values
-
-    def validation(self, held: Sequence[HeldOut]) -> Validation:
-        """Return the errors in folds that were left out."""
-        resolved = self.both([item.resolved for item in held])
-        error, u = (self.both([getattr(item, name) for item in held]) for name in ("error", "u"))
-        return self._validation(resolved, error, u)
-
-    def random_half(self, sides: Sequence[Rows], model: LoadModel) -> Validation:
-        """Learn from half of the rows, chosen at random; return the errors of the rest.
-
-        As neighbouring rows are alike, this proves less than levels that were left out;
-        publications split in this way.
-        """
-        chosen = np.random.default_rng(SEED).random(len(self.speed)) < 0.5
-        parts = []
-        for sign, rows, side in zip(SIGNS, sides, model.sides, strict=True):
-            weights = rows.half(chosen[sign * self.speed > 0])
-            found, known = rows.design.solve(weights, rows.effort, model.torque_range)
-            u, slope = side.spread(rows.design, rows.speed, found)
-            known &= slope >= FLAT * side.slope
-            parts.append((found - rows.torque, u, known))
-        error, u, known = (self.both(part) for part in zip(*parts, strict=True))
-        return self._validation(~chosen & known, error, u)
-
-    def _validation(self, kept: Mask, error: Array, u: Array) -> Validation:
-        unit = self.scales.torque
-        return Validation(
-            torque=self.torque[kept] * unit,
-            error=error[kept] * unit,
-            u=u[kept] * unit,
-            speed=self.speed[kept] * self.scales.speed,
-            recording=self.recording[kept],
-            row=self.row[kept],
-        )
-
-
-def _friction(moving: _Moving, slope: Array, each: Sequence[Array], direction: int) -> LoadFriction:
-    """Return friction by load from the slopes of both directions, in cells of the stroke.
+def _friction(
+    place: Array, against: Mask, scales: Scales, slope: Array, each: Sequence[Array]
+) -> LoadFriction:
+    """Return friction by load from the slopes (n,) of both directions, in cells of the stroke.
 
     Its uncertainty is from `each` slope that leaving out one fold after the other gives.
     """
-    cell = np.clip((moving.place * CELLS).astype(int), 0, CELLS - 1)
-    against = direction * moving.speed > 0
 
     def share(slope: Array) -> Array:
-        means = []
-        for mask in (against, ~against):
-            count = np.bincount(cell[mask], minlength=CELLS)
-            total = np.bincount(cell[mask], weights=slope[mask], minlength=CELLS)
-            means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-        mu: Array = (means[0] - means[1]) / (means[0] + means[1])
+        resisting, driving = (cell_means(place, slope, rows) for rows in (against, ~against))
+        mu: Array = (resisting - driving) / (resisting + driving)
         return mu
 
     mu = share(slope)
     without = np.stack([share(part) for part in each])
     u = np.array([standard_uncertainty(column) for column in without.T])
-    scales, place = moving.scales, (np.arange(CELLS) + 0.5) / CELLS
     known = np.isfinite(mu + u)
-    position = scales.low + place * (scales.high - scales.low)
+    centre = (np.arange(CELLS) + 0.5) / CELLS
+    position = scales.low + centre * (scales.high - scales.low)
     return LoadFriction(position[known], mu[known], u[known], len(each) - 1)
 
 
-def _paces(observations: Sequence[Observation]) -> list[int]:
-    """Return the number of the speed of each observation, the slowest first."""
-    speeds = [item.path.speed[item.used & item.path.regular] for item in observations]
+def _paces(signals: Sequence[LoadSignals]) -> Numbers:
+    """Return the number of the speed of each recording, the slowest first."""
+    speeds = [item.path.speed[item.path.regular] for item in signals]
     sizes = [float(np.sqrt(np.mean(own**2))) if own.size else 0.0 for own in speeds]
-    return level_numbers(sizes, APART_SPEED)
+    return np.array(level_numbers(sizes, APART_SPEED))
 
 
-def _folds(observations: Sequence[Observation]) -> tuple[list[int], int]:
-    """Return the load's number of each observation, at most `FOLDS`, and how many there are."""
-    levels = sorted({item.level for item in observations})
-    if len(levels) < 2:
+def _folds(numbers: Numbers) -> tuple[Numbers, int]:
+    """Return which load each recording is left out with, at most `FOLDS`, and how many there are.
+
+    `numbers` are those of the loads, each recording's (r,).
+    """
+    levels = int(numbers.max()) + 1
+    if levels < 2:
         raise InsufficientDataError(
-            f"{len(observations)} recordings are at one load and do not show how effort "
+            f"{len(numbers)} recordings are at one load and do not show how effort "
             "grows with load; give recordings at two loads or more, at best at five"
         )
-    if len(levels) > 2:
-        folds = min(FOLDS, len(levels))
-        number = {level: i * folds // len(levels) for i, level in enumerate(levels)}
-        return [number[item.level] for item in observations], len(levels)
-    if len(observations) < 4:
+    if levels == 2 and len(numbers) < 4:
         raise InsufficientDataError(
-            f"{len(observations)} recordings at two loads leave nothing to judge the model by: "
+            f"{len(numbers)} recordings at two loads leave nothing to judge the model by: "
             "give two recordings at each load, or three loads"
         )
-    return [item.level for item in observations], 2
+    return numbers * min(FOLDS, levels) // levels, levels

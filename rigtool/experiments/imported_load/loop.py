@@ -1,4 +1,4 @@
-"""Whether runs are of the instrument and mounting that a load model was learned on.
+"""The check that runs are of the instrument and mounting on which a load model was learned.
 
 At one place x of the stroke, the torque of strokes in positive and in negative direction differs by
 d(x), which the learned loads do by themselves. Friction or tendons of another instrument open or
@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.imported_load.region import CELLS, cells_of
+from rigtool.experiments.imported_load.region import cell_means
 from rigtool.numerics.arrays import Array, Mask
 
 FEWEST_ROWS = 3
-"""Rows that a mean in a cell is of."""
+"""Fewest rows of a mean in a cell."""
 
 FEWEST_CELLS = 3
 """Cells with both directions, below which a loop is not compared."""
@@ -85,10 +85,6 @@ def _over_recordings(values: Array, taken: int) -> Array:
 
 def _loop(place: Array, rising: Mask, torque: Array) -> Array:
     """Return the difference of the directions in each cell (c,), NaN where one is missing."""
-    cell, known = cells_of(place), np.isfinite(torque)
-    means = []
-    for rows in (known & rising, known & ~rising):
-        count = np.bincount(cell[rows], minlength=CELLS)
-        total = np.bincount(cell[rows], weights=torque[rows], minlength=CELLS)
-        means.append(np.where(count >= FEWEST_ROWS, total / np.maximum(count, 1), np.nan))
-    return means[0] - means[1]
+    known = np.isfinite(torque)
+    up, down = (cell_means(place, torque, known & way, FEWEST_ROWS) for way in (rising, ~rising))
+    return up - down

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State, States
 from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
 from rigtool.experiments.imported_load.loop import Loop
@@ -26,7 +27,7 @@ from rigtool.experiments.imported_load.region import Region, reached
 from rigtool.numerics.arrays import Array, Mask
 
 SIGNS = (1, -1)
-"""Of the speed, in the order of a model's sides."""
+"""Signs of the speed, in the order of a model's sides."""
 
 FLAT = 0.25
 """Where the slope of effort by torque is below this part of the usual one in its direction, such as
@@ -37,27 +38,21 @@ HIGHEST_POWER = max(LOAD_POWER.values())
 SLOWEST = 1e-3
 """Speed below which scatter does not change any more, as part of the highest."""
 
-NORMAL_95 = 1.959963984540054
-"""Of an interval of 95 %, normal distribution (GUM 6.2.2)."""
-
 HALVINGS = 40
-"""Times that the range of torques is halved to find one: far finer than any uncertainty."""
+"""Halvings of the range of torques to find one: far finer than any uncertainty."""
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueEstimate:
-    """Torque, N m, its standard uncertainty and 95 % interval at each row (n,).
+    """Torque, N m, its standard uncertainty and the state of each row (n,).
 
-    `states` (n,) are those of force over time. Where friction may act either way, near standstill
-    and so soon after a reversal that effort hardly depends on the load yet, `low` and `high` are
-    the ends of the dead band, the torque is its middle and u that of a rectangular distribution
-    (GUM 4.3.7). Outside what was learned, and where nothing bounds the torque, all are NaN.
+    Near standstill, and so soon after a reversal that effort hardly depends on the load yet, the
+    torque is the middle of a dead band and u that of a rectangular distribution (GUM 4.3.7).
+    Outside what was learned, and where nothing bounds the torque, both are NaN.
     """
 
     torque: Array
     u: Array
-    low: Array
-    high: Array
     states: States
 
     @property
@@ -66,13 +61,14 @@ class TorqueEstimate:
         found: Mask = (self.states == State.AGAINST) | (self.states == State.WITH)
         return found
 
+    @property
+    def moving(self) -> Array:
+        """The torque of these rows, NaN in others."""
+        return np.where(self.inside, self.torque, np.nan)
+
     def widened(self, factor: float) -> TorqueEstimate:
         """Return the estimate with u times a factor while moving."""
-        u = np.where(self.inside, factor, 1.0) * self.u
-        half = NORMAL_95 * u
-        low = np.where(self.inside, self.torque - half, self.low)
-        high = np.where(self.inside, self.torque + half, self.high)
-        return replace(self, u=u, low=low, high=high)
+        return replace(self, u=np.where(self.inside, factor, 1.0) * self.u)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,14 +157,10 @@ class LoadModel:
         low, high = self._dead_band(effort, path, hidden)
         bounded = hidden & path.regular & reached(place) & np.isfinite(low + high)
         states[~known & ~bounded] = State.OUTSIDE
-        low = np.where(known, torque - NORMAL_95 * u, low)
-        high = np.where(known, torque + NORMAL_95 * u, high)
         torque = np.where(known, torque, (low + high) / 2)
         u = np.where(known, u, (high - low) / math.sqrt(12))
-        torque, u, low, high = np.where(
-            states == State.OUTSIDE, np.nan, unit * np.stack([torque, u, low, high])
-        )
-        return TorqueEstimate(torque, u, low, high, states)
+        torque, u = np.where(states == State.OUTSIDE, np.nan, unit * np.stack([torque, u]))
+        return TorqueEstimate(torque, u, states)
 
     def _dead_band(self, effort: Array, path: ShaftPath, hidden: Mask) -> tuple[Array, Array]:
         """Return the torques (n,), without unit, between which the load is where friction may act
@@ -182,7 +174,7 @@ class LoadModel:
                 scaled = effort[hidden] / self.effort_scale
                 found, _ = design.solve(side.weights, scaled, self.torque_range)
                 edges[number, hidden] = found
-                half[number, hidden] = NORMAL_95 * side.spread(design, speed, found)[0]
+                half[number, hidden] = COVERAGE_FACTOR * side.spread(design, speed, found)[0]
         order = np.argsort(edges, axis=0)
         low, high = np.take_along_axis(edges, order, axis=0)
         low = np.where(low < high, low, np.nan)  # else both are beyond one end of the range

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_filter.motion_states import BEYOND
 from rigtool.numerics.arrays import Array, Mask
 
 CELLS = 20
@@ -19,9 +20,6 @@ CELLS = 20
 
 SLACK = 0.03
 """Position beyond the learned ones, as part of the stroke."""
-
-BEYOND = 1.1
-"""Of the speeds that were learned: what is given nonetheless, up and down."""
 
 MARGIN, NARROW = 0.75, 0.25
 """Load beyond the learned levels, in spacings of the levels: where an interval held at the last
@@ -64,6 +62,15 @@ def cells_of(place: Array) -> NDArray[np.intp]:
         np.intp
     )
     return found
+
+
+def cell_means(place: Array, values: Array, rows: Mask, fewest: int = 1) -> Array:
+    """Return the mean of values (n,) over `rows` (n,) in each cell, NaN in those with too few."""
+    cell = cells_of(place[rows])
+    count = np.bincount(cell, minlength=CELLS)
+    total = np.bincount(cell, weights=values[rows], minlength=CELLS)
+    means: Array = np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
+    return means
 
 
 def spacing_of(torque: Array, levels: int) -> float:

@@ -1,4 +1,4 @@
-"""One direction of a load model: penalised least squares, judged by what was left out.
+"""One direction of a load model: penalised least squares, judged by held-out data.
 
 Neighbouring splines are held together and other weights held small by one degree of smoothing
 (P. H. C. Eilers, B. D. Marx, Statistical Science 11(2) 89-121, 1996). With columns A (n, k),
@@ -23,7 +23,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.imported_load.basis import LOAD_POWER, SPLINE_COUNT, size_of
+from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
+from rigtool.experiments.imported_load.basis import (
+    LOAD_POWER,
+    SPLINE_COUNT,
+    LoadSignals,
+    Scales,
+    motion_functions,
+    size_of,
+)
 from rigtool.experiments.imported_load.model import (
     FLAT,
     DesignMatrix,
@@ -35,6 +44,9 @@ from rigtool.numerics.arrays import Array, Mask
 
 Numbers = NDArray[np.intp]
 
+FEWEST_ROWS = 200
+"""Rows in motion, in each direction."""
+
 DEGREE = 1e-2
 """Degree of smoothing; the mean square of a column is 1. Choosing one for each group of functions
 by levels left out is no better at levels that were in neither."""
@@ -44,15 +56,15 @@ RIDGE = 1e-4
 learned, such as those of speed, do not work against each other between."""
 
 TINY = 1e-7
-"""The same for `ALWAYS`, which have nothing like them: just that the equations can be solved."""
+"""Ridge for `ALWAYS`, which no other function resembles: only to solve the equations."""
 
 HELD = 100.0
-"""Times that weights are held closer to a prior's than others to zero."""
+"""Factor by which weights are held closer to those of a prior than others to zero."""
 
 ALWAYS = ("offset", "load")
 
-COVERAGE, NORMAL = 0.95, 1.959963984540054
-"""Of intervals, and the normal quantile of that."""
+COVERAGE = 0.95
+"""Coverage of intervals."""
 
 LOG_CHI2 = 1.270362845461478
 """Minus the expected logarithm of a squared standard normal number."""
@@ -75,80 +87,85 @@ class HeldOut:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows (n,) in motion in one direction, without unit.
+    """Rows (n,) in motion in one direction, without unit but for the effort.
 
-    `design` holds the functions of motion (n, k), `columns` those at the row's torque over `size`
-    (k,); `recording` numbers where residuals go together, `level` the load; `folds` are ways (n,)
-    of leaving out, loads first: rows of one number are left out together, -1 never.
+    `functions` of motion by group, (n, columns) each; `place` is along the stroke, `recording` the
+    number of the recording: residuals go together there.
     """
 
+    functions: dict[str, Array]
+    effort: Array
+    torque: Array
+    speed: Array
+    place: Array
+    recording: Numbers
+
+    @staticmethod
+    def of(signals: Sequence[LoadSignals], scales: Scales, sign: int) -> Rows:
+        """Gather what moves in the direction of a sign; `InsufficientDataError` where too little
+        does."""
+        functions: dict[str, list[Array]] = {}
+        parts = []
+        for number, item in enumerate(signals):
+            path = item.path
+            moving = sign * path.speed >= scales.standstill
+            rows = np.flatnonzero(path.regular & moving)
+            for name, columns in motion_functions(path, scales, sign).items():
+                functions.setdefault(name, []).append(columns[rows])
+            values = (item.effort, item.sensor, path.speed, path.position)
+            parts.append((*(v[rows] for v in values), np.full(len(rows), number)))
+        effort, torque, speed, position, recording = map(np.concatenate, zip(*parts, strict=True))
+        if len(effort) < FEWEST_ROWS:
+            raise InsufficientDataError(
+                f"{len(effort)} rows move in the {'positive' if sign > 0 else 'negative'} "
+                f"direction, {FEWEST_ROWS} are needed: record more strokes to and fro"
+            )
+        place = (position - scales.low) / (scales.high - scales.low)
+        joined = {name: np.concatenate(columns) for name, columns in functions.items()}
+        return Rows(joined, effort, torque / scales.torque, speed / scales.speed, place, recording)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model of rows (n,): functions of motion `design` (n, k), `columns` those at the torque of
+    each row over `size` (k,). `level` (n,) numbers the loads; `folds` are ways (n,) of leaving out,
+    loads first: rows of one number are left out together, -1 never.
+    """
+
+    rows: Rows
     names: tuple[str, ...]
     design: DesignMatrix
     columns: Array
     size: Array
-    effort: Array
-    torque: Array
-    speed: Array
-    recording: Numbers
     level: Numbers
     folds: Sequence[Numbers]
-    weight: Array
     sums: Sums
 
     @staticmethod
     def of(
-        names: Sequence[str],
-        design: DesignMatrix,
-        effort: Array,
-        torque: Array,
-        speed: Array,
-        recording: Numbers,
+        rows: Rows,
+        names: tuple[str, ...],
         level: Numbers,
         folds: Sequence[Numbers],
         prior: Side | None,
-    ) -> Rows:
-        """Gather rows; weights are those of the scatter that a first fit shows."""
-        columns = design.at(torque)
+    ) -> Fit:
+        """Fit rows; weights are those of the scatter that a first fit shows."""
+        design = DesignMatrix.joined({name: rows.functions[name] for name in names})
+        columns = design.at(rows.torque)
         size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
         columns /= size
-        ones = np.ones(len(effort))
-        penalty = penalty_of(names, size)
-        centre = np.zeros(len(size))
+        penalty, centre = penalty_of(names, size), np.zeros(len(size))
         if prior is not None:
             penalty, centre = prior_of(prior, names, size, penalty)
-        sums = Sums.of(columns, effort, ones, recording, penalty, centre)
-        plain = Rows(
-            tuple(names),
-            design,
-            columns,
-            size,
-            effort,
-            torque,
-            speed,
-            recording,
-            level,
-            folds,
-            ones,
-            sums,
-        )
-        scatter = _fit_scatter(plain.left_out(folds[0])[0], speed, torque)
-        weight = 1 / scatter_variance(scatter, speed, torque)
-        weight /= weight.mean()
-        sums = Sums.of(columns, effort, weight, recording, penalty, centre)
-        return replace(plain, weight=weight, sums=sums)
 
-    def half(self, chosen: Mask) -> Array:
-        """Return coefficients (k,) from the rows that are `chosen` (n,) alone."""
-        sums = self.sums
-        part = Sums.of(
-            self.columns[chosen],
-            self.effort[chosen],
-            self.weight[chosen],
-            self.recording[chosen],
-            sums.penalty,
-            sums.centre,
-        )
-        return part.solve(part.all) / self.size
+        def summed(weight: Array) -> Sums:
+            return Sums.of(columns, rows.effort, weight, rows.recording, penalty, centre)
+
+        even = summed(np.ones(len(rows.effort)))
+        plain = Fit(rows, names, design, columns, size, level, folds, even)
+        scatter = _fit_scatter(plain.left_out(folds[0])[0], rows.speed, rows.torque)
+        weight = 1 / scatter_variance(scatter, rows.speed, rows.torque)
+        return replace(plain, sums=summed(weight / weight.mean()))
 
     def left_out(self, fold: Numbers) -> tuple[Array, Array, Array, Array]:
         """Leave out one fold after the other; return what the others make of its rows.
@@ -156,18 +173,18 @@ class Rows:
         Residual, variance of the model, and slope of effort by torque, (n,) each, NaN in rows that
         are never left out; and the slope of all rows without each fold, (folds, n).
         """
-        residual, variance, slope = (np.full(len(self.effort), np.nan) for _ in range(3))
+        residual, variance, slope = (np.full(len(self.rows.effort), np.nan) for _ in range(3))
         slopes = []
         for number in np.unique(fold[fold >= 0]):
             rows = fold == number
-            out = np.unique(self.recording[rows])
+            out = np.unique(self.rows.recording[rows])
             keep = np.setdiff1d(self.sums.all, out)
             coefficients = self.sums.solve(keep)
             covariance = self.sums.covariance(keep, coefficients)
             columns = self.columns[rows]
-            residual[rows] = self.effort[rows] - columns @ coefficients
+            residual[rows] = self.rows.effort[rows] - columns @ coefficients
             variance[rows] = np.einsum("ij,ij->i", columns @ covariance, columns)
-            slopes.append(self.design.slope(coefficients / self.size, self.torque))
+            slopes.append(self.design.slope(coefficients / self.size, self.rows.torque))
             slope[rows] = slopes[-1][rows]
         return residual, variance, slope, np.array(slopes)
 
@@ -177,8 +194,8 @@ class Rows:
         covariance = self.sums.covariance(self.sums.all, coefficients)
         found = [self.left_out(fold) for fold in self.folds]
         residual, variance, slope, slopes = found[0]
-        scatter = _fit_scatter(residual, self.speed, self.torque)
-        own = scatter_variance(scatter, self.speed, self.torque)
+        scatter = _fit_scatter(residual, self.rows.speed, self.rows.torque)
+        own = scatter_variance(scatter, self.rows.speed, self.rows.torque)
         usual = float(np.median(np.abs(slope)))
         ratios = [np.abs(each[0]) / np.sqrt(each[1] + own) for each in found]
         levels, factors = self._factors(ratios)
@@ -195,8 +212,8 @@ class Rows:
         safe = np.where(resolved, slope, usual)
         held = HeldOut(
             error=-residual / safe,
-            u=side.factor(self.torque) * np.sqrt(variance + own) / np.abs(safe),
-            slope=self.design.slope(side.weights, self.torque),
+            u=side.factor(self.rows.torque) * np.sqrt(variance + own) / np.abs(safe),
+            slope=self.design.slope(side.weights, self.rows.torque),
             slopes=slopes,
             resolved=resolved,
         )
@@ -212,13 +229,14 @@ class Rows:
         """
         from scipy.stats import t
 
-        wider = float(t.ppf((1 + COVERAGE) / 2, len(np.unique(self.recording)) - 1)) / NORMAL
+        repeats = len(np.unique(self.rows.recording))
+        wider = float(t.ppf((1 + COVERAGE) / 2, repeats - 1)) / COVERAGE_FACTOR
         rows = []
         for level in np.unique(self.level):
             own = self.level == level
             parts = [ratio[own & np.isfinite(ratio)] for ratio in ratios]
             asked = [float(np.quantile(part, COVERAGE)) for part in parts if part.size]
-            rows.append((float(self.torque[own].mean()), wider * max(asked) / NORMAL))
+            rows.append((float(self.rows.torque[own].mean()), wider * max(asked) / COVERAGE_FACTOR))
         levels, factors = np.array(sorted(rows)).T
         return levels, np.maximum(factors, factors.mean())
 
@@ -317,8 +335,8 @@ def _fit_scatter(residual: Array, speed: Array, torque: Array) -> Array:
 
 
 def prior_of(prior: Side, names: Sequence[str], size: Array, penalty: Array) -> tuple[Array, Array]:
-    """Return penalty and centre where a prior model knows what two loads do not show: how effort
-    bends with the load. All else is learned from the rows."""
+    """Return penalty and centre where a prior model supplies what two loads do not show: the
+    curvature of effort over load. All else is learned from the rows."""
     bends = np.concatenate([np.full(size_of(name), LOAD_POWER.get(name, 0) > 1) for name in names])
     held = np.where(bends, HELD, 1.0)
     return penalty * np.sqrt(np.outer(held, held)), np.where(bends, prior.weights * size, 0.0)

@@ -1,12 +1,13 @@
 """A load model in run files: how `ilc-learn --implementation D` writes it and others read it.
 
-For runs of other rigs; `load_disturbance` holds what is learned on the bench's own rig.
+For runs of other rigs; `force_model.stored` holds what is learned on the bench's own rig.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
+from typing import Any
 
 import numpy as np
 
@@ -20,12 +21,6 @@ from rigtool.runfile import Column, Run, Table
 MODEL = "load_model"
 """The first table of a model; the names of its other tables begin likewise."""
 
-WIDE_MODEL = "wide_load_model"
-"""The same for a model of a wider bandwidth."""
-
-RANDOM = "random_split"
-"""The table of errors at samples chosen at random."""
-
 _SCALES = {
     "low": ("rad", "lowest position"),
     "high": ("rad", "highest position"),
@@ -34,6 +29,10 @@ _SCALES = {
     "acceleration": ("rad/s2", "unit of acceleration"),
     "torque": ("N m", "unit of torque: the highest"),
     "turn": ("rad", "one turn of the encoder; 0: no orders of rotation in the model"),
+    "lowest": ("1", "torque that is looked for, by its unit"),
+    "highest": ("1", "torque that is looked for, by its unit"),
+    "bandwidth": ("Hz", "of all signals"),
+    "direction": ("1", "of the speed that the load resists"),
 }
 
 _REGION = {
@@ -43,46 +42,49 @@ _REGION = {
     "highest": "torque",
 }
 
-_LIMITS = {
-    "lowest": ("1", "torque that is looked for, by its unit"),
-    "highest": ("1", "torque that is looked for, by its unit"),
-    "bandwidth": ("Hz", "of all signals"),
-    "direction": ("1", "of the speed that the load resists"),
-}
+_CELL = ("1", "of the stroke, from its lower end")
 
 
-def tables_of(model: LoadModel, effort_unit: str, name: str = MODEL) -> dict[str, Table]:
-    """Return the tables of a model, whose names begin with `name`.
+def _table(index: str, columns: Mapping[str, tuple[Any, ...]], main: str, about: str) -> Table:
+    """Return a table of columns: values, unit, description."""
+    return Table(
+        tuple(index.split()),
+        {name: Column(np.asarray(values), *what) for name, (values, *what) in columns.items()},
+        main,
+        about,
+    )
 
-    `effort_unit` is that of what the motor does.
-    """
-    sizes = [[size_of(group) for group in side.groups] for side in model.sides]
-    group = [GROUPS.index(key) for side in model.sides for key in side.groups]
-    every = [size for side in sizes for size in side]
-    sign = np.repeat(SIGNS, [sum(side) for side in sizes])
-    term = np.arange(sum(every))
+
+def tables_of(model: LoadModel, effort_unit: str) -> dict[str, Table]:
+    """Return the tables of a model; `effort_unit` is that of what the motor does."""
+    sides, loop = model.sides, model.loop
+    groups = [
+        np.repeat([GROUPS.index(g) for g in side.groups], [size_of(g) for g in side.groups])
+        for side in sides
+    ]
+    sign = np.repeat(SIGNS, [len(group) for group in groups])
+    term = np.arange(len(sign))
     covariance = np.zeros((len(term), len(term)))
-    for number, side in enumerate(model.sides):
-        where = np.flatnonzero(sign == SIGNS[number])
+    for own, side in zip(SIGNS, sides, strict=True):
+        where = np.flatnonzero(sign == own)
         covariance[np.ix_(where, where)] = side.covariance
-
-    signs = Column(np.array(SIGNS, dtype=float), "1", "sign of the speed")
-    scales = {
-        **{key: getattr(model.scales, key) for key in _SCALES},
+    scales = asdict(model.scales) | {
         "lowest": model.torque_range[0],
         "highest": model.torque_range[1],
         "bandwidth": model.bandwidth_hz,
         "direction": float(model.direction),
     }
-    return {
-        name: Table(
-            ("term",),
+    signs = (np.array(SIGNS, dtype=float), "1", "sign of the speed")
+    levels = [len(side.levels) for side in sides]
+    parts = {
+        "": _table(
+            "term",
             {
-                "term": Column(term, "1", "of one sign of the speed, then of the other"),
-                "sign": Column(sign, "1", "of the speed"),
-                "group": Column(np.repeat(group, every), "1", "of functions, by its number"),
-                "weight": Column(
-                    np.concatenate([item.weights for item in model.sides]),
+                "term": (term, "1", "of one sign of the speed, then of the other"),
+                "sign": (sign, "1", "of the speed"),
+                "group": (np.concatenate(groups), "1", "of functions, by its number"),
+                "weight": (
+                    np.concatenate([side.weights for side in sides]),
                     "1",
                     "times the unit of effort",
                 ),
@@ -90,56 +92,49 @@ def tables_of(model: LoadModel, effort_unit: str, name: str = MODEL) -> dict[str
             "weight",
             "effort of the motor by motion and torque: weights of smooth functions",
         ),
-        f"{name}_covariance": Table(
-            ("term", "other"),
+        "_covariance": _table(
+            "term other",
             {
-                "term": Column(term, "1"),
-                "other": Column(term, "1"),
-                "covariance": Column(covariance, "1", "of the weights"),
+                "term": (term, "1"),
+                "other": (term, "1"),
+                "covariance": (covariance, "1", "of the weights"),
             },
             "covariance",
             "of the weights, from how whole recordings disagree",
         ),
-        f"{name}_scales": Table(
-            ("model",),
+        "_scales": _table(
+            "model",
             {
-                "model": Column(np.arange(1), "1"),
-                "effort": Column(np.array([model.effort_scale]), effort_unit, "unit of effort"),
-                **{
-                    key: Column(np.array([value]), *(_SCALES | _LIMITS)[key])
-                    for key, value in scales.items()
-                },
+                "model": (np.arange(1), "1"),
+                "effort": ([model.effort_scale], effort_unit, "unit of effort"),
+                **{key: ([scales[key]], *about) for key, about in _SCALES.items()},
             },
             "effort",
             "what makes numbers near 1 of position, speed, torque and effort",
         ),
-        f"{name}_scatter": Table(
-            ("side", "coefficient"),
+        "_scatter": _table(
+            "side coefficient",
             {
                 "side": signs,
-                "coefficient": Column(np.arange(3), "1", "constant, log of speed, torque"),
-                "scatter": Column(
-                    np.stack([side.scatter for side in model.sides]),
+                "coefficient": (np.arange(3), "1", "constant, log of speed, torque"),
+                "scatter": (
+                    [side.scatter for side in sides],
                     "1",
                     "logarithm of the variance of effort",
                 ),
-                "slope": Column(
-                    np.array([side.slope for side in model.sides]), "1", "usual one of effort"
-                ),
+                "slope": ([side.slope for side in sides], "1", "usual one of effort"),
             },
             "scatter",
             "scatter beside the model",
         ),
-        f"{name}_factors": Table(
-            ("row",),
+        "_factors": _table(
+            "row",
             {
-                "row": Column(np.arange(sum(len(side.levels) for side in model.sides)), "1"),
-                "side": Column(
-                    np.repeat(SIGNS, [len(side.levels) for side in model.sides]), "1", "as there"
-                ),
-                "torque": Column(np.concatenate([side.levels for side in model.sides]), "1"),
-                "factor": Column(
-                    np.concatenate([side.factors for side in model.sides]),
+                "row": (np.arange(sum(levels)), "1"),
+                "side": (np.repeat(SIGNS, levels), "1", "as there"),
+                "torque": (np.concatenate([side.levels for side in sides]), "1"),
+                "factor": (
+                    np.concatenate([side.factors for side in sides]),
                     "1",
                     "on uncertainty, from the level and from speeds left out",
                 ),
@@ -147,58 +142,54 @@ def tables_of(model: LoadModel, effort_unit: str, name: str = MODEL) -> dict[str
             "factor",
             "what makes intervals hold at each load level",
         ),
-        f"{name}_region": Table(
-            ("side", "cell"),
+        "_region": _table(
+            "side cell",
             {
                 "side": signs,
-                "cell": Column(np.arange(CELLS), "1", "of the stroke, from its lower end"),
-                **{
-                    key: Column(getattr(model.region, key), "1", what)
-                    for key, what in _REGION.items()
-                },
+                "cell": (np.arange(CELLS), *_CELL),
+                **{key: (getattr(model.region, key), "1", what) for key, what in _REGION.items()},
             },
             "highest",
             "speeds and torques at which the model was learned, margins included",
         ),
-        f"{name}_loop": Table(
-            ("cell",),
+        "_loop": _table(
+            "cell",
             {
-                "cell": Column(np.arange(CELLS), "1", "of the stroke, from its lower end"),
-                "mean": Column(model.loop.mean, "1", "torque while rising less while falling"),
-                "shape": Column(model.loop.shape, "1", "standard deviation, less the offset's"),
-                "offset": Column(
-                    np.full(CELLS, model.loop.offset), "1", "standard deviation of the whole loop's"
-                ),
-                "recordings": Column(np.full(CELLS, model.loop.recordings), "1", "it is from"),
+                "cell": (np.arange(CELLS), *_CELL),
+                "mean": (loop.mean, "1", "torque while rising less while falling"),
+                "shape": (loop.shape, "1", "standard deviation, less the offset's"),
+                "offset": (np.full(CELLS, loop.offset), "1", "standard deviation of the whole's"),
+                "recordings": (np.full(CELLS, loop.recordings), "1", "it is from"),
             },
             "mean",
             "loop of the torque that recordings of this mounting show, each left out",
         ),
     }
+    return {MODEL + name: table for name, table in parts.items()}
 
 
-def load_model_from(run: Run, name: str = MODEL) -> tuple[LoadModel, str]:
-    """Return a model of a run and the unit of its effort.
+def load_model_from(run: Run) -> tuple[LoadModel, str]:
+    """Return the model of a run and the unit of its effort.
 
     Raises `RunFileError` where the run holds none or its tables do not belong together.
     """
     run.require_command("ilc-learn")
-    if name not in run.tables:
+    if MODEL not in run.tables:
         raise RunFileError(
             f"{run.path}: holds no load model: learn one with ilc-learn --implementation D from "
             "imported runs with a reference torque"
         )
     try:
-        return _model_from(run.tables, name)
+        return _model_from(run.tables)
     except (KeyError, ValueError, IndexError) as error:
         raise RunFileError(
             f"{run.path}: its load model cannot be used: {error}; learn it again"
         ) from None
 
 
-def _model_from(tables: Mapping[str, Table], name: str) -> tuple[LoadModel, str]:
+def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
     terms, scales, covariance, scatter, factors, region, loop = (
-        tables[name + part]
+        tables[MODEL + part]
         for part in ("", "_scales", "_covariance", "_scatter", "_factors", "_region", "_loop")
     )
     sides = []

@@ -1,4 +1,4 @@
-"""Learning run by run: the result of each run, and when nothing is left to learn [Fig. 44, 45].
+"""Learning run by run: the result of each run, and the criterion to end [Fig. 44, 45].
 
     f(k+1) = Q (f(k) + p L q(k))
 
@@ -52,7 +52,7 @@ class LearningRun:
 
     @property
     def finished(self) -> bool:
-        """Whether nothing is left that repeats and that another update would change."""
+        """Whether no repeatable part is left that another update would change."""
         return self.ratio <= self.limit
 
 

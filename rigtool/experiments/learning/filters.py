@@ -11,7 +11,7 @@ relative degree of T:
 so that L T = |Bu|^2/Bu(1)^2: no phase at any frequency, gain one at DC. Both filters act on signals
 that are stored, and that are periodic because moves repeat: they are applied in the frequency
 domain, exactly, with the phase shift omega*phd*Ts of [26]. A cancelled zero outside the unit circle
-does no harm there (its inverse runs backwards in time); it must not be filtered forwards.
+does no harm there (its inverse runs backwards in time); it must not be filtered forwards in time.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def robustness_gain(frequency: Array, *, cutoff_hz: float, order: int, sample_ti
 
 @dataclass(frozen=True, eq=False)
 class Learning:
-    """All that one learning update needs: the loop T, L, and the settings of Q and p.
+    """Everything that one learning update needs: the loop T, L, and the settings of Q and p.
 
     `cutoff_hz` and `order` are of the Butterworth in Q, `factor` is p. `system` is the model of T;
     `measured` is the loop around the measured plant, where there is one.

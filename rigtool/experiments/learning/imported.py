@@ -9,26 +9,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import is_linear, require_one_rig, signals_of
-from rigtool.experiments.learning.stored_table import period_results
+from rigtool.experiments.imported import is_linear, recordings_of, require_one_rig
+from rigtool.experiments.learning.rows import Amplitudes
+from rigtool.experiments.learning.stored_table import period_results, tables_of
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.ripple.imported import (
-    ORDERS_REPORTED,
+from rigtool.experiments.ripple.imported import ORDERS_REPORTED
+from rigtool.experiments.ripple.imported_groups import (
     RepeatedRuns,
     groups_of,
     turns_of,
 )
-from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, turn_spectrum
-from rigtool.experiments.ripple.orders import CLEAR, coefficients
+from rigtool.experiments.ripple.imported_maps import MAP, SAME_MAP_VARIANCE, read_maps
+from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, neighbours_floor, turn_spectrum
+from rigtool.experiments.ripple.orders import CLEAR, Spectrum, coefficients
 from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
-from rigtool.runfile import Column, Run, Table, dof_column
+from rigtool.runfile import Run, Table
 
 ENTRIES = 2000
 """Positions of a learned map: twenty to a cycle of the highest order."""
@@ -49,26 +53,18 @@ def analyse_imported(
     for name, given in (("friction", friction), ("plant", plant)):
         if given is not None:
             raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
+    if all(MAP in run.tables for run in runs):
+        return _learn_maps(runs)
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
     if is_linear(recordings[0]):
         raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to learn")
     effort = effort_of(recordings[0], kt)
-    turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
+    turns = [turns_of(recording, kt) for recording in recordings]
     groups = sorted(groups_of(recordings, turns), key=lambda group: group.speed)
     _require_one_condition(groups)
     rows = [_learn(group) for group in groups]
-    position: Array = np.arange(float(ENTRIES)) * (2 * math.pi / ENTRIES)
-    speed = np.array([group.speed for group in groups])
-    lowest = float(np.abs(speed).min())
-    table = LookupTable(
-        position=position,
-        speed=speed,
-        torque=np.stack([row.at(position) for row in rows]),
-        low_speed=np.array([0.0, lowest]),
-        amplitude=np.array([0.0, 1.0]),
-        period=2 * math.pi,
-    )
+    table = _table_of(rows, np.array([group.speed for group in groups]))
     notes = [
         f"learned from {group.turns:.0f} turns of {group.runs} runs at {group.label()}: orders "
         f"{', '.join(map(str, row.strongest()))}, {row.order.size} of {row.examined} in all"
@@ -81,6 +77,19 @@ def analyse_imported(
     return Outcome(_results(rows, table, effort), _tables(rows, table, effort), tuple(notes))
 
 
+def _table_of(rows: Sequence[_Row], speed: Array) -> LookupTable:
+    """Return the table of rows at their speeds (rows,), rad/s."""
+    position: Array = np.arange(float(ENTRIES)) * (2 * math.pi / ENTRIES)
+    return LookupTable(
+        position=position,
+        speed=speed,
+        torque=np.stack([row.at(position) for row in rows]),
+        low_speed=np.array([0.0, float(np.abs(speed).min())]),
+        amplitude=np.array([0.0, 1.0]),
+        period=2 * math.pi,
+    )
+
+
 def _require_one_condition(groups: Sequence[RepeatedRuns]) -> None:
     first = groups[0].conditions
     for group in groups[1:]:
@@ -91,30 +100,46 @@ def _require_one_condition(groups: Sequence[RepeatedRuns]) -> None:
             )
 
 
+MAP_SPEED = 0.1
+"""Lowest speed at which the table of a map holds, rad/s: below it fades to zero at rest."""
+
 BY_CHANCE = 0.01
 """Probability at which the strongest order of mere noise would count as learned."""
 
 
+@dataclass(frozen=True, eq=False)
 class _Row:
-    """Repeatable part at one speed: mean and orders (k,), with the scatter behind u."""
+    """Repeatable part at one speed: mean and orders (k,), with the scatter behind u.
 
-    def __init__(self, group: RepeatedRuns) -> None:
-        turns = len(group.torque)
-        self.examined = group.orders
-        spectrum = turn_spectrum(group.torque, self.examined)
-        floor = _steadied(spectrum.noise_floor)
+    `mean_u` and `non_repeatable` are None where nothing was repeated.
+    """
+
+    order: NDArray[np.int64]
+    amplitude: Array
+    phase: Array
+    floor: Array
+    dof: float
+    mean: float
+    mean_u: float | None
+    non_repeatable: float | None
+    examined: int
+
+    @classmethod
+    def of(cls, spectrum: Spectrum, floor: Array, means: Array, scatter: float | None) -> _Row:
+        """Return the orders of a spectrum above its noise floor; `means` (n,) of the repeats."""
         clear = np.flatnonzero(spectrum.amplitude > CLEAR * floor)
-        self.order = clear + 1
-        self.amplitude, self.phase = spectrum.amplitude[clear], spectrum.phase[clear]
-        self.floor, self.dof = floor[clear], 2.0 * (turns - 1)
-        means = group.torque.mean(axis=1)
-        self.mean = float(means.mean())
-        self.mean_u = float(means.std(ddof=1)) / math.sqrt(turns)
-        scatter = coefficients(group.torque, self.examined)
-        deviation = np.abs(scatter - scatter.mean(axis=0)) ** 2
-        # A row of several turns has less of it by their number.
-        per_row = group.turns / turns
-        self.non_repeatable = math.sqrt(per_row * float(deviation.sum()) / (turns - 1) / 2)
+        repeats, orders = means.size, len(spectrum.order)
+        return cls(
+            clear + 1,
+            spectrum.amplitude[clear],
+            spectrum.phase[clear],
+            floor[clear],
+            2.0 * (repeats - 1) if repeats > 1 else 4.0 * NEIGHBOURS,
+            float(means.mean()),
+            float(means.std(ddof=1)) / math.sqrt(repeats) if repeats > 1 else None,
+            scatter,
+            orders,
+        )
 
     def at(self, position: Array) -> Array:
         """Return mean and orders at positions (n,), rad."""
@@ -125,13 +150,13 @@ class _Row:
     @property
     def u(self) -> float:
         """Standard uncertainty at any position: of the mean, and of the orders together."""
-        return math.hypot(self.mean_u, float(np.linalg.norm(self.floor)) / math.sqrt(2))
+        return math.hypot(self.mean_u or 0.0, float(np.linalg.norm(self.floor)) / math.sqrt(2))
 
     @property
     def u_dof(self) -> float:
         """Degrees of freedom of `u`, by Welch and Satterthwaite (GUM G.4.1)."""
         orders = float(np.sum(self.floor**4)) / 4 / self.dof
-        return self.u**4 / (self.mean_u**4 / (self.dof / 2) + orders)
+        return self.u**4 / ((self.mean_u or 0.0) ** 4 / (self.dof / 2) + orders)
 
     @property
     def ripple(self) -> tuple[float, float]:
@@ -164,28 +189,88 @@ def _learn(group: RepeatedRuns) -> _Row:
             f"one turn at {group.label()} does not separate the repeatable part from the rest: "
             "give two runs or more, or record more turns"
         )
-    row = _Row(group)
+    turns = len(group.torque)
+    spectrum = turn_spectrum(group.torque, group.orders, group.sampling)
+    found = coefficients(group.torque, group.orders, group.sampling)
+    deviation = np.abs(found - found.mean(axis=0)) ** 2
+    # A row of several turns has less of it by their number.
+    per_row = group.turns / turns
+    scatter = math.sqrt(per_row * float(deviation.sum()) / (turns - 1) / 2)
+    means = group.torque.mean(axis=1)
+    # Of what may be a higher order's, all or nothing, the standard uncertainty is 1/sqrt(3).
+    by_alias = math.sqrt(2 / 3) * group.leak * spectrum.amplitude
+    floor = np.hypot(_steadied(spectrum.noise_floor), by_alias)
+    return _known(_Row.of(spectrum, floor, means, scatter), group.label())
+
+
+def _known(row: _Row, where: str) -> _Row:
+    """Return a row with something to learn; raises `InsufficientDataError` without."""
     # Noise alone passes x floors with probability exp(-x^2) at each order (Rayleigh).
     by_chance = math.sqrt(math.log(row.examined / BY_CHANCE))
     if not (row.amplitude > by_chance * row.floor).any():
         raise InsufficientDataError(
-            f"no order of rotation exceeds the scatter at {group.label()}: there is nothing "
-            "to learn, or too few turns"
+            f"no order of rotation exceeds the scatter at {where}: there is nothing to learn, or "
+            "too few turns"
         )
     return row
+
+
+def _learn_maps(runs: Sequence[Run]) -> Outcome:
+    """Learn from maps around the turn, without time or speed: the orders of their mean.
+
+    Raises `InsufficientDataError` for maps that are not the same.
+    """
+    maps = read_maps(runs)
+    for number, match in enumerate(maps.matches):
+        if match.correlation**2 < SAME_MAP_VARIANCE:
+            raise InsufficientDataError(
+                f"{runs[number].path} is another map than {runs[maps.reference].path} "
+                f"(correlation {match.correlation:.3f} at equal angles): see fft-ripple, and give "
+                "maps of one condition"
+            )
+    count, mean = len(maps.orders), maps.orders.mean(axis=0)
+    amplitude = np.abs(mean)
+    if count > 1:
+        power = np.sum(np.abs(maps.orders - mean) ** 2, axis=0) / (count - 1)
+        floor, scatter = _steadied(np.sqrt(power / count)), math.sqrt(float(power.sum()) / 2)
+    else:
+        floor, scatter = neighbours_floor(amplitude), None
+    order = np.arange(1.0, mean.size + 1)
+    row = _known(
+        _Row.of(Spectrum(order, amplitude, np.angle(mean), floor), floor, maps.means, scatter),
+        "a map",
+    )
+    table = _table_of([row], np.array([MAP_SPEED]))
+    # A map that was taken at rest or slowly holds in both directions.
+    table = replace(
+        table, speed=np.array([-MAP_SPEED, MAP_SPEED]), torque=np.repeat(table.torque, 2, 0)
+    )
+    effort = Effort(np.zeros(0), maps.unit, maps.signal, 0.0, maps.signal)
+    notes = [
+        f"learned from {count} map{'s' * (count > 1)}: orders "
+        f"{', '.join(map(str, row.strongest()))}, {row.order.size} of {row.examined} in all",
+        f"a map states no speed: its table holds from {MAP_SPEED:g} rad/s on, in both directions",
+    ]
+    if count == 1:
+        notes.append(
+            "one map shows no repeatable part: the noise of an order is taken from those around it"
+        )
+    return Outcome(_results([row], table, effort), _tables([row, row], table, effort), tuple(notes))
 
 
 def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Quantity]:
     """Return ripple, non-repeatable part, and the strongest orders, of the lowest speed."""
     row = rows[int(np.argmin(np.abs(table.speed)))]
     rms, u = row.ripple
-    results = {
-        "learned_rms": Quantity(rms, effort.unit, u, row.dof),
-        "non_repeatable_rms": Quantity(
-            row.non_repeatable, effort.unit, row.non_repeatable / math.sqrt(2 * row.dof), row.dof
-        ),
-        "learned_mean": Quantity(row.mean, effort.unit, row.mean_u, row.dof / 2),
-    }
+    results = {"learned_rms": Quantity(rms, effort.unit, u, row.dof)}
+    if row.non_repeatable is not None:
+        scatter_u = row.non_repeatable / math.sqrt(2 * row.dof)
+        results["non_repeatable_rms"] = Quantity(
+            row.non_repeatable, effort.unit, scatter_u, row.dof
+        )
+    reason = None if row.mean_u is not None else "nothing was repeated"
+    dof = None if row.mean_u is None else row.dof / 2
+    results["learned_mean"] = Quantity(row.mean, effort.unit, row.mean_u, dof, reason)
     for order in row.strongest():
         i = int(np.flatnonzero(row.order == order)[0])
         results[f"order_{order}_amplitude"] = Quantity(
@@ -195,28 +280,8 @@ def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[s
 
 
 def _tables(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Table]:
+    """Return the learned tables; they fade to zero at rest, as no lower speed was recorded."""
+    fading = Amplitudes.fading(float(table.low_speed[-1]))
     u = np.repeat([[row.u] for row in rows], ENTRIES, axis=1)
-    lookup = Table(
-        ("speed", "position"),
-        {
-            "speed": Column(table.speed, "rad/s", "mean of the turns"),
-            "position": Column(table.position, "rad", "of the rotor, as measured"),
-            effort.name: Column(table.torque, effort.unit, "that was learned, mean included"),
-            "u": Column(u, effort.unit, "standard uncertainty: scatter of the turns"),
-            "dof": dof_column([row.u_dof for row in rows]),
-        },
-        effort.name,
-        "repeatable part, by speed and position; bilinear between entries, periodic",
-    )
-    amplitude = Table(
-        ("low_speed",),
-        {
-            "low_speed": Column(table.low_speed, "rad/s", "of the rotor, either direction"),
-            "amplitude": Column(table.amplitude, "1", "factor on the lowest speed's row"),
-            "u": Column(np.zeros(2), "1", "both are by definition"),
-            "dof": dof_column([math.inf, math.inf]),
-        },
-        "amplitude",
-        "by definition zero at rest: no lower speed was recorded",
-    )
-    return {"lookup": lookup, "amplitude": amplitude}
+    dof = np.array([row.u_dof for row in rows])
+    return tables_of(table, u, fading, dof, (effort.name, effort.unit), measured=True)

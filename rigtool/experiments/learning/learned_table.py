@@ -11,7 +11,7 @@ from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 
 COULOMB, VISCOUS = "feedforward_coulomb", "feedforward_viscous"
-"""Results that state with which friction feed-forward a table was learned, where with any."""
+"""Results that state the friction feed-forward with which a table was learned, if there was one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,8 @@ class LearnedTable:
         ]
 
     def friction_lines(self) -> list[str]:
-        """Return the models to feed forward beside the table, in lines; none without any."""
+        """Return the models to feed forward beside the table, in lines; empty where there are
+        none."""
         if not self.friction:
             return []
         coulomb, viscous = (self.friction[name].value for name in (COULOMB, VISCOUS))

@@ -3,11 +3,11 @@
     P(f) = model(f) r(f),  r known at the measured lines and interpolated between them
     T = T0 r/(1 + T0 (r - 1)),  S = S0/(1 + T0 (r - 1)),  T0 and S0 those of the model
 
-r goes in logarithm of magnitude and in phase, over the logarithm of frequency; beyond the first and
-the last line it stays what it is there: the model, as far from the response as at that line. The
-plant is known to lie within a circle, |P'/P - 1| <= d. Below the first line d stays as it is there,
-between lines it is interpolated; above the last line unmodelled dynamics grow, d as the square of
-frequency from the last line's circle and distance to the model together. Over the circle
+r is interpolated in logarithm of magnitude and in phase, over the logarithm of frequency; beyond
+the first and the last line it keeps its value of that line. The plant is known to lie within a
+circle, |P'/P - 1| <= d. Below the first line d stays as it is there, between lines it is
+interpolated; above the last line unmodelled dynamics grow, d as the square of frequency from the
+last line's circle and distance to the model together. Over the circle
 
     |T' - T| <= |T S| d/(1 - |T| d),
 

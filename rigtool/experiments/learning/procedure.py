@@ -11,6 +11,7 @@ from typing import Any
 
 from rigtool.errors import UsageError
 from rigtool.experiments.between_set_points import unsampled_note
+from rigtool.experiments.imported_load.imported import analyse_imported as analyse_imported_loads
 from rigtool.experiments.learning.implementations.a_one_speed import OneSpeed
 from rigtool.experiments.learning.implementations.b_all_speeds import AllSpeeds
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
@@ -53,7 +54,7 @@ def _implementation(recipe: Recipe) -> type[Implementation[Any]]:
     implementation = IMPLEMENTATIONS[name]
     if implementation.BARE_MOTOR and recipe.rig.attachment != "pulley":
         raise UsageError(
-            f"implementation {name} turns the shaft round and round, which the "
+            f"implementation {name} turns the shaft continuously, which the "
             f"{recipe.rig.attachment} cannot: take it off, and add --set rig.attachment=pulley"
         )
     return implementation
@@ -89,8 +90,14 @@ def analyse(
     kt: Run,
     friction: Run | None = None,
     plant: Run | None = None,
+    prior: Run | None = None,
 ) -> Outcome:
-    """Learn from the stored signals, and report the remainder."""
+    """Learn from the stored signals, and report the remainder.
+
+    Raises `UsageError` for a `prior`, which imported runs take.
+    """
+    if prior is not None:
+        raise UsageError("--prior: is for imported runs, the bench's own rig is learned anew")
     outcome = _implementation(recipe).analyse(runs, recipe, kt=kt, friction=friction, plant=plant)
     return replace(
         outcome, notes=(*outcome.notes, *unsampled_note(runs, torque_per_ampere(kt).value))
@@ -113,3 +120,10 @@ PROCEDURE = Procedure(
         "ilc_learn.cancel_radius",
     ),
 )
+
+BY_LOAD = replace(
+    PROCEDURE,
+    analyse_imported=analyse_imported_loads,
+    imported_settings={"measure_force.lowpass_hz": "bandwidth_hz"},
+)
+"""Implementation D, of imported runs as well: they hold no recipe that names an implementation."""

@@ -7,8 +7,8 @@ cycles and the scatter s_k^2 of single ones, the mean of noise alone has the pow
 
 g_k = (1 + r)/(1 - r), where r > 0 is the correlation of a cycle's deviation with that of the next.
 Of many orders, those count as repeatable that the procedure of Benjamini & Hochberg (J. Royal
-Statistical Society B 57(1) 289-300, 1995) keeps: of the ones kept, at most the part `LEVEL` is
-chance, and where nothing repeats, all are dropped with the probability 1 - `LEVEL`.
+Statistical Society B 57(1) 289-300, 1995) keeps: of the orders kept, at most the part `LEVEL` is
+due to chance; where nothing repeats, all orders are dropped with the probability 1 - `LEVEL`.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def repeatability(cycles: Array, spread: float = 1.0) -> Repeatability:
 
 
 def only_kept(cycles: Array, kept: Mask) -> Array:
-    """Return cycles (..., n) with the orders alone that are `kept` (n/2 + 1,)."""
+    """Return cycles (..., n) of only those orders that are `kept` (n/2 + 1,)."""
     orders = np.fft.rfft(cycles, axis=-1)
     orders[..., ~kept] = 0.0
     filtered: Array = np.fft.irfft(orders, cycles.shape[-1], axis=-1)

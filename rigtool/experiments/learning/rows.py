@@ -6,7 +6,8 @@ each other on one period: their mean is repeatable, their scatter is not. One le
 is a row of the table [Fig. 49]. Below the lowest learned speed an amplitude table scales that
 speed's row [Fig. 53].
 
-Everything is a function of the set point, not of the encoder: the table is addressed by it.
+Everything is a function of the set point, not of the encoder, since the set point addresses the
+table.
 """
 
 from __future__ import annotations

@@ -26,22 +26,34 @@ TRAJECTORY = "trajectory"
 """Table that a run has instead of a learned table, where it was learned by time."""
 
 
-def tables_of(table: LookupTable, u: Array, amplitudes: Amplitudes, dof: Array) -> dict[str, Table]:
+def tables_of(
+    table: LookupTable,
+    u: Array,
+    amplitudes: Amplitudes,
+    dof: Array,
+    quantity: tuple[str, str] = ("torque", "N m"),
+    *,
+    measured: bool = False,
+) -> dict[str, Table]:
     """Return the tables `lookup` and `amplitude` of a learned table.
 
     `u` is the standard uncertainty of its torque, of the same shape, N m, with `dof` (speeds,).
+    What was learned may be another `quantity`, name and unit, and by the `measured` angle.
     """
+    name, unit = quantity
+    angle = "measured" if measured else "set point"
+    entries = "periodic" if measured else "one entry a quad count"
     lookup = Table(
         axes=("speed", "position"),
         columns={
-            "speed": Column(table.speed, "rad/s", "set point of the motor shaft"),
-            "position": Column(table.position, "rad", "set point of the motor shaft"),
-            "torque": Column(table.torque, "N m", "feed-forward torque that was learned"),
-            "u": Column(u, "N m", "standard uncertainty: scatter of the moves/sqrt(moves)"),
+            "speed": Column(table.speed, "rad/s", f"{angle} of the motor shaft"),
+            "position": Column(table.position, "rad", f"{angle} of the motor shaft"),
+            name: Column(table.torque, unit, f"feed-forward {name} that was learned"),
+            "u": Column(u, unit, "standard uncertainty: scatter of the moves/sqrt(moves)"),
             "dof": dof_column(dof),
         },
-        signal="torque",
-        description="learned torque by speed and position, one entry a quad count; bilinear "
+        signal=name,
+        description=f"learned {name} by speed and position, {entries}; bilinear "
         "between entries, no extrapolation",
     )
     amplitude = Table(

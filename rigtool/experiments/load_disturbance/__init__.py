@@ -1,1 +1,1 @@
-"""What a load changes, learned at known loads."""
+"""The effects of a load on the motor's torque, learned at known loads."""

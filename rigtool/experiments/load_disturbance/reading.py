@@ -106,7 +106,7 @@ class _Explained:
         return _Explained(own, state, predicted, values)
 
     def left(self) -> Array:
-        """Return what the model leaves (rows,), N m at the motor."""
+        """Return the residual of the model (rows,), N m at the motor."""
         torque = measured(self.record, self.state.known) - self.predicted.along(self.state)
         return self.record.rows(torque)
 
@@ -174,7 +174,7 @@ def _stated(found: _Found, us: Iterator[tuple[float, float]]) -> LoadReading:
 
 
 def _zero(model: Learned, pair: LoadedPair) -> tuple[Array, Array]:
-    """Return what the model leaves without load (rows,), N m, and its derivatives (p, rows)."""
+    """Return the model's residual without load (rows,), N m, and its derivatives (p, rows)."""
     count = pair.loaded.count
     each = [_Explained.of(model, record) for record in pair.unloaded]
     left = np.mean([_at(one.left(), count) for one in each], axis=0)

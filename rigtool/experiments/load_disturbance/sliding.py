@@ -1,4 +1,4 @@
-"""What a load adds to the motor's torque while it slides evenly: by angle, direction and load.
+"""Torque that a load adds while the rotor slides evenly: by angle, direction and load.
 
 At a constant speed every part of the model (`experiments.force_model.model`) is a function of
 the angle: bristles are bent to one side, and what lags has followed. With a torque s on the tendon
@@ -22,16 +22,16 @@ from rigtool.experiments.force_model.records import Record
 from rigtool.numerics.arrays import Array
 
 SEEN = ("stribeck_speed", "ripple_time", "stiffness", "load_onset")
-"""Of a shape, what even sliding under a given load depends on."""
+"""Parameters of a shape on which even sliding under a given load depends."""
 
 ROUNDS = 3
 """Times that the current of a point, which its own disturbance changes, is computed anew."""
 
 POINTS = 150
-"""Of the way over all angles, with the way before them on which what lags follows."""
+"""Points of the way over all angles and of the way before them, on which lags settle."""
 
 FOLLOWED = 6.0
-"""Times of the ripple's lag that this takes."""
+"""Length of the way before, in times of the ripple's lag."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,46 +53,43 @@ class Sliding(Record):
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The disturbance on a grid.
+    """The disturbance by motor speed rad/s, `angle` (a,) rad of the output, and `load` (l,) N m
+    that the tendon carries.
 
-    `angle` (a,) rad of the output, `load` (l,) N m that the tendon carries, by motor speed, rad/s:
-    `torque` and `u` (a, l) of either direction (positive and negative speeds), and of `friction`
-    and `friction_u` (positive speeds), half of what differs between them.
+    `torque` and `u` (2 s, a, l) at speeds `signed` (2 s,), which rise; `friction` and `friction_u`
+    (s, a, l), half of what differs between the directions, at the positive ones.
     """
 
+    signed: Array
     angle: Array
     load: Array
-    torque: dict[float, Array]
-    u: dict[float, Array]
-    friction: dict[float, Array]
-    friction_u: dict[float, Array]
+    torque: Array
+    u: Array
+    friction: Array
+    friction_u: Array
 
 
 def grid_of(
     model: Learned, speeds: Sequence[float], angle: Array, load: Array, torque_constant: float
 ) -> Grid:
     """Return the disturbance at motor speeds, rad/s, output angles (a,) rad and loads (l,) N m."""
-    grid = Grid(angle, load, {}, {}, {}, {})
+    signed = sorted(side * speed for speed in speeds for side in (1.0, -1.0))
+    found = [disturbance(model, angle, load, speed, torque_constant) for speed in signed]
+    ways = list(zip(found, reversed(found), strict=True))[len(speeds) :]  # speeds v and -v
+    halves = [((up - down) / 2, (up_by - down_by) / 2) for (up, up_by), (down, down_by) in ways]
 
-    def valued(by: Array, value: Array) -> tuple[Array, Array]:
-        variance = np.sum(by * np.tensordot(model.covariance, by, axes=1), axis=0)
-        return value, np.sqrt(np.maximum(variance, 0.0))
+    def valued(parts: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+        values, by = (np.stack(part) for part in zip(*parts, strict=True))
+        variance = np.einsum("spal,pq,sqal->sal", by, model.covariance, by, optimize=True)
+        return values, np.sqrt(np.maximum(variance, 0.0))
 
-    for speed in speeds:
-        (up, up_by), (down, down_by) = (
-            disturbance(model, angle, load, side * speed, torque_constant) for side in (1.0, -1.0)
-        )
-        grid.torque[speed], grid.u[speed] = valued(up_by, up)
-        grid.torque[-speed], grid.u[-speed] = valued(down_by, down)
-        half = valued((up_by - down_by) / 2, (up - down) / 2)
-        grid.friction[speed], grid.friction_u[speed] = half
-    return grid
+    return Grid(np.array(signed), angle, load, *valued(found), *valued(halves))
 
 
 def disturbance(
     model: Learned, angle: Array, load: Array, speed: float, torque_constant: float
 ) -> tuple[Array, Array]:
-    """Return what loads (l,) N m add besides themselves at output angles (a,) rad: (a, l), N m.
+    """Return the disturbance of loads (l,) N m at output angles (a,) rad: (a, l), N m.
 
     At the output, at a motor speed, rad/s, with its sign; and the derivatives (p, a, l) by the
     logarithms of the model's shape and by its coefficients.

@@ -1,4 +1,4 @@
-"""What a load adds to the motor's torque in run files: how implementation D writes it."""
+"""The disturbance of a load in run files, as implementation D writes it."""
 
 from __future__ import annotations
 
@@ -49,18 +49,15 @@ def grid_tables(grid: Grid, recipe: Recipe) -> dict[str, Table]:
     position = Column(grid.angle * recipe.rig.angle_ratio, "rad", "of the motor")
     load = Column(grid.load, "N m", "torque that the tendon carries, at the output")
 
-    def table(values: dict[float, Array], u: dict[float, Array], what: str, about: str) -> Table:
-        speeds = sorted(values)
+    def table(values: Array, u: Array, what: str, about: str) -> Table:
         return Table(
             ("speed", "position", "load"),
             {
-                "speed": Column(np.array(speeds), "rad/s", "of the motor shaft"),
+                "speed": Column(grid.signed[-len(values) :], "rad/s", "of the motor shaft"),
                 "position": position,
                 "load": load,
-                "torque": Column(np.stack([values[speed] for speed in speeds]), "N m", what),
-                "u": Column(
-                    np.stack([u[speed] for speed in speeds]), "N m", "standard uncertainty"
-                ),
+                "torque": Column(values, "N m", what),
+                "u": Column(u, "N m", "standard uncertainty"),
             },
             "torque",
             about,
@@ -98,22 +95,21 @@ def rising_load(tables: Run, recipe: Recipe, model: Learned, load: Array) -> Ris
     What remains is the part of the disturbance that does not change its sign with the direction,
     and what the tendon's stretch s / k takes off: at angle b the load M shows s = M sin(b - s / k).
     """
+    from scipy.interpolate import interpn
+
     settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
     position = math.radians(settings.measure_angle)
     speed = 2 * math.pi * settings.speed_rev_per_s * ratio
 
-    def at(name: str, column: str, speed: float) -> Array:
+    def at(name: str, column: str) -> Array:
         table = tables.table(name)
-        values = np.apply_along_axis(
-            lambda points: np.interp(position * ratio, table["position"], points), 1, table[column]
-        )
-        values = np.apply_along_axis(
-            lambda points: np.interp(speed, table["speed"], points), 0, values
-        )
-        found: Array = np.interp(load, table["load"], values)
+        axes = [table[axis] for axis in table.axes]
+        points = np.stack([np.full_like(load, speed), np.full_like(load, position * ratio), load])
+        inside = [np.clip(p, axis[0], axis[-1]) for p, axis in zip(points, axes, strict=True)]
+        found: Array = interpn(axes, table[column], np.stack(inside, axis=-1))
         return found
 
-    friction = at(LOAD_FRICTION, "torque", speed)
-    sided = at(DISTURBANCE, "torque", speed) - friction
+    friction = at(LOAD_FRICTION, "torque")
+    sided = at(DISTURBANCE, "torque") - friction
     stretched = np.sin(position - load / model.shape.stiffness) / math.sin(position)
-    return RisingLoad(friction, at(LOAD_FRICTION, "u", speed), sided - load * (1 / stretched - 1))
+    return RisingLoad(friction, at(LOAD_FRICTION, "u"), sided - load * (1 / stretched - 1))

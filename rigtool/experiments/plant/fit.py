@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize, special
 
 from rigtool.control.plant_models import PlantModel
 from rigtool.errors import InsufficientDataError
@@ -122,7 +122,7 @@ def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
     free, more = data.freedom(rigid), data.freedom(best)
     left, rest = rigid.misfit**2 * free, best.misfit**2 * more
     ratio = ((left - rest) / (free - more)) / (rest / more)
-    better = float(stats.f.sf(ratio, free - more, more))
+    better = float(special.fdtrc(free - more, more, ratio))
     inside = low < best.model.antiresonance_hz and best.model.resonance_hz < high
     if better < SECOND_MASS_SIGNIFICANCE and inside:
         return replace(best, rigid_rejected=better)
@@ -148,7 +148,7 @@ class _Data:
     def explained(self, fit: PlantFit) -> float:
         """Return the probability of deviations this large if the model is right."""
         noise = self.found.dof * len(self.found.frequency)
-        return float(stats.f.sf(fit.misfit**2, self.freedom(fit), noise))
+        return float(special.fdtrc(self.freedom(fit), noise, fit.misfit**2))
 
     def residuals(self, fit: PlantFit, response: ComplexArray) -> Array:
         """Return weighted residuals (2 k,): logarithm of magnitude, then phase."""

@@ -3,10 +3,11 @@
     P(k) = sum Y conj(R) / sum U conj(R)  over all periods of an experiment
 
 with the spectra of excitation R, input U and output Y at line k. Disturbances reach U and Y around
-the loop, but not R: the ratio of the two correlations has no bias, where Y/U and spectra of U and Y
-have (joint input-output method: Pintelon & Schoukens, System Identification, 2nd edition, Wiley
-2012, section 2.6 and chapter 4). Experiments (realisations of the phases, directions, speeds) weigh
-the same; their scatter includes noise and nonlinearity, and gives the variance of the mean.
+the loop, but not R: the ratio of the two correlations has no bias, while Y/U, and ratios of spectra
+of U and Y, have one (joint input-output method: Pintelon & Schoukens, System Identification, 2nd
+edition, Wiley 2012, section 2.6 and chapter 4). Experiments (realisations of the phases,
+directions, speeds) weigh the same; their scatter includes noise and nonlinearity, and gives the
+variance of the mean.
 
 Frequencies in Hz; input and output in any unit.
 """

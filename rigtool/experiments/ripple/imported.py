@@ -8,25 +8,36 @@ compensation is meant to reduce.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import RIG, is_linear, position_of, require_one_rig, signals_of
+from rigtool.experiments.imported import (
+    RECORDING,
+    is_linear,
+    place,
+    recordings_of,
+    require_one_rig,
+)
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.ripple.imported_groups import (
+    GROUP_SPEED_TOLERANCE,
+    SAME_SETPOINT,
+    RepeatedRuns,
+    cells_for,
+    groups_of,
+    ripple_effort,
+    turns_of,
+)
 from rigtool.experiments.ripple.imported_maps import MAP, compare_maps
 from rigtool.experiments.ripple.imported_turns import (
     Turns,
-    fill,
-    find_turns,
     reduction,
     turn_spectrum,
 )
-from rigtool.experiments.ripple.orders import HIGHEST_ORDER, POSITIONS, Spectrum, cell_centres
-from rigtool.experiments.torque_per_ampere import Effort, effort_of
-from rigtool.numerics.arrays import Array
+from rigtool.experiments.ripple.orders import HIGHEST_ORDER, cell_centres
+from rigtool.experiments.torque_per_ampere import Effort
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
 from rigtool.runfile.importers.convert import irregular
@@ -34,40 +45,11 @@ from rigtool.runfile.importers.convert import irregular
 NEAR_SPEED = 0.3
 """Runs whose speeds differ by less than this part may have been meant as one speed."""
 
-GROUP_SPEED_TOLERANCE = 0.1
-"""Runs whose speeds differ by less than this part count as one speed."""
-
-EFFORTS = ("torque", "current", "current_setpoint", "relative_torque")
-"""Signals of a rotary motor's effort."""
-
-SAME_SETPOINT = 1e-3
-"""Relative difference of speeds that were asked for up to which they are one."""
+ALIASES_SHOWN = 6
+"""Pairs of orders that a note lists."""
 
 ORDERS_REPORTED = 10
 """Number of orders among the results: the strongest of the significant ones."""
-
-
-@dataclass(frozen=True, eq=False)
-class RepeatedRuns:
-    """Runs under the same conditions and speed, as repeats of each other.
-
-    Rows of `torque` and `deviation` (rows, positions) hold `turns` in all and resolve `orders`.
-    """
-
-    conditions: Mapping[str, float]
-    speed: float
-    runs: int
-    torque: Array
-    deviation: Array
-    orders: int
-    turns: float
-    setpoint: float | None = None
-    spectra: dict[str, Spectrum] = field(default_factory=dict)
-
-    def label(self) -> str:
-        """Return its conditions and speed as text."""
-        parts = [f"{name} {value:g}" for name, value in self.conditions.items()]
-        return ", ".join([*parts, f"{self.speed:.3g} rad/s"])
 
 
 def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
@@ -80,17 +62,18 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
         return compare_maps(runs)
     if any(maps):
         raise UsageError("maps and recordings cannot be analysed together: give one kind")
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
     if is_linear(recordings[0]):
         raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to lay over")
-    effort = _effort_of(recordings[0], kt)
-    turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
+    effort = ripple_effort(recordings[0], kt)
+    positions = cells_for(recordings)
+    recordings, turns, left_out = _turning(recordings, kt, positions)
     groups = groups_of(recordings, turns)
     orders = min(group.orders for group in groups)
     for group in groups:
-        group.spectra["torque"] = turn_spectrum(group.torque, orders)
-        group.spectra["deviation"] = turn_spectrum(group.deviation, orders)
+        group.spectra["torque"] = turn_spectrum(group.torque, orders, group.sampling)
+        group.spectra["deviation"] = turn_spectrum(group.deviation, orders, group.sampling)
     pairs = _pairs(groups)
     tables = {"imported_spectrum": _spectrum_table(groups, effort.unit)}
     tables["imported_waveforms"] = _waveform_table(groups, effort.unit)
@@ -99,60 +82,29 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
     notes = [f"torque ripple is that of the {effort.origin}"]
     if any(irregular(recording.read("time")) for recording in recordings):
         notes.append("the irregular time axis: each cell of the turn has the mean over time")
+    if left_out:
+        notes.append(f"parts of a file without a turn were left out: {', '.join(left_out)}")
     notes += _notes(groups, pairs, turns, orders, effort.name)
     return Outcome(_results(groups, pairs, effort), tables, tuple(notes))
 
 
-def _effort_of(recording: Recording, kt: Run | None) -> Effort:
-    """Return the motor's effort, or its speed where nothing else was recorded."""
-    if not recording.has("speed") or any(map(recording.has, EFFORTS)):
-        return effort_of(recording, kt)
-    return Effort(recording.read("speed"), "rad/s", "speed", 0.0, "speed as in the file")
+def _turning(
+    recordings: Sequence[Recording], kt: Run | None, positions: int
+) -> tuple[list[Recording], list[Turns], list[str]]:
+    """Return the recordings that hold turns, these turns, and the parts of files without any.
 
-
-def turns_of(recording: Recording, run: Run, kt: Run | None) -> Turns:
-    """Return the turns of a recording in `POSITIONS` cells, with the motor's effort as torque.
-
-    Raises `InsufficientDataError` that names the file.
+    Raises `InsufficientDataError` where a whole file, or all parts, hold none.
     """
-    angle = position_of(recording) / (2 * math.pi)
-    try:
-        return find_turns(
-            recording.read("time"), angle, _effort_of(recording, kt).values, POSITIONS
-        )
-    except InsufficientDataError as error:
-        raise InsufficientDataError(f"{run.path}: {error}") from None
-
-
-def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[RepeatedRuns]:
-    """Return the recordings in groups of the same conditions and speed."""
-    found: list[tuple[dict[str, float], list[Turns], float | None]] = []
-    for recording, here in zip(recordings, turns, strict=True):
-        conditions = {n: q.value for n, q in recording.conditions.items() if n not in RIG}
-        for others, members, _ in found:
-            same_speed = abs(here.speed - members[0].speed) < GROUP_SPEED_TOLERANCE * abs(
-                members[0].speed
-            )
-            if others == conditions and same_speed:
-                members.append(here)
-                break
-        else:
-            found.append((conditions, [here], _setpoint(recording)))
-    groups = []
-    for conditions, members, setpoint in found:
-        torque, gap = fill(np.concatenate([member.torque for member in members]))
-        deviation, _ = fill(np.concatenate([member.deviation for member in members]))
-        speed = float(np.mean([member.speed for member in members]))
-        orders = min(member.orders for member in members)
-        if gap > 0:
-            orders = min(orders, int(1 / (2 * gap)))
-        count = sum(len(member.torque) * member.turns_a_row for member in members)
-        groups.append(
-            RepeatedRuns(
-                conditions, speed, len(members), torque, deviation, orders, count, setpoint
-            )
-        )
-    return groups
+    turning, turns, left_out = [], [], []
+    for recording in recordings:
+        try:
+            turns.append(turns_of(recording, kt, positions))
+            turning.append(recording)
+        except InsufficientDataError:
+            left_out.append(place(recording))
+            if recording.name == RECORDING or len(left_out) == len(recordings):
+                raise
+    return turning, turns, left_out
 
 
 def _pairs(groups: Sequence[RepeatedRuns]) -> list[tuple[RepeatedRuns, RepeatedRuns, str]]:
@@ -177,16 +129,6 @@ def _same_speed(low: RepeatedRuns, high: RepeatedRuns) -> bool:
     return abs(low.speed - high.speed) <= GROUP_SPEED_TOLERANCE * abs(low.speed)
 
 
-def _setpoint(recording: Recording) -> float | None:
-    """Return the speed that was asked for, rad/s, None where it is unknown or changes."""
-    if not recording.has("speed_setpoint"):
-        return None
-    asked = recording.read("speed_setpoint")
-    middle = float(np.median(asked))
-    same = np.mean(np.abs(asked - middle) <= SAME_SETPOINT * abs(middle))
-    return middle if same > 0.5 else None
-
-
 def _rank(pair: tuple[RepeatedRuns, RepeatedRuns, str]) -> tuple[float, float, float]:
     """Order pairs: most turns, then the first condition of the mapping, the others off."""
     low, high, name = pair
@@ -198,8 +140,9 @@ def _rank(pair: tuple[RepeatedRuns, RepeatedRuns, str]) -> tuple[float, float, f
 def _strongest(group: RepeatedRuns) -> list[int]:
     """Return the significant orders, the strongest first."""
     spectrum = group.spectra["torque"]
-    order = np.argsort(-np.where(spectrum.clear, spectrum.amplitude, 0.0), kind="stable")
-    return [int(spectrum.order[i]) for i in order[:ORDERS_REPORTED] if spectrum.clear[i]]
+    clear = group.clear()
+    order = np.argsort(-np.where(clear, spectrum.amplitude, 0.0), kind="stable")
+    return [int(spectrum.order[i]) for i in order[:ORDERS_REPORTED] if clear[i]]
 
 
 def _results(
@@ -219,8 +162,8 @@ def _results(
         results[f"order_{order}_amplitude"] = Quantity(
             float(spectrum.amplitude[i]),
             effort.unit,
-            float(spectrum.noise_floor[i]) / math.sqrt(2),
-            dof,
+            float(reference.u[i]),
+            dof if reference.leak[i] == 0 else None,
         )
     if not pairs:
         return results
@@ -264,6 +207,7 @@ def _notes(
                 f"group {number} is one turn, so the repeatable part is unknown: the noise of an "
                 "order is taken from the orders around it"
             )
+        notes += _alias_notes(number, group)
     if len(groups) > 1:
         notes.append(f"the results are of group {groups.index(_reference(groups, pairs))}")
     notes += _unpaired(groups)
@@ -272,6 +216,26 @@ def _notes(
             f"pair {number}: {condition} {high.conditions[condition]:g} against "
             f"{low.conditions[condition]:g}, group {groups.index(high)} against "
             f"{groups.index(low)}: {_reduction_text(low, high, name)}"
+        )
+    return notes
+
+
+def _alias_notes(number: int, group: RepeatedRuns) -> list[str]:
+    """Return which orders of a group the samples do not separate; and of a stated speed."""
+    notes = []
+    if not group.moved:
+        notes.append(
+            f"group {number}: the speed was stated; refined by the orders of the torque it is "
+            f"{group.speed:.6g} rad/s; there is no ripple of the motion"
+        )
+    if (group.leak > 0).any():
+        one = np.flatnonzero(group.leak > 0)
+        shown = ", ".join(f"{i + 1} from {group.alias[i]:.0f}" for i in one[:ALIASES_SHOWN])
+        more = f" and {len(one) - ALIASES_SHOWN} more" if len(one) > ALIASES_SHOWN else ""
+        notes.append(
+            f"group {number}: its samples meet the same angles in each turn, so that orders are "
+            f"not separated: {shown}{more}; u of a lower order includes that all of its amplitude "
+            "is the higher order's; sample at a rate that is no multiple of the speed"
         )
     return notes
 
@@ -311,7 +275,10 @@ def _spectrum_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
     first = groups[0].spectra["torque"]
 
     def column(quantity: str, name: str, of: str, what: str) -> Column:
-        values = [getattr(group.spectra[quantity], name) for group in groups]
+        values = [
+            getattr(group.spectra[quantity], name) * (group.moved or quantity == "torque" or np.nan)
+            for group in groups
+        ]
         return Column(np.stack(values), of, what)
 
     floor = "amplitude that scatter alone would show"
@@ -323,6 +290,12 @@ def _spectrum_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
             "amplitude": column("torque", "amplitude", unit, "of torque or current"),
             "phase": column("torque", "phase", "rad", "amplitude*cos(order*angle + phase)"),
             "noise_floor": column("torque", "noise_floor", unit, floor),
+            "u": Column(np.stack([group.u for group in groups]), unit, "standard, of amplitude"),
+            "alias": Column(
+                np.stack([group.alias[: len(first.order)] for group in groups]),
+                "1",
+                "higher order that the samples do not separate, if any",
+            ),
             "deviation": column("deviation", "amplitude", "rad", "of angle from steady motion"),
             "deviation_phase": column("deviation", "phase", "rad", "as phase"),
             "deviation_noise_floor": column("deviation", "noise_floor", "rad", floor),
@@ -334,12 +307,15 @@ def _spectrum_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
 
 def _waveform_table(groups: Sequence[RepeatedRuns], unit: str) -> Table:
     torque = [group.torque.mean(axis=0) for group in groups]
-    deviation = [group.deviation.mean(axis=0) for group in groups]
+    deviation = [
+        group.deviation.mean(axis=0) if group.moved else np.full(len(torque[0]), np.nan)
+        for group in groups
+    ]
     return Table(
         ("group", "position"),
         {
             **_group_columns(groups),
-            "position": Column(cell_centres(POSITIONS), "rad", "of the rotor"),
+            "position": Column(cell_centres(groups[0].torque.shape[1]), "rad", "of the rotor"),
             "ripple": Column(np.stack(torque), unit, "torque or current, offset included"),
             "deviation": Column(np.stack(deviation), "rad", "of angle from steady motion"),
         },

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from rigtool.experiments.ripple.map_shift import (
     typical,
 )
 from rigtool.experiments.ripple.orders import HIGHEST_ORDER
+from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
 
@@ -29,14 +31,24 @@ SAME_MAP_VARIANCE = 0.9
 """Smallest common part of the variance, after turning, of two equal maps."""
 
 
-def compare_maps(runs: Sequence[Run]) -> Outcome:
-    """Compare maps with the one that correlates best with all others.
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """Maps of one signal: their orders (maps, m), amplitude*exp(i phase), and means (maps,).
 
-    Raises `InsufficientDataError` for maps without enough angles, `UsageError` for one map alone or
-    maps of different signals.
+    `matches` compare each with the `reference`, the one that correlates best with all others.
     """
-    if len(runs) < 2:
-        raise UsageError("one map cannot be compared: give two or more")
+
+    orders: ComplexArray
+    means: Array
+    signal: str
+    unit: str
+    reference: int
+    matches: tuple[Match, ...]
+
+
+def read_maps(runs: Sequence[Run]) -> Maps:
+    """Read maps around the turn; `UsageError` for maps of several signals, `InsufficientDataError`
+    for maps without enough angles."""
     tables = [run.table(MAP) for run in runs]
     signals = {(table.signal, table.columns[table.signal].unit) for table in tables}
     if len(signals) > 1:
@@ -50,14 +62,32 @@ def compare_maps(runs: Sequence[Run]) -> Outcome:
         except InsufficientDataError as error:
             raise InsufficientDataError(f"{run.path}: {error}") from None
     reference = typical(maps)
-    matches = [match_maps(maps[reference], other) for other in maps]
+    return Maps(
+        np.array(maps),
+        np.array([table[table.signal].mean() for table in tables]),
+        *signals.pop(),
+        reference,
+        tuple(match_maps(maps[reference], other) for other in maps),
+    )
+
+
+def compare_maps(runs: Sequence[Run]) -> Outcome:
+    """Compare maps with the one that correlates best with all others.
+
+    Raises `UsageError` for one map alone, and as `read_maps` does.
+    """
+    if len(runs) < 2:
+        raise UsageError(
+            "one map cannot be compared: give two or more, or learn from it by ilc-learn"
+        )
+    maps = read_maps(runs)
     names = [run.path.stem for run in runs]
-    notes = [f"compared with {names[reference]}, the map that correlates best with all others"]
-    notes += [_verdict(name, match) for name, match in zip(names, matches, strict=True)]
-    notes.pop(1 + reference)
+    notes = [f"compared with {names[maps.reference]}, the map that correlates best with all others"]
+    notes += [_verdict(name, match) for name, match in zip(names, maps.matches, strict=True)]
+    notes.pop(1 + maps.reference)
     return Outcome(
-        _results(names, matches, reference),
-        {"map_comparison": _table(matches), "map_spectrum": _spectra(maps, signals.pop()[1])},
+        _results(names, maps.matches, maps.reference),
+        {"map_comparison": _table(maps.matches), "map_spectrum": _spectra(maps.orders, maps.unit)},
         tuple(notes),
     )
 
@@ -116,14 +146,14 @@ def _table(matches: Sequence[Match]) -> Table:
     )
 
 
-def _spectra(maps: Sequence[np.ndarray], unit: str) -> Table:
+def _spectra(maps: ComplexArray, unit: str) -> Table:
     return Table(
         ("map", "order"),
         {
             "map": Column(np.arange(len(maps)), "1", "in the order of the inputs"),
-            "order": Column(np.arange(1, maps[0].size + 1), "1", "cycles a turn"),
-            "amplitude": Column(np.abs(np.stack(maps)), unit),
-            "phase": Column(np.angle(np.stack(maps)), "rad", "amplitude*cos(order*angle + phase)"),
+            "order": Column(np.arange(1, maps.shape[1] + 1), "1", "cycles a turn"),
+            "amplitude": Column(np.abs(maps), unit),
+            "phase": Column(np.angle(maps), "rad", "amplitude*cos(order*angle + phase)"),
         },
         "amplitude",
         "maps by order of rotation",

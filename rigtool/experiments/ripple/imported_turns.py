@@ -5,9 +5,19 @@ motion, angle(t) = a + speed t; the residual,
 
     deviation(t) = angle(t) - a - speed t,
 
-is the ripple of the motion, as torque against angle is that of the torque. A time axis may be
-irregular: a cell of the turn has the mean over the time that the shaft spends in it. Where most
-turns miss cells, the orders are fitted to several turns together, by least squares on the angle.
+is the ripple of the motion, as torque against angle is that of the torque. Cells of the turn have
+the means over the time that the shaft spends in them: where it turns steadily, those of the bench
+(`Revolutions`); a shaft that sticks and jumps, or turns back, has those of the samples in each. A
+recording may be one turn alone, of which a tenth may lack; its time axis may be irregular. Where
+most turns miss cells, the orders are fitted to several turns together, by least squares on the
+angle.
+
+Samples at angles p_j see order k' as part of order k by
+
+    A(m) = |mean over j of exp(i m p_j)|,   m = k' - k or k' + k
+
+1 where the samples meet the same angles in each turn, s a turn, and m is a multiple of s: orders k
+and s - k are then one (`aliases`).
 """
 
 from __future__ import annotations
@@ -19,16 +29,30 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import (
+    EVERYWHERE,
     HIGHEST_ORDER,
+    Sampling,
     Spectrum,
     cell_centres,
     coefficients,
     remove_offset,
     spectrum,
 )
+from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.settling import settled_from
+
+CELLS_AN_ORDER = 5
+"""Cells of the turn for an order that they carry."""
+
+ALIASED = 0.3
+"""Part of a higher order's amplitude seen in a lower one from which on the samples do not separate
+the two: angles that are spread evenly show 1/sqrt(n)."""
+
+STATED, FEW_ORDERS, STANDS_OUT = 0.03, 20, 4.0
+"""Relative error of a stated speed, orders that show it first, and the least ratio of their power
+to that at other speeds."""
 
 COVERED = 0.9
 """Smallest covered part of a turn that counts."""
@@ -40,7 +64,8 @@ MIN_SAMPLES = 64
 """Smallest number of samples in a recording."""
 
 LEAST_FITS, MOST_FITS = 5, 20
-"""Parts of a recording that are fitted one by one: fewer show no scatter, more hold few turns."""
+"""Parts of a recording that are fitted one by one: fewer show no scatter, more hold too few turns
+each."""
 
 SAMPLES_PER_NUMBER = 3
 """Smallest number of samples for each amplitude that is fitted."""
@@ -55,8 +80,10 @@ class Turns:
     """Turns of one recording: (turns, positions), NaN in cells that were not passed.
 
     `torque` in its own unit, `deviation` from steady motion in rad, `speed` in rad/s with its sign,
-    `settled` the time from the start to the steady motion, s. A row is the mean of `turns_a_row`;
-    orders up to `orders` are resolved.
+    `settled` the time from the start to the steady motion, s. A row is the mean of `turns_a_row`,
+    its samples lie `step` of a turn apart, 0 where no lines were drawn between them; orders up to
+    `orders` are resolved, of which the part `leak` (orders,) of the amplitude of the
+    order `alias` (orders,) is seen as one.
     """
 
     torque: Array
@@ -64,51 +91,134 @@ class Turns:
     speed: float
     settled: float
     orders: int
-    turns_a_row: float = 1.0
+    turns_a_row: float
+    step: float
+    alias: Array
+    leak: Array
 
 
 def find_turns(time: Array, turns: Array, torque: Array, positions: int) -> Turns:
     """Return a recording by turn: `time` (n,) in s, angle in `turns` (n,), `torque` (n,).
 
-    Samples before the steady motion are left out. Raises `InsufficientDataError` where less than
-    `COVERED` of a turn is left.
+    Cells of the turn carry orders up to a `CELLS_AN_ORDER`-th of their number. Samples before the
+    steady motion are left out. Raises `InsufficientDataError` where less than `COVERED` of a turn
+    is left.
     """
     time, turns, torque = require_signals(MIN_SAMPLES, time=time, turns=turns, torque=torque)
     require_rising(time)
+    whole = time
     first, speed, deviation = _steady_part(time, turns, 0.5 / positions)
-    progress = (turns[first:] - turns[first]) * math.copysign(1.0, speed)
-    rows = math.floor(progress[-1] + 1 - COVERED)
-    if rows < 1:
+    time, turns, torque = time[first:], turns[first:], torque[first:]
+    both = torque, 2 * np.pi * deviation[first:]
+    settled = float(time[0] - whole[0])
+    cells = _Cells(turns, math.copysign(1.0, speed), positions)
+    if cells.rows < 1:
         raise InsufficientDataError(
-            f"the shaft passes {max(progress[-1], 0.0):.2f} of a turn steadily, {COVERED} are "
-            "needed: record for longer"
+            f"the shaft passes {max(cells.way, 0.0):.2f} of a turn steadily, {COVERED} are needed: "
+            "record for longer"
         )
-    settled = float(time[first] - time[0])
-    row = np.clip(np.floor(progress), 0, None).astype(np.int64)
-    cell = np.floor(np.mod(turns[first:], 1.0) * positions).astype(np.int64) % positions
-    used = row < rows
-    place = (row * positions + cell)[used]
-    weight = np.gradient(time[first:])[used]
-    spent = np.bincount(place, weight, rows * positions).reshape(rows, positions)
+    rows = [cells.waveforms(time, values) for values in both]
+    covered = np.mean(np.isfinite(rows[0]), axis=1) >= COVERED
+    if np.mean(covered) < 0.5:
+        used = cells.used
+        *rows, orders = _fit_orders(turns[used], torque[used], both[1][used], cells.rows, positions)
+        seen = aliases(turns[used], orders, max(orders, positions // CELLS_AN_ORDER))
+        a_row, step = cells.rows / len(rows[0]), 0.0
+    else:
+        rows, orders = [row[covered] for row in rows], positions // CELLS_AN_ORDER
+        seen = np.full(orders, np.nan), np.zeros(orders)
+        a_row, step = 1.0, cells.way / (len(turns) - 1) if cells.steady else 0.0
+    return Turns(rows[0], rows[1], 2 * math.pi * speed, settled, orders, a_row, step, *seen)
 
-    def mean(values: Array) -> Array:
-        sums = np.bincount(place, weight * values[first:][used], rows * positions)
-        with np.errstate(invalid="ignore"):
-            cells: Array = sums.reshape(rows, positions) / spent
-        return cells
 
-    whole = np.mean(spent > 0, axis=1) >= COVERED
-    if np.mean(whole) < 0.5:
-        angle, steady = turns[first:][used], 2 * np.pi * deviation[first:][used]
-        fitted = _fit_orders(angle, torque[first:][used], steady, rows, positions)
-        return Turns(*fitted[:2], 2 * math.pi * speed, settled, fitted[2], rows / len(fitted[0]))
-    return Turns(
-        mean(torque)[whole],
-        mean(2 * np.pi * deviation)[whole],
-        2 * math.pi * speed,
-        settled,
-        HIGHEST_ORDER,
-    )
+class _Cells:
+    """Cells of the turn that samples at angles (n,), in turns, pass.
+
+    `steady` where no sample skips a cell or goes back by one. The first cell is then the first
+    whole one, else that of the first sample.
+    """
+
+    def __init__(self, turns: Array, sign: float, positions: int) -> None:
+        self.steady = bool(np.abs(np.diff(turns)).max() < 1 / positions)
+        start = sign * turns[0] * positions
+        first = math.ceil(start) if self.steady else math.floor(start)
+        self._advance = sign * turns - first / positions
+        self._positions = positions
+        self.way = float(self._advance[-1])
+        self.rows = math.floor(self.way + 1 - COVERED)
+        self.used = self._advance < self.rows
+        order = np.arange(positions)
+        self._place = (first + order if sign > 0 else -first - order - 1) % positions
+
+    def waveforms(self, time: Array, values: Array) -> Array:
+        """Return the mean of values (n,) over the time in each cell by turn; NaN where no sample
+        lies.
+
+        As the bench takes them where the motion is steady, else of the samples in each.
+        """
+        size = self.rows * self._positions
+        at = np.floor(self._advance * self._positions).astype(np.int64)
+        inside = (at >= 0) & (at < size)
+        weight = np.gradient(time)[inside]
+        spent = np.bincount(at[inside], weight, size)
+        if self.steady:
+            revolutions = Revolutions(self._positions, forward=True)
+            revolutions.add(time, self._advance, values)
+            found = revolutions.cells()[:size]
+            means = np.full(size, np.nan)
+            means[: len(found)] = found
+        else:
+            sums = np.bincount(at[inside], weight * values[inside], size)
+            with np.errstate(invalid="ignore"):
+                means = sums / spent
+        means[spent == 0] = np.nan
+        waveforms = np.empty((self.rows, self._positions))
+        waveforms[:, self._place] = means.reshape(self.rows, self._positions)
+        return waveforms
+
+
+def aliases(turns: Array, orders: int, highest: int) -> tuple[Array, Array]:
+    """Return for orders 1 to `orders` the higher one, up to `highest`, that samples at angles (n,)
+    in `turns` show as part of it most, and which part; NaN and 0 where that is below `ALIASED`."""
+    alias, leak = np.full(orders, np.nan), np.zeros(orders)
+    phase = np.exp(2j * np.pi * turns)
+    kernel = np.zeros(2 * highest + 1)
+    power = np.ones_like(phase)
+    for m in range(1, 2 * highest + 1):
+        power = power * phase
+        kernel[m] = abs(power.mean())
+    above = np.arange(orders + 1, highest + 1)
+    for order in range(1, orders + 1) if above.size else ():
+        seen = np.maximum(kernel[above - order], kernel[above + order])
+        most = int(np.argmax(seen))
+        if seen[most] > ALIASED:
+            alias[order - 1], leak[order - 1] = above[most], seen[most]
+    return alias, leak
+
+
+def refined_speed(time: Array, torque: Array, speed: float) -> float:
+    """Return the speed near a stated one, turns/s, at which the orders of a torque are strongest.
+
+    `time` (n,) s, `torque` (n,). The sum of the power of orders over speeds within `STATED` of the
+    stated one, first of few orders, then finer of more. The stated speed where no orders stand out.
+    """
+    step = float(np.median(np.diff(time)))
+    even = np.arange(time[0], time[-1], step)
+    values = np.interp(even, time, torque)
+    values = (values - np.polyval(np.polyfit(even, values, 1), even)) * np.hanning(len(even))
+    size = 32 * 2 ** math.ceil(math.log2(len(even)))
+    power = np.abs(np.fft.rfft(values, size)) ** 2
+    lasted, best, within = float(even[-1] - even[0]), speed, STATED * abs(speed)
+    for most in (FEW_ORDERS, HIGHEST_ORDER):
+        orders = np.arange(1, min(most, max(1, int(0.4 / step / abs(speed)))) + 1)
+        fine = 1 / (4 * lasted * orders[-1])
+        tried = best + np.arange(-math.ceil(within / fine), math.ceil(within / fine) + 1) * fine
+        places = np.rint(np.abs(np.multiply.outer(tried, orders)) * step * size).astype(np.int64)
+        sums = power[np.minimum(places, len(power) - 1)].sum(axis=1)
+        if most == FEW_ORDERS and sums.max() < STANDS_OUT * np.median(sums):
+            return speed
+        best, within = float(tried[int(np.argmax(sums))]), 2 * fine
+    return best
 
 
 def _fit_orders(
@@ -180,15 +290,15 @@ def fill(waveforms: Array) -> tuple[Array, float]:
     return np.where(known, waveforms, mean), gap / positions
 
 
-def turn_spectrum(waveforms: Array, orders: int) -> Spectrum:
+def turn_spectrum(waveforms: Array, orders: int, sampling: Sampling = EVERYWHERE) -> Spectrum:
     """Return the orders 1..`orders` of the repeatable part of turns (turns, positions).
 
     A single turn has no repeatable part: the noise floor of an order is that of the orders around
     it.
     """
     if len(waveforms) > 1:
-        return spectrum(remove_offset(waveforms), orders)
-    found = coefficients(waveforms, orders)[0]
+        return spectrum(remove_offset(waveforms, sampling), orders)
+    found = coefficients(waveforms, orders, sampling)[0]
     amplitude = np.abs(found)
     floor = neighbours_floor(amplitude)
     return Spectrum(np.arange(1.0, orders + 1), amplitude, np.angle(found), floor)

@@ -168,16 +168,16 @@ class Spectrum:
         return clear
 
     def strongest(self) -> int:
-        """Return the strongest order; `InsufficientDataError` where it is not significant."""
-        index = int(np.nanargmax(self.amplitude))
-        amplitude, floor = self.amplitude[index], self.noise_floor[index]
-        if amplitude < CLEAR * floor:
+        """Return the strongest significant order; `InsufficientDataError` where there is none."""
+        clear = np.flatnonzero(self.clear)  # never where an amplitude is NaN
+        if not clear.size:
+            best = int(np.nanargmax(self.amplitude / self.noise_floor))
             raise InsufficientDataError(
-                f"the strongest order has an amplitude of {amplitude:.3g}, its noise floor is "
-                f"{floor:.3g}: no order exceeds it by a factor of {CLEAR:g}; average more "
-                "revolutions"
+                f"no order exceeds its noise floor by a factor of {CLEAR:g}, order "
+                f"{self.order[best]:g} comes nearest with {self.amplitude[best]:.3g} of "
+                f"{self.noise_floor[best]:.3g}: average more revolutions"
             )
-        return int(self.order[index])
+        return int(self.order[clear[np.argmax(self.amplitude[clear])]])
 
 
 def spectrum(ripple: Ripple, orders: int) -> Spectrum:

@@ -37,7 +37,7 @@ from rigtool.experiments.ripple.results import (
     ripple_results,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
-from rigtool.experiments.ripple.winding_heat import Lowered, Turns, winding_heat
+from rigtool.experiments.ripple.winding_heat import Lowered, TurnCurrents, winding_heat
 from rigtool.experiments.torque_per_ampere import (
     mean_constant_note,
     temperature_at_ends,
@@ -240,7 +240,7 @@ def _constants(
     falls = [math.log(begin / end) for begin, end in _constants_at(kt, degrees)]
     heat = winding_heat(
         [
-            Turns(own.passed, own.current, "torque" in recording.conditions, fall)
+            TurnCurrents(own.passed, own.current, "torque" in recording.conditions, fall)
             for own, recording, fall in zip(found, recorded, falls, strict=True)
         ]
     )

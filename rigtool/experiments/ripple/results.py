@@ -22,7 +22,7 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Recording, Table, dof_column
 
 LOWEST_FOLLOWED = 0.5
-"""Smallest |T| at which the torque that the loop asks for shows the motor's."""
+"""Smallest |T| at which the controller's torque shows the motor's."""
 
 INERTIA_U = 0.1 / math.sqrt(3)
 """Relative standard uncertainty of an inertia from data sheets: at most a tenth off."""
@@ -36,7 +36,7 @@ def loop_note(recipe: Recipe, fastest: float) -> str:
     order = np.arange(1.0, HIGHEST_ORDER + 1)
     followed = int(np.sum(np.abs(_loop(recipe, order * fastest)) >= LOWEST_FOLLOWED))
     return (
-        "amplitudes are those of the motor's torque: what the loop asks for, divided by the "
+        "amplitudes are those of the motor's torque: the controller's torque, divided by the "
         "complementary sensitivity T of the recipe's controller and inertia; waveforms are what it "
         f"asks for. Where |T| is below {LOWEST_FOLLOWED:g} there is no value: at the highest speed "
         f"above order {followed}"

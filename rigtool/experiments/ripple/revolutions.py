@@ -97,6 +97,15 @@ class Revolutions:
         )
         return passed, np.diff(integral) / np.diff(passed)
 
+    def cells(self) -> Array:
+        """Return the mean torque of each cell, (cells,), in the order in which they are passed."""
+        passed, integral = (
+            np.concatenate([np.zeros(0), *parts]) for parts in (self._passed, self._integrals)
+        )
+        with np.errstate(invalid="ignore"):  # edges that are passed at once
+            means: Array = np.diff(integral) / np.diff(passed)
+        return means
+
     def waveforms(self, revolutions: int) -> Array:
         """Return the mean torque by revolution and cell, of the last `revolutions` whole turns.
 
@@ -104,17 +113,15 @@ class Revolutions:
         positions) the second axis are the cells in the order of their angle. Raises
         `InsufficientDataError` where there are fewer turns.
         """
-        passed = np.concatenate([np.zeros(0), *self._passed])
-        whole = max(0, (passed.size - 1) // self._positions)
+        cells = self.cells()
+        whole = cells.size // self._positions
         if whole < revolutions:
             raise InsufficientDataError(
                 f"{whole} whole revolutions in the recording, {revolutions} are needed: record "
                 "for longer, or lower the number of revolutions"
             )
         first = (whole - revolutions) * self._positions
-        used = slice(first, first + revolutions * self._positions + 1)
-        integral = np.concatenate(self._integrals)[used]
-        cells = np.diff(integral) / np.diff(passed[used])
-        waveforms: Array = cells.reshape(revolutions, self._positions)
+        used = cells[first : first + revolutions * self._positions]
+        waveforms: Array = used.reshape(revolutions, self._positions)
         # Backwards, the last cell of the turn is passed first.
         return waveforms if self._sign > 0 else waveforms[:, ::-1]

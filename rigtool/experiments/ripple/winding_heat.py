@@ -29,7 +29,7 @@ FEWEST_TURNS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class TurnCurrents:
     """Turns of a recording: their beginnings and the last end `passed` (n + 1,) s, mean `current`
     (n,) A; `steady` where something other than friction holds the torque constant;
     `housing`, the relative fall of k from the first to the last of them by the housing's
@@ -51,7 +51,7 @@ class Lowered:
     u: float
 
 
-def winding_heat(recordings: Sequence[Turns]) -> list[Lowered]:
+def winding_heat(recordings: Sequence[TurnCurrents]) -> list[Lowered]:
     """Return by how much heat lowered k in each recording; zero where none shows it."""
     heat = _heat(recordings)
     steady = [n for n, own in enumerate(recordings) if own.steady and own.current.all()]
@@ -69,7 +69,7 @@ def winding_heat(recordings: Sequence[Turns]) -> list[Lowered]:
     return found
 
 
-def _heat(recordings: Sequence[Turns]) -> list[Array]:
+def _heat(recordings: Sequence[TurnCurrents]) -> list[Array]:
     """Return H where turns begin and end, (time constants, turns + 1), of each recording."""
     level, before = np.zeros(TIME_CONSTANTS.size), np.inf
     found: dict[int, Array] = {}
@@ -84,7 +84,9 @@ def _heat(recordings: Sequence[Turns]) -> list[Array]:
     return [found[number] for number in range(len(recordings))]
 
 
-def _slopes(heat: Sequence[Array], recordings: Sequence[Turns]) -> tuple[Array, Array, Array]:
+def _slopes(
+    heat: Sequence[Array], recordings: Sequence[TurnCurrents]
+) -> tuple[Array, Array, Array]:
     """Return g, its variance and the likelihood of each time constant, (time constants,)."""
     rows, changes = [], []
     for levels, turns in zip(heat, recordings, strict=True):

@@ -1,4 +1,5 @@
-"""The motions that a command will make, listed by running its procedure on a rig of paper.
+"""The motions that a command will make, listed by running its procedure on a rig that only records
+requests.
 
 Motions that depend on earlier measurements are not known beforehand: the list ends there, with a
 note.
@@ -11,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from rigtool.control.position_loop import largest_deviation
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
@@ -32,7 +34,7 @@ LONGEST = 24 * 3600.0
 
 
 class _NeedsData(Exception):
-    """From here on the motions depend on measurements."""
+    """The motions from here on depend on measurements."""
 
 
 @dataclass
@@ -68,7 +70,9 @@ class MotionPlan:
         if self.bench_work:
             parts.append(f"At the bench: {'; '.join(dict.fromkeys(self.bench_work))}")
         if not self.complete:
-            parts.append("Further motions depend on the results of these; limits hold for all")
+            parts.append(
+                "Further motions depend on the results of these; the limits hold for all motions"
+            )
         return "\n".join(parts)
 
     def check(self, limits: Any) -> None:
@@ -86,6 +90,8 @@ class _Rehearsal(Rig):
         self.plan = MotionPlan()
         self._recipe, self._rig = recipe, recipe.rig
         self._limits = recipe.serial.limits if _on_line(recipe) and recipe.serial else None
+        name = recipe.serial.driver if self._limits is not None and recipe.serial else REPLAY
+        self._host_closes = name != REPLAY and driver(name).host_closes
         self._torque_constant = torque_constant
         self._position = position
         self._evaluated = evaluated
@@ -106,6 +112,8 @@ class _Rehearsal(Rig):
                 "virtual rig: shorten them in the recipe"
             )
         self._require_carried(task.load)
+        if not isinstance(task.motion, OpenLoop):
+            self._require_held(task.load)
         if self._evaluated:
             found = safety.extremes(
                 task, self._position, self._rig.sample_time, self._torque_constant
@@ -120,15 +128,30 @@ class _Rehearsal(Rig):
 
     def _require_carried(self, load: Load) -> None:
         """Raise `RecipeError` for a load that takes more current than there is."""
-        torque = load.force * self._rig.load_arm / self._rig.torque_factor + load.torque
-        current, limit = abs(torque) / self._torque_constant, self._recipe.highest_current
+        current, limit = self._torque(load) / self._torque_constant, self._recipe.highest_current
         if current > limit:
-            weight = f"{load.force:g} N at the output" if load.force else f"{load.torque:g} N m"
             raise RecipeError(
-                f"a load of {weight} takes {current:.4g} A of the motor, and the current is "
+                f"a load of {_weight(load)} takes {current:.4g} A of the motor, and the current is "
                 f"limited to {limit:g} A: lower the load in the recipe, where forces are in N and "
                 "torques in N m"
             )
+
+    def _require_held(self, load: Load) -> None:
+        """Raise `RecipeError` for a load that pulls the shaft out of the loop of the host."""
+        if self._limits is None or not self._host_closes or not (torque := self._torque(load)):
+            return
+        pulled = torque * largest_deviation(**self._rig.loop_design)
+        if pulled > self._limits.following_error:
+            raise RecipeError(
+                f"a load of {_weight(load)} pulls the shaft up to {pulled:.3g} rad off its set "
+                "point in the loop of [rig.controller], and serial.limits.following_error is "
+                f"{self._limits.following_error:g} rad: lower the load in the recipe, or close the "
+                "loop faster, with a shorter rig.sample_time and a higher crossover_hz"
+            )
+
+    def _torque(self, load: Load) -> float:
+        """Return the magnitude of the torque of a load at the motor, N m."""
+        return abs(load.force * self._rig.load_arm / self._rig.torque_factor + load.torque)
 
     def move_by(self, angle: float) -> None:
         """Follow a move between recordings."""
@@ -152,6 +175,10 @@ class _Rehearsal(Rig):
         self.plan.needs[need] = None
         if work:
             self.plan.bench_work.append(work)
+
+
+def _weight(load: Load) -> str:
+    return f"{load.force:g} N at the output" if load.force else f"{load.torque:g} N m"
 
 
 class _Recorder:
@@ -185,7 +212,7 @@ def rehearse(
     """Return the motions of a command; the shaft starts at `position`, rad.
 
     What they ask for at most is only `evaluated` on demand: that takes time. Raises `RecipeError`
-    for what the recipe asks and no rig, or not this one, can do.
+    where the recipe asks for what no rig, or not this rig, can do.
     """
     specs = procedure.recordings(recipe)
     rig = _Rehearsal(recipe, torque_constant, position, evaluated=evaluated)

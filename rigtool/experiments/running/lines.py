@@ -1,6 +1,7 @@
 """Rows of values as lines of JSON on stdout, while a command measures.
 
-A thread of its own writes them: a reader that is slow, stuck or gone disturbs no measurement.
+A thread of its own writes them: a reader that is slow, blocked or gone does not disturb the
+measurement.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ PATIENCE = 0.1
 
 
 @contextlib.contextmanager
-def open_lines(*, waits: bool) -> Iterator[Lines]:
-    """Return what writes rows to stdout, for a `with` block; see `Lines`.
+def open_lines(*, waits: bool) -> Iterator[JsonLines]:
+    """Return a writer of rows to stdout, for a `with` block; see `JsonLines`.
 
     It states on stderr how many lines had no reader.
     """
     sys.stdout.flush()
     with open(sys.stdout.fileno(), "wb", buffering=0, closefd=False) as out:
-        lines, complete = Lines(out, waits=waits), False
+        lines, complete = JsonLines(out, waits=waits), False
         try:
             yield lines
             complete = True
@@ -45,7 +46,7 @@ def open_lines(*, waits: bool) -> Iterator[Lines]:
         print(f"--stream: {lines.missed} lines were not read", file=sys.stderr)
 
 
-class Lines:
+class JsonLines:
     """Writes rows to `out`, unbuffered; `waits` for a slow reader, or else leaves lines out.
 
     `missed` counts the lines that no reader got.
@@ -79,7 +80,7 @@ class Lines:
         self.missed += count
 
     def close(self, *, at_once: bool = False) -> None:
-        """Write what waits, as far as there is time; `at_once` none of it."""
+        """Write waiting rows, as far as there is time; with `at_once`, none of them."""
         if at_once:
             self._gone.set()
         self._closed.set()
@@ -101,7 +102,7 @@ class Lines:
                 data = memoryview(b"" if self._gone.is_set() else text)
                 while data:
                     data = data[self._out.write(data) or 0 :]
-            except (OSError, ValueError):  # whoever read it has closed it
+            except (OSError, ValueError):  # the reader has closed it
                 self._gone.set()
             if self._gone.is_set():
                 self.missed += count

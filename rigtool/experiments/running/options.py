@@ -11,10 +11,10 @@ class CommonOptions:
     """Options as `rigtool.cli.options` collects them.
 
     With `progress`, progress bars are drawn (stderr is a terminal and --quiet was not given).
-    `overrides` are the `key=value` texts of `--set`. `dry_run` lists the motions and moves
-    nothing; `yes` lets a rig on a serial line move without asking; `spy` is a file for every byte
-    on that line; `live` is where signals are drawn as they arrive, None for nowhere. With `stream`
-    values go to stdout as lines of JSON meanwhile, and nothing else does.
+    `overrides` are the `key=value` texts of `--set`. `dry_run` lists the motions and moves nothing;
+    `yes` lets a rig on a serial line move without asking; `spy` is a file for every byte on that
+    line; `live` is where signals are drawn as they arrive, None for nowhere. With `stream`, stdout
+    takes values as lines of JSON during the measurement, and nothing else.
     """
 
     progress: bool = False

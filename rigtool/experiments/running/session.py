@@ -145,7 +145,8 @@ def _follower(
     rig: Rig,
     inputs: Mapping[str, Run],
 ) -> Callable[[Block], Block] | None:
-    """Return what turns signals into the values that are shown; None where signals are.
+    """Return the function that turns signals into the values that are shown; None to show the
+    signals.
 
     Raises `RecipeError` where a stream is asked for and this rig or recipe cannot have one.
     """
@@ -171,7 +172,7 @@ def _follower(
 def _shown(
     options: CommonOptions, follow: Callable[[Block], Block] | None, rig: Rig
 ) -> Iterator[Callable[[str, Block], None] | None]:
-    """Return what shows a block of a recording, None where nothing is shown."""
+    """Return the function that shows a block of a recording, None where nothing is shown."""
     with ExitStack() as stack:
         shows: list[Callable[[str, Block], None]] = []
         if options.live is not None:
@@ -342,7 +343,7 @@ def _assumed_torque_constant(recipe: Recipe, inputs: Mapping[str, Run]) -> float
 
 
 class _WatchedWriter(RunWriter):
-    """A writer that shows each block to whoever looks on, and to a progress bar."""
+    """A writer that also hands each block to live views and a progress bar."""
 
     show: Callable[[str, Block], None] | None = None
     _bar: Any = None

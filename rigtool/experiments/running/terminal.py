@@ -30,7 +30,7 @@ INTERVAL = 0.2
 
 BARS = "▁▂▃▄▅▆▇█"
 PLAIN = "_.:-=+*#"
-"""Bars for a terminal that has no others."""
+"""Bars for a terminal without Unicode."""
 
 LABEL = 42
 """Characters of a line in front of its bars."""
@@ -39,7 +39,7 @@ COLUMNS = 60
 """Bars of a line at most."""
 
 FORGOTTEN = 3.0
-"""Time after which something else may have been written below a drawing, s: begin a new one."""
+"""Time after which other text may stand below a drawing, s: a new drawing begins."""
 
 
 WAITING = 64

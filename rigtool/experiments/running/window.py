@@ -42,10 +42,10 @@ WAITING = 256
 """Blocks that wait to be drawn at most."""
 
 WITH = {"low": "torque", "high": "torque"}
-"""What is drawn into the plot of another one: its band."""
+"""Channels that are drawn as the band of another channel."""
 
 NICENESS = 10
-"""The rig comes first."""
+"""Niceness of the process: the rig has priority."""
 
 
 class Panel:

@@ -1,1 +1,1 @@
-"""The springs that an instrument hangs in."""
+"""The leaf springs of the motor, and eccentric pulleys."""

@@ -12,8 +12,8 @@ A turning shaft has friction by its speed w instead. (1) is fitted to means: of 
 counts as one observation, or of equal parts of a ramp, whose residuals are correlated in time.
 
 Friction, curvature q, c, and a drift of the sensor's zero over the recording have prior sizes,
-those that motors and sensors show (`FRICTION` and so on): what the data do not separate from k is
-limited by these, and u of k includes it. The data weight the lengths s by their likelihood.
+typical of motors and sensors (`FRICTION` and so on). These sizes limit what the data do not
+separate from k, and u of k includes it. The data weight the lengths s by their likelihood.
 """
 
 from __future__ import annotations

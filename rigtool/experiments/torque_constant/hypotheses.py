@@ -8,14 +8,15 @@ scatter is unknown, its probability for n independent residuals is
     p = Q^(-n/2) / sum over all hypotheses,
 
 even in the logarithms of s, lag and tau (A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013,
-section 3.2). Friction opposes motion: hypotheses that want the opposite have none. How far the
-torque constants of all hypotheses lie apart is the uncertainty that comes from what the data cannot
-tell: friction whose contacts bend further than the arm gives way is a spring beside the arm, and no
-staircase shows how stiff.
+section 3.2). Friction opposes motion: hypotheses that want the opposite have none. The spread of
+the torque constants of all hypotheses is the uncertainty due to what the data do not show: friction
+whose contacts bend further than the arm moves is a spring beside the arm, and no staircase shows
+its stiffness.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -26,7 +27,7 @@ from rigtool.experiments.torque_constant.staircase_model import Common, Stairs, 
 from rigtool.experiments.torque_constant.swings import (
     friction_state,
     longest_lag,
-    path,
+    paths,
     straight_path,
 )
 from rigtool.numerics.arrays import Array
@@ -86,7 +87,7 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
             "degree of freedom to the fit: use more steps"
         )
     ways = _ways(stairs)
-    # The gauge's noise is in the path, too, where it would speak against the friction.
+    # The gauge's noise is also in the path, where it would count as evidence against friction.
     coarse = _joined([_search(means, way, 0) for way in ways])
     means.smooth(coarse.commons[int(np.argmin(coarse.square))])
     tried = _joined([_search(means, way, FINER_GRIDS) for way in ways])
@@ -106,8 +107,8 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
 class _Tried:
     """Hypotheses (n,), at places (n, 2 or 3) of a grid, and what they leave.
 
-    `volume` (n,) is what each stands for, `square` (n,) is Q, `slope` (n, 2) the mean of the torque
-    constants and their change with temperature.
+    `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 2)
+    the mean of the torque constants and their change with temperature.
     """
 
     commons: list[Common]
@@ -201,18 +202,21 @@ class _Means:
         return np.stack([values[those].mean(axis=0) for those in self._members])
 
     def _thermal(self, time_constant: float) -> tuple[Array, Array]:
-        """Return current, warmed, and what heat takes from it, (2, g, p)."""
+        """Return current, warmed, and its loss by heat, (2, g, p)."""
         heat, warmth = winding(self.stairs, time_constant)
         drift = warmth - mean_of(warmth, self.stairs.weight)[:, None]
         current = self.stairs.current * (1 + self._coefficient * drift)
         return self._mean(current), self._mean(current * heat)
 
-    def _friction(self, transition: Array, lag: float | None) -> tuple[Array, Array]:
+    def _ways(self, lags: Sequence[float | None]) -> list[Array]:
+        """Return the path of each lag; None alone, there is no lag, has that of straight steps."""
         courses = self.stairs.courses
-        if lag is None:
-            way = straight_path(courses)
-        else:
-            way = path(courses, courses.torque, courses.course, lag)
+        some = [lag for lag in lags if lag is not None]
+        if not some:
+            return [straight_path(courses)]
+        return list(paths(courses, courses.torque, courses.course, some))
+
+    def _friction(self, transition: Array, way: Array) -> tuple[Array, Array]:
         a, b = friction_state(way, transition[:, None, None])
         return -a * self._weight, -b * self._weight  # (s, g, p)
 
@@ -222,12 +226,13 @@ class _Means:
         lags: list[float | None] = [None]
         if len(axes) > 2:
             lags = list(np.exp(axes[2]).tolist())
+        ways = self._ways(lags)
         thermal = [self._thermal(value) for value in tau.tolist()]
-        shape = (len(transition), len(tau), len(lags))
+        shape = (len(transition), len(tau), len(ways))
         square, slope = np.empty(shape), np.empty((*shape, 2))
         free = np.empty(shape, dtype=np.bool_)
-        for n, lag in enumerate(lags):
-            columns = self._friction(transition, lag)
+        for n, way in enumerate(ways):
+            columns = self._friction(transition, way)
             for k, (current, lost) in enumerate(thermal):
                 result = self._fit(current, lost, columns)
                 square[:, k, n], slope[:, k, n], free[:, k, n] = result
@@ -241,21 +246,35 @@ class _Means:
         self, current: Array, lost: Array, friction: tuple[Array, Array]
     ) -> tuple[Array, Array, Array]:
         """Return Q (s,), slopes (s, 2), and which transitions are without friction (s,)."""
-        smooth = np.stack([current, self._weight, self._step, lost], axis=2)[None]
+        warm = self._fit_columns(current, [lost], friction)
+        cold = self._fit_columns(current, [], friction)
+        # No magnet gains by heat.
+        gains = warm[3] > 0
+        square, slope, free = (
+            np.where(gains if one.ndim == 1 else gains[:, None], other, one)
+            for one, other in zip(warm[:3], cold[:3], strict=True)
+        )
+        return square, slope, free
+
+    def _fit_columns(
+        self, current: Array, lost: list[Array], friction: tuple[Array, Array]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return Q (s,), slopes (s, 2), without friction (s,), and what heat adds (s,)."""
+        smooth = np.stack([current, self._weight, self._step, *lost], axis=2)[None]
         saturation = (current * np.abs(current))[None, :, :, None]
         plain = np.broadcast_to(smooth, (len(friction[0]), *smooth.shape[1:]))
         slid = np.concatenate([plain, *(column[..., None] for column in friction)], axis=3)
         more = np.broadcast_to(saturation, (*slid.shape[:3], 1))
-        square, found = self._least_squares(np.concatenate([slid, more], axis=3))
-        none, _ = self._least_squares(np.concatenate([smooth, saturation], axis=3))
-        level = found[..., 4, 0] @ self._share
+        square, found, of_slid = self._least_squares(np.concatenate([slid, more], axis=3))
+        none, bare, of_smooth = self._least_squares(np.concatenate([smooth, saturation], axis=3))
+        level = found[..., 3 + len(lost), 0] @ self._share
         free = level <= 0
         square = np.where(free, none, square)
         square = np.where(level > LARGEST_FRICTION * self._span, np.inf, square)
-        # The ripple's i |i| averages out over angles, and would take most of the slope with it.
-        slope = self._slopes(self._least_squares(slid)[1])
-        without = self._slopes(self._least_squares(smooth)[1])
-        return square, np.where(free[:, None], without, slope), free
+        added = np.where(free, bare[..., 3, 0] @ self._share, found[..., 3, 0] @ self._share)
+        # The ripple's i |i| averages out over angles; as a column it would take most of the slope.
+        slope, without = self._slopes(of_slid), self._slopes(of_smooth)
+        return square, np.where(free[:, None], without, slope), free, added
 
     def _slopes(self, found: Array) -> Array:
         """Return mean slope and trend (s, 2) from parameters (s, g, c, 2)."""
@@ -263,27 +282,30 @@ class _Means:
         trend: Array = np.stack([mean, np.sum(found[..., 0, 1], axis=1)], axis=1)
         return trend
 
-    def _least_squares(self, design: Array) -> tuple[Array, Array]:
-        """Return Q (s,) of the mean torque and parameters (s, g, c, 2) of designs (s, g, p, c)."""
+    def _least_squares(self, design: Array) -> tuple[Array, Array, Array]:
+        """Return Q (s,) of the mean torque and parameters (s, g, c, 2) of designs (s, g, p, c); and
+        the parameters (s, g, c - 1, 2) without the last column, whose factors are in the others."""
         q, r = np.linalg.qr(design)
-        projected = np.einsum("sgpc,gpk->sgck", q, self._torque)
-        rest = self._torque[..., 0] - np.einsum("sgpc,sgc->sgp", q, projected[..., 0])
+        projected = np.swapaxes(q, 2, 3) @ self._torque
+        rest = self._torque[..., 0] - (q @ projected[..., :1])[..., 0]
         square = np.sum(rest**2, axis=2) @ self._share
-        return square, np.linalg.solve(r, projected)
+        fewer = np.linalg.solve(r[..., :-1, :-1], projected[..., :-1, :])
+        return square, np.linalg.solve(r, projected), fewer
 
     def smooth(self, common: Common) -> None:
-        """Take what a hypothesis leaves of the mean torques off the courses as noise."""
+        """Subtract the residual of a hypothesis on the mean torques from the courses, as noise."""
         residual = self.residual(common).reshape(self._weight.shape)
         rest = residual - self._taken
         self._taken = residual
         self.stairs = replace(self.stairs, courses=self.stairs.courses.less(rest))
 
     def residual(self, common: Common) -> Array:
-        """Return what (1) with the ripple's i |i| leaves of the mean staircases, (g p,) N m."""
+        """Return the residual of (1) with the ripple's i |i| on the mean staircases, (g p,) N m."""
         current, lost = self._thermal(common.time_constant)
         columns = [current, self._weight, self._step, lost, current * np.abs(current)]
         if common.transition is not None:
-            friction = self._friction(np.array([common.transition]), common.lag)
+            (way,) = self._ways([common.lag])
+            friction = self._friction(np.array([common.transition]), way)
             columns += [column[0] for column in friction]
         q, _ = np.linalg.qr(np.stack(columns, axis=2))
         torque = self._torque[..., 0]

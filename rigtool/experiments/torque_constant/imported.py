@@ -1,7 +1,8 @@
 """`calibrate-kt` on imported runs: current against a torque or force sensor, stepped or ramped.
 
-The bench's own analysis knows its staircases, arm and rotor angles; other rigs step or ramp their
-current as they do, and some turn meanwhile. So the fit is another one: `current_levels`.
+The analysis of a rig of rigtool knows the staircases, arm and rotor angles. Other rigs step or ramp
+their current in ways of their own, and some turn meanwhile; imported runs have another fit,
+`current_levels`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.imported import is_linear, known, require_one_rig, signals_of
+from rigtool.experiments.imported import is_linear, known, place, recordings_of, require_one_rig
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_constant.current_levels import (
     Course,
@@ -31,12 +32,12 @@ def analyse_imported(runs: Sequence[Run]) -> Outcome:
     Raises `UsageError` for a linear axis, `RunFileError` where a run has no current or no sensor,
     `InsufficientDataError` where the runs do not carry a constant.
     """
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
     if is_linear(recordings[0]):
         raise UsageError(f"{runs[0].path}: is of a linear axis, where current makes force")
     points = []
-    for recording, run in zip(recordings, runs, strict=True):
+    for recording in recordings:
         torque, _ = _sensor(recording)
         course = Course(
             recording.read("time"),
@@ -48,7 +49,7 @@ def analyse_imported(runs: Sequence[Run]) -> Outcome:
         try:
             points.append(find_points(course))
         except InsufficientDataError as error:
-            raise InsufficientDataError(f"{run.path}: {error}") from None
+            raise InsufficientDataError(f"{place(recording)}: {error}") from None
     fit = fit_constant(points)
     sensor_u = known(recordings[0], "reference_relative_u")
     return Outcome(

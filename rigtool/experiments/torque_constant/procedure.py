@@ -152,7 +152,7 @@ def _results(found: Calibration, recipe: Recipe) -> dict[str, Quantity]:
         "amplifier_gain": combined(linearity.gain, "1", [scatter, gain]),
         "amplifier_offset": Quantity(linearity.offset, "A", linearity.offset_u, linearity.dof),
         "amplifier_linearity": Quantity(
-            linearity.deviation, "A", linearity.deviation_u, linearity.dof
+            linearity.deviation, "A", linearity.deviation_u, linearity.deviation_dof
         ),
         "hysteresis_torque": hysteresis,
     }

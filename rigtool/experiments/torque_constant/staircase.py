@@ -19,7 +19,7 @@ LEVEL_TOLERANCE = 1e-3
 """Part of the span within which set points count as one level."""
 
 COURSE = 96
-"""Parts of a plateau's time, to see the arm swing after each step."""
+"""Parts of a plateau's time that resolve the arm's swing after each step."""
 
 MINIMUM_PLATEAUS = 8
 """Smallest number of plateaus in a recording."""
@@ -173,7 +173,11 @@ FEWEST_ROUNDINGS = 40
 
 @dataclass(frozen=True)
 class Linearity:
-    """Measured current = offset + gain * set point, and the deviation of each level from it, A."""
+    """Measured current = offset + gain * set point, and the deviation of each level from it, A.
+
+    `dof` belongs to gain and offset: the levels' where these lie off the line by more than repeats
+    scatter, else the repeats', as in `deviation_dof`.
+    """
 
     gain: float
     gain_u: float
@@ -182,6 +186,7 @@ class Linearity:
     dof: int
     deviation: float
     deviation_u: float
+    deviation_dof: int
     current_setpoint: Array
     current: Array
     deviations: Array
@@ -208,23 +213,24 @@ def amplifier_linearity(plateaus: Plateaus) -> Linearity:
     current = np.bincount(level, weights=plateaus.current) / count
     scatter = float(np.sum((plateaus.current - current[level]) ** 2))
     dof = max(len(level) - len(count), 1)
-    sigma = math.sqrt(scatter / dof / count.mean())
     design = np.column_stack([setpoint, np.ones(len(setpoint))])
     inverse = np.linalg.pinv(design)
     gain, offset = inverse @ current
     deviations = current - design @ np.array([gain, offset])
     # Deviations from the line count as scatter too.
-    lack = float(np.sum(deviations**2)) / (len(count) - 2)
-    u = math.sqrt(max(lack, sigma**2)) * np.sqrt(np.sum(inverse**2, axis=1))
+    lack = float(np.sum(deviations**2)) / (len(count) - 2), len(count) - 2
+    square, square_dof = max(lack, (scatter / dof / count.mean(), dof))
+    u = math.sqrt(square) * np.sqrt(np.sum(inverse**2, axis=1))
     worst = int(np.argmax(np.abs(deviations)))
     return Linearity(
         gain=float(gain),
         gain_u=float(u[0]),
         offset=float(offset),
         offset_u=float(u[1]),
-        dof=dof,
+        dof=square_dof,
         deviation=float(abs(deviations[worst])),
         deviation_u=math.sqrt(scatter / dof / count[worst]),
+        deviation_dof=dof,
         current_setpoint=setpoint,
         current=current,
         deviations=deviations,

@@ -150,7 +150,7 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
     """
     heat, warmth = winding(stairs, common.time_constant)
     temperature = mean_of(warmth, stairs.weight)
-    # What a kelvin takes from the constant is the same at all temperatures, not its relative part.
+    # The loss of the constant by a kelvin is the same at all temperatures, not its relative loss.
     size = (1 + coefficient * rise)[:, None]
     current = stairs.current * (1 + coefficient / size * (warmth - temperature[:, None]))
     friction = friction_columns(stairs, common)
@@ -203,19 +203,21 @@ def _heat_loss(rotor_angle: Array, own: Array) -> tuple[float, float, float]:
     """Return g of (1), its standard uncertainty, 1/(A2 s), and degrees of freedom.
 
     `own` (m, c) begins with k and k g of each staircase. At a single rotor angle the uncertainty is
-    unknown, and taken as large as the value.
+    unknown, and taken as large as the value. No magnet gains by heat: where g comes out negative,
+    it is 0, and what it would be is part of its uncertainty.
     """
     mean = mean_over_turn(rotor_angle, -own[:, 1] / own[:, 0])
+    loss = max(mean.value, 0.0)
     if mean.dof == 0:
-        return mean.value, abs(mean.value), math.inf
-    return mean.value, mean.u, mean.dof
+        return loss, abs(mean.value), math.inf
+    return loss, math.hypot(mean.u, mean.value - loss), mean.dof
 
 
 def _lack_of_fit(stairs: Stairs, solution: _Solution, weight: Array) -> tuple[float, float]:
     """Return the u that lack of fit gives a combination of slopes, N m/A, and its dof.
 
-    `weight` (m,) combines the staircases. What their residuals have in common from plateau to
-    plateau is correlated along the staircase, as the covariance takes it. What scatter of each
+    `weight` (m,) combines the staircases. The common part of their residuals is correlated from
+    plateau to plateau along the staircase, as the covariance assumes. What scatter of each
     staircase and resolution of the gauge explain is taken off: it is stated on its own.
     """
     fit = solution.fit
@@ -286,7 +288,7 @@ def _by_level(level: NDArray[np.int_], values: Array, weight: Array) -> tuple[Ar
 
 
 def _require_straight(stairs: Stairs, solution: _Solution) -> None:
-    """Raise where torque, without friction and heat, is no straight line of current."""
+    """Raise where torque, without friction and heat, is not a straight line over current."""
     straight = _straight_slope(stairs)
     if straight < 0:
         raise InsufficientDataError(
@@ -321,8 +323,8 @@ def _too_much(stairs: Stairs) -> str:
     if stairs.resolution * CLEAR_STEPS > span:
         return (
             f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, too "
-            f"coarse to tell friction from torque in a staircase of {span * 1e3:.3g} mN m; take a "
-            "finer gauge, a longer arm or a higher current_max"
+            f"coarse to separate friction from torque in a staircase of {span * 1e3:.3g} mN m; "
+            "take a finer gauge, a longer arm or a higher current_max"
         )
     return (
         "torque is not linear in current; look for an end stop or a saturated gauge, or raise "

@@ -29,7 +29,7 @@ from rigtool.experiments.torque_constant.swings import (
     Courses,
     friction_state,
     mean_courses,
-    path,
+    paths,
     straight_path,
 )
 from rigtool.numerics.arrays import Array
@@ -160,6 +160,6 @@ def friction_columns(stairs: Stairs, common: Common) -> tuple[Array, ...]:
     if common.lag is None:
         swings = straight_path(courses)[:, courses.kind]
     else:
-        swings = path(courses, *courses.of_each(), common.lag)
+        (swings,) = paths(courses, *courses.of_each(), [common.lag])
     a, b = friction_state(swings, common.transition)
     return -a * stairs.weight, -b * stairs.weight

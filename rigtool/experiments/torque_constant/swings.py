@@ -11,6 +11,7 @@ where x is the elastic torque of the arm.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -134,7 +135,8 @@ def longest_lag(courses: Courses) -> float | None:
     steps are the arm's own.
     """
     fastest = float(np.min(courses.part)) / 20
-    swings, when = _turns(courses, courses.torque, courses.course, fastest)
+    each = _turns(courses, courses.torque, courses.course, [fastest])
+    swings, when = (values[:, 0] for values in each)
     seen = swings[2] != 0
     if np.mean(seen[:, 1:]) <= 0.5:
         return None
@@ -142,42 +144,44 @@ def longest_lag(courses: Courses) -> float | None:
     return 2 * LARGEST_DAMPING * half_period / math.pi
 
 
-def path(courses: Courses, torque: Array, course: Array, lag: float) -> Array:
-    """Return the path to each plateau, (TURNS + 2, n, p) N m: its swings, signed, in sequence.
+def paths(courses: Courses, torque: Array, course: Array, lags: Sequence[float]) -> Array:
+    """Return the path to each plateau, (l, TURNS + 2, n, p) N m: its swings, signed, in sequence.
 
-    `torque` (n, p) and `course` (n, p, c) are those of all kinds, or of all staircases. `lag` is
-    that of (1), s. The path to the first plateau is empty.
+    `torque` (n, p) and `course` (n, p, c) are those of all kinds, or of all staircases. `lags` (l,)
+    are those of (1), s. The path to the first plateau is empty.
     """
-    return _turns(courses, torque, course, lag)[0]
+    return np.moveaxis(_turns(courses, torque, course, lags)[0], 1, 0)
 
 
-def _turns(courses: Courses, torque: Array, course: Array, lag: float) -> tuple[Array, Array]:
-    """Return the path, and in which part of the course (TURNS, n, p) each turn showed."""
+def _turns(
+    courses: Courses, torque: Array, course: Array, lags: Sequence[float]
+) -> tuple[Array, Array]:
+    """Return the path, and in which part of the course (TURNS, l, n, p) each turn showed."""
     own = len(torque) != len(courses.torque)
     kind = courses.kind if own else np.arange(len(torque))
-    before, after = torque[:, :-1], torque[:, 1:]
-    follow = -np.expm1(-courses.part[kind, 1:] / lag)
+    follow = -np.expm1(-courses.part[kind, 1:] / np.reshape(lags, (-1, 1, 1)))
     threshold = NOISE * courses.noise[kind, None] * np.sqrt(follow / (2 - follow))
-    swings = np.zeros((TURNS + 2, *torque.shape))
-    rows, columns = np.arange(len(before))[:, None], np.arange(before.shape[1])[None, :]
+    before, after = (np.broadcast_to(t, follow.shape) for t in (torque[:, :-1], torque[:, 1:]))
+    swings = np.zeros((TURNS + 2, len(follow), *torque.shape))
+    numbers, rows, columns = np.ogrid[tuple(map(slice, before.shape))]
     elastic, extreme, turned = before.copy(), before.copy(), before.copy()
     direction = np.sign(after - before)
     count = np.zeros(before.shape, dtype=np.int64)
-    when = np.zeros((TURNS, *torque.shape))
+    when = np.zeros((TURNS, *swings.shape[1:]))
     for moment, value in enumerate(np.moveaxis(course[:, 1:], 2, 0)):
         elastic = elastic + follow * (value - elastic)
         extreme = np.where((elastic - extreme) * direction > 0, elastic, extreme)
         turns = ((extreme - elastic) * direction > threshold) & (count < TURNS)
-        row, column = np.nonzero(turns)
-        here = (count[turns], row, column + 1)
+        number, row, column = np.nonzero(turns)
+        here = (count[turns], number, row, column + 1)
         swings[here] = (extreme - turned)[turns]
         when[here] = moment
         turned = np.where(turns, extreme, turned)
         extreme = np.where(turns, elastic, extreme)
         direction = np.where(turns, -direction, direction)
         count += turns
-    swings[count, rows, columns + 1] = extreme - turned
-    swings[count + 1, rows, columns + 1] = after - extreme
+    swings[count, numbers, rows, columns + 1] = extreme - turned
+    swings[count + 1, numbers, rows, columns + 1] = after - extreme
     return swings, when
 
 

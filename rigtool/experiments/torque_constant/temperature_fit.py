@@ -39,7 +39,7 @@ SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""
 
 LAW_U = 0.03
-"""Relative standard uncertainty of what friction takes from a slope: Dahl's law is a model."""
+"""Relative standard uncertainty of the effect of friction on a slope: Dahl's law is a model."""
 
 DEFLECTION = 0.03
 """Standard uncertainty of the angle by which the arm gives way in a staircase, rad."""
@@ -223,7 +223,7 @@ def _ripple(found: AngleEffects, value: float, friction: float) -> Quantity:
     """Return the relative standard deviation of r over a turn.
 
     Friction changes each slope by a part `friction`, which need not grow with the gain: the
-    deviation is uncertain by that part of it. So it is by the arm's deflection d: within a
+    deviation is uncertain by that part of it. The arm's deflection d has the same effect: within a
     staircase the angle changes with the torque, which adds k d of the amplitude of order k.
     """
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     "measure-force",
     "Hysteresis: effort of the motor against torque at the load",
     "force",
-    "levels",
+    "loads",
 )
-def draw_hysteresis(run: Run, table: Table, levels: Table) -> Figure:
+def draw_hysteresis(run: Run, table: Table, loads: Table) -> Figure:
     """Loop of the motor's effort against the sensor's torque."""
     effort = table.columns["effort"]
     name = "current" if effort.unit == "A" else "torque"
@@ -45,9 +45,9 @@ def draw_hysteresis(run: Run, table: Table, levels: Table) -> Figure:
     "measure-force",
     "Error by load: median and 95 % of the samples of each run",
     "force",
-    "levels",
+    "loads",
 )
-def draw_error_by_level(run: Run, table: Table, levels: Table) -> Figure:
+def draw_error_by_level(run: Run, table: Table, loads: Table) -> Figure:
     """Errors of single samples over the torque of their run, against and with the load."""
     error = MILLI * (table["torque"] - table["reference"])
     figure, axes = style.one_panel("torque at the load, sensor [mN m]", "error [mN m]", 3.6)

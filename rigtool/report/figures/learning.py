@@ -94,8 +94,10 @@ def draw_health(run: Run, table: Table) -> Figure:
     figure, (size, mean) = style.panels(2, "motor speed [rad/s]", labels, 4.2)
     speed = table["speed"]
     label = "scatter of a single move"
-    size.plot(speed, MILLI * table["mismatch_rms"], "o", color=style.BLUE, label="now less table")
-    size.plot(speed, MILLI * table["non_repeatable_rms"], "_", color=style.GREY, label=label)
+    size.plot(
+        speed, MILLI * table["mismatch_rms"], "o", color=style.BLUE, label="error of the table"
+    )
+    size.plot(speed, MILLI * table["non_repeatable_rms"], "D", mfc="none", color="k", label=label)
     size.set_ylim(bottom=0)
     mean.plot(speed, MILLI * table["mean_change"], "o", color=style.BLUE)
     mean.axhline(0, color=style.GREY, linewidth=0.8)

@@ -219,7 +219,12 @@ def draw_breakaway_by_position(run: Run, table: Table) -> Figure:
     return figure
 
 
-@plot(FIRST_OWN_NUMBER + 10, "stribeck", "The Stribeck zone: friction at low speed", "holds")
+@plot(
+    FIRST_OWN_NUMBER + 10,
+    "stribeck",
+    "Friction at constant speeds, in the Stribeck zone where one was found",
+    "holds",
+)
 def draw_stribeck_zone(run: Run, table: Table) -> Figure:
     """Torque at constant low speeds with its uncertainty, and the model; a panel a direction."""
     from matplotlib.figure import Figure as NewFigure

@@ -1,4 +1,4 @@
-"""Which figures there are: one function draws each, from tables of the runs of one command."""
+"""The list of figures: one function draws each, from tables of the runs of one command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures 70 and 75: leaf springs of the motor, torque of pulleys out of centre [App. E, J]."""
+"""Figures 70 and 75: leaf springs of the motor, torque of eccentric pulleys [App. E, J]."""
 
 from __future__ import annotations
 

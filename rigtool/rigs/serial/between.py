@@ -1,4 +1,4 @@
-"""Readings between two set points: does the current vary within a period of the loop?
+"""Readings between two set points: how far the current varies within a period of the loop.
 
 A drive that gets set points one by one is sampled when it gets one, always at the same phase of the
 period. Where its loop answers each set point with a step of current, as it does to steps of
@@ -23,7 +23,7 @@ EVERY = 4
 """Periods from one reading in between to the next."""
 
 GOLDEN = (math.sqrt(5) - 1) / 2
-"""Multiples of it, modulo one, fill a period evenly, for any number of them."""
+"""Its multiples, modulo one, fill a period evenly, for any number of multiples."""
 
 ROOM = 1.5
 """Readings that must fit into the rest of a period before another one is taken."""

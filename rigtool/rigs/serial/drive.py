@@ -19,7 +19,8 @@ class Abilities:
     `temperature`. Position is always there. `feedforward` states whether a current may be added in
     the modes `position` and `velocity`; `watchdog`, whether it stops by itself when the line falls
     silent. `moves_along`: in mode `position` the set point moves on at its speed until the next one
-    comes; otherwise each set point is a step, which shows in the current.
+    comes; otherwise each set point is a step, which shows in the current. From the speed `lets_go`
+    on, rad/s, the drive gives no more current by itself: known after `configure`.
     """
 
     modes: frozenset[Mode]
@@ -27,6 +28,7 @@ class Abilities:
     channels: frozenset[str]
     watchdog: bool = True
     moves_along: bool = False
+    lets_go: float = math.inf
 
 
 @dataclass(frozen=True)

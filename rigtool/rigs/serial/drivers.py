@@ -57,7 +57,8 @@ class Driver:
     yet; `make_rig(recipe, torque_constant, use, operator)` the rig of a device that runs whole
     motions by itself. `make_table_store(line, recipe)` is there where the drive keeps a table. A
     drive without watchdog goes on where computer or cable fail; `switch_off(line, node)` is called
-    by the process beside rigtool where rigtool alone fails. One with `can` is on a CAN bus.
+    by the process beside rigtool where rigtool alone fails. A drive with `can` is on a CAN bus. A
+    drive that takes currents only needs the host to close the loop, as `host_closes` states.
     """
 
     probe: Callable[[Line], str | None]
@@ -67,6 +68,7 @@ class Driver:
     make_table_store: Callable[[Line, Recipe], TableStore] | None = None
     has_watchdog: bool = True
     can: bool = False
+    host_closes: bool = False
     switch_off: Callable[[Line, int], None] | None = None
 
 

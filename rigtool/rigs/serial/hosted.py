@@ -47,6 +47,9 @@ BLOCK_TIME = 0.25
 RATE_READINGS = 40
 """Readings at standstill from which the rate of a line is found."""
 
+STOPPING = 3
+"""Readings that pass, at most, from the sample that shows a runaway to the drive's being off."""
+
 CORRECTED = 0.3
 """Part of an error of position that is corrected in a period at most."""
 
@@ -129,17 +132,19 @@ class HostedRig(SerialRig):
         return identity
 
     def _state_runaway(self) -> None:
-        """Note how fast the shaft gets where a loop runs away, before the host notices."""
+        """Note the speed of the shaft of a runaway loop before host or drive notices."""
         rig, limits = self._recipe.rig, self._limits
         torque = self._torque_constant * limits.current
-        fastest = safety.runaway(
-            limits, rig.encoder_counts, rig.sample_time, torque / rig.inertia.total(rig.attachment)
-        )
+        acceleration = torque / rig.inertia.total(rig.attachment)
+        fastest = safety.runaway(limits, rig.encoder_counts, rig.sample_time, acceleration)
+        fastest += acceleration * STOPPING * self._between.reading
+        own = self.drive.abilities.lets_go
+        who = "the drive lets go" if own < fastest else "the host notices it"
+        reached = min(own, fastest)
         note = (
-            f"where a loop runs away (a wrong sign, a lost encoder) with {limits.current:g} A, the "
-            f"host notices it at up to {fastest:.3g} rad/s, {fastest / limits.speed:.2g} times the "
-            "limit of speed, unless the drive limits it: lower serial.limits.current where that is "
-            "too fast"
+            f"where a loop runs away (a wrong sign, a lost encoder) with {limits.current:g} A, "
+            f"{who} at up to {reached:.3g} rad/s, {reached / limits.speed:.2g} times the limit of "
+            "speed: lower serial.limits.current where that is too fast"
         )
         if note not in self.notes:
             self.notes.append(note)

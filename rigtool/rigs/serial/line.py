@@ -1,17 +1,18 @@
 """A serial line: one request at a time, each with a deadline, retries that are counted.
 
-Everything that speaks to hardware goes through a `Line`: so every byte can be written to a spy
+All communication with hardware goes through a `Line`, so that every byte can be written to a spy
 file, and a port `replay://FILE` plays such a file back. Errors are `HardwareError`s: `LineTimeout`
-and `DamagedReply` concern one reply, and a request that may be repeated is; `RequestRefused` is a
-reply as well; `LineLost` is final.
+and `DamagedReply` concern one reply, and the request is repeated if it may be; `RequestRefused` is
+a reply as well; `LineLost` is final.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -43,6 +44,9 @@ SNATCHED = 30
 
 LONGEST_REPLY = 1 << 20
 """Bytes without an end of line that mark the reply as damaged."""
+
+OTHERS = 5.0
+"""Multiple of the timeout of a line after which what came, and is no answer, counts as silence."""
 
 
 class LineTimeout(HardwareError):
@@ -117,6 +121,7 @@ class Line:
         else:
             self._port = _open(port, baud_rate, frame, exclusive or None)
         self._buffer = bytearray()
+        self._until = math.inf
         self._snatched = 0
         self._spy: Spy | None = None if beside is None else beside._spy
         self._owns_spy = spy is not None
@@ -233,7 +238,7 @@ class Line:
         self._fill(lambda: end in self._buffer, f"the end {end!r}", timeout)
         return self._take(self._buffer.index(end) + len(end))
 
-    def read_frame(self, timeout: float | None = None) -> can_frames.Frame:
+    def read_frame(self, timeout: float | None = None) -> can_frames.CanFrame:
         """Return the next frame of a CAN bus; raises `LineTimeout` or `DamagedReply`."""
         text = self.read_until(can_frames.END, timeout)
         try:
@@ -241,15 +246,32 @@ class Line:
         except ValueError as error:
             raise DamagedReply(f"{self.port}: {error}") from None
 
+    @contextlib.contextmanager
+    def within(self, seconds: float) -> Iterator[None]:
+        """Let readings fail once this time is over, s, whatever else still comes on the line.
+
+        Each reading has a timeout of its own, which begins anew where it is repeated because
+        something else came: another node of a bus, a monitor that prints.
+        """
+        before = self._until
+        self._until = min(before, self._deadline(seconds))
+        try:
+            yield
+        finally:
+            self._until = before
+
     def give_back(self, data: bytes) -> None:
         """Put back bytes that belong to the next reading."""
         self._buffer[:0] = data
 
     def settle(self, quiet: float = QUIET) -> int:
-        """Drop bytes until the line is silent; count them and return their number."""
+        """Drop bytes until the line is silent; count them and return their number.
+
+        A line that is never silent is left after its timeout: others talk on it.
+        """
         dropped = len(self._buffer)
         self._buffer.clear()
-        limit = time.monotonic() + max(1.0, quiet)
+        limit = time.monotonic() + max(self.timeout, quiet)
         while time.monotonic() < limit:
             data = self._receive(time.monotonic() + quiet)
             if not data:
@@ -285,7 +307,8 @@ class Line:
             if request:
                 self.write(request)
             try:
-                return receive()
+                with self.within(OTHERS * self.timeout):
+                    return receive()
             except LineTimeout as error:
                 self.counts.timeouts += 1
                 problem: HardwareError = error
@@ -334,6 +357,8 @@ class Line:
 
     def _fill(self, enough: Callable[[], bool], what: str, timeout: float | None) -> None:
         deadline = self._deadline(timeout)
+        if time.monotonic() > self._until:
+            raise LineTimeout(f"{self.port}: only messages of others came, not {what}")
         while not enough():
             data = self._receive(deadline)
             if not data:

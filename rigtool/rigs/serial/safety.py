@@ -279,7 +279,7 @@ class Watch:
         return found
 
     def _off(self, block: Block, position: Array) -> str | None:
-        """Judge how far the shaft is off its set point."""
+        """Check the distance of the shaft from its set point."""
         setpoint = block.get("position_setpoint")
         if not self._closed or setpoint is None or not _any(off := np.abs(position - setpoint)):
             return None

@@ -1,4 +1,4 @@
-"""The clock of a loop that the host runs: waits for its ticks, and knows why they come late."""
+"""The clock of a loop that the host runs: waits for its ticks, and states why they come late."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ many."""
 
 
 class Clock:
-    """Waits for ticks of a `period` while nobody is silent for longer than `patience`; both in s.
+    """Waits for ticks of a `period`; no silence may exceed `patience`; both in s.
 
     A tick that comes late is made up for. With `skips`, a loop that falls behind goes on at the
     tick that is due; a motion whose signal has a sample for each tick cannot.

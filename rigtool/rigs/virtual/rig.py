@@ -34,14 +34,15 @@ CONTACTS, HAND = 0xC047AC7, 0x4A4D
 """Streams of the seed for random draws other than the bench's own noise."""
 
 GRAVITY = 9.81
-"""Of the simulated weights, m/s2: it enters their inertia, and with it every digit of old runs."""
+"""Acceleration of the simulated weights, m/s2: it enters their inertia, and so every digit of
+earlier runs."""
 SOAK_TIME = 600.0
 MOVE_SPEED = 2.0
 SETTLE_TIME = 0.5
 
 
 class VirtualRig(Rig):
-    """A motor with encoder, amplifier and instrument that exist only as equations.
+    """A simulated motor with encoder, amplifier and instrument.
 
     `torque_constant` is the controller's, N m/A. `stream` names the use (a command), so that each
     has its own noise from the same seed. Raises `RecipeError` without [virtual], or where its
@@ -257,7 +258,7 @@ class VirtualRig(Rig):
         self, motion: Motion | OpenLoop, task: Task, time: Array, origin: float
     ) -> dict[str, Array]:
         """Evaluate the set points and feed-forward of this block, each (n,)."""
-        zero = np.zeros(len(time))
+        zero = np.broadcast_to(0.0, len(time))
         if isinstance(motion, CurrentSteps | CurrentRamp):
             return {
                 "time": time - time[0],
@@ -283,7 +284,7 @@ class VirtualRig(Rig):
         """Return the current of the task's own signal at these samples of it, (n,)."""
         signal = task.feedforward.signal
         if signal is None or isinstance(task.motion, OpenLoop):
-            return np.zeros(len(steps))
+            return np.broadcast_to(0.0, len(steps))
         current: Array = signal[steps % len(signal)] / self._assumed_torque_constant
         return current
 
@@ -297,12 +298,14 @@ class VirtualRig(Rig):
         rng: np.random.Generator,
     ) -> Block:
         """Average the set points as the kernel averaged the rest, and add the sensors' noise."""
-        rows = done // every
+        rows, share = done // every, np.full(every, 1 / every)
         out = out[:rows]
 
         def mean(name: str) -> Array:
             values: Array = signals[name][: rows * every]
-            return values if every == 1 else values.reshape(rows, every).mean(axis=1)
+            if not values.strides[0]:  # one value throughout
+                return np.broadcast_to(values[:1], rows)
+            return values if every == 1 else values.reshape(rows, every) @ share
 
         sensors = self._virtual.sensors
         average = 1 / math.sqrt(every)

@@ -20,8 +20,9 @@ from rigtool.quantity import Quantity
 from rigtool.recipe.mapping import Mapping
 from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays
+from rigtool.runfile.importers.conditions import parts
 from rigtool.runfile.importers.contradictions import contradictions
-from rigtool.runfile.importers.convert import conditions, irregular, stem, to_si
+from rigtool.runfile.importers.convert import irregular, stem, to_si
 from rigtool.runfile.importers.maps import read_map
 from rigtool.runfile.importers.plan import is_binary, plan
 from rigtool.runfile.importers.raw import Array, Importer, Raw
@@ -183,22 +184,33 @@ def _import_file(
     if known is not None and known.map is not None:
         return _import_map(source, here, final, known, origin, overwrite)
     signals, raw, known, notes = understand(source, known, skip_bad)
-    known_conditions, missing = conditions(source, known)
-    spec = RecordingSpec(RECORDING, _channels(signals, known), known_conditions)
+    found, missing = parts(source, raw, known)
+    channels = _channels(signals, known)
+    specs = [
+        RecordingSpec(name, channels, part.conditions)
+        for name, part in zip(_names(len(found)), found, strict=True)
+    ]
     notes = [*notes, *missing]
     with RunWriter(
         here,
         command=COMMAND,
         recipe=None,
         recipe_text=None,
-        recordings=[spec],
+        recordings=specs,
         overwrite=overwrite,
         rig=known.rig.name,
         source=origin,
     ) as writer:
-        writer.append(RECORDING, signals)
+        for spec, part in zip(specs, found, strict=True):
+            samples = slice(part.start, part.stop)
+            writer.append(spec.name, {name: values[samples] for name, values in signals.items()})
         writer.finish(_results(len(raw.left_out)), {}, notes)
     return Imported(source, final, len(raw.line), len(raw.left_out), tuple(notes))
+
+
+def _names(count: int) -> list[str]:
+    """Return the names of the recordings of a file."""
+    return [RECORDING] if count == 1 else [f"{RECORDING}_{n:03d}" for n in range(count)]
 
 
 def understand(
@@ -233,10 +245,9 @@ def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, M
             f"{source}: does not state the meaning of its columns: give --map with a mapping file "
             "that has [signals]; recipes/import holds examples"
         )
-    columns = [signal.column for signal in mapping.signals.values()]
     if is_binary(source):
-        return read_arrays(source, mapping.file.variable, columns, skip_bad), mapping, []
-    raw, notes = read_text(source, mapping.file, columns, skip_bad)
+        return read_arrays(source, mapping.file.variable, mapping.columns, skip_bad), mapping, []
+    raw, notes = read_text(source, mapping.file, mapping.columns, skip_bad, mapping.words)
     return raw, mapping, notes
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left
 from pathlib import Path
 
@@ -60,7 +59,7 @@ def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[
                 f"{path}: {name} is beyond the numbers of a computer with this scale and offset: "
                 "correct them in the mapping"
             )
-    require_same_motion(path, signals)
+    require_same_motion(path, signals, mapping.rig)
     return signals, raw
 
 
@@ -132,44 +131,6 @@ def irregular(time: Array) -> str | None:
         f"the time axis is irregular, intervals from {steps.min():.4g} to {steps.max():.4g} s, "
         f"median {usual:.4g} s: kept as recorded"
     )
-
-
-def conditions(path: Path, mapping: Mapping) -> tuple[dict[str, tuple[float, str]], list[str]]:
-    """Return properties of the rig and conditions from names, by name: (value, unit).
-
-    Also returns notes on conditions that a name does not contain; those are left out.
-    """
-    notes = []
-    rig = mapping.rig
-    known = {
-        "encoder_counts": (rig.encoder_counts, "count"),
-        "torque_constant": (rig.torque_constant, "N m/A"),
-        "torque_constant_u": (rig.torque_constant_u, "N m/A"),
-        "rated_torque": (rig.rated_torque, "N m"),
-        "inertia": (rig.inertia, "kg m2"),
-        "arm_length": (rig.arm_length, "m"),
-        "reference_relative_u": (rig.reference_relative_u, "1"),
-        "linear_axis": (1.0 if rig.axis == "linear" else None, "1"),
-    }
-    found = {
-        name: (float(value), unit) for name, (value, unit) in known.items() if value is not None
-    }
-    for condition in mapping.conditions:
-        what = "name" if condition.of == "file" else "folder's name"
-        where = stem(path) if condition.of == "file" else path.resolve().parent.name
-        match = re.search(condition.pattern, where)
-        text = None if match is None else match[1]
-        try:
-            value = float(text or "") if condition.values is None else condition.values[text or ""]
-        except (KeyError, ValueError):
-            shown = "nothing" if text is None else repr(text)
-            notes.append(
-                f"its {what} does not state the condition {condition.name!r}: "
-                f"{condition.pattern!r} finds {shown}"
-            )
-            continue
-        found[condition.name] = (value, condition.unit)
-    return found, notes
 
 
 def stem(path: Path) -> str:

@@ -13,10 +13,19 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import RATED, UNITS, FileLayout, Mapping, Signal
 from rigtool.runfile.importers.raw import Importer, Raw, read_bytes, require_good
-from rigtool.runfile.importers.text import Lines, decode, marks_of, read_numbers, split_lines
+from rigtool.runfile.importers.text import (
+    Lines,
+    decode,
+    marks_of,
+    read_numbers,
+    split_fields,
+    split_lines,
+)
 
 OBJECTS = {
     0x6064: "position",
@@ -33,7 +42,26 @@ OBJECTS = {
 }
 """Objects of the EPOS4 that have a fixed meaning here (EPOS4 Firmware Specification, maxon)."""
 
+NAMED = {
+    "position actual": "position",
+    "position demand": "position_setpoint",
+    "velocity actual": "speed",
+    "velocity demand": "speed_setpoint",
+    "torque actual": "torque",
+    "current actual": "current",
+    "current demand": "current_setpoint",
+}
+"""The same by the first two words of a channel's name, where somebody took the objects out."""
+
+FEWEST_TIMES = 3
+"""Times that show their period."""
+
+OTHER_UNIT = 30.0
+"""Ratio of the times' period and that of the header that rows taken out do not explain."""
+
 _HEADER_LINES = 60
+_HEADED = re.compile(r"^\"?Index:[;,\t]\"?0x", re.MULTILINE)
+_KEY = re.compile(r"^\"?[A-Z][A-Za-z. ]+:\"?([;,\t])", re.MULTILINE)
 _NAME = re.compile(r"[^a-z0-9]+")
 _ADDED = re.compile(r",(?!\d)")
 
@@ -46,7 +74,7 @@ def is_epos(path: Path) -> bool:
     except OSError:
         return False
     text = start.decode("latin-1").replace("\x00", "")
-    return "EPOS Studio Version:;" in text or ("Sampling period:;" in text and "Index:;0x" in text)
+    return "EPOS Studio Version:" in text or bool(_HEADED.search(text))
 
 
 def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mapping, list[str]]:
@@ -55,7 +83,8 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
     Torque in percent becomes N m where `mapping` states the rated torque. A mapping with signals
     of its own keeps them: columns by the names in the file, `time` the first. [file] of a mapping
     holds for the lines of numbers. What a spreadsheet or a person added behind a comma is taken
-    off. Raises `RunFileError` for a header or lines that are damaged.
+    off, and what it made of semicolons is undone. Raises `RunFileError` for a header or lines that
+    are damaged, or times that contradict the sampling period.
     """
     lines, notes = _as_exported(split_lines(decode(read_bytes(path)), mapping.file.comment))
     header = _header(path, lines)
@@ -68,23 +97,47 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
             "columns: export the recording again"
         )
     if not mapping.signals:
-        filled = {**mapping.model_dump(), "signals": _signals(path, header, names, units, mapping)}
+        signals, more = _signals(path, header, names, units, mapping)
+        notes += more
+        filled = {**mapping.model_dump(), "signals": signals}
         mapping = Mapping.model_validate(filled)
     data = lines.after(names_at + 2)
     marks = marks_of(
         data.text, FileLayout(delimiter=mapping.file.delimiter or ";", decimal=mapping.file.decimal)
     )
-    columns = [signal.column for signal in mapping.signals.values()]
-    raw = read_numbers(path, data, marks, columns, names, skip_bad)
+    raw = read_numbers(path, data, marks, mapping.columns, names, skip_bad, mapping.words)
+    _require_period(path, header, raw, mapping)
     return raw, mapping, [*notes, *_missing(path, header, data, skip_bad)]
+
+
+def _require_period(
+    path: Path, header: dict[tuple[int, str], list[str]], raw: Raw, mapping: Mapping
+) -> None:
+    """Raise `RunFileError` where the times do not rise by the sampling period of the header, ms."""
+    _, stated = _field(header, "Sampling period")
+    times = raw.columns.get(mapping.signals["time"].column) if "time" in mapping.signals else None
+    if not stated or times is None or len(times) < FEWEST_TIMES:
+        return
+    found = re.match(r"[\d.,]+", stated[0].strip())
+    period = float(found[0].replace(",", ".")) * 1e-3 if found else 0.0
+    steps = np.diff(times) * mapping.signals["time"].scale * mapping.factor("time")
+    ratio = float(np.median(steps)) / period if period > 0 else 1.0
+    if not 1 / OTHER_UNIT < ratio < OTHER_UNIT:
+        raise RunFileError(
+            f"{path}: its times rise by {period * ratio:.4g} s, its header states a period of "
+            f"{period:.4g} s: correct the unit of the times, or the header"
+        )
 
 
 def _as_exported(lines: Lines) -> tuple[Lines, list[str]]:
     """Return the lines without what was added behind a comma, and notes on what that said.
 
     A comma before a digit is a decimal mark, any other begins a cell of a spreadsheet or a remark.
+    A spreadsheet may also have saved with commas or tabs, in quotes, and with empty cells behind.
     """
-    parts = [_ADDED.split(line, maxsplit=1) for line in lines.text]
+    marks = _KEY.findall("\n".join(lines.text[:_HEADER_LINES]))
+    mark = max(set(marks), key=marks.count) if marks else ";"
+    parts = [_ADDED.split(_with_semicolons(line, mark), maxsplit=1) for line in lines.text]
     notes = [
         f"line {number}: remark {remark!r} left out"
         for (_, *added), number in zip(parts, lines.number, strict=True)
@@ -99,13 +152,22 @@ def _as_exported(lines: Lines) -> tuple[Lines, list[str]]:
     return Lines(texts, numbers, lines.whole), notes
 
 
+def _with_semicolons(line: str, mark: str) -> str:
+    """Return a line as EPOS Studio writes it, without empty cells at its end."""
+    if mark != ";":
+        line = ";".join(split_fields(line, mark))
+    elif line.startswith('"') and ";" in line:
+        line = line.rstrip('", \t')[1:].replace('""', '"')
+    return line.rstrip("; \t")
+
+
 def _header(path: Path, lines: Lines) -> dict[tuple[int, str], list[str]]:
     """Return the header by number of its line and key; the line of names follows it."""
     header: dict[tuple[int, str], list[str]] = {}
     for at, (number, line) in enumerate(zip(lines.number, lines.text, strict=True)):
         if at + 1 >= len(lines.text) or at >= _HEADER_LINES:
             break
-        if line.startswith(";"):
+        if line.startswith((";", "time;", "Time;")):
             return header
         key, *values = line.split(";")
         header[number, key.rstrip(":")] = values
@@ -127,7 +189,8 @@ def _signals(
     names: list[str],
     units: list[str],
     mapping: Mapping,
-) -> dict[str, Signal]:
+) -> tuple[dict[str, Signal], list[str]]:
+    """Return the signals of an export, and notes on channels that are left out."""
     line, values = _field(header, "Index")
     try:
         indices = [int(value, 16) for value in values]
@@ -136,24 +199,38 @@ def _signals(
             f"{path}, line {line}: {'; '.join(values)[:80]!r} are no objects such as 0x30D3: "
             "correct the line, or give a mapping with [signals]"
         ) from None
-    signals = {}
+    signals: dict[str, Signal] = {}
+    notes = []
     for number, (name, unit) in enumerate(zip(names, units, strict=True)):
         index = indices[number - 1] if 0 < number <= len(indices) else 0
         signal, unit = _meaning(name if number else "time", index, unit, mapping)
         if unit not in (*UNITS, RATED):
-            raise RunFileError(
-                f"{path}: channel {name!r} is in {unit!r}, an unknown unit: give a mapping "
-                "with [signals] for this file"
+            if number == 0:
+                raise RunFileError(
+                    f"{path}: its times are in {unit!r}, an unknown unit: correct the line of "
+                    "units, or give a mapping with [signals]"
+                )
+            notes.append(
+                f"channel {name!r} is in {unit!r}, an unknown unit, and was left out: a mapping "
+                "with [signals] reads it"
             )
+            continue
         if signal in signals:
             signal = f"{signal}_{number}"
         signals[signal] = Signal(column=number + 1, unit=unit, description=name if number else "")
-    return signals
+    if len(signals) < 2:
+        raise RunFileError(
+            f"{path}: has no channel in a known unit, only {', '.join(units[1:])}: give a mapping "
+            "with [signals] for this file"
+        )
+    return signals, notes
 
 
 def _meaning(name: str, index: int, unit: str, mapping: Mapping) -> tuple[str, str]:
     """Return signal and unit of a channel."""
-    signal = OBJECTS.get(index, _NAME.sub("_", name.lower()).strip("_") or "channel")
+    words = " ".join(name.lower().split()[:2])
+    plain = _NAME.sub("_", name.lower()).strip("_") or "channel"
+    signal = OBJECTS.get(index, NAMED.get(words, plain))
     if unit in ("inc", "qc", "counts"):
         unit = "count"
         signal = {"position": "encoder"}.get(signal, f"{signal}_count")

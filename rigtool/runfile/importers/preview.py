@@ -11,7 +11,7 @@ import numpy as np
 from rigtool.recipe.mapping import FileLayout, Mapping
 from rigtool.runfile.importers import importers, recognised, understand
 from rigtool.runfile.importers.arrays import load_arrays
-from rigtool.runfile.importers.convert import conditions
+from rigtool.runfile.importers.conditions import parts
 from rigtool.runfile.importers.plan import find_files, is_binary
 from rigtool.runfile.importers.raw import Array, read_bytes
 from rigtool.runfile.importers.text import decode, marks_of, split_fields, split_lines
@@ -41,13 +41,18 @@ def preview(sources: Sequence[str], mapping: Mapping | None, skip_bad: bool) -> 
 def _file(source: Path, mapping: Mapping | None, skip_bad: bool) -> list[str]:
     if (mapping is None or not mapping.signals) and recognised(source) is None:
         return _columns(source, mapping)
-    signals, _, known, notes = understand(source, mapping, skip_bad)
+    signals, raw, known, notes = understand(source, mapping, skip_bad)
     names = list(signals)
     head = [f"{name} [{known.unit(name) if name in known.signals else 's'}]" for name in names]
     first = range(min(ROWS, len(signals["time"])))
     rows = [[f"{signals[name][row]:.6g}" for name in names] for row in first]
-    found, missing = conditions(source, known)
-    stated = [f"{name} = {value:.6g} {unit}" for name, (value, unit) in found.items()]
+    found, missing = parts(source, raw, known)
+    split = {item.name for item in known.conditions if item.column is not None}
+    stated = [
+        f"{name} = {value:.6g} {unit}"
+        for name, (value, unit) in found[0].conditions.items()
+        if name not in split
+    ]
     ranges = [
         f"{title}: {values.min():.6g} to {values.max():.6g}"
         for title, values in zip(head, signals.values(), strict=True)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +40,9 @@ LOOKED_AT = 50
 MOSTLY = 0.3
 """Smallest part of numbers among the fields of lines of measurements."""
 
+Words = Mapping[ColumnKey, Mapping[str, float]]
+"""Numbers for the texts of columns."""
+
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 
 
@@ -60,9 +63,15 @@ class Lines:
 
 
 def read_text(
-    path: Path, layout: FileLayout, columns: Sequence[ColumnKey], skip_bad: bool
+    path: Path,
+    layout: FileLayout,
+    columns: Sequence[ColumnKey],
+    skip_bad: bool,
+    words: Words | None = None,
 ) -> tuple[Raw, list[str]]:
     """Read columns of a text file as numbers; also return notes on what its lines show.
+
+    `words` are the numbers for the texts of columns that hold text.
 
     Raises `RunFileError` for a missing column, and, unless `skip_bad`, for lines that are cut
     short, hold something else than numbers, or end with the file.
@@ -77,7 +86,7 @@ def read_text(
         )
     marks = marks_of(lines.after(head).text, layout)
     names = split_fields(lines.text[head - 1], marks.delimiter) if named else []
-    raw = read_numbers(path, lines.after(head), marks, columns, names, skip_bad)
+    raw = read_numbers(path, lines.after(head), marks, columns, names, skip_bad, words)
     return raw, marks.notes(layout)
 
 
@@ -138,8 +147,11 @@ def read_numbers(
     columns: Sequence[ColumnKey],
     names: Sequence[str],
     skip_bad: bool,
+    words: Words | None = None,
 ) -> Raw:
     """Read columns of lines that hold numbers; `names` are those of all columns, or none.
+
+    `words` as in `read_text`.
 
     Raises `RunFileError` for bad lines, and where no line holds numbers.
     """
@@ -163,18 +175,55 @@ def read_numbers(
     }
     if not lines.whole:
         bad[lines.number[-1]] = "the file ends within this line: its end is missing"
+    said = {
+        column: _translate(lines, delimiter, index, words[column], bad)
+        for column, index in zip(columns, indices, strict=True)
+        if words and column in words
+    }
+    numeric = [
+        (column, index)
+        for column, index in zip(columns, indices, strict=True)
+        if column not in said
+    ]
     good = [
         text for text, number in zip(lines.text, lines.number, strict=True) if number not in bad
     ]
     numbers = [number for number in lines.number if number not in bad]
-    table = _parse(good, delimiter, marks.decimal, indices)
+    asked = [index for _, index in numeric]
+    table = _parse(good, delimiter, marks.decimal, asked)
     if table is None:
-        table = _parse_exactly(good, numbers, delimiter, marks.decimal, indices, bad)
+        table = _parse_exactly(good, numbers, delimiter, marks.decimal, asked, bad)
     if not skip_bad:
         require_good(path, "line", bad)
     place = np.flatnonzero([number not in bad for number in lines.number]).astype(np.int64)
     line = np.array(lines.number, dtype=np.int64)[place]
-    return Raw(dict(zip(columns, table, strict=True)), place, line, "line", bad)
+    found = dict(zip((column for column, _ in numeric), table, strict=True))
+    found |= {
+        column: np.array([by_line[number] for number in line.tolist()])
+        for column, by_line in said.items()
+    }
+    return Raw(found, place, line, "line", bad)
+
+
+def _translate(
+    lines: Lines,
+    delimiter: str | None,
+    index: int,
+    words: Mapping[str, float],
+    bad: dict[int, str],
+) -> dict[int, float]:
+    """Return the number for a text column by line; add lines with any other text to `bad`."""
+    found = {}
+    for line, number in zip(lines.text, lines.number, strict=True):
+        if number in bad:
+            continue
+        text = line.split(delimiter)[index].strip().strip('"')
+        if text in words:
+            found[number] = words[text]
+        else:
+            known = ", ".join(words)
+            bad[number] = f"column {index + 1} holds {text[:40]!r}, none of {known}"
+    return found
 
 
 def decode(data: bytes) -> str:

@@ -83,7 +83,7 @@ def test_it_is_one_kalman_filter_over_all_states(seed, bandwidth_hz):
     step[np.arange(MOVING_STATES, STATES), np.arange(MOVING_STATES, STATES)] = 1
     step[NOISE, NOISE] = KEPT
     step[Q, Q], step[Q, TORQUE] = section[:-1, :-1], section[:-1, -1]
-    passed.predict(state[0], section, rows, KEPT, NOISE)
+    passed.predict(state[0], section, rows, KEPT, NOISE, np.empty((2, STATES)))
     mean, covariance = step @ mean, step @ covariance @ step.T
     found, after = whole(state)
     scale = np.abs(covariance).max()

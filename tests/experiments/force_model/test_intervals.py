@@ -22,14 +22,17 @@ def drawn(factor, share, kind, count=MINUTES, seed=3, tails=False):
     return Errors(error, deviation, torque, np.full(count, kind, dtype=np.int32))
 
 
-@pytest.mark.parametrize(("factor", "share"), [(2.5, 0.0), (0.7, 0.0), (1.0, 0.05)])
-@pytest.mark.parametrize("kind", [State.REVERSED, State.STILL, CREEPING])
+@pytest.mark.parametrize(
+    ("factor", "share", "kind"),
+    [(2.5, 0.0, State.REVERSED), (0.7, 0.0, State.STILL), (1.0, 0.05, CREEPING)],
+)
 def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
     own = drawn(factor, share, kind)
-    found = scales([own])[:, kind]
+    every = scales([own])
+    found = every[:, kind]
     np.testing.assert_allclose(found[:, 0], factor, rtol=0.05)
     np.testing.assert_allclose(found[:, 1], share, atol=8e-3)
-    u = standard_uncertainty(scales([own])[1], own.deviation[1], own.torque, own.kinds)
+    u = standard_uncertainty(every[1], own.deviation[1], own.torque, own.kinds)
     assert 0.945 < np.mean(np.abs(own.error[1]) < 1.96 * u) < 0.955
 
 

@@ -95,6 +95,17 @@ def test_a_shaft_that_does_not_move_has_no_breakaway_torque():
         around_turn([found])
 
 
+def test_a_shaft_that_creeps_on_has_no_breakaway_torque():
+    """The ramp ends before the shaft's motion shows whether it slides."""
+    time = np.arange(0, 4.0, 2e-3)
+    creep = 0.09 * (time / 4) ** 3  # passes 0.08 rad late in the ramp, and slowly
+    (found,) = find_ramps(time=time, angle=creep, torque=1e-3 * time, threshold=0.02)
+    assert np.isnan(found.torque)
+    run_off = creep + 50 * np.maximum(time - 3.93, 0) ** 2
+    (found,) = find_ramps(time=time, angle=run_off, torque=1e-3 * time, threshold=0.1)
+    assert_allclose(found.torque, 3.93e-3, rtol=0.01)
+
+
 def test_radial_load_adds_at_each_position(signals):
     unloaded = around_turn(find_ramps(**signals, threshold=0.02))
     heavier = Shaft(static=5e-3).series()

@@ -160,7 +160,9 @@ def test_runs_that_do_not_go_together(tmp_path):
     signals = moved()
     held = {"t": signals["t"], "x": 3 * signals["t"], "f": np.full(len(signals["t"]), 1.0)}
     paths = take(tmp_path, MOVED, {"moved": signals, "held": held})
-    with pytest.raises(UsageError, match=r"1 runs hold a constant speed, these do not: moved.h5"):
+    with pytest.raises(
+        UsageError, match=r"1 recordings hold a constant speed, these do not: .*moved.h5"
+    ):
         analyse(paths, tmp_path / "f.h5")
     with pytest.raises(InsufficientDataError, match="1 speeds from"):
         analyse(paths[1:], tmp_path / "f.h5")
@@ -217,3 +219,20 @@ def test_the_tools_of_the_mis_tool_set_move_both_ways(tmp_path):
     coulomb = outcome.results["coulomb_friction"]
     assert coulomb.unit == "A"
     assert coulomb.value > 10 * coulomb.u
+
+
+def test_holds_in_which_the_shaft_starts_and_stops_are_left_out_as_at_the_bench(tmp_path):
+    """Torque that makes a shaft of this inertia stop and start; unknown without the inertia."""
+    random, steps = np.random.default_rng(2), (1.0, 5.0, 10.0, 20.0, 40.0, 80.0)
+    arrays = {"t": np.arange(len(steps) * 2000) * 1e-3, "v": np.repeat(steps, 2000)}
+    arrays["f"] = 2 + 0.05 * arrays["v"] + 0.05 * random.normal(size=len(arrays["t"]))
+    slow = arrays["v"] == 1.0
+    arrays["f"] += slow * np.sign(np.sin(2 * np.pi * 40 * arrays["t"]))
+    text = HELD.replace('"rpm"', '"rad/s"')
+    known = text.replace('"held"', '"held"\ninertia = 2e-6')
+    cases = (("a", text, "inertia or torque is not known"), ("b", known, "instead of turning"))
+    for name, mapping, said in cases:
+        (tmp_path / name).mkdir()
+        outcome = analyse(take(tmp_path / name, mapping, {"a": arrays}), tmp_path / "f.h5")
+        assert any(said in note for note in outcome.notes), "\n".join(outcome.notes)
+    assert outcome.tables["holds"].shape == (5,)

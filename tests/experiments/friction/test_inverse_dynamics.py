@@ -10,6 +10,7 @@ from scipy.stats import t as student
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction.inverse_dynamics import identify_dynamics
 from rigtool.experiments.friction.motion_terms import band_limit
+from tests.thorough import thorough
 
 INERTIA, VISCOUS, COULOMB, OFFSET = 1.5e-5, 5e-5, 2.3e-3, 0.4e-3
 STEP = 1e-3
@@ -89,9 +90,9 @@ def noise_with_memory(random, count, seconds):
 
 # What acts beside the model, of speed and position; the highest speed; the noise's memory in s.
 BESIDE = {
-    "noise": (lambda v, x: 0 * v, 20, 0.002),
-    "noise with memory": (lambda v, x: 0 * v, 20, 0.02),
     "noise with a long memory": (lambda v, x: 0 * v, 20, 0.1),
+    "noise with memory": (lambda v, x: 0 * v, 20, 0.02),
+    "noise": (lambda v, x: 0 * v, 20, 0.002),
     "Stribeck at low speed": (lambda v, x: 1.5e-3 * np.sign(v) * np.exp(-(v**2)), 20, 0.02),
     "Stribeck": (lambda v, x: 1.5e-3 * np.sign(v) * np.exp(-((v / 3) ** 2)), 20, 0.02),
     "Stribeck at all speeds": (
@@ -104,7 +105,14 @@ BESIDE = {
 }
 
 
-@pytest.mark.parametrize("beside", list(BESIDE))
+BETWEEN = ("noise with memory", "noise", "Stribeck at low speed", "Stribeck")
+"""Cases between two others, which `make test` leaves to `make attack`."""
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [*(b for b in BESIDE if b not in BETWEEN), *thorough(*BETWEEN)],
+)
 def test_uncertainties_cover_what_is_beside_the_model(beside):
     """As often as an interval of 95 % must, within what chance allows 30 of them."""
     torque_of, top, memory = BESIDE[beside]

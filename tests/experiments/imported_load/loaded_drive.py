@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from rigtool.experiments.imported_load.basis import follow
-from rigtool.experiments.imported_load.learning import Observation
+from rigtool.experiments.imported_load.basis import LoadSignals, follow
 
 RATE = 200.0
 BANDWIDTH_HZ = 5.0
@@ -34,12 +33,11 @@ def record(
     return time, position - zero, effort, torque
 
 
-def observe(load, frequency, level, **more):
+def observe(load, frequency, **more):
     """Return a recording as one to learn from."""
     time, position, effort, torque = record(load, frequency, **more)
     path, (effort, torque) = follow(time, position, BANDWIDTH_HZ, effort, torque)
-    used = (path.time > 1) & (path.time < path.time[-1] - 1)
-    return Observation(path, effort, torque, used, level)
+    return LoadSignals(path, effort, "A", path.speed, path.position, torque)
 
 
 def observations(loads=(0.02, 0.04, 0.06, 0.08), frequencies=(0.1, 0.2, 0.3), **more):
@@ -47,9 +45,7 @@ def observations(loads=(0.02, 0.04, 0.06, 0.08), frequencies=(0.1, 0.2, 0.3), **
     random = np.random.default_rng(more.pop("seed", 1))
     drift = more.pop("drift", 0.001)
     return [
-        observe(
-            load, f, level, seed=random.integers(1 << 31), drift=random.normal(0, drift), **more
-        )
-        for level, load in enumerate(loads)
+        observe(load, f, seed=random.integers(1 << 31), drift=random.normal(0, drift), **more)
+        for load in loads
         for f in frequencies
     ]

@@ -14,7 +14,7 @@ from rigtool.experiments.learning.stored_table import learned_table_from, lookup
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
 from rigtool.quantity import Quantity
-from rigtool.recipe.mapping import load_mapping
+from rigtool.recipe.mapping import load_mapping, parse_mapping
 from rigtool.runfile import RunWriter, open_run
 from rigtool.runfile.importers import import_files
 from tests.experiments.imported_runs import ORDERS, SLOW, slow_turn, take
@@ -188,3 +188,52 @@ def test_the_odrive_set_learned_and_held_out(tmp_path):
         sorted((tmp_path / "runs").glob("comp_*.h5")), tmp_path / "map.h5", tmp_path / "check.h5"
     )
     assert 0.7 < compensated.results["removed"].value < 0.8
+
+
+MAP = """mapping = 1
+[rig]
+name = "slow"
+[map]
+signal = "current"
+unit = "A"
+"""
+
+
+def mapped(folder, waves):
+    """Import maps of 720 values around the turn; return their paths."""
+    (folder / "maps").mkdir()
+    for name, values in waves.items():
+        np.save(folder / "maps" / f"{name}.npy", values)
+    import_files([str(folder / "maps")], str(folder / "runs"), (parse_mapping(MAP), MAP))
+    return {name: str(folder / "runs" / f"{name}.h5") for name in waves}
+
+
+def test_maps_are_learned_and_hold_at_any_speed(rig, tmp_path):
+    """Two maps of the rig that `slow_turn` is, and one of another motor."""
+    angle, random = np.arange(720) * (2 * np.pi / 720), np.random.default_rng(5)
+    wave = sum(a * np.cos(k * angle + p) for k, a, p in ORDERS)
+    waves = {name: wave + 0.1 + random.normal(0, 0.02, 720) for name in "ab"}
+    paths = mapped(tmp_path, {**waves, "other": np.cos(5 * angle)})
+    outcome = learn([paths["a"], paths["b"]], tmp_path / "map.h5")
+    for order, amplitude, _ in ORDERS:
+        found = outcome.results[f"order_{order}_amplitude"]
+        assert abs(found.value - amplitude) < 4 * found.u
+    assert outcome.results["learned_mean"].value == pytest.approx(0.1, rel=0, abs=5e-3)
+    checked = check([rig[1]["off_2"]], tmp_path / "map.h5", tmp_path / "check.h5")
+    assert checked.results["table_fits"].value == 1
+    with pytest.raises(InsufficientDataError, match=r"other.h5 is another map than"):
+        learn(paths.values(), tmp_path / "none.h5")
+
+
+def test_one_map_has_the_noise_of_its_orders(tmp_path):
+    angle, random = np.arange(720) * (2 * np.pi / 720), np.random.default_rng(6)
+    paths = mapped(tmp_path, {"a": np.cos(7 * angle) + random.normal(0, 0.1, 720)})
+    outcome = learn([paths["a"]], tmp_path / "map.h5")
+    found = outcome.results["order_7_amplitude"]
+    # Noise s of n values: an amplitude has u = s sqrt(2/n).
+    assert found.u == pytest.approx(0.1 * math.sqrt(2 / 720), rel=0.4, abs=0)
+    assert outcome.results["learned_mean"].u is None
+    (tmp_path / "b").mkdir()
+    noise = mapped(tmp_path / "b", {"noise": random.normal(0, 0.1, 720)})
+    with pytest.raises(InsufficientDataError, match="no order of rotation exceeds"):
+        learn([noise["noise"]], tmp_path / "none.h5")

@@ -21,6 +21,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.runfile import RunWriter, open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_results
+from tests.thorough import first_of
 
 PULLEY = "rig.attachment=pulley"
 SHORT = (
@@ -73,7 +74,7 @@ def off(result, truth):
     return abs(result.value - truth) / result.u
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("seed", first_of([1, 2, 3, 4, 5]))
 def test_the_inertia_that_is_there(folder, kt, seed):
     outcome = run(IDENTIFY_PLANT, RECIPE, folder / f"{seed}.h5", *SHORT, seed=seed, kt=kt)
     inertia, viscous = (outcome.results[name] for name in ("inertia", "viscous_friction"))
@@ -98,7 +99,8 @@ def test_other_rigs(folder, kt, overrides):
     outcome = run(IDENTIFY_PLANT, RECIPE, folder / "other.h5", *SHORT, *overrides, kt=kt)
     recipe = load_recipe(RECIPE, overrides)[0]
     assert off(outcome.results["inertia"], recipe.virtual.motor.inertia) < 3
-    assert off(outcome.results["viscous_friction"], recipe.virtual.motor.viscous_friction) < 4
+    # three degrees of freedom: 1 % are beyond 5.8 u
+    assert off(outcome.results["viscous_friction"], recipe.virtual.motor.viscous_friction) < 5.8
 
 
 def test_what_is_reported(pulley):
@@ -269,6 +271,14 @@ def test_settings_that_cannot_be_are_mistakes(folder, overrides, message):
         run(IDENTIFY_PLANT, RECIPE, folder / "mistake.h5", *overrides)
 
 
+def test_directions_have_phases_of_their_own():
+    """What a function of the position leaves would otherwise be alike in both, and not scatter."""
+    recipe = load_recipe(RECIPE, [PULLEY])[0]
+    for plan in excitations(recipe):
+        forward, backward = (task.feedforward.signal for task in tasks(recipe, plan))
+        assert abs(np.corrcoef(forward, backward)[0, 1]) < 0.6
+
+
 @pytest.mark.parametrize("attachment", ["pulley", "instrument"])
 def test_the_excitation_keeps_to_its_limits(attachment):
     recipe = load_recipe(RECIPE, [f"rig.attachment={attachment}"])[0]
@@ -281,7 +291,8 @@ def test_the_excitation_keeps_to_its_limits(attachment):
         others = np.delete(spectrum, lines)
         assert others.max() < 1e-12
         assert spectrum[lines].min() > 1e-3
-        for task in tasks(recipe, plan):
+        for number, task in enumerate(tasks(recipe, plan)):
+            torque = multisine(recipe, plan, 1 - 2 * number)
             periods = len(task.feedforward.signal) / len(torque)
             assert periods == int(periods)
             np.testing.assert_allclose(

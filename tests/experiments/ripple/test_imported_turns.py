@@ -8,8 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.ripple.imported_turns import fill, find_turns, reduction, turn_spectrum
-from rigtool.experiments.ripple.orders import Spectrum
+from rigtool.experiments.ripple.imported_turns import (
+    aliases,
+    fill,
+    find_turns,
+    reduction,
+    refined_speed,
+    turn_spectrum,
+)
+from rigtool.experiments.ripple.orders import Sampling, Spectrum
 
 POSITIONS = 500
 
@@ -141,3 +148,55 @@ def test_few_samples_a_turn_are_fitted_over_many_turns(samples):
 def test_data_that_do_not_carry_it(change, message):
     with pytest.raises(InsufficientDataError, match=message):
         find_turns(*change(*turning()), POSITIONS)
+
+
+def evenly(samples, turns, orders, noise=0.0, start=0.13):
+    """Time, angle in turns and torque of an even motion, `samples` a turn."""
+    angle = start + np.arange(int(turns * samples)) / samples
+    torque = 0.1 + sum(a * np.cos(2 * np.pi * k * angle + p) for k, a, p in orders)
+    torque += noise * np.random.default_rng(2).standard_normal(len(angle))
+    return np.arange(len(angle)) * 1e-3, angle, torque
+
+
+@pytest.mark.parametrize("samples", [4992.5, 5000.0, 5163.0])
+def test_cells_leave_no_pattern_of_their_own(samples):
+    """Orders that are not there: cells that hold two samples, then three, would show some 1 %."""
+    found = find_turns(*evenly(samples, 6.0, ((24, 0.5, 0.0), (150, 0.3, 1.0))), 2500)
+    spectrum = turn_spectrum(fill(found.torque)[0], found.orders, Sampling(found.step))
+    assert found.orders == 500
+    for order, amplitude in ((24, 0.5), (150, 0.3)):
+        assert spectrum.amplitude[order - 1] == pytest.approx(amplitude, rel=2e-4, abs=0)
+        spectrum.amplitude[order - 1] = 0
+    assert spectrum.amplitude.max() < 2e-4
+
+
+@given(st.integers(1, 59))
+@settings(deadline=None, max_examples=20)
+def test_orders_that_samples_at_the_same_angles_do_not_tell_apart(order):
+    """60 samples a turn show order 36 as 24; at 60.6 they tell 36 from 24."""
+    sums = {60.0: True, 60.6: False}
+    for samples, aliased in sums.items():
+        turns = evenly(samples, 80, ())[1]
+        alias, leak = aliases(turns, min(order, 25), 100)
+        assert (leak[-1] > 0) == aliased
+        if aliased:
+            assert alias[-1] in {60 - min(order, 25), 60 + min(order, 25), 120 - min(order, 25)}
+            assert leak[-1] == pytest.approx(1, rel=1e-6, abs=0)
+
+
+def test_an_alias_is_in_the_turns():
+    found = find_turns(*evenly(60.0, 80, ((36, 0.3, 0.0),), noise=0.01), POSITIONS)
+    spectrum = turn_spectrum(found.torque, found.orders)
+    assert spectrum.strongest() == 24
+    assert found.leak[23] == pytest.approx(1, rel=1e-6, abs=0)
+    assert found.alias[23] in (36, 84)
+
+
+@pytest.mark.parametrize("true", [9.81, 10.0, 10.07, -10.07])
+def test_a_stated_speed_is_refined_by_the_orders_of_the_torque(true):
+    time, _, torque = evenly(1e3 / abs(true), 80, ((6, 0.3, 0.0), (1, 0.1, 0.5)), noise=0.05)
+    found = refined_speed(time, torque, math.copysign(10.0, true))
+    # The turns over the whole recording, 80, come out to some thousandths.
+    assert (found - true) * time[-1] == pytest.approx(0, rel=0, abs=0.01)
+    noise = np.random.default_rng(3).standard_normal(len(time))
+    assert refined_speed(time, noise, 10.0) == 10.0

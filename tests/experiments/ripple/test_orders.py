@@ -10,6 +10,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import (
     Ripple,
     Sampling,
+    Spectrum,
     compare,
     remove_offset,
     spectrum,
@@ -135,8 +136,16 @@ def test_noise_alone_has_no_repeatable_part_and_no_strongest_order():
     expected = 2 / np.sqrt(20 * 256)
     assert np.sqrt(np.mean(found.noise_floor**2)) == pytest.approx(expected, rel=0.1, abs=0)
     assert np.sqrt(np.mean(found.amplitude**2)) == pytest.approx(expected, rel=0.25, abs=0)
-    with pytest.raises(InsufficientDataError, match="no order exceeds it"):
+    with pytest.raises(InsufficientDataError, match="no order exceeds its noise floor"):
         spectrum(remove_offset(waveforms[:3]), 4).strongest()
+
+
+def test_the_strongest_order_is_one_that_noise_does_not_explain():
+    amplitude, floor = np.array([0.6, 0.2, np.nan, 0.9]), np.array([0.05, 0.01, np.nan, 0.5])
+    found = Spectrum(np.arange(1.0, 5), amplitude, np.zeros(4), floor)
+    assert found.strongest() == 1
+    with pytest.raises(InsufficientDataError, match=r"order 2 comes nearest with 0\.2 of 0\.2:"):
+        Spectrum(np.arange(1.0, 5), amplitude, np.zeros(4), floor * 20).strongest()
 
 
 def test_two_revolutions_do_not_show_the_scatter_of_their_scatter():

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from rigtool.experiments.ripple.winding_heat import Turns, winding_heat
+from rigtool.experiments.ripple.winding_heat import TurnCurrents, winding_heat
 
 TURN = 5.0
 TAU, GAIN = 30.0, 1.5e-3
@@ -21,7 +21,7 @@ def held(amperes, noise, rng, *, start=0.0, before=0.0, count=20):
     ).y[0]
     middle = 1 - GAIN * (heat[1:] + heat[:-1]) / 2
     current = amperes / middle + noise * rng.standard_normal(count)
-    return Turns(edges, current, steady=True, housing=0.0), GAIN * heat
+    return TurnCurrents(edges, current, steady=True, housing=0.0), GAIN * heat
 
 
 def test_the_fall_is_found_for_each_recording_with_the_heat_left_by_the_one_before():
@@ -39,7 +39,9 @@ def test_the_fall_is_found_for_each_recording_with_the_heat_left_by_the_one_befo
 
 
 def test_turns_without_a_constant_torque_show_no_heat():
-    turns = Turns(TURN * np.arange(5), np.array([1.0, 1.1, 1.2, 1.3]), steady=False, housing=0.0)
+    turns = TurnCurrents(
+        TURN * np.arange(5), np.array([1.0, 1.1, 1.2, 1.3]), steady=False, housing=0.0
+    )
     (found,) = winding_heat([turns])
     assert found.u == 0.0
     assert not found.fall.any()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.running import lines as module
-from rigtool.experiments.running.lines import WAITING, Lines
+from rigtool.experiments.running.lines import WAITING, JsonLines
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def rows(first, count=2):
 
 def test_each_row_is_a_line_of_strict_json(pipe):
     source, out = pipe
-    lines = Lines(out, waits=True)
+    lines = JsonLines(out, waits=True)
     lines.show("a", rows(0, 3))
     lines.show("a", rows(3, 0))
     lines.close()
@@ -42,7 +42,7 @@ def test_each_row_is_a_line_of_strict_json(pipe):
 def test_a_reader_that_is_gone_disturbs_nobody(pipe):
     source, out = pipe
     source.close()
-    lines = Lines(out, waits=True)
+    lines = JsonLines(out, waits=True)
     for number in range(3 * WAITING):
         lines.show("a", rows(number))
     lines.close()
@@ -52,7 +52,7 @@ def test_a_reader_that_is_gone_disturbs_nobody(pipe):
 def test_a_stuck_reader_is_not_waited_for_on_a_physical_rig(pipe, monkeypatch):
     monkeypatch.setattr(module, "CLOSING", 0.1)
     source, out = pipe
-    lines, total = Lines(out, waits=False), 5000
+    lines, total = JsonLines(out, waits=False), 5000
     for number in range(total):
         lines.show("a", rows(10 * number, 10))
     lines.close()  # the pipe is full: the thread hangs in it
@@ -66,7 +66,7 @@ def test_a_stuck_reader_is_not_waited_for_on_a_physical_rig(pipe, monkeypatch):
 
 def test_a_slow_reader_of_a_virtual_rig_gets_every_line(pipe):
     source, out = pipe
-    lines, total, got = Lines(out, waits=True), 2000, []
+    lines, total, got = JsonLines(out, waits=True), 2000, []
     reader = threading.Thread(target=lambda: got.extend(source))
     producer = threading.Thread(
         target=lambda: [lines.show("a", rows(number, 10)) for number in range(total)]
@@ -85,7 +85,7 @@ def test_a_slow_reader_of_a_virtual_rig_gets_every_line(pipe):
 
 def test_an_interrupt_does_not_wait_for_a_stuck_reader(pipe):
     source, out = pipe
-    lines = Lines(out, waits=True)
+    lines = JsonLines(out, waits=True)
     for number in range(WAITING):
         lines.show("a", rows(100 * number, 100))
     lines.close(at_once=True)

@@ -7,7 +7,7 @@ from rigtool.experiments.torque_constant.swings import (
     friction_state,
     longest_lag,
     mean_courses,
-    path,
+    paths,
     without_noise,
 )
 
@@ -26,7 +26,7 @@ def swinging(size: float):
 
 def test_the_path_leads_from_plateau_to_plateau_by_its_turns():
     courses = swinging(0.8)
-    swings = path(courses, courses.torque, courses.course, 1e-6)
+    (swings,) = paths(courses, courses.torque, courses.course, [1e-6])
     # exp(-12 t) cos(12 pi t) has this damping ratio and this lag of its velocity
     damping = 12 / np.hypot(12, 12 * np.pi)
     lag = 2 * damping / np.hypot(12, 12 * np.pi)
@@ -42,7 +42,7 @@ def test_an_arm_that_does_not_swing_goes_straight():
     courses = swinging(0.0)
     assert longest_lag(courses) is None
     assert_allclose(
-        np.abs(path(courses, courses.torque, courses.course, 1e-6)).sum(axis=0)[0, 1:],
+        np.abs(paths(courses, courses.torque, courses.course, [1e-6])[0]).sum(axis=0)[0, 1:],
         1.0,
         rtol=1e-9,
     )

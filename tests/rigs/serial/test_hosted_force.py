@@ -15,6 +15,7 @@ from rigtool.experiments.learning.stored_table import tables_of
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter, open_run
 from tests.rigs.serial.test_hosted_bias import CONSTANT, emulated, make_positions_only
+from tests.thorough import thorough
 
 PULLEY = "rig.attachment=pulley"
 FORCES = (0.25, 1.0, 2.5)
@@ -95,16 +96,18 @@ def force_rig(world, name, period, rev_per_s, *more, **options):
 @pytest.mark.parametrize(
     ("name", "period", "rev_per_s", "stiffness"),
     [
-        ("toy", 0.01, 1.0, 0.06),
         ("toy", 0.01, 1.0, 0.2),  # steps of speed make 4 mN m while it turns around
-        ("toy", 0.01, 0.4, 0.06),
-        ("toy", 0.004, 1.0, 0.06),
         ("odrive", 0.004, 2.0, 0.06),
-        ("odrive", 0.004, 1.0, 0.2),
-        ("moteus", 0.004, 2.0, 0.06),
         ("moteus", 0.01, 0.5, 0.06),
-        ("maxon", 0.02, 0.5, 0.06),
         ("maxon", 0.01, 1.0, 0.06),
+        *thorough(
+            ("toy", 0.01, 1.0, 0.06),
+            ("toy", 0.01, 0.4, 0.06),
+            ("toy", 0.004, 1.0, 0.06),
+            ("odrive", 0.004, 1.0, 0.2),
+            ("moteus", 0.004, 2.0, 0.06),
+            ("maxon", 0.02, 0.5, 0.06),
+        ),
     ],
 )
 def test_loads_and_friction_are_within_their_uncertainty(
@@ -184,10 +187,8 @@ HOLDS = (
     ("name", "period", "u"),
     [
         ("toy", 0.01, 0.01),
-        ("toy", 0.004, 0.01),
-        ("odrive", 0.01, 0.01),
-        ("moteus", 0.01, 0.01),
         ("maxon", 0.02, 0.05),
+        *thorough(("toy", 0.004, 0.01), ("odrive", 0.01, 0.01), ("moteus", 0.01, 0.01)),
     ],
 )
 def test_friction_is_within_its_uncertainty(world, chain, name, period, u):

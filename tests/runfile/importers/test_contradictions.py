@@ -11,16 +11,18 @@ TEXT = """mapping = 1
 name = "bench"
 encoder_counts = 4096
 torque_constant = 0.05
+gear_ratio = 35
+arm_length = 0.2
 [signals]
 time = { column = 1, unit = "s" }
 current = { column = 2, unit = "A" }
 """
 
 
-def signals(counts=4096, constant=0.05, noise=0.0):
-    time = np.linspace(0, 10, 500)
-    position, current = 3 * np.sin(time), np.cos(time)
-    torque = constant * current + noise * np.random.default_rng(1).normal(size=500)
+def signals(counts=4096, constant=0.05, noise=0.0, friction=0.0):
+    time = np.linspace(0, 8 * np.pi, 2000)
+    position, current = 3 * np.sin(time), friction * np.sign(np.cos(time)) - np.sin(time)
+    torque = constant * current + noise * np.random.default_rng(1).normal(size=2000)
     encoder = position * counts / (2 * np.pi)
     return {
         "time": time,
@@ -39,9 +41,17 @@ def signals(counts=4096, constant=0.05, noise=0.0):
         (signals(constant=-0.05), ["torque changes by -0.05 N m for each ampere"]),
         (signals(constant=5.0, counts=-4096), ["encoder moves -1", "changes by 5 N m"]),
         (signals(noise=1.0), []),
+        (signals() | {"output_position": signals()["position"] / 35}, []),
+        (signals() | {"output_position": signals()["position"] / -35}, ["motor moves -35 times"]),
+        (signals() | {"output_position": signals()["position"] / 50}, ["gear_ratio is 35"]),
+        (signals() | {"force": signals()["torque"] / 0.2}, []),
+        (signals() | {"force": signals()["torque"] / 200}, ["changes by 200 N m for each newton"]),
+        (signals() | {"current_setpoint": -signals()["current"]}, ["current changes -1 times"]),
+        (signals(friction=0.1), []),
+        (signals(friction=-0.1), ["current is larger backwards than forwards, by about 0.19"]),
     ],
 )
-def test_counts_and_torque_constant(found, messages):
+def test_what_signals_contradict(found, messages):
     notes = contradictions(found, parse_mapping(TEXT))
     assert len(notes) == len(messages)
     for note, message in zip(notes, messages, strict=True):

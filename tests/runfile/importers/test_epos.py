@@ -124,9 +124,51 @@ def test_a_file_that_ends_within_a_line(tmp_path):
     [
         (HEAD.partition("\n;")[0] + "\n", "without names and units"),
         (HEAD.replace("ms;rpm;%;inc;V", "ms;rpm;%;inc"), "4 units for 5 columns"),
-        (HEAD.replace("rpm", "furlong"), "'furlong', an unknown unit"),
+        (HEAD.replace("\nms;", "\nfurlong;"), "'furlong', an unknown unit"),
+        (HEAD.replace("rpm;%;inc;V", "a;b;c;d"), "no channel in a known unit"),
     ],
 )
 def test_a_damaged_header(tmp_path, head, message):
     with pytest.raises(RunFileError, match=message):
         take(write(tmp_path / "n2.csv", head=head))
+
+
+def commas(text):
+    return text.replace(";", ",")
+
+
+def cells(text):
+    return "\n".join(line + ";;" for line in text.split("\n"))
+
+
+def quoted(text):
+    return "\n".join('"' + line.replace('"', '""') + '",,' for line in text.split("\n"))
+
+
+def without_objects(text):
+    return "\n".join(line for line in text.split("\n") if not line.startswith("Index"))
+
+
+@pytest.mark.parametrize("edit", [commas, cells, quoted, without_objects])
+def test_what_a_spreadsheet_makes_of_an_export_is_undone(tmp_path, edit):
+    """Commas for semicolons, empty cells, whole lines in quotes; and no line of objects."""
+    plain = take(write(tmp_path / "plain.csv"))[1]
+    whole = edit(HEAD + "\n".join(ROWS)).removesuffix("\n")
+    units, found, _ = take(write(tmp_path / "edited.csv", whole, []))
+    assert {"speed", "relative_torque", "encoder"} <= units.keys()
+    for name, values in plain.items():
+        np.testing.assert_array_equal(found[name], values)
+
+
+def test_a_column_in_an_unknown_unit_is_left_out_and_said(tmp_path):
+    path = write(tmp_path / "a.csv", HEAD.replace("inc;V", "inc;kg"))
+    done = import_files([str(path)], str(tmp_path / "a.h5"), None).done[0]
+    assert any("channel 'Bus Voltage' is in 'kg'" in note for note in done.notes)
+    with open_run(tmp_path / "a.h5") as run:
+        assert "bus_voltage" not in run.recording("imported").units
+
+
+def test_times_in_another_unit_than_the_line_of_units_states(tmp_path):
+    rows = [f"{float(row.split(';')[0]) / 1000};{row.partition(';')[2]}" for row in ROWS]
+    with pytest.raises(RunFileError, match=r"rise by 6.4e-06 s, its header states a period of 0"):
+        take(write(tmp_path / "a.csv", rows=rows))

@@ -1,1 +1,1 @@
-"""Is a learned table still right?"""
+"""Whether a learned table still fits the rig."""

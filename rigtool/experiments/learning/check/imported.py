@@ -14,13 +14,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import is_linear, position_of, require_one_rig, signals_of
+from rigtool.experiments.imported import (
+    is_linear,
+    position_of,
+    recordings_of,
+    require_one_rig,
+)
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.outcome import Outcome
-from rigtool.experiments.ripple.imported import (
+from rigtool.experiments.ripple.imported import ORDERS_REPORTED
+from rigtool.experiments.ripple.imported_groups import (
     GROUP_SPEED_TOLERANCE,
-    ORDERS_REPORTED,
     RepeatedRuns,
     groups_of,
     turns_of,
@@ -54,8 +59,8 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     Raises `UsageError` for runs of several conditions or speeds, or where the map has another unit;
     `InsufficientDataError` where it was learned at another speed.
     """
-    recordings = signals_of(runs)
-    require_one_rig(recordings, runs)
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
     if is_linear(recordings[0]):
         raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to compare")
     learned, effort = learned_table_from(tables), effort_of(recordings[0], kt)
@@ -64,7 +69,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
             f"{tables.path} holds {learned.unit}, the runs hold {effort.unit}: learn and check "
             "both with --kt, or both without"
         )
-    turns = [turns_of(recording, run, kt) for recording, run in zip(recordings, runs, strict=True)]
+    turns = [turns_of(recording, kt) for recording in recordings]
     groups = groups_of(recordings, turns)
     if len(groups) > 1:
         raise UsageError(
@@ -121,7 +126,7 @@ class _Compared:
 
     @property
     def shifted(self) -> bool:
-        """Whether it is the same map, shifted."""
+        """Whether the run shows the same map, shifted."""
         certain = abs(self.match.shift) > SIGNIFICANT_SHIFT * self.match.shift_u
         return not self.fits and certain and self.match.best_correlation**2 >= SAME_MAP_VARIANCE
 
@@ -230,14 +235,14 @@ class _Compared:
 def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: int) -> _Compared:
     """Compare turns (turns, positions), NaN where none passed, with the map of their speed."""
     mapped = _orders_of(learned, group.speed)[:orders]
-    order = np.arange(1, mapped.size + 1)
+    order = np.arange(1.0, mapped.size + 1)
     cells = np.exp(1j * np.multiply.outer(cell_centres(POSITIONS), order))
     # A cell has the mean over its width. Where a turn left cells out, the remainder is bridged, not
     # measured: it is smaller.
-    expected = np.real(cells @ (mapped * np.sinc(order / POSITIONS)))
+    expected = np.real(cells @ (mapped * np.sinc(order / POSITIONS) * group.sampling.gain(order)))
     remaining, _ = fill(torque - expected)
     means = remaining.mean(axis=1)
-    shown = turn_spectrum(remaining + expected, mapped.size)
+    shown = turn_spectrum(remaining + expected, mapped.size, group.sampling)
     there = shown.amplitude * np.exp(1j * shown.phase)
     left = there - mapped
     # The rest is noise of the runs and of the map, or a change: neighbouring orders show the noise.
@@ -258,9 +263,11 @@ def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: 
 
 
 def _row(learned: LearnedTable, speed: float) -> int:
-    """Return the row that was learned at a speed, rad/s."""
-    rows = learned.table.speed
+    """Return the row that was learned at a speed, rad/s; a map is the same row at all speeds."""
+    rows, torque = learned.table.speed, learned.table.torque
     nearest = int(np.argmin(np.abs(rows - speed)))
+    if len(rows) > 1 and np.array_equal(torque, np.broadcast_to(torque[0], torque.shape)):
+        return nearest
     if abs(rows[nearest] - speed) > GROUP_SPEED_TOLERANCE * abs(rows[nearest]):
         raise InsufficientDataError(
             f"the runs turn at {speed:.4g} rad/s, the nearest speed that was learned is "

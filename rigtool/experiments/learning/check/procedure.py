@@ -1,7 +1,7 @@
 """`ilc-learn --check`: does a learned table still fit the rig, and if not, what changed?
 
-The rig repeats the moves that the table was learned from, at two of its speeds and fewer of them,
-with the table off: they show the whole present disturbance. A stored run of `ilc-learn` or of a
+With the table off, the rig repeats moves from which the table was learned: at two of the speeds,
+and fewer moves. The moves show the whole present disturbance. A stored run of `ilc-learn` or of a
 check may take their place.
 """
 
@@ -41,7 +41,8 @@ MOVES = 6
 """Moves, or turns, that are recorded at each speed, unless `--set` changes it."""
 
 TURNING = ("A", "B")
-"""Implementations with whole turns: A at one speed, in one direction. C's moves check the others.
+"""Implementations with whole turns: A at one speed, in one direction. The moves of C check the
+others.
 """
 
 

@@ -88,7 +88,7 @@ def _pattern(found: TableHealth, counts: int) -> list[str]:
         what = "the part independent of direction has another shape, as after a power cycle"
         what += " of the amplifier"
     else:
-        what = "friction depends on the position in another way"
+        what = "friction by position has another shape"
     if not found.whole_turn and found.shift is not None:
         what += (
             f" (or it is shifted by {math.degrees(found.shift.value):.3g} deg, or by more than "

@@ -1,7 +1,7 @@
-"""Does a learned table still fit the rig? If not, what changed, and is a shift enough?
+"""Whether a learned table still fits the rig; if not, what changed, and whether a shift is enough.
 
 The torque learned at one speed in both directions, and the torque now, are separated into the part
-that has the sign of the speed (friction) and the part that has not (cogging, amplifier's ripple):
+that has the sign of the speed (friction) and the part that does not (cogging, amplifier's ripple):
 
     even = (T(+v) + T(-v))/2,   odd = (T(+v) - T(-v))/2,   each without its mean over the position
 
@@ -9,11 +9,10 @@ that has the sign of the speed (friction) and the part that has not (cogging, am
 
 Shift and scale are common to all parts, by least squares: all shifts are tried in steps of an
 entry, the best one is refined. Means are reported separately: the mean of odd is friction, that of
-even an offset. Uncertainties are from the scatter of the moves; the noise that the table itself was
-learned with counts as that of the moves does, in the proportion of their standard uncertainties.
+even an offset. Uncertainties are from the scatter of the moves; the noise of the table counts like
+that of the moves, in proportion to their standard uncertainties.
 
-A table fits where it is off by no more than a single move scatters by itself, which no table can
-remove.
+A table fits if its error does not exceed the scatter of a single move, which no table can remove.
 """
 
 from __future__ import annotations
@@ -47,7 +46,8 @@ class Part:
     """One parity at one speed: learned (n,) and each present move (m, n), N m.
 
     `learned_u` (n,) is the standard uncertainty of the learned part. `odd` has the sign of the
-    speed; where one direction alone is there, everything counts as `even`.
+    speed; with one direction alone, everything counts as
+    `even`.
     """
 
     speed: float
@@ -80,10 +80,10 @@ class Change:
 class TableHealth:
     """Changes since a table was learned; torques in N m, angles in rad.
 
-    `shift` is where the learned pattern is now against where it was, looked for up to `reach`, and
-    `scale` its factor there; both None where the table holds no pattern above its noise. On a
-    range (not `whole_turn`) another pattern may look like a shifted one. `friction` and `offset`
-    are changes of the means; `friction` is None for one direction, which does not show it.
+    `shift` is the angle by which the learned pattern has moved, searched up to `reach`, and `scale`
+    its factor there; both are None where the table holds no pattern above its noise. On a range
+    (not `whole_turn`) another pattern may look like a shifted one. `friction` and `offset` are
+    changes of the means; `friction` is None for one direction, which does not show it.
 
     The following are rms over position with the scatter of the means taken off: `mismatch` of the
     table as it is, `shape` of its pattern without means, of which `even` and `odd` are parts,
@@ -110,7 +110,7 @@ class TableHealth:
 
     @property
     def fits(self) -> bool:
-        """Whether the table is off by no more than a single move scatters."""
+        """Whether the table's error does not exceed the scatter of a single move."""
         return self.mismatch <= self.limit
 
     @property
@@ -127,7 +127,7 @@ class TableHealth:
 
     @property
     def scale_is_enough(self) -> bool:
-        """Whether the pattern is the same one where it was, larger or smaller."""
+        """Whether the pattern is the same one at the same angle, larger or smaller."""
         return not self.pattern_fits and self.scale is not None and self._explains(self.scaled)
 
     def _explains(self, left: float) -> bool:
@@ -195,8 +195,8 @@ def _parities(forward: Part, backward: Part) -> list[Part]:
 def judge_table(parts: Sequence[Part], position: Array, period: float | None) -> TableHealth:
     """Compare a table with the torque now; `position` (n,) rad in equal steps.
 
-    `period` is that of the table, rad, where it has one. Raises `InsufficientDataError` where moves
-    scatter more than the table holds.
+    `period` is that of the table, rad, where it has one. Raises `InsufficientDataError`
+    where the scatter of the moves exceeds the rms of the table.
     """
     speeds = len({part.speed for part in parts})
     count = min(len(part.moves) for part in parts)
@@ -315,7 +315,7 @@ def _fit(
 
 
 def _misfit(left: Array, slope: Array, pattern: Array) -> float:
-    """Return by how much an estimate from the coarse half of the pattern alone differs.
+    """Return the difference of an estimate from the coarse half of the pattern alone.
 
     (parts, w) each: `left` of the pattern, the `slope` of the pattern by the estimated number, and
     `pattern`. Coarse are the lowest orders that hold half of the variance. An error of the encoder
@@ -362,7 +362,7 @@ def _nearest(leftovers: Array, periodic: bool) -> int:
     shifts = np.where(shifts > size // 2, shifts - size, shifts) if periodic else shifts - size // 2
     good = np.flatnonzero(leftovers <= leftovers.min() + EQUALLY_GOOD)
     first = good[np.argmin(np.abs(shifts[good]))]
-    # Down to the minimum of its own valley.
+    # Go down to the minimum next to it.
     while True:
         around = [
             (first + k) % size if periodic else min(max(first + k, 0), size - 1) for k in (0, -1, 1)

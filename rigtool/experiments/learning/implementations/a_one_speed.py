@@ -40,7 +40,7 @@ from rigtool.runfile import Column, Recording, RecordingSpec, Run, Table, dof_co
 
 @dataclass(frozen=True, eq=False)
 class TaughtMap(TaughtTable):
-    """The map at the speed of learning; once it is tuned also how, and the turns it was tuned by.
+    """The map at the speed of learning; once it is tuned, also the tuning and the turns behind it.
 
     Until then the table does not depend on speed.
     """

@@ -1,11 +1,11 @@
 """`ilc-learn --implementation D`: the table of implementation C, and torque as a third input [9].
 
 First C learns by position and speed. Then known loads are lifted and lowered at several speeds,
-each speed beginning and ending without load. A short motion without load explores what strokes do
-not show: rest and reversals anywhere. From all of them one model of motor, friction and tendon is
-learned (`experiments.force_model.model`). The disturbance of a load by speed, position and
-torque is a table of it (`experiments.load_disturbance.sliding`). All go into one run file: the
-table of C is fed forward while moving, the model converts the motor's torque into a load.
+each speed beginning and ending without load. A short motion without load shows what strokes do not:
+rest and reversals anywhere. From all of them one model of motor, friction and tendon is learned
+(`experiments.force_model.model`). The disturbance of a load by speed, position and torque is a
+table of it (`experiments.load_disturbance.sliding`). All go into one run file: the table of C is
+fed forward while moving, the model converts the motor's torque into a load.
 """
 
 from __future__ import annotations
@@ -217,12 +217,12 @@ def _temperature(run: Run) -> float:
 
 def _friction_coefficient(grid: Grid, recipe: Recipe) -> Quantity:
     """Return friction per load of the largest load at the slowest speed, at `measure_angle`."""
-    speed, load = min(grid.friction), float(grid.load[-1])
     angle = math.radians(recipe.measure_force.measure_angle)
     friction, u = (
-        float(np.interp(angle, grid.angle, values[speed][:, -1]))
+        float(np.interp(angle, grid.angle, values[0, :, -1]))
         for values in (grid.friction, grid.friction_u)
     )
+    load = float(grid.load[-1])
     return Quantity(friction / load, "1", u / load)
 
 

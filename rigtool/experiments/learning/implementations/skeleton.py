@@ -82,7 +82,7 @@ class Implementation(ABC, Generic[T]):
     """
 
     BARE_MOTOR: ClassVar[bool] = False
-    """Whether the shaft turns round and round, which no instrument can follow."""
+    """Whether the shaft turns continuously, which no instrument can follow."""
 
     RIG_NEED: ClassVar[str] = "table"
     """Abilities that a rig needs to apply the learned torque."""
@@ -104,7 +104,7 @@ class Implementation(ABC, Generic[T]):
         self.filters = design_filters(recipe, plant)
         self.torque_constant = torque_per_ampere(kt).value
         self.friction = friction_results(friction)
-        # An inertia that is off leaves a torque of every turn-around in the first positions.
+        # An error of the inertia leaves a torque of every turn-around in the first positions.
         inertia = recipe.rig.nominal_inertia if plant is None else plant.result("inertia").value
         self.plain = feedforward(inertia, self.friction)
 

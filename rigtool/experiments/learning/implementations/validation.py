@@ -17,7 +17,7 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
 LEVEL = 0.01
-"""Probability that noise alone makes a table look worse than none at any of the speeds."""
+"""Probability that noise alone makes a table look worse than no table at any of the speeds."""
 
 BIN = 0.25 * 2 * math.pi
 """Width of the bins of speed of a sweep, rad/s."""

@@ -58,8 +58,8 @@ class CanDrive(StateDrive):
     """
 
     family = "CiA 402 drive"
-    current_entry = od.TORQUE_CURRENT
-    demand_entry: Entry | None = None
+    vendor: int | None = None
+    current_entry, demand_entry = od.TORQUE_CURRENT, od.TORQUE_DEMAND
     _current_unit = 1.0
 
     _objects: CanObjects
@@ -76,7 +76,7 @@ class CanDrive(StateDrive):
         self._emergency_stop, self._speed_unit_rpm = emergency_stop, speed_unit_rpm
         self._modes: dict[Mode, int] = {}
         self._rated_current = 1.0
-        self._watches = self._feeds_forward = False
+        self._watches = self._feeds_forward = self._reports_demand = False
         self._silence = 0
         self._pdos: dict[int, Pdo] = {}
         self._wanted: dict[int, list[Entry]] = {}
@@ -100,6 +100,7 @@ class CanDrive(StateDrive):
         self._clear_watchdog()
         self._require_no_fault(self._objects.read(od.STATUS))
         self._find_modes()
+        self._reports_demand = find(self._objects, self.demand_entry) is not None
         self._watches = find(self._objects, od.CONSUMER_HEARTBEAT) is not None
         if not self._watches and not self._emergency_stop:
             raise RecipeError(
@@ -162,7 +163,7 @@ class CanDrive(StateDrive):
     @property
     def abilities(self) -> Abilities:
         """Abilities of the drive; known after `connect`."""
-        channels = {"current", "current_setpoint"} if self.demand_entry else {"current"}
+        channels = {"current", "current_setpoint"} if self._reports_demand else {"current"}
         return Abilities(
             frozenset(self._modes), self._feeds_forward, frozenset(channels), self._watches
         )
@@ -177,7 +178,7 @@ class CanDrive(StateDrive):
         if not self._watches:
             gaps.append("watches no heartbeat: a lost cable leaves it at its last set point")
         elif find(self._objects, od.WHEN_SILENT) is None:
-            gaps.append("does not state what it does where heartbeats stop (6007): try it")
+            gaps.append("does not state its reaction where heartbeats stop (6007): try it")
         else:
             self._remember(od.WHEN_SILENT)
             self._change(od.WHEN_SILENT, DISABLE_VOLTAGE, "reaction to silence (6007)")
@@ -198,7 +199,7 @@ class CanDrive(StateDrive):
                     pdo = self._objects.read_pdo(first + number)
                     self._pdos.setdefault(pdo.index, pdo)
         entries = [od.POSITION, self.current_entry, od.STATUS]
-        entries += [self.demand_entry] if self.demand_entry else []
+        entries += [self.demand_entry] if self._reports_demand else []
         self._wanted, self._commands = {}, {}
         for number, carried in enumerate(spread(self._objects, entries)):
             self._wanted[self._objects.map(TRANSMIT, number, ON_SYNC, carried)] = carried
@@ -287,12 +288,11 @@ class CanDrive(StateDrive):
         except LineLost:
             self._require_no_fault(self._objects.read(od.STATUS, retries=0))  # PDOs end with one
             raise
-        demand = values[self.demand_entry] * 1e-3 if self.demand_entry else math.nan
         sample = Sample(
             (asked + answered) / 2,
             values[od.POSITION] * self._count,
             current=values[self.current_entry] * self._current_unit,
-            current_setpoint=demand,
+            current_setpoint=values.get(self.demand_entry, math.nan) * self._current_unit,
         )
         return sample, values[od.STATUS]
 

@@ -6,6 +6,7 @@ from rigtool.recipe import Recipe
 from rigtool.rigs.serial.cia402 import objects as od
 from rigtool.rigs.serial.cia402.drive import PROFILE, CanDrive
 from rigtool.rigs.serial.cia402.network import CanObjects
+from rigtool.rigs.serial.cia402.objects import find
 from rigtool.rigs.serial.cia402.states import identity
 from rigtool.rigs.serial.drive import Drive
 from rigtool.rigs.serial.drivers import Driver
@@ -15,15 +16,17 @@ BIT_RATES = (1_000_000,)
 """Bit rate where the port names none, bit/s."""
 
 USUAL_NODE = 1
-"""Address that stands for 0, the default of the recipe, in `serial.node`."""
+"""Address for `serial.node` = 0, the default of the recipe."""
 
 
-def probe(line: Line) -> str | None:
-    """Return the identity of the drive at node 1, None for another device."""
+def probe(line: Line, kind: type[CanDrive] = CanDrive) -> str | None:
+    """Return the identity of the drive at node 1, None for another device or maker."""
     objects = CanObjects(line, USUAL_NODE)
     if objects.read(od.DEVICE_TYPE) & 0xFFFF != PROFILE:
         return None
-    return identity(objects, f"CiA 402 drive, node {USUAL_NODE}")
+    if kind.vendor is not None and find(objects, od.VENDOR) != kind.vendor:
+        return None
+    return identity(objects, f"{kind.family}, node {USUAL_NODE}")
 
 
 def make_can_drive(kind: type[CanDrive], line: Line, recipe: Recipe) -> Drive:

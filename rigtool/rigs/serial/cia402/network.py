@@ -14,7 +14,7 @@ from typing import TypeVar
 from rigtool.errors import RecipeError, UsageError
 from rigtool.rigs.serial.cia402.objects import Entry, refusal
 from rigtool.rigs.serial.line import DamagedReply, Line
-from rigtool.rigs.serial.transport.can_frames import Frame, encode
+from rigtool.rigs.serial.transport.can_frames import CanFrame, encode
 
 try:
     import canopen
@@ -29,8 +29,8 @@ T = TypeVar("T")
 HOST = 0x7F
 """Node address from which the host sends its heartbeat."""
 
-HEARTBEAT = encode(Frame(0x700 + HOST, b"\x05"))
-SYNC = encode(Frame(0x080))
+HEARTBEAT = encode(CanFrame(0x700 + HOST, b"\x05"))
+SYNC = encode(CanFrame(0x080))
 
 RECEIVE, TRANSMIT = 0x1400, 0x1800
 """First records of the PDOs that a drive receives, and that it transmits."""
@@ -51,10 +51,10 @@ class _Network(canopen.Network):
         self.line, self.alive = line, False
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        frame = encode(Frame(can_id, bytes(data), remote=remote))
+        frame = encode(CanFrame(can_id, bytes(data), remote=remote))
         self.line.write(HEARTBEAT + frame if self.alive else frame)
 
-    def take_in(self, timeout: float | None = None) -> Frame:
+    def take_in(self, timeout: float | None = None) -> CanFrame:
         """Hand the next frame to canopen, and return it; see `Line.read_frame` for errors."""
         frame = self.line.read_frame(timeout)
         try:
@@ -97,8 +97,8 @@ class Pdo:
 class CanObjects:
     """The objects of a node on a CAN bus, see `objects.Objects`, and what else CANopen has.
 
-    `eds` is the file of its maker that describes them; without one all are asked for by the types
-    that rigtool knows. Raises `RecipeError` for a file that is none.
+    `eds` is the maker's file that describes the objects; without one, objects are read by the types
+    that rigtool knows. Raises `RecipeError` for a file that is not an EDS.
     """
 
     def __init__(self, line: Line, node: int, eds: str | None = None) -> None:
@@ -160,8 +160,9 @@ class CanObjects:
     def reset_communication(self) -> None:
         """Restart the communication of the node; raises `LineTimeout` where it is not back."""
         self.change_state("RESET COMMUNICATION")
-        while self._network.take_in(BOOT_TIME).identifier != 0x700 + self.node:
-            pass
+        with self.line.within(BOOT_TIME):
+            while self._network.take_in(BOOT_TIME).identifier != 0x700 + self.node:
+                pass
 
     # -- PDOs
 
@@ -235,7 +236,7 @@ class CanObjects:
             entry.pack(value)[: entry.size].ljust(self.size(entry), b"\0")
             for entry, value in values.items()
         )
-        return encode(Frame(identifier, data))
+        return encode(CanFrame(identifier, data))
 
 
 def spread(objects: CanObjects, entries: Sequence[Entry]) -> list[list[Entry]]:

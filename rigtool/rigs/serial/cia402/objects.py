@@ -1,4 +1,4 @@
-"""Objects of CANopen and CiA 402: where values are, of what kind, and how a drive refuses them.
+"""Objects of CANopen and CiA 402: places and types of values, and the errors of a drive.
 
 Sources: CiA 301 and CiA 402 (IEC 61800-7-201) as drives and programs of others use them.
 """
@@ -63,6 +63,7 @@ class Entry:
 
 
 DEVICE_TYPE = Entry(0x1000, 0, "I", "device type")
+VENDOR = Entry(0x1018, 1, "I", "vendor")
 PRODUCT = Entry(0x1018, 2, "I", "product code")
 SERIAL = Entry(0x1018, 4, "I", "serial number")
 ERROR_CODE = Entry(0x603F, 0, "H", "error code")
@@ -74,6 +75,7 @@ SPEED = Entry(0x606C, 0, "i", "speed")
 LOWEST = Entry(0x607D, 1, "i", "lowest position")
 HIGHEST = Entry(0x607D, 2, "i", "highest position")
 MAX_PROFILE_SPEED = Entry(0x607F, 0, "I", "highest speed of profiles")
+TORQUE_DEMAND = Entry(0x6074, 0, "h", "demanded torque")
 TORQUE_CURRENT = Entry(0x6078, 0, "h", "current")
 RATED_CURRENT = Entry(0x6075, 0, "I", "rated current")
 RATED_TORQUE = Entry(0x6076, 0, "I", "rated torque")

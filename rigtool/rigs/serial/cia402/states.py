@@ -62,9 +62,10 @@ class RestoredDrive(ABC, Generic[Place]):
     def halt(self) -> None:
         """Switch the power stage off, in any state; `HardwareError` where it is not known to be."""
         problem: HardwareError | None = None
-        for _ in range(HALT_ATTEMPTS):
+        for attempt in range(HALT_ATTEMPTS):
             try:
-                self.line.settle()  # late answers belong to older questions
+                if attempt:
+                    self.line.settle()  # late answers belong to older questions
                 if self._switch_off():
                     return
                 problem = HardwareError("it reports that it is still on")

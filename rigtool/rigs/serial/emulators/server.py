@@ -34,8 +34,8 @@ PATIENCE = 1.0
 class Emulator:
     """A device: bytes in, bytes out. Subclasses implement `receive` and, if needed, the others.
 
-    All methods are called from the server's thread. Bytes arrive in pieces of any size: keep what
-    is no whole request yet.
+    All methods are called from the server's thread. Bytes arrive in pieces of any size: keep
+    incomplete requests.
     """
 
     busy = False

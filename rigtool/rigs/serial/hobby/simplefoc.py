@@ -146,8 +146,9 @@ class SimpleFoc:
         """Switch off, in any state; `HardwareError` where the drive does not confirm it."""
         for attempt in range(HALTS):
             try:
-                self._line.write(b"\n")
-                self._line.settle()
+                self._line.write(b"\n")  # ends half a line
+                if attempt:
+                    self._line.settle()
                 self._off()
                 break
             except HardwareError:
@@ -277,4 +278,6 @@ def switch_off(line: Line, node: int) -> None:
     drive.halt()
 
 
-DRIVER = Driver(probe, (BAUD_RATE,), make_drive, has_watchdog=False, switch_off=switch_off)
+DRIVER = Driver(
+    probe, (BAUD_RATE,), make_drive, has_watchdog=False, switch_off=switch_off, host_closes=True
+)

@@ -46,8 +46,8 @@ POLL = 0.005
 HALTS = 3
 
 DRIFT_ANGLE, DRIFT_SHARE = 1.0, 0.2
-"""Difference between the angle and the turned speed from which they are not of one shaft: rad, and
-part of the way."""
+"""Difference between the angle and the integral of speed from which on the two do not belong to one
+shaft: rad, and part of the way."""
 
 PLAUSIBLE_DEGC = (-20.0, 180.0)
 """Range of a motor's thermistor; without one the drive reports a value outside."""
@@ -63,7 +63,7 @@ FAULTS = (
 )
 
 
-class State(NamedTuple):
+class VescState(NamedTuple):
     """Values of a drive, in its units: 0.1 degC, 10 mA, ERPM, 1e-6 deg."""
 
     command: int
@@ -103,7 +103,7 @@ class Vesc:
         self._line = line
         self._pole_pairs = 1.0
         self._before: bytes | None = None
-        self._watchdog = 0.0
+        self._watchdog, self._lets_go = 0.0, math.inf
         self._temperature = self._on = False
         self._setpoint = 0.0
         self._last: Sample | None = None
@@ -137,7 +137,7 @@ class Vesc:
         """Currents; temperature where there is a thermistor."""
         more = {"temperature"} if self._temperature else set()
         channels = frozenset({"current", "current_setpoint"} | more)
-        return Abilities(frozenset({"current"}), False, channels)
+        return Abilities(frozenset({"current"}), False, channels, lets_go=self._lets_go)
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
         """Measure the timeout without current, and lower the limit of ERPM.
@@ -152,6 +152,7 @@ class Vesc:
         fastest = limits.speed / RPM * self._pole_pairs / FADING
         values[LOWEST_ERPM] = max(values[LOWEST_ERPM], -fastest)
         values[HIGHEST_ERPM] = min(values[HIGHEST_ERPM], fastest)
+        self._lets_go = max(-values[LOWEST_ERPM], values[HIGHEST_ERPM]) / self._pole_pairs * RPM
         self._set_limits(struct.pack(">10f", *values[:10]))
         return [
             "has no limit of position",
@@ -185,7 +186,8 @@ class Vesc:
             )
 
     def _wait_for(self, *, timed_out: bool, feed: bool = False) -> bool:
-        """Ask until the drive has timed out, or has not; return whether it came to that."""
+        """Ask until the drive has timed out, or no longer has; return whether that state was
+        reached."""
         until = self._line.now() + self._watchdog + SLACK
         while True:
             state = self._ask_state(0.0 if feed else None)
@@ -224,7 +226,6 @@ class Vesc:
         self._setpoint = 0.0
         for attempt in range(HALTS):
             try:
-                self._line.settle()
                 self._line.write(self._current(0.0))
                 self._ask_state(0.0)
                 if not self._on or self._wait_for(timed_out=True):
@@ -263,7 +264,7 @@ class Vesc:
         )
         return self._last
 
-    def _require_running(self, state: State) -> None:
+    def _require_running(self, state: VescState) -> None:
         if state.fault:
             name = FAULTS[state.fault] if state.fault < len(FAULTS) else "see VESC Tool"
             raise HardwareError(
@@ -277,12 +278,15 @@ class Vesc:
             )
 
     def _unwrap(self, angle: float, speed: float, moment: float) -> float:
-        """Return the position nearest to where the shaft would have come since the last sample."""
+        """Return the position nearest to the one that the speed since the last sample predicts."""
         if self._last is None:
             return angle
         then = self._last
         moved = (then.speed + speed) / 2 * (moment - then.time)
         angle += TURN * round((then.position + moved - angle) / TURN)
+        if not self._on:  # a shaft that is turned by hand meanwhile is no fault
+            self._drift = self._way = 0.0
+            return angle
         self._way += abs(moved)
         self._drift += angle - then.position - moved
         if abs(self._drift) > DRIFT_ANGLE + DRIFT_SHARE * self._way:
@@ -303,11 +307,11 @@ class Vesc:
             )
         return frame(struct.pack(">Bi", SET_CURRENT, round(current * 1e3)))
 
-    def _ask_state(self, current: float | None = None) -> State:
+    def _ask_state(self, current: float | None = None) -> VescState:
         """Ask for the state, after a set point of current [A] if there is one."""
         first = b"" if current is None else self._current(current)
         reply = self._ask(struct.pack(">BI", VALUES, MASK), STATE.size, first)
-        return State(*STATE.unpack(reply))
+        return VescState(*STATE.unpack(reply))
 
     def _ask(self, payload: bytes, size: int, first: bytes = b"") -> bytes:
         """Send a question and return the reply of this kind; others, sent unasked, are left out."""
@@ -349,4 +353,4 @@ def make_drive(line: Line, recipe: Recipe) -> Vesc:
     return Vesc(line)
 
 
-DRIVER = Driver(probe, (115200,), make_drive)
+DRIVER = Driver(probe, (115200,), make_drive, host_closes=True)

@@ -23,7 +23,8 @@ NEAR = {"force": 0.5, "deflection": 0.5, "temperature": 10.0}
 """Longest time for which a reading holds, s."""
 
 SLOW = ("temperature",)
-"""Channels whose readings count only once another has followed: late is better than damaged."""
+"""Channels whose readings count only after the next reading: a late value is better than a damaged
+one."""
 
 WAIT = 0.5
 """Longest wait for the readings that follow a moment and show whether one is a spike, s.

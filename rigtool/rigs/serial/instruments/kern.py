@@ -49,7 +49,7 @@ def parse(line: bytes, channel: str, form: Form) -> Reading:
 
 
 class Kern(Polled):
-    """Asks for one reading after the other, not faster than it can be asked."""
+    """Asks for one reading after the other, no faster than the instrument answers."""
 
     pause = 0.1
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from rigtool.recipe import Recipe
 from rigtool.rigs.serial.cia402.drive import CanDrive
-from rigtool.rigs.serial.cia402.driver import BIT_RATES, make_can_drive, probe
+from rigtool.rigs.serial.cia402.driver import BIT_RATES, make_can_drive
+from rigtool.rigs.serial.cia402.driver import probe as asked
 from rigtool.rigs.serial.cia402.objects import find
 from rigtool.rigs.serial.drive import Drive
 from rigtool.rigs.serial.drivers import Driver
@@ -16,13 +17,18 @@ from rigtool.rigs.serial.maxon.epos import Epos4Facts
 class Epos4CanDrive(Epos4Facts, CanDrive):
     """Current and its set point are in mA, and torques refer to the drive's torque constant."""
 
-    family = "maxon EPOS4"
+    family, vendor = "maxon EPOS4", 0xFB
     current_entry, demand_entry = epos.CURRENT_4, epos.CURRENT_DEMAND_4
     _current_unit = 1e-3
 
     def _read_units(self) -> str:
         self._require_encoder(4 * (find(self._objects, epos.ENCODER_4) or 0))
         return self._read_torque_and_speed()
+
+
+def probe(line: Line) -> str | None:
+    """Return the identity of the EPOS4 at node 1, None for another device."""
+    return asked(line, Epos4CanDrive)
 
 
 def make_drive(line: Line, recipe: Recipe) -> Drive:

@@ -56,7 +56,8 @@ class DesDrive(MaxonDrive[int]):
         return "maxon DES 70/10"
 
     def configure(self, limits: Limits, watchdog: float) -> list[str]:
-        """Set limits of current and speed in RAM, none wider than they are, and make them count."""
+        """Set limits of current and speed in RAM, none wider than they are, and put them into
+        effect."""
         self._require_obedience()
         current = min(int(limits.current * 1e3), LARGEST)
         speed = min(max(1, int(limits.speed / RPM)), LARGEST)
@@ -97,7 +98,7 @@ class DesDrive(MaxonDrive[int]):
         return Sample(moment, position, speed, current, setpoint), self._read(STATUS)
 
     def _unwrap(self, angle: float, speed: float, moment: float) -> float:
-        """Return the position nearest to where the shaft would have come since the last sample."""
+        """Return the position nearest to the one that the speed since the last sample predicts."""
         if self._last is not None:
             then, position, before = self._last
             expected = position + (before + speed) / 2 * (moment - then)

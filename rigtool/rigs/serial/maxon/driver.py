@@ -1,8 +1,8 @@
 """maxon drives on a serial line: EPOS4, EPOS2 and DES 70/10; docs/bench-maxon.md.
 
-The kind is found by asking: the single byte that is an op code to those in lock-step
-is nothing to an EPOS4. All of them are driven by current and by speed; none has a watchdog on
-this line, so a process beside this one watches over it (`guard_process`).
+The kind is found by asking: the single byte that is an op code for drives in lock-step means
+nothing to an EPOS4. All of them are driven by current and by speed; none has a watchdog on this
+line, so a process beside this one watches over it (`guard_process`).
 """
 
 from __future__ import annotations
@@ -101,7 +101,8 @@ def _find(line: Line, node: int) -> EposObjects | LockStepFrames | None:
 
 
 def _introduced(line: Line, ready: bytes, node: int) -> EposObjects | LockStepFrames | None:
-    """Return who answered so to the op code of an EPOS2, once it has answered a whole question."""
+    """Return the drive that answered the op code of an EPOS2, once it has answered a whole
+    question."""
     frames = LockStepFrames(line, FRAME_TIMEOUT)
     if ready == FAILED:  # it knows acknowledges, and no objects
         read_status(frames)

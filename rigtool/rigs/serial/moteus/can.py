@@ -15,7 +15,7 @@ from rigtool.rigs.serial.moteus.driver import USUAL_NODE, first_answer
 from rigtool.rigs.serial.moteus.link import Link
 from rigtool.rigs.serial.moteus.table import MoteusTable
 from rigtool.rigs.serial.table_store import TableStore
-from rigtool.rigs.serial.transport.can_frames import Frame, encode
+from rigtool.rigs.serial.transport.can_frames import CanFrame, encode
 
 T = TypeVar("T")
 
@@ -37,7 +37,7 @@ class CanLink(Link):
     def _request(self, frame: bytes, *, reply: bool) -> tuple[bytes, int]:
         identifier, source = self._address(reply=reply)
         extended = identifier > LONGEST_SHORT
-        return encode(Frame(identifier, frames.padded(frame), extended, fd=True)), source
+        return encode(CanFrame(identifier, frames.padded(frame), extended, fd=True)), source
 
     def _exchange(
         self,

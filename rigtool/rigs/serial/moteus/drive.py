@@ -53,6 +53,9 @@ TORQUE_FACTOR = 1.5 / math.sqrt(3) * 60 / TURN
 ASSUMED_CONSTANT = 0.1
 """Torque constant of the firmware where motor.Kv is 0, N m/A."""
 
+FADING = 2.0
+"""Speeds beyond servo.max_velocity over which the firmware takes its current back, turns/s."""
+
 LARGEST_BOUND = 32768.0
 """Revolutions beyond which the firmware takes no bound of position."""
 
@@ -123,7 +126,7 @@ class Moteus:
         self._watchdog = math.nan
         self._before: dict[str, str] = {}
         self._mode: Mode = "position"
-        self._fastest = math.inf
+        self._fastest = self._lets_go = math.inf
 
     # -- who it is
 
@@ -179,7 +182,9 @@ class Moteus:
         if self.motor.has_thermometer:
             channels.add("temperature")
         modes: set[Mode] = {"position", "velocity", "current"}
-        return Abilities(frozenset(modes), True, frozenset(channels), moves_along=True)
+        return Abilities(
+            frozenset(modes), True, frozenset(channels), moves_along=True, lets_go=self._lets_go
+        )
 
     # -- settings
 
@@ -196,7 +201,8 @@ class Moteus:
             )
         self._limits, self._watchdog = limits, watchdog
         self._lower("servo.max_current_A", limits.current)
-        self._lower("servo.max_velocity", limits.speed / TURN * self.motor.ratio)
+        highest = self._lower("servo.max_velocity", limits.speed / TURN * self.motor.ratio)
+        self._lets_go = (highest + FADING) * TURN / self.motor.ratio
         self._change("servo.default_timeout_s", f"{watchdog:g}")
         self._change("servo.timeout_mode", f"{STOPPED}")
         # Limits of its own trajectories would make it lag behind the motions that it is sent.
@@ -236,10 +242,12 @@ class Moteus:
             self._change(name, f"{bound:.9g}")
         return gaps
 
-    def _lower(self, name: str, limit: float) -> None:
-        """Set a limit; one that is lower already stays."""
+    def _lower(self, name: str, limit: float) -> float:
+        """Set a limit, and return it; one that is lower already stays."""
         before = float(self._remember(name))
-        self._change(name, f"{limit if math.isnan(before) else min(limit, before):.9g}")
+        lowest = limit if math.isnan(before) else min(limit, before)
+        self._change(name, f"{lowest:.9g}")
+        return lowest
 
     def _remember(self, name: str) -> str:
         """Return the original value of a setting."""

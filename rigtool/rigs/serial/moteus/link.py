@@ -51,7 +51,7 @@ class Link:
         self.sealed = True
         for _ in range(3):
             self.line.write(self._request(question, reply=True)[0])
-            with contextlib.suppress(LineTimeout):
+            with contextlib.suppress(LineTimeout), self.line.within(TEXT_TIMEOUT):
                 while True:
                     line = self.line.read_until(b"\n").rstrip(b"\r\n")
                     with contextlib.suppress(frames.BadFrame):
@@ -131,6 +131,8 @@ class Link:
         line = self._line()
         if line.startswith(b"rcv "):
             return frames.received(line)
+        if b"BusOn" in line:
+            raise RequestRefused(f"{self.line.port}: the fdcanusb is off its bus: send it 'can on'")
         if line.startswith(b"ERR"):
             raise DamagedReply(f"{self.line.port}: {line.decode('latin-1')}")
         if line and line != b"OK":

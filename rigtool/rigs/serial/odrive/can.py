@@ -20,7 +20,7 @@ from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
 from rigtool.rigs.serial.odrive.driver import CLOSED_LOOP, IDLE, PASSTHROUGH, TURN
 from rigtool.rigs.serial.odrive.text import AXIS_ERRORS_05, AXIS_ERRORS_06, describe_errors
-from rigtool.rigs.serial.transport.can_frames import Frame, encode
+from rigtool.rigs.serial.transport.can_frames import CanFrame, encode
 
 BIT_RATES = (250_000,)
 """Of an ODrive as it is delivered, bit/s."""
@@ -82,7 +82,7 @@ class CanODrive:
     # -- frames
 
     def _frame(self, command: int, data: bytes = b"", *, remote: bool = False) -> bytes:
-        return encode(Frame(self._node << 5 | command, data, remote=remote))
+        return encode(CanFrame(self._node << 5 | command, data, remote=remote))
 
     def _take_in(self, timeout: float | None = None) -> tuple[int, tuple[float, ...]]:
         """Return command and values of the next frame of this node; keep its heartbeats."""
@@ -116,8 +116,9 @@ class CanODrive:
 
     def _state(self) -> int:
         """Return the state in the next heartbeat; raises `LineTimeout` where none comes."""
-        while self._take_in(BEAT)[0] != HEARTBEAT:
-            pass
+        with self._line.within(BEAT):
+            while self._take_in(BEAT)[0] != HEARTBEAT:
+                pass
         return int(self._heartbeat[1])
 
     # -- identity
@@ -233,7 +234,6 @@ class CanODrive:
 
     def halt(self) -> None:
         """Make the axis idle; raises `HardwareError` where it does not become idle."""
-        self._line.settle()
         self._reach(IDLE, b"")
 
     def _reach(self, state: int, feed: bytes) -> None:
@@ -242,6 +242,7 @@ class CanODrive:
         for attempt in range(ATTEMPTS * POLLS):
             if attempt % POLLS == 0:
                 self._line.write(request)
+                self._line.settle(0.0)  # heartbeats that have come are older
             if feed:
                 self._line.write(feed)
             if self._state() == state:

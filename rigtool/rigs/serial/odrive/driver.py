@@ -77,6 +77,7 @@ class ODrive:
         self._samples = 0
         self._trip = 0.0
         self._gain = 0.0
+        self._lets_go = math.inf
         self._last = Sample(0.0, 0.0)
         self._mode: Mode = "position"
         self._control_mode = 0
@@ -124,6 +125,7 @@ class ODrive:
             True,
             frozenset({"current", "current_setpoint"} | temperature),
             moves_along=True,
+            lets_go=self._lets_go,
         )
 
     def _find_thermistor(self) -> None:
@@ -141,7 +143,7 @@ class ODrive:
             )
 
     def _has_fault(self) -> bool:
-        """Return whether there is an error other than the watchdog's, which is ours to clear."""
+        """Return whether there is an error other than the watchdog's, which rigtool clears."""
         codes = self._errors()
         main = codes.pop(self._dialect.errors[0])
         return bool(main & ~self._dialect.watchdog_error or any(codes.values()))
@@ -169,6 +171,10 @@ class ODrive:
         settings.lower("controller.config.vel_limit", limits.speed / TURN)
         for name in ("enable_vel_limit", "enable_overspeed_error"):
             settings.set(f"controller.config.{name}", 1)
+        tolerance = self._protocol.get_first(self._name("controller.config.vel_limit_tolerance"))
+        if tolerance and number(tolerance[1]) >= 1:  # 0 switches the error off
+            highest = self._number("controller.config.vel_limit")
+            self._lets_go = highest * number(tolerance[1]) * TURN
         settings.set(WATCHDOG, 0)
         settings.set("config.watchdog_timeout", watchdog)
         settings.set("controller.config.input_mode", PASSTHROUGH)

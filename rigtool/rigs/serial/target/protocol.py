@@ -1,4 +1,5 @@
-"""Requests and replies of the host-target link, each request done once however often it is sent."""
+"""Requests and replies of the host-target link; each request takes effect once, however often it is
+sent."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a line can be at its other end, beside a serial port: a socket, a CAN bus, a record."""
+"""Other ends of a line than a serial port: a socket, a CAN bus, a record."""

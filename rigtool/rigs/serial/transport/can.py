@@ -94,7 +94,7 @@ class CanPort:
             raise OSError(str(error.__cause__ or error)) from None
         if message is None or message.is_error_frame:
             return b""
-        frame = frames.Frame(
+        frame = frames.CanFrame(
             message.arbitration_id,
             bytes(message.data),
             message.is_extended_id,

@@ -16,7 +16,7 @@ SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Lengths that a CAN FD frame can have, by its code of one digit."""
 
 
-class Frame(NamedTuple):
+class CanFrame(NamedTuple):
     """A frame on the bus; `fd` is one of CAN FD."""
 
     identifier: int
@@ -26,7 +26,7 @@ class Frame(NamedTuple):
     fd: bool = False
 
 
-def encode(frame: Frame) -> bytes:
+def encode(frame: CanFrame) -> bytes:
     """Return the line of a frame, its end included; the data have one of `SIZES`."""
     letter = "r" if frame.remote else "b" if frame.fd else "t"
     head = f"{letter.upper()}{frame.identifier:08X}" if frame.extended else ""
@@ -34,7 +34,7 @@ def encode(frame: Frame) -> bytes:
     return f"{head}{SIZES.index(len(frame.data)):X}{frame.data.hex().upper()}".encode() + END
 
 
-def decode(line: bytes) -> Frame:
+def decode(line: bytes) -> CanFrame:
     """Return the frame in a line; raises `ValueError` for anything else."""
     text = line.removesuffix(END).decode("latin-1")
     kind, extended = text[:1].lower(), text[:1].isupper()
@@ -45,4 +45,4 @@ def decode(line: bytes) -> Frame:
     data = bytes.fromhex(text[2 + digits :])
     if kind != "r" and len(data) != SIZES[code]:
         raise ValueError(f"{line[:60]!r}: is a CAN frame that is cut")
-    return Frame(identifier, data, extended, kind == "r", kind in "bd")
+    return CanFrame(identifier, data, extended, kind == "r", kind in "bd")

@@ -114,7 +114,7 @@ class Replay:
     """A spy file as the other end of a line, with the methods of a serial port that `Line` uses.
 
     `role` chooses one of its lines: a `HardwareError` where it has none of that name. The host has
-    to send what it sent then: otherwise a `HardwareError` shows the difference.
+    to send the recorded requests; a `HardwareError` shows the difference otherwise.
     """
 
     def __init__(self, path: str | Path, role: str = "") -> None:

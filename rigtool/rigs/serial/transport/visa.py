@@ -19,8 +19,8 @@ ANSWER_TIME = 5.0
 class VisaPort:
     """An open instrument; raises OSError or ValueError where it cannot be opened.
 
-    It is read only where a question was written: to read without one is an error to an instrument.
-    Raises `UsageError` without PyVISA.
+    It is read only after a question was written: an instrument takes a reading without a question
+    as an error. Raises `UsageError` without PyVISA.
     """
 
     in_waiting = 65536

@@ -15,6 +15,7 @@ from rigtool.experiments.running.options import CommonOptions
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt, write_results
+from tests.thorough import first_of
 
 PULLEY = "rig.attachment=pulley"
 TURNING = (
@@ -42,7 +43,7 @@ def kt(folder):
     return write_kt(folder)
 
 
-@pytest.fixture(scope="module", params=SEEDS)
+@pytest.fixture(scope="module", params=first_of(SEEDS))
 def turned(request, folder, kt):
     """Return a table of whole turns, and the seed of its rig."""
     path = folder / f"turned-{request.param}.h5"
@@ -50,7 +51,7 @@ def turned(request, folder, kt):
     return path, request.param
 
 
-@pytest.fixture(scope="module", params=SEEDS)
+@pytest.fixture(scope="module", params=first_of(SEEDS))
 def moved(request, folder, kt):
     """Return a table of a range, with the instrument, and the seed of its rig."""
     path = folder / f"moved-{request.param}.h5"

@@ -82,7 +82,15 @@ def test_set_points_of_current_are_the_current(name):
     late = found["time"] - found["time"][0]
     assert found["current"][(late > 0.1) & (late < 0.18)].mean() == pytest.approx(0.05, abs=2e-3)
     assert found["current"][late > 0.3].mean() == pytest.approx(-0.04, abs=2e-3)
-    assert np.isnan(found["current_setpoint"]).all() == (name == "cia402")
+    steady = found["current_setpoint"][(late > 0.1) & (late < 0.18)]
+    assert steady.mean() == pytest.approx(0.05, abs=2e-3)
+
+
+def test_drive_without_demand_does_not_report_it():
+    device = CiA402Emulator({(0x6074, 0): (I16, None)})
+    with serve(device) as server, can_rig(server.port) as rig:
+        assert "does not report its current_setpoint" in rig.lacks("current_setpoint")
+        assert np.isnan(perform(rig, TO_AND_FRO)["current_setpoint"]).all()
 
 
 def test_feedforward_is_the_current_that_flows(name):
@@ -243,13 +251,12 @@ def test_eds_of_the_maker_is_read(tmp_path):
             can_rig(server.port, f'serial.eds="{eds}"').__enter__()
 
 
-def test_drive_is_found_by_asking():
-    with serve(CiA402Emulator()) as server:
-        (found,) = find_devices([f"can:slcan:{server.port}"], ["cia402"])
-    assert (found.driver, found.identity) == (
-        "cia402",
-        "CiA 402 drive, node 1, product 0x63500000, serial 0x1234",
-    )
+def test_drive_is_found_by_asking_and_by_its_maker(name):
+    with serve(KINDS[name]()) as server:
+        (found,) = find_devices([f"can:slcan:{server.port}"])
+    family = {"cia402": "CiA 402 drive", "maxon-can": "maxon EPOS4"}[name]
+    assert found.driver == name
+    assert found.identity == f"{family}, node 1, product 0x63500000, serial 0x1234"
 
 
 @pytest.mark.parametrize(("port", "name"), [("/dev/null", "cia402"), ("can:slcan:x", "maxon")])

@@ -1,7 +1,8 @@
 """An ODrive and a moteus on a CAN bus, behind an slcan adapter.
 
 The ODrive has a watchdog that counts at rest as well, is fed by any frame, and is off as delivered;
-it reads no setting over the bus, and 0.5 does not know the question for its version.
+it reads no setting over the bus, and 0.5 does not know the question for its version. Beside its
+heartbeat 0.5 sends its position each 10 ms, asked or not.
 """
 
 import struct
@@ -9,13 +10,14 @@ import time
 
 from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.moteus import frames
-from rigtool.rigs.serial.transport.can_frames import Frame
+from rigtool.rigs.serial.transport.can_frames import CanFrame
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
 from tests.rigs.serial.emulators.slcan import SlcanEmulator
 
 TURN = 6.283185307179586
 IDLE, CLOSED_LOOP = 1, 8
 BEAT = 0.1
+ESTIMATES = 0.01
 
 
 class ODriveCanEmulator(SlcanEmulator):
@@ -35,7 +37,7 @@ class ODriveCanEmulator(SlcanEmulator):
         self.control, self.input = 3, 3
         self.speed = self.torque = 0.0
         self.limits = (100.0, 60.0)
-        self.fed = self.beat = time.monotonic()
+        self.fed = self.beat = self.estimated = time.monotonic()
         self.log.append("reset")
 
     @property
@@ -43,7 +45,7 @@ class ODriveCanEmulator(SlcanEmulator):
         return 0x01000000 if self.new else 0x800
 
     def answer(self, command, form, *values):
-        self.send(Frame(command, struct.pack(form, *values)))
+        self.send(CanFrame(command, struct.pack(form, *values)))
 
     def on_frame(self, frame):
         if frame.identifier >> 5 or frame.extended or frame.fd:
@@ -96,6 +98,9 @@ class ODriveCanEmulator(SlcanEmulator):
             self.beat = now
             self.answer(0x01, "<IBBBB", self.error, self.state, 0, self.encoder_flag, 0)
         self.turn()
+        if not self.new and now - self.estimated >= ESTIMATES:
+            self.estimated = now
+            self.answer(0x09, "<ff", self.motor.position / TURN, self.motor.speed / TURN)
 
     def turn(self):
         mode = {1: "current", 2: "velocity"}.get(self.control) if self.state == 8 else None
@@ -128,7 +133,7 @@ class MoteusCanEmulator(SlcanEmulator):
             return
         if frame.identifier & 0x8000 and answer:
             back = self.device.node << 8 | frame.identifier >> 8 & 0x7F
-            self.send(Frame(back, frames.padded(answer), back > 0x7FF, fd=True))
+            self.send(CanFrame(back, frames.padded(answer), back > 0x7FF, fd=True))
 
     def live(self):
         self.device.idle()

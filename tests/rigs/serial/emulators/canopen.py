@@ -22,7 +22,7 @@ from canopen.objectdictionary import (
 )
 
 from rigtool.rigs.serial.emulators.motor import EmulatedMotor
-from rigtool.rigs.serial.transport.can_frames import Frame
+from rigtool.rigs.serial.transport.can_frames import CanFrame
 from tests.rigs.serial.emulators.slcan import SlcanEmulator
 
 RPM = 2 * math.pi / 60
@@ -35,6 +35,7 @@ RATED = 3.21
 OBJECTS = {
     (0x1000, 0): (U32, 0x00020192),
     (0x1016, 1): (U32, 0),
+    (0x1018, 1): (U32, 0x15A),
     (0x1018, 2): (U32, 0x63500000),
     (0x1018, 4): (U32, 0x1234),
     (0x603F, 0): (U16, 0),
@@ -47,6 +48,7 @@ OBJECTS = {
     (0x6071, 0): (I16, 0),
     (0x6072, 0): (U16, 3000),
     (0x6073, 0): (U16, 3000),
+    (0x6074, 0): (I16, 0),
     (0x6075, 0): (U32, round(RATED * 1e3)),
     (0x6078, 0): (I16, 0),
     (0x607A, 0): (I32, 0),
@@ -105,7 +107,7 @@ class Network(canopen.Network):
         self._send = send
 
     def send_message(self, can_id, data, remote=False):
-        self._send(Frame(can_id, bytes(data), remote=remote))
+        self._send(CanFrame(can_id, bytes(data), remote=remote))
 
     def send_periodic(self, can_id, data, period, remote=False):
         raise NotImplementedError("nobody asked this drive for a heartbeat of its own")
@@ -143,7 +145,7 @@ class CiA402Emulator(SlcanEmulator):
         self.state, self.mode, self.code = "switch on disabled", None, 0
         self.heard = None
         self.motor.position = self.motor.speed = 0.0
-        self.send(Frame(0x701, b"\0"))
+        self.send(CanFrame(0x701, b"\0"))
 
     def refuse(self, count):
         self.refusals = count
@@ -162,7 +164,7 @@ class CiA402Emulator(SlcanEmulator):
             return
         if frame.identifier == 0x601 and self.refusals:
             self.refusals -= 1
-            self.send(Frame(0x581, b"\x80" + frame.data[1:4] + struct.pack("<I", 0x08000022)))
+            self.send(CanFrame(0x581, b"\x80" + frame.data[1:4] + struct.pack("<I", 0x08000022)))
             return
         if frame.identifier in (0x201, 0x301, 0x401, 0x501):
             if self.node.nmt.state == "OPERATIONAL":
@@ -179,7 +181,7 @@ class CiA402Emulator(SlcanEmulator):
                     del self.node.data_store[index]
             self.code = -abs(self.code)  # from now on it may be cleared
             self.node.nmt._state = 127
-            self.send(Frame(0x701, b"\0"))
+            self.send(CanFrame(0x701, b"\0"))
 
     def pdos(self, base):
         """Return (identifier, type, entries) of the valid PDOs."""
@@ -196,7 +198,7 @@ class CiA402Emulator(SlcanEmulator):
         for identifier, kind, places in self.pdos(0x1800):
             if kind == 1:
                 data = b"".join(self.node.get_data(p >> 16, p >> 8 & 0xFF) for p in places)
-                self.send(Frame(identifier, data))
+                self.send(CanFrame(identifier, data))
 
     def on_rpdo(self, frame):
         for identifier, _, places in self.pdos(0x1400):
@@ -228,6 +230,7 @@ class CiA402Emulator(SlcanEmulator):
             (0x603F, 0): abs(self.code),
             (0x6061, 0): self.value(0x6060),
             (0x6064, 0): math.floor(self.motor.position / (2 * math.pi) * COUNTS),
+            (0x6074, 0): round(self.motor.current_setpoint / RATED * 1e3),
             (0x6078, 0): round(self.motor.current / RATED * 1e3),
         }
 
@@ -303,7 +306,7 @@ class CiA402Emulator(SlcanEmulator):
         self.switch("switch on disabled")
         self.state, self.code = "fault", code
         self.log.append(f"fault {code:#06x}")
-        self.send(Frame(0x081, struct.pack("<HB5x", code, 0x10)))
+        self.send(CanFrame(0x081, struct.pack("<HB5x", code, 0x10)))
 
     def live(self):
         """Turn the motor, and watch the host."""
@@ -347,6 +350,7 @@ class Epos4CanEmulator(CiA402Emulator):
 
     def __init__(self, objects=None, hears=True):
         own = {
+            (0x1018, 1): (U32, 0xFB),
             (0x3001, 1): (U32, 3210),
             (0x3001, 2): (U32, 15000),
             (0x3001, 5): (U32, 45000),
@@ -357,6 +361,7 @@ class Epos4CanEmulator(CiA402Emulator):
             (0x6072, 0): (U16, None),
             (0x6073, 0): (U16, None),
             (0x6075, 0): (U32, None),
+            (0x6074, 0): (I16, None),
             (0x6078, 0): (I16, None),
             (0x608F, 1): (U32, None),
             (0x608F, 2): (U32, None),

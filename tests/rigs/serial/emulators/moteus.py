@@ -1,5 +1,7 @@
 """A moteus drive, at an fdcanusb or at its own UART, byte for byte.
 
+The texts of the fdcanusb are those of its firmware, `fw/can_manager.cc`.
+
 Its known ways: a UART demands checksums once it was sent one; the watchdog is that of position mode
 only; settings are printed with six decimals; what is set is lost with the power unless written;
 after power-on it is enabled only after a short calibration.
@@ -8,6 +10,7 @@ after power-on it is enabled only after a short calibration.
 from __future__ import annotations
 
 import math
+import re
 import time
 
 from rigtool.rigs.serial.emulators.motor import EmulatedMotor
@@ -53,7 +56,8 @@ SCALES = {
     (0x002, 0x021): (0.1, 2.5e-4, 1e-5),
     (0x003, 0x022, 0x025, 0x034): (0.5, 0.01, 1e-3),
     (0x004,): (1.0, 0.1, 1e-3),
-    (0x00A,): (1.0, 0.1, 1e-3),
+    (0x00A, 0x00E): (1.0, 0.1, 1e-3),
+    (0x00D,): (0.5, 0.1, 1e-3),
     (0x023, 0x024, 0x02B): (1 / 127, 1 / 32767, 1 / 2147483647),
     (0x027,): (0.01, 1e-3, 1e-6),
     (0x050,): (0.01, 1e-4, 1e-5),
@@ -91,6 +95,7 @@ class MoteusEmulator(Emulator):
         self.node, self.uart = node, uart
         self.encoder, self.sign, self.home = encoder, sign, home
         self.motor = EmulatedMotor()
+        self.on_bus = True
         self.temperature = 25.0
         self.log: list[str] = []
         self.loses_writes = False
@@ -139,13 +144,13 @@ class MoteusEmulator(Emulator):
                 return [b"ERR checksum"]
         words = line.split()
         if words[:2] != [b"can", b"send"]:
-            return [b"ERR unknown command"]
+            return [b"ERR unknown subcommand" if words[:1] == [b"can"] else b"ERR unknown command"]
+        if not self.uart and (refused := self._refused(words[2:])):
+            return [refused]
         try:
             identifier, frame = int(words[2], 16), bytes.fromhex(words[3].decode("ascii"))
         except (ValueError, IndexError):
             return [b"ERR malformed data"]
-        if not self.uart and (len(words) > 5 or b"*" in words[-1]):
-            return [b"ERR invalid flags"]
         if identifier & 0x7F != self.node:
             return [b"OK"]
         try:
@@ -157,7 +162,23 @@ class MoteusEmulator(Emulator):
         back = self.node << 8 | identifier >> 8 & 0x7F
         if self.uart:
             return [b"OK", b"rcv %08x %s" % (back, answer.hex().encode())]
-        return [b"OK", b"rcv %x %s E B F" % (back, frames.padded(answer).hex().upper().encode())]
+        data = frames.padded(answer).hex().upper().encode()
+        return [b"OK", b"rcv %X %s %c B F r f-1" % (back, data, b"eE"[back > 0x7FF])]
+
+    def _refused(self, words: list[bytes]) -> bytes:
+        """Return how an fdcanusb refuses a frame, in its firmware's words and order, if it does."""
+        if not self.on_bus:
+            return b"ERR not in BusOn state"
+        if len(words) < 2:
+            return b"ERR insufficient options"
+        identifier, data, flags = words[0], words[1], b" ".join(words[2:])
+        if set(flags) - set(b"BbFfRr "):  # a checksum is no flag
+            return b"ERR unknown flag"
+        if not re.fullmatch(rb"0*[0-9a-fA-F]{1,8}", identifier) or int(identifier, 16) >> 29:
+            return b"ERR bad id"
+        if len(data) % 2:
+            return b"ERR data invalid length"
+        return b"" if re.fullmatch(rb"[0-9a-fA-F]*", data) else b"ERR invalid data"
 
     # -- frames
 
@@ -235,6 +256,8 @@ class MoteusEmulator(Emulator):
             0x004: m.current,
             0x00A: self.temperature if self.config["servo.enable_motor_temperature"] else 0.0,
             0x00C: self.home,
+            0x00D: 24.0,  # V, of the supply
+            0x00E: 40.0,  # degC, of the board
             0x00F: self.fault,
             0x034: (m.current_setpoint - self._added()) * constant if self.mode == 10 else 0.0,
             0x050: self.encoder_position(),

@@ -6,6 +6,7 @@ monitor's lines between the answers; floats of 4 bytes, printed with `decimals`.
 """
 
 import re
+import time
 
 import numpy as np
 
@@ -18,13 +19,20 @@ TORQUES = ("volt", "dc curr", "foc curr", "est. curr")
 NOTHING, USER_FRIENDLY, MACHINE = 0, 2, 3
 
 
-class SimpleFocEmulator(Emulator):
-    """Commands T (a scalar) and M (the motor); `log` names what was switched."""
+LABELS = (("T", "target angle"), ("M", "motor"))
 
-    def __init__(self, *, torque=2, labels=(("T", "target angle"), ("M", "motor")), verbose=2):
+
+class SimpleFocEmulator(Emulator):
+    """Commands T (a scalar) and M (the motor); `log` names what was switched.
+
+    `watchdog` [s] is that of the sketch in docs/bench-simplefoc.md, None for one without it.
+    """
+
+    def __init__(self, *, torque=2, labels=LABELS, verbose=2, watchdog=0.25):
         self.motor = EmulatedMotor()
         self.torque_at_start, self.labels, self.verbose_at_start = torque, labels, verbose
         self.log = []
+        self.watchdog = watchdog
         self.reset()
 
     def reset(self):
@@ -35,6 +43,7 @@ class SimpleFocEmulator(Emulator):
         self.target, self.enabled = 0.0, 1  # initFOC leaves it switched on
         self.variables = "1100011"
         self.refusals = 0
+        self.heard = time.monotonic()
 
     @property
     def mode(self):
@@ -46,6 +55,10 @@ class SimpleFocEmulator(Emulator):
 
     def idle(self):
         self.turn()
+        silent = self.watchdog is not None and time.monotonic() - self.heard > self.watchdog
+        if silent and self.enabled:
+            self.enabled = 0
+            self.log.append("watchdog")
         return b""
 
     def turn(self):
@@ -55,6 +68,8 @@ class SimpleFocEmulator(Emulator):
 
     def receive(self, data):
         out = ""
+        if data:
+            self.heard = time.monotonic()
         for character in data.decode("latin-1"):
             self.buffer += character
             if character in "\r\n":

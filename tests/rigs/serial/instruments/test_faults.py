@@ -25,6 +25,7 @@ from tests.rigs.serial import toy
 from tests.rigs.serial.emulators import instruments as emulators
 from tests.rigs.serial.instruments.test_runs import Loaded
 from tests.rigs.serial.test_hosted import toy_rig
+from tests.thorough import first_of
 
 NOISE = 0.004
 """Half the width of what readings scatter by, in the unit shown."""
@@ -98,7 +99,7 @@ def bad_line(seed, first=25, every=5, count=14):
     )
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", first_of(range(3)))
 @pytest.mark.parametrize("driver", DEVICES)
 def test_no_wrong_number_from_a_line_that_damages_readings(driver, seed):
     _, make, settings, sign = DEVICES[driver]

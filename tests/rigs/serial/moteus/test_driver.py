@@ -470,3 +470,34 @@ def test_emulator_scales_integers_and_refuses_unknown_registers():
     assert found[1] == pytest.approx(2500, abs=1)
     with pytest.raises(frames.RegisterError, match="read of register 0x0ab"):
         frames.registers_of(device._frame(frames.read(0x0AB)))
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        (b"can send 8001 110004 BF", b"OK"),
+        (b"can send 8001 11000", b"ERR data invalid length"),
+        (b"can send 8001 1100zz", b"ERR invalid data"),
+        (b"can send 8001 110004 *5A", b"ERR unknown flag"),
+        (b"can send 40000000 110004", b"ERR bad id"),
+        (b"can send 8001", b"ERR insufficient options"),
+        (b"can speak 8001 110004", b"ERR unknown subcommand"),
+    ],
+)
+def test_fdcanusb_refuses_in_the_words_of_its_firmware(line, answer):
+    assert MoteusEmulator(uart=False).receive(line + b"\n").startswith(answer + b"\r\n")
+
+
+def test_fdcanusb_takes_no_checksums_and_is_used_without():
+    device = MoteusEmulator(uart=False)
+    with serve(device) as server, moteus_rig(server.port) as rig:
+        assert "fdcanusb" in rig.report()
+        perform(rig, Task(SpeedProfile((0.0, 0.05, 0.1), (0.0, 1.0, 0.0))))
+    assert_off_and_as_before(device)
+    device.on_bus = False
+    with (
+        serve(device) as server,
+        pytest.raises(HardwareError, match="off its bus: send it 'can on'"),
+        moteus_rig(server.port),
+    ):
+        pass

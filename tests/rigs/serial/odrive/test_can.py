@@ -124,7 +124,7 @@ def test_torque_constant_must_be_stated():
     ("new", "error", "told"),
     [
         (False, 0x40, "MOTOR_FAILED"),
-        (True, 0x20000, "CURRENT_SET_POINT_TOO_HIGH"),
+        (True, 0x20000, "REQUESTED_CURRENT_TOO_HIGH"),
         (True, 0x400000, "0x400000"),
     ],
 )

@@ -572,7 +572,7 @@ def test_recipe_of_a_hobby_motor_says_what_it_would_do(tmp_path, capsys, command
 @pytest.mark.parametrize(
     ("code", "told"),
     [
-        (0x20000, ["CURRENT_SET_POINT_TOO_HIGH"]),
+        (0x20000, ["REQUESTED_CURRENT_TOO_HIGH"]),
         (0x1000020, ["DRV_FAULT", "WATCHDOG_TIMER_EXPIRED"]),
         (0x20400020, ["DRV_FAULT", "0x20400000"]),
         (0, []),

@@ -12,11 +12,11 @@ from rigtool.errors import HardwareError, UsageError
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
-from rigtool.rigs.serial.transport.can_frames import SIZES, Frame, decode, encode
+from rigtool.rigs.serial.transport.can_frames import SIZES, CanFrame, decode, encode
 from tests.rigs.serial.emulators.slcan import SlcanEmulator
 
 FRAMES = st.builds(
-    lambda number, extended, remote, fd, size: Frame(
+    lambda number, extended, remote, fd, size: CanFrame(
         number & (0x1FFFFFFF if extended else 0x7FF),
         b"" if remote and not fd else bytes(range(size if fd else min(size, 8))),
         extended,
@@ -73,11 +73,13 @@ def test_other_text_is_no_frame(text):
         decode(text)
 
 
-@pytest.mark.parametrize("frame", [Frame(0x123, b"\1\2"), Frame(0x8001, bytes(64), True, fd=True)])
+@pytest.mark.parametrize(
+    "frame", [CanFrame(0x123, b"\1\2"), CanFrame(0x8001, bytes(64), True, fd=True)]
+)
 def test_frames_pass_an_slcan_adapter(frame):
     with serve(Echo()) as server, Line(f"can:slcan:{server.port}", 500_000) as line:
-        line.write(encode(frame) + encode(Frame(0x001)))
-        assert [line.read_frame(), line.read_frame()] == [frame, Frame(0x001)]
+        line.write(encode(frame) + encode(CanFrame(0x001)))
+        assert [line.read_frame(), line.read_frame()] == [frame, CanFrame(0x001)]
         assert server.emulator.bit_rate == "S6"
         with pytest.raises(LineTimeout):
             line.read_frame(0.05)
@@ -88,13 +90,13 @@ def test_damaged_text_of_an_adapter_is_a_damaged_reply_and_passes(garbled):
     device = Echo()
     device.garbled = garbled
     with serve(device) as server, Line(f"can:slcan:{server.port}", 500_000) as line:
-        line.write(encode(Frame(0x123, b"\1")))
+        line.write(encode(CanFrame(0x123, b"\1")))
         with pytest.raises(DamagedReply, match="is no CAN frame"):
             line.read_frame()
         line.settle()
         device.garbled = b""
-        line.write(encode(Frame(0x123, b"\1")))
-        assert line.read_frame() == Frame(0x123, b"\1")
+        line.write(encode(CanFrame(0x123, b"\1")))
+        assert line.read_frame() == CanFrame(0x123, b"\1")
 
 
 def test_bit_rate_of_the_address_counts_and_unknown_ones_are_refused():
@@ -112,9 +114,9 @@ def test_bit_rate_of_the_address_counts_and_unknown_ones_are_refused():
 def test_pulled_cable_loses_the_line_once_and_for_all():
     with serve(Echo(), Fault("pull", at=1)) as server:
         line = Line(f"can:slcan:{server.port}", 500_000)
-        line.write(encode(Frame(0x123)))
+        line.write(encode(CanFrame(0x123)))
         line.settle()
-        line.write(encode(Frame(0x123)))
+        line.write(encode(CanFrame(0x123)))
         with pytest.raises(LineLost, match="the line is lost"):
             line.read_frame()
         line.close()
@@ -123,8 +125,8 @@ def test_pulled_cable_loses_the_line_once_and_for_all():
 def test_virtual_bus_is_a_port():
     with Line("can:virtual:test_can") as line, can.Bus("test_can", "virtual") as other:
         other.send(can.Message(arbitration_id=0x123, data=b"\5", is_extended_id=False))
-        assert line.read_frame() == Frame(0x123, b"\5")
-        line.write(encode(Frame(0x10008001, bytes(12), True, fd=True)))
+        assert line.read_frame() == CanFrame(0x123, b"\5")
+        line.write(encode(CanFrame(0x10008001, bytes(12), True, fd=True)))
         message = other.recv(1.0)
         assert (message.arbitration_id, message.is_fd, message.dlc) == (0x10008001, True, 12)
         assert message.bitrate_switch

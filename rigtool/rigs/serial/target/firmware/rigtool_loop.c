@@ -156,7 +156,7 @@ static void move(const struct rigtool_target_motion *m, double time, double out[
     double s = time / duration, left;
     s = s < 0 ? 0 : s > 1 ? 1 : s;
     left = 1 - s;
-    out[0] = angle * pow(s, 3) * (10 - 15 * s + 6 * (s * s));
+    out[0] = angle * (s * s * s) * (10 - 15 * s + 6 * (s * s));
     out[1] = angle / duration * 30 * (s * s) * (left * left);
     out[2] = angle / (duration * duration) * 60 * s * left * (1 - 2 * s);
 }

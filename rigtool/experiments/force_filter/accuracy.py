@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.motion_states import State, States
+from rigtool.numerics.arrays import Array
 
-Array = NDArray[np.float64]
+COVERAGE_FACTOR = 1.96
+"""Coverage factor of a 95 % interval, normal distribution (GUM 6.2.2)."""
 
 BANDS = (0.0, 0.01, 0.05, 0.2, 1.0)
-"""Edges of the bands of load, of the largest torque that was learned."""
+"""Edges of the bands of load, in parts of the largest learned torque."""
 
 JUDGED = (State.AGAINST, State.WITH, State.REVERSED, State.STILL)
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.force_sensor.accuracy import (
+from rigtool.experiments.force_filter.accuracy import (
     BANDS,
     JUDGED,
     accuracy,
     by_band_and_state,
 )
+from rigtool.experiments.force_filter.motion_states import State
 
 
 def test_accuracy_of_given_errors():

@@ -1,0 +1,132 @@
+"""`stribeck --against` on constant speeds: the difference of two curves, speed by speed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.experiments.friction.results import Findings
+from rigtool.numerics.arrays import Array
+from rigtool.quantity import Quantity
+from rigtool.runfile import Column, Run, Table
+
+HOLDS = "holds"
+
+RATIO = "ratio_of_differences"
+
+SAME_SPEED = 0.01
+"""Relative difference of speeds up to which they are one."""
+
+FEWEST = 3
+"""Common speeds beyond the number of parameters that show their scatter."""
+
+_Curve = tuple[Array, Array, Array]
+"""Speed (n,), torque (n,) and its u (n,)."""
+
+
+def add_curve_difference(
+    found: Findings, against: Run, reference: Run | None, unit: str = "N m"
+) -> None:
+    """Add the difference of the held curve against that of another run of `stribeck`.
+
+    d torque = dfc sign(v) + dfv v + doffset, by weighted least squares over the speeds in common;
+    and the ratio to the difference of a `reference`. The curve is stored in `unit`. Raises
+    `UsageError` for a run without curve or in other units, `InsufficientDataError` for too few
+    common speeds.
+    """
+    mine = _curve(found.tables[HOLDS])
+    speed, difference, u = _minus(mine, _other(against, unit))
+    sign = np.sign(speed)
+    columns = {"coulomb_friction_difference": (sign, "N m")}
+    columns["viscous_friction_difference"] = (speed, "N m s/rad")
+    if sign.min() < sign.max():
+        columns["friction_offset_difference"] = (np.ones(len(speed)), "N m")
+    if len(speed) < len(columns) + FEWEST:
+        raise InsufficientDataError(
+            f"{len(speed)} speeds are common to {against.path} and this curve, "
+            f"{len(columns) + FEWEST} are needed: hold the same speeds in both"
+        )
+    design = np.column_stack([values for values, _ in columns.values()]) / u[:, None]
+    parameters = np.linalg.lstsq(design, difference / u, rcond=None)[0]
+    left = difference / u - design @ parameters
+    dof = len(speed) - len(columns)
+    # Scatter beyond the stated u counts.
+    excess = max(1.0, float(left @ left) / dof)
+    spread = np.sqrt(np.diag(np.linalg.inv(design.T @ design)) * excess)
+    for (name, (_, unit)), value, own in zip(columns.items(), parameters, spread, strict=True):
+        found.add(name, (float(value), float(own)), unit, float(dof))
+    found.notes.append(
+        f"differences are this curve minus that of {against.path}, at {len(speed)} common speeds"
+    )
+    found.tables["hold_differences"] = Table(
+        ("speed",),
+        {
+            "speed": Column(speed, "rad/s"),
+            "difference": Column(difference, "N m", "of the mean torques"),
+            "u": Column(u, "N m", "standard uncertainty"),
+            "model": Column(design @ parameters * u, "N m", "the same of the fitted change"),
+        },
+        "difference",
+        "Change of the torque at constant speeds",
+    )
+    if reference is not None:
+        others = [_other(run, unit) for run in (against, reference)]
+        try:
+            found.results[RATIO] = _ratio(mine, *others)
+        except InsufficientDataError as error:
+            raise InsufficientDataError(f"{reference.path}: {error}") from None
+
+
+def _ratio(mine: _Curve, base: _Curve, other: _Curve) -> Quantity:
+    """Return the ratio of two differences against one curve: weighted least squares over speeds."""
+    known = _minus(other, base)
+    this = _minus(mine, base)
+    at = [int(np.argmin(np.abs(known[0] - speed))) for speed in this[0]]
+    both = np.abs(known[0][at] - this[0]) <= SAME_SPEED * np.abs(this[0])
+    x, x_u = (values[at][both] for values in known[1:])
+    y, y_u = (values[both] for values in this[1:])
+    if len(y) < 1 + FEWEST:
+        raise InsufficientDataError(
+            f"{len(y)} speeds are common to all three runs, {1 + FEWEST} are needed: hold the same "
+            "speeds in all"
+        )
+    weight = 1 / (x_u**2 + y_u**2)
+    value = float(np.sum(weight * x * y) / np.sum(weight * x**2))
+    for _ in range(10):  # weights follow the ratio
+        weight = 1 / (y_u**2 + (value * x_u) ** 2)
+        value = float(np.sum(weight * x * y) / np.sum(weight * (x**2 - x_u**2)))
+    power = float(np.sum(weight * (x**2 - x_u**2)))
+    if not power > FEWEST**2:
+        raise InsufficientDataError(
+            "the known change is not larger than its uncertainty: no ratio can be stated"
+        )
+    excess = max(1.0, float(np.sum(weight * (y - value * x) ** 2)) / (len(y) - 1))
+    u = math.sqrt(excess / power)
+    return Quantity(value, "1", u, float(len(y) - 1))
+
+
+def _curve(table: Table) -> _Curve:
+    """Return speed, torque and u of the holds in a table; repeats of a speed stay apart."""
+    return table["speed"], table["torque"], np.maximum(table["u"], 1e-12)
+
+
+def _other(run: Run, unit: str) -> _Curve:
+    run.require_command("stribeck")
+    if HOLDS not in run.tables:
+        raise UsageError(f"{run.path}: holds no curve of constant speeds: give a run that has one")
+    if (stored := run.table(HOLDS).columns["torque"].unit) != unit:
+        raise UsageError(
+            f"{run.path} holds {stored}, this curve {unit}: analyse both with --kt, or both without"
+        )
+    return _curve(run.table(HOLDS))
+
+
+def _minus(curve: _Curve, other: _Curve) -> _Curve:
+    """Return the difference of two curves at their common speeds."""
+    speed, torque, u = curve
+    at = np.array([int(np.argmin(np.abs(other[0] - one))) for one in speed])
+    both = np.abs(other[0][at] - speed) <= SAME_SPEED * np.abs(speed)
+    difference = torque[both] - other[1][at][both]
+    return speed[both], difference, np.hypot(u[both], other[2][at][both])

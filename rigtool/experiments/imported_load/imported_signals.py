@@ -1,0 +1,66 @@
+"""Signals of imported runs under load."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from rigtool.errors import InsufficientDataError, UsageError
+from rigtool.experiments.imported import place as named
+from rigtool.experiments.imported import position_of, recordings_of, require_one_rig
+from rigtool.experiments.imported_load.basis import LoadSignals, follow
+from rigtool.experiments.torque_per_ampere import effort_of
+from rigtool.runfile import Recording, Run
+
+REFERENCE = "reference_torque"
+"""Channel of the sensor at the load."""
+
+
+def read_all(
+    runs: Sequence[Run], kt: Run | None, bandwidth_hz: float, unit: str | None = None
+) -> list[LoadSignals]:
+    """Return the signals of all recordings of runs of one rig, at a bandwidth.
+
+    Raises `InsufficientDataError` where one is too short or too slow for that, `UsageError` where
+    its effort is not in the `unit` that is asked for.
+    """
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
+    found = [_read(recording, kt, bandwidth_hz) for recording in recordings]
+    unit = unit or found[0].effort_unit
+    for recording, signals in zip(recordings, found, strict=True):
+        if signals.effort_unit != unit:
+            raise UsageError(
+                f"{named(recording)}: its effort is in {signals.effort_unit}, that of the tables "
+                f"or of the other runs in {unit}: give --kt to both commands or to neither"
+            )
+    return found
+
+
+def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSignals:
+    effort = effort_of(recording, kt)
+    motor = position_of(recording)
+    has_output = recording.has("output_position")
+    output = recording.read("output_position") if has_output else motor
+    has_place = recording.has("reference_position")
+    place = recording.read("reference_position") if has_place else output
+    sensor = [recording.read(REFERENCE)] if recording.has(REFERENCE) else []
+    try:
+        path, (values, output, place, *reference) = follow(
+            recording.read("time"), motor, bandwidth_hz, effort.values, output, place, *sensor
+        )
+    except InsufficientDataError as error:
+        raise InsufficientDataError(f"{named(recording)}: {error}") from None
+    # As the motor's sign, so that one direction has one sign everywhere
+    speed = np.gradient(output, path.time)
+    sign = math.copysign(1.0, float(np.sum(speed * path.speed)))
+    return LoadSignals(
+        path=path,
+        effort=values,
+        effort_unit=effort.unit,
+        output_speed=sign * speed,
+        place=place,
+        reference=reference[0] if reference else None,
+    )

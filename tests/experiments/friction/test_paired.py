@@ -1,0 +1,147 @@
+"""What changed between two runs of one motion: a payload on an arm, and friction at held speeds."""
+
+import numpy as np
+import pytest
+
+from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.experiments.friction.paired import Signals, changes, ratio
+from rigtool.recipe.mapping import parse_mapping
+from rigtool.runfile import open_run
+from tests.experiments.friction.test_imported import HELD, analyse, hold
+from tests.experiments.imported_runs import take
+
+ARM = 0.3
+"""From the shaft to the payload, m."""
+
+TWO_SINES = ((0.8, 0.2, 0.0), (0.3, 0.53, 1.0))
+
+
+def arm(payload, seed, later=0.0, noise=0.02, sines=TWO_SINES):
+    """An arm that lifts a payload, kg: inertia, gravity, and what both runs share: friction with a
+    Stribeck effect, ripple."""
+    random = np.random.default_rng(seed)
+    time = np.arange(0, 40, 5e-3)
+    phases = [(a, 2 * np.pi * f, 2 * np.pi * f * (time - later) + p) for a, f, p in sines]
+    position = 0.2 + sum(a * np.sin(phase) for a, _, phase in phases)
+    speed = sum(a * w * np.cos(phase) for a, w, phase in phases)
+    acceleration = sum(-a * w**2 * np.sin(phase) for a, w, phase in phases)
+    sliding = np.sign(speed) * (0.5 + 0.2 * payload + 0.3 * np.exp(-((speed / 0.1) ** 2)))
+    gravity = (0.4 + payload * 9.81 * ARM) * np.cos(position)
+    torque = (0.05 + payload * ARM**2) * acceleration + 0.3 * speed + sliding + gravity
+    torque += 0.1 + 0.05 * np.sin(24 * position) + random.normal(0, noise, len(time))
+    return Signals(time, position, torque, position)
+
+
+def test_a_payload_is_weighed_by_another_one():
+    """Inertia, gravity and friction of a payload; 205 g by 105 g to 1 %, in other phases of time.
+
+    n = 8; a standard deviation within a factor of two of the stated u: 99.9 % of chi2(8)/8.
+    """
+    pulls, apart = [], []
+    for seed in range(8):
+        light = arm(0.105, 3 * seed + 1, later=0.7)
+        heavy = arm(0.205, 3 * seed + 2, later=-0.0371)
+        change, known = changes(arm(0.0, 3 * seed), [heavy, light])
+        value, u, _ = ratio(change, known)
+        apart.append(value / (205 / 105) - 1)
+        expected = {"inertia": 0.205 * ARM**2, "coulomb": 0.041, "viscous": 0.0}
+        pulls.append((value - 205 / 105) / u)
+        for name, truth in expected.items():
+            found, u = change.estimate(name)
+            assert abs(found - truth) < 5 * u
+        gravity, u = change.gravity()
+        assert abs(gravity - 0.205 * 9.81 * ARM) < 5 * u < 0.3
+        assert change.shift == pytest.approx(-0.0371, rel=0, abs=1e-3)
+    assert np.sqrt(np.mean(np.square(apart))) < 0.01
+    assert 0.4 < np.sqrt(np.mean(np.square(pulls))) < 2
+
+
+def test_one_frequency_separates_no_gravity():
+    sines = ((0.05, 0.5, 0.0),)
+    (change,) = changes(arm(0, 1, sines=sines), [arm(0.2, 2, sines=sines)])
+    assert change.gravity() is None
+    assert change.estimate("coulomb") is not None
+
+
+def test_runs_that_are_no_pair_are_refused():
+    other = arm(0.1, 2, sines=((0.8, 0.31, 0.5), (0.3, 0.11, 0.0)))
+    with pytest.raises(InsufficientDataError, match="not of one motion"):
+        changes(arm(0, 1), [other])
+    change, same = changes(arm(0, 1), [arm(0.2, 2), arm(0, 3)])
+    with pytest.raises(InsufficientDataError, match="not larger than the scatter"):
+        ratio(change, same)
+
+
+MAPPING = """mapping = 1
+[rig]
+name = "arm"
+gear_ratio = 50
+[signals]
+time = { column = "t", unit = "s" }
+position = { column = "x", unit = "rad" }
+current = { column = "i", unit = "A" }
+"""
+
+
+def test_runs_by_the_command(tmp_path):
+    """A geared motor, whose current is torque at the arm over 5 N m/A."""
+    arrays = {
+        name: {"t": run.time, "x": 50 * run.position, "i": run.effort / 5}
+        for name, run in (
+            ("bare", arm(0.0, 1)),
+            ("known", arm(0.105, 2)),
+            ("unknown", arm(0.205, 3, 0.2)),
+        )
+    }
+    bare, known, unknown = take(tmp_path, MAPPING, arrays)
+    with open_run(bare) as against, open_run(known) as reference:
+        outcome = analyse([unknown], tmp_path / "d.h5", against=against, reference=reference)
+        found = outcome.results["ratio_of_differences"]
+        assert abs(found.value - 205 / 105) < 3 * found.u < 0.2
+        gravity = outcome.results["gravity_difference"]
+        assert gravity.unit == "A"
+        assert abs(gravity.value - 0.205 * 9.81 * ARM / 5) < 4 * gravity.u
+        assert outcome.results["inertia_difference"].unit == "A s2/rad"
+        assert any("coupling to other joints" in note for note in outcome.notes)
+        with pytest.raises(UsageError, match="one recording with one"):
+            analyse([unknown, known], tmp_path / "e.h5", against=against)
+        with pytest.raises(UsageError, match="--reference"):
+            analyse([unknown], tmp_path / "e.h5", reference=reference)
+    with open_run(tmp_path / "d.h5") as stored, pytest.raises(RunFileError, match="no recording"):
+        analyse([unknown], tmp_path / "e.h5", against=stored)
+    assert not (tmp_path / "e.h5").exists()
+
+
+def test_curves_at_constant_speeds(tmp_path):
+    """A seal that adds 0.4 mN m and 0.01 mN m s/rad, and twice as much."""
+    steps = np.array([20.0, 40, 60, 80, 120, 160, -20, -40, -60, -80, -120, -160])
+    files = {}
+    for number, name in enumerate(("bare", "once", "twice")):
+        parts = [hold(rpm, 1000 * number + int(rpm) + 500, 0) for rpm in steps]
+        seal = [0.4 * np.sign(rpm) + 0.01 * rpm * np.pi / 30 for rpm in steps]
+        files[name] = {
+            "t": np.arange(len(steps) * 500) * 0.01,
+            "v": np.concatenate([part["v"] for part in parts]),
+            "f": np.concatenate(
+                [part["f"] + number * more for part, more in zip(parts, seal, strict=True)]
+            ),
+        }
+    paths = take(tmp_path, HELD, files)
+    for path, name in zip(paths, files, strict=True):
+        analyse([path], tmp_path / f"{name}.h5")
+    with open_run(tmp_path / "bare.h5") as bare, open_run(tmp_path / "once.h5") as once:
+        outcome = analyse([paths[2]], tmp_path / "d.h5", against=bare, reference=once)
+    results = outcome.results
+    assert outcome.tables["hold_differences"].shape == (12,)
+    for name, truth in (
+        ("coulomb_friction_difference", 0.8e-3),
+        ("viscous_friction_difference", 0.02e-3),
+        ("friction_offset_difference", 0.0),
+        ("ratio_of_differences", 2.0),
+    ):
+        assert abs(results[name].value - truth) < 4 * results[name].u
+    assert results["ratio_of_differences"].u < 0.05
+
+
+def test_the_mapping_states_the_gear():
+    assert parse_mapping(MAPPING).rig.gear_ratio == 50

@@ -1,0 +1,46 @@
+"""Friction by radial force: holds at equal speeds, with and without the force."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.friction.holds import Holds
+from rigtool.experiments.friction.results import Findings, Scale, add_radial_friction
+from rigtool.quantity import Quantity
+
+
+def holds(speed, torque, u, dof):
+    speed = np.array(speed, dtype=float)
+    none = np.zeros(len(speed))
+    return Holds(speed, np.array(torque), np.full(len(speed), u), none + dof, none, none, none)
+
+
+def test_growth_is_that_at_equal_speeds_with_the_scatter_of_both():
+    rng = np.random.default_rng(3)
+    speed = [0.5, 1, 2, 5, -0.5, -1, -2, -5]
+    friction = np.sign(speed) * (2e-3 + 1e-4 * np.abs(speed)) + 0.3e-3
+    before = holds(speed, friction, 6e-6, 20)
+    chosen = [5, 1, 6, 2]
+    added = 1e-3 + 1e-5 * rng.standard_normal(4)
+    torque = friction[chosen] + np.sign(np.array(speed)[chosen]) * added
+    after = holds([*np.array(speed)[chosen], 9.0], [*torque, 1.0], 8e-6, 5)
+    found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    add_radial_friction(before, after, 20.0, found, weights_u=0.01)
+    result = found.results["radial_load_friction"]
+    assert result.value == pytest.approx(added.mean(), rel=1e-9)
+    # four pairs: u/sqrt(4) of each series, and the force's part
+    assert result.u == pytest.approx(math.hypot(3e-6, 4e-6, 0.01 * added.mean()), rel=1e-6)
+    by_name = {line.name: line for line in result.budget}
+    assert by_name["scatter"].dof == pytest.approx(80)
+    assert by_name["scatter with the force"].dof == pytest.approx(20)
+    assert found.results["radial_friction_coefficient"].value == pytest.approx(result.value / 20)
+
+
+def test_other_speeds_are_not_compared():
+    found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    add_radial_friction(
+        holds([1, 2], [1e-3, 1e-3], 1e-6, 9), holds([3.0], [2e-3], 1e-6, 9), 22, found
+    )
+    assert not found.results
+    assert any("no speed was held" in note for note in found.notes)

@@ -1,0 +1,188 @@
+"""Whole commands with the shipped recipes, each on the emulator of its drive, as a user runs them.
+
+`rigtool recipe`, port and gauge filled in, `devices`, `--dry-run`, then the run itself. The motions
+are shorter than those of the recipe; line, loop, limits and instruments are the recipe's.
+"""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from rigtool.experiments.learning.implementations import bare_motor
+from rigtool.experiments.ripple import procedure as fft_ripple
+from rigtool.recipe import load_recipe
+from rigtool.rigs.serial.emulators.server import serve
+from rigtool.runfile import open_run
+from tests.cli.test_run_commands import call
+from tests.rigs.serial.bench import RADIUS, BenchMotor, Person
+from tests.rigs.serial.emulators.can_drives import MoteusCanEmulator, ODriveCanEmulator
+from tests.rigs.serial.emulators.canopen import CiA402Emulator, Epos4CanEmulator
+from tests.rigs.serial.emulators.instruments import Mark10Emulator
+from tests.rigs.serial.emulators.simplefoc import SimpleFocEmulator
+from tests.rigs.serial.emulators.vesc import VescEmulator
+
+ROOT = Path(__file__).parents[3]
+SLCAN = "can:slcan:{}?bitrate=1000000"
+
+SLOWLY = ("rig.sample_time=0.01",)
+"""Of drives that close their loop by themselves: fewer samples."""
+
+DRIVES = {
+    "cia402": (CiA402Emulator, "cia402-drive", SLCAN, SLOWLY),
+    "maxon-can": (Epos4CanEmulator, "maxon-epos4-can", SLCAN, SLOWLY),
+    "odrive-can": (
+        ODriveCanEmulator,
+        "odrive-hobby-motor",
+        "can:slcan:{}?bitrate=250000",
+        (*SLOWLY, "serial.driver=odrive-can", "serial.drive_torque_constant=0.0306"),
+    ),
+    "moteus-can": (
+        MoteusCanEmulator,
+        "moteus-r4",
+        SLCAN + "&fd=true",
+        (*SLOWLY, "serial.driver=moteus-can"),
+    ),
+    "vesc": (VescEmulator, "vesc", "{}", ()),
+    "simplefoc": (SimpleFocEmulator, "simplefoc", "{}", ("serial.emergency_stop=true",)),
+}
+"""Emulator, shipped recipe, port, and what else is filled in."""
+
+SHORTER = {
+    "calibrate-kt": (
+        "calibrate_kt.temperatures_degc=[20, 40]",
+        "calibrate_kt.rotor_positions=1",
+        "calibrate_kt.steps=4",
+        "calibrate_kt.staircases=1",
+        "calibrate_kt.step_time=0.25",
+        "calibrate_kt.settle_time=0.1",
+    ),
+    "stribeck": (
+        "stribeck.speed_max=12",
+        "stribeck.sweep_time=1",
+        "stribeck.hold_speeds=[3, 7, 12]",
+        "stribeck.hold_time=0.3",
+        "stribeck.hold_revolutions=1",
+        "stribeck.breakaway_positions=3",
+        "stribeck.breakaway_rate=0.01",
+        "stribeck.breakaway_limit=0.012",
+        "stribeck.radial_force=0",
+    ),
+    "fft-ripple": (
+        "fft_ripple.speeds=[4]",
+        "fft_ripple.revolutions=2",
+        "fft_ripple.torques=[]",
+        "fft_ripple.power_cycles=0",
+    ),
+    "ilc-learn": (
+        "ilc_learn.turning.speeds_rev_per_s=[0.5]",
+        "ilc_learn.turning.low_speeds_rev_per_s=[]",
+        "ilc_learn.turning.revolutions=3",
+    ),
+    "measure-force": (
+        "measure_force.forces=[0.5]",
+        "measure_force.cycles=3",
+        "measure_force.speed_rev_per_s=0.5",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", sorted({drive[1] for drive in DRIVES.values()} | {"maxon-epos4"}))
+def test_each_shipped_recipe_says_what_its_commands_would_do(name, tmp_path, capsys):
+    recipe, kt = ROOT / "recipes" / f"{name}.toml", ROOT / "tests" / "fixtures" / "kt.h5"
+    gauge = ("--set", "serial.force.driver=mark10", "--set", "serial.force.port=/dev/ttyUSB1")
+    for command in ("calibrate-kt", "stribeck", "fft-ripple", "identify-plant", "ilc-learn"):
+        more = gauge if command == "calibrate-kt" else ("--kt", kt)
+        arguments = [command, recipe, *more, "-o", tmp_path / "x.h5", "--dry-run"]
+        code, _, err = call(capsys, *arguments)
+        assert code == 0, (command, err)
+    assert list(tmp_path.iterdir()) == []
+
+
+class Bench:
+    """A drive of DRIVES with its motor, tuned as its recipe states, and its person."""
+
+    def __init__(self, name, tmp_path, capsys, monkeypatch):
+        make, self.recipe_name, self._port, self._more = DRIVES[name]
+        self.name, self._folder, self._capsys = name, tmp_path, capsys
+        recipe = load_recipe(ROOT / "recipes" / f"{self.recipe_name}.toml")[0]
+        constant, inertia = recipe.rig.torque_constant, recipe.rig.nominal_inertia
+        self.motor = motor = BenchMotor(inertia=inertia, torque_constant=constant)
+        motor.tune(recipe.rig.controller, inertia)
+        self.device = make()
+        drive = getattr(self.device, "device", self.device)
+        drive.motor = motor
+        if name == "moteus-can":
+            for settings in (drive.config, drive.stored):
+                settings["motor.Kv"] = 1.5 / math.sqrt(3) * 60 / (2 * math.pi) / constant
+        self.person = Person(motor, self.device.reset)
+        self.person.at_the_terminal(monkeypatch)
+
+    def begin(self, port, gauge):
+        """Copy the recipe out, fill in the ports, and look whether the drive answers."""
+        self.recipe, self._gauge = self._folder / "motor.toml", gauge
+        assert self.call("recipe", self.recipe_name, "-o", self.recipe)
+        self._at = self._port.format(port)
+        assert f"{self.name}: " in self.call("devices", self._at)
+
+    def call(self, *arguments):
+        """Run a command that has to succeed; return what it prints."""
+        code, out, err = call(self._capsys, *arguments)
+        assert code == 0, (arguments[0], err)
+        return out + err
+
+    def run(self, command, *more, shorter=SHORTER, inputs=()):
+        """Look at --dry-run, then measure; return the path of the run."""
+        output = self._folder / f"{command}.h5"
+        settings = (
+            f'serial.port="{self._at}"',
+            "serial.force.driver=mark10",
+            f'serial.force.port="{self._gauge}"',
+            *self._more,
+            *shorter[command],
+            *more,
+        )
+        changes = [part for setting in settings for part in ("--set", setting)]
+        arguments = (command, self.recipe, *inputs, "-o", output, *changes)
+        self.call(*arguments, "--dry-run")
+        self.call(*arguments, "--yes")
+        return output
+
+
+@pytest.fixture
+def quick(monkeypatch, world):
+    """Shorter times of motions that no recipe sets; a drive that nobody asks looks around less."""
+    for module in (bare_motor, fft_ripple):
+        monkeypatch.setattr(module, "ACCELERATION", 100.0)
+        monkeypatch.setattr(module, "SETTLE_TIME", 0.3)
+    world.tick = 0.02
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_chain_of_commands_runs_on_each_drive(quick, name, tmp_path, capsys, monkeypatch):
+    bench = Bench(name, tmp_path, capsys, monkeypatch)
+    motor = bench.motor
+    gauge = Mark10Emulator(lambda: motor.push, decimals=4)
+    with serve(bench.device) as server, serve(gauge) as beside:
+        bench.begin(server.port, beside.port)
+        kt = bench.run("calibrate-kt")
+        with open_run(kt) as run:
+            found = run.result("torque_constant_mean")
+            assert found.value == pytest.approx(motor.cold_constant, abs=3 * found.u)
+            assert found.u < 0.05 * found.value
+        motor.degc, motor.clamped = 25.0, False
+        inputs = ("--kt", kt)
+        with open_run(bench.run("stribeck", inputs=inputs)) as run:
+            coulomb = run.result("coulomb_friction")
+        with open_run(bench.run("fft-ripple", inputs=inputs)) as run:
+            ripple = run.result("repeatable_rms")
+        tables = bench.run("ilc-learn", inputs=inputs)
+        loads = bench.run("measure-force", inputs=(*inputs, "--tables", tables))
+        with open_run(loads) as run:
+            load = run.result("mean_torque_load_001")
+            line = json.loads(run.provenance["line"])
+    print("GOT", name, found, coulomb, ripple, load)
+    assert server.error is None
+    assert load.value == pytest.approx(0.5 * RADIUS, abs=3 * load.u)
+    assert line["driver"] == name
