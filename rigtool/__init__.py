@@ -4,7 +4,6 @@ In Python, `rigtool.open` and the functions named after the commands do the same
 see docs/python.md. Everything is imported when it is first used.
 """
 
-from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -41,6 +40,8 @@ __all__ = [
 def __getattr__(name: str) -> object:
     # Metadata and numerics are read on demand: `rigtool --help` does not need them.
     if name == "__version__":
+        from importlib.metadata import version
+
         return version("rigtool")
     if name in __all__:
         from rigtool import api

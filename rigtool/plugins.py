@@ -10,10 +10,12 @@ point that cannot be used is reported in one line, with its name.
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rigtool.errors import RigtoolError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 Plugin = TypeVar("Plugin")
 
@@ -24,6 +26,8 @@ def plugins(group: str, taken: frozenset[str] = frozenset()) -> dict[str, EntryP
 
     A name that is `taken`, by rigtool itself or by a package before, is left out with a warning.
     """
+    from importlib.metadata import entry_points
+
     found: dict[str, EntryPoint] = {}
     for entry in sorted(entry_points(group=group), key=lambda entry: (entry.name, package(entry))):
         if entry.name in taken or entry.name in found:

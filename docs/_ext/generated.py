@@ -106,7 +106,7 @@ def recipes_page() -> str:
         "",
         "A recipe is a TOML file: a rig, and what to do on it. Every value that is not given has "
         "the default below; an unknown key is refused. `--set table.key=value` changes one value "
-        "for one call. Angles are in rad, torques in N m, times in s where nothing else is said.",
+        "for one call. Angles are in rad, torques in N m, times in s unless stated otherwise.",
         "",
         *_tables(Recipe, ""),
         "## Mappings of imports",

@@ -274,7 +274,7 @@ class Requirements(Section):
         None, gt=0, description="smallest force that one reading distinguishes from none, N"
     )
     force_bandwidth_hz: float | None = Field(
-        None, gt=0, description="low-pass of the force at least, Hz"
+        None, gt=0, description="bandwidth of the force, at least, Hz"
     )
     residual_torque: float | None = Field(
         None, gt=0, description="remaining disturbance with the learned table, rms, N m"

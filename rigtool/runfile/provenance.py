@@ -17,7 +17,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +88,8 @@ def collect(
     source: Source | None = None,
 ) -> Provenance:
     """Describe the running program and what it works on; the date honours SOURCE_DATE_EPOCH."""
+    from importlib.metadata import version
+
     return Provenance(
         program="rigtool",
         version=version("rigtool"),

@@ -71,6 +71,8 @@ def prepare(bench, line):
             shutil.copy(bench / "friction.h5", bench / name)
     elif "stribeck imported/" in line:
         hold(bench, (-20, -10, -5, 5, 10, 20))
+    elif "--against bare.h5" in line:
+        pair(bench)
     elif "run07.csv" in line:
         rows = np.column_stack([np.arange(50) / 1000, *np.arange(450.0).reshape(9, 50)])
         np.savetxt(bench / "run07.csv", rows, delimiter=",")
@@ -101,6 +103,29 @@ torque = { column = "m", unit = "N m" }
         files[f"at{speed}"] = {"t": time, "v": np.full(len(time), float(speed)), "m": torque}
     take(bench, text, files)
     (bench / "runs").rename(bench / "imported")
+
+
+def pair(bench):
+    """Import two runs of one motion, the second with twice the inertia."""
+    text = """mapping = 1
+[rig]
+name = "pair"
+[signals]
+time = { column = "t", unit = "s" }
+position = { column = "p", unit = "rad" }
+torque = { column = "m", unit = "N m" }
+"""
+    random, time = np.random.default_rng(1), np.arange(0, 20, 0.002)
+    phase = np.outer([0.5, 1.3, 2.1], 2 * np.pi * time)
+    rate = 2 * np.pi * np.array([[0.5], [1.3], [2.1]])
+    angle, speed, acceleration = np.sin(phase), rate * np.cos(phase), -(rate**2) * np.sin(phase)
+    files = {}
+    for name, inertia in (("bare", 2e-5), ("loaded", 4e-5)):
+        torque = inertia * acceleration.sum(0) + 2e-3 * np.sign(speed.sum(0))
+        noisy = torque + random.normal(0, 1e-5, len(time))
+        files[name] = {"t": time, "p": angle.sum(0), "m": noisy}
+    for path in take(bench, text, files):
+        shutil.copy(path, bench / Path(path).name)
 
 
 MOTEUS = """

@@ -1,10 +1,13 @@
 """Requirements of a recipe beside what runs show, with the verdict."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigtool.quantity import Quantity
 from rigtool.report.requirements import (
     MET,
     MISSED,
@@ -53,6 +56,18 @@ def test_a_recipe_without_requirements_has_no_table(make, open_all):
     without = runs[0].recipe.model_copy(update={"requirements": own})
     run = type("Run", (), {"recipe": without, "command": "calibrate-kt", "tables": {}})()
     assert requirements_table([("kt", run)]) is None
+
+
+@pytest.mark.parametrize(
+    ("measured", "expected"), [(13.3, MET), (4.6, MISSED), (10.5, UNDECIDED), (None, NOT_SHOWN)]
+)
+def test_the_bandwidth_of_force_over_time_is_the_measured_one(make, open_all, measured, expected):
+    (other,) = open_all(make("calibrate-kt"))
+    results = {} if measured is None else {"bandwidth": Quantity(measured, "Hz", 0.8)}
+    own = {"recipe": other.recipe, "command": "measure-force", "results": results}
+    run = type("Run", (), {**own, "path": Path("force.h5"), "tables": {"force": None}})()
+    (row,) = [row for row in rows([run]) if row["requirement"].value == "force_bandwidth_hz"]
+    assert (row["value"].value, row["verdict"].value) == (measured, expected)
 
 
 @given(st.floats(-10, 10), st.floats(0, 3), st.floats(-10, 10), st.booleans())

@@ -14,6 +14,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.force.imported_strokes import read_strokes, scatter_results, stroke_loads
+from rigtool.experiments.force_filter.accuracy import accuracy
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_sensor.results_over_time import Reading, over_time_tables
 from rigtool.experiments.imported import RECORDING
@@ -239,8 +240,7 @@ def _judged(
     speed = np.concatenate(fast)
     reason = f"itself a measure of uncertainty; NaN: no such stroke is faster than {FAST:g} rad/s"
     for name, own in (("closing", speed > 1), ("opening", speed < -1)):
-        known = error[own & np.isfinite(error)]
-        rms = float(np.sqrt(np.mean(known**2))) if known.size else np.nan
+        rms = accuracy(error, np.isfinite(error), own).rmse
         results[f"rmse_{name}"] = Quantity(rms, "N m", reason=reason)
     table = stroke_loads(strokes, levels_of([item.signals for item in measured]))
     if table is None:

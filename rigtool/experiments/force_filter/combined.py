@@ -1,4 +1,4 @@
-"""Sums of rows: the product of matrices that the filter and its smoother spend their time in."""
+"""Weighted sums of rows, y_j = sum over i of w_i r_ij: most of the time of filter and smoother."""
 
 from __future__ import annotations
 

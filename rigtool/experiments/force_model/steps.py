@@ -20,8 +20,9 @@ from rigtool.experiments.force_filter.estimate import Signals
 from rigtool.experiments.force_model.drive import Drive
 from rigtool.numerics.arrays import Array
 
-SAMPLE_TIME = 0.25e-3
-"""Longest sample of the filter, s: bristles and tendon swing within milliseconds."""
+SAMPLE_TIME = 0.5e-3
+"""Longest sample of the filter, s: bristles and tendon swing within milliseconds. Half of it
+changed errors by less than they scatter from rig to rig."""
 
 STEP_TIME = 1e-3
 """Time from one angle that the filter takes in to the next, s."""

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.estimate import (
     PIECE,
@@ -19,11 +20,12 @@ from rigtool.experiments.force_filter.estimate import (
     Smoother,
     without_delay,
 )
-from rigtool.experiments.force_filter.motion_states import Moments, Reach
+from rigtool.experiments.force_filter.motion_states import Moments, Reach, State
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.steps import unbroken
+from rigtool.experiments.force_sensor.response import Spectra
 from rigtool.experiments.force_sensor.results_over_time import (
     Reading,
     Recorded,
@@ -84,7 +86,7 @@ def read_recording(
     instrument = instrument_for(recording, recipe, kt, model, reach)
     interval = instrument.interval
     parts: list[Reading] = []
-    breaks, read = -1, 0.0
+    breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(2) as workers:
         stretch: _Stretch | None = None
         for block, begins in unbroken_blocks(recording, instrument):
@@ -92,8 +94,9 @@ def read_recording(
                 breaks += 1
                 parts += [] if stretch is None else stretch.reading()
                 read += 0.0 if stretch is None else stretch.seconds
-                began = float(block[0, 0])
-                stretch = _Stretch(recording.name, instrument, began, workers)
+                began, left = float(block[0, 0]), recording.size - done
+                stretch = _Stretch(recording.name, instrument, began, left, workers)
+            done += block.shape[1]
             assert stretch is not None
             stretch.add(block[1:])
         if stretch is not None:
@@ -141,11 +144,13 @@ class _Stretch:
     """Samples without a gap: causal at once, smoothed as soon as enough has followed.
 
     `workers` smooth, and run the filter that contacts are found with, while the next samples are
-    read. `seconds` have a torque once the stretch is over. Of what only the table's rows show,
-    only rows are kept: an hour has 3.6 million steps.
+    read. `seconds` have a torque once the stretch is over, which has `size` samples at most. Of
+    what only the table's rows show, only rows are kept: an hour has 3.6 million steps.
     """
 
-    def __init__(self, name: str, instrument: Instrument, began: float, workers: Executor) -> None:
+    def __init__(
+        self, name: str, instrument: Instrument, began: float, size: int, workers: Executor
+    ) -> None:
         step_time = instrument.grid.step_time
         self._name, self._instrument, self._workers = name, instrument, workers
         self._began = began - instrument.interval / 2
@@ -160,7 +165,9 @@ class _Stretch:
         self._judge = instrument.judge(causal=False)
         self._waiting: Moments | None = None  # of which some, in front, give states alone
         self._in_front = 0
-        self._found: dict[str, list[Any]] = {name: [] for name in FOUND}
+        self._room = math.ceil(size * instrument.interval / step_time) + 1
+        self._found: dict[str, NDArray[Any]] = {}
+        self._filled: dict[str, int] = dict.fromkeys(FOUND, 0)
         self._steps = self._limited = 0
         self.seconds = 0.0
 
@@ -173,20 +180,26 @@ class _Stretch:
         rows = slice(-self._steps % self._every, None, self._every)
         self._steps += len(sensed.states)
         angle = estimate.low + self._instrument.count / 2
-        self._keep("angle", angle, np.float64)
-        self._keep("causal", sensed.torque[rows], np.float64)
-        self._keep("causal_u", sensed.u[rows], np.float64)
-        self._keep("causal_states", sensed.states, np.int8)
+        self._keep("angle", angle)
+        self._keep("causal", sensed.torque[rows])
+        self._keep("causal_u", sensed.u[rows])
+        self._keep("causal_states", sensed.states)
         for reference in sensed.others:
-            self._keep("reference", reference, np.float64)
+            self._keep("reference", reference)
         before = self._waiting
         self._waiting = sensed.moments if before is None else before.joined(before, sensed.moments)
         self._later = [self._workers.submit(self._smooth, sensed, last)]
         if self._untouched is not None:
             self._later.append(self._workers.submit(self._test, self._untouched, sensed))
 
-    def _keep(self, name: str, values: Any, kind: Any) -> None:
-        self._found[name].append(np.array(values, dtype=kind))
+    def _keep(self, name: str, values: NDArray[Any]) -> None:
+        """Keep values behind those that were kept, in memory of the whole stretch's size that is
+        used as it fills: pieces would lie between what is freed meanwhile."""
+        if name not in self._found:
+            self._found[name] = np.empty(self._room, dtype=FOUND[name])
+        first = self._filled[name]
+        self._filled[name] = first + len(values)
+        self._found[name][first : first + len(values)] = values
 
     def _settle(self) -> None:
         """Wait for what is done beside: it uses what the next samples change."""
@@ -196,9 +209,9 @@ class _Stretch:
     def _test(self, untouched: Filter, sensed: Sensed) -> None:
         """Keep what the tests for contacts look at."""
         other = untouched.add(sensed.signals, less=sensed.less)
-        self._keep("doubt", sensed.doubt, np.float32)
-        self._keep("untouched", other.torque, np.float32)
-        self._keep("untouched_u", other.deviation, np.float32)
+        self._keep("doubt", sensed.doubt)
+        self._keep("untouched", other.torque)
+        self._keep("untouched_u", other.deviation)
 
     def _smooth(self, sensed: Sensed, last: bool) -> None:
         """Smooth the steps that wait the longest."""
@@ -218,17 +231,18 @@ class _Stretch:
         own = part.torque.copy()
         own[first:end] = torque
         states = judge.states(replace(part, torque=own))
-        self._keep("torque", torque, np.float64)
-        self._keep("u", deviation, np.float64)
-        self._keep("states", states[first:end], np.int8)
-        self._keep("kinds", judge.kinds(states, part)[first:end], np.int8)
+        self._keep("torque", torque)
+        self._keep("u", deviation)
+        self._keep("states", states[first:end])
+        self._keep("kinds", judge.kinds(states, part)[first:end])
         self._in_front = min(end, judge.span)
         self._waiting = self._waiting.part(end - self._in_front)
 
     def reading(self) -> list[Reading]:
         """Return the rows of what was read, once the stretch is over; nothing where it is too
         short."""
-        self.add(np.empty((4 if self._found["reference"] else 3, 0)), last=True)
+        referred = "reference" in self._found
+        self.add(np.empty((4 if referred else 3, 0)), last=True)
         self._settle()
         step_time, every = self._instrument.grid.step_time, self._every
         if self._steps * step_time < SHORTEST:
@@ -237,16 +251,18 @@ class _Stretch:
         contacts = self._contacts()
         time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
         torque, u = self._whole()
-        reference = self._taken("reference") if self._found["reference"] else None
+        reference = self._taken("reference") if referred else None
         rate, bandwidth = 1 / step_time, self._instrument.bandwidth_hz
+        torque, states = lowpass(rate, torque, bandwidth), self._taken("states")
+        inside = states != State.OUTSIDE
         return [
             Reading(
                 self._name,
                 step_time * every,
                 time,
-                lowpass(rate, torque, bandwidth)[::every].copy(),
+                torque[::every].copy(),
                 u,
-                self._taken("states")[::every].astype(np.int32),
+                states[::every].astype(np.int32),
                 self._taken("causal"),
                 self._taken("causal_u"),
                 self._taken("causal_states")[::every].astype(np.int32),
@@ -255,19 +271,20 @@ class _Stretch:
                 None if reference is None else delayed(rate, reference, bandwidth)[::every].copy(),
                 contacts,
                 every,
+                response=None if reference is None else Spectra.of(torque, reference, inside, rate),
             )
         ]
 
     def _taken(self, name: str) -> Any:
         """Return what was kept as one, and keep it no longer."""
-        return np.concatenate(self._found.pop(name))
+        return self._found.pop(name)[: self._filled[name]]
 
     def _contacts(self) -> tuple[Contact, ...]:
         """Return the contacts, in steps."""
         if self._untouched is None:
             return ()
         torque, deviation = self._taken("untouched"), self._taken("untouched_u")
-        states = np.concatenate(self._found["causal_states"])
+        states = self._found["causal_states"][: self._steps]
         doubt, step_time = self._taken("doubt"), self._instrument.grid.step_time
         tested = trial(torque, deviation, states, step_time, doubt)
         return tuple(contacts(tested, self._instrument.model.limits))
@@ -286,18 +303,18 @@ class _Stretch:
         return torque, standard_uncertainty(scales, deviation, torque[::every], kinds)
 
 
-FOUND = (
-    "torque",
-    "u",
-    "states",
-    "kinds",
-    "causal",
-    "causal_u",
-    "causal_states",
-    "reference",
-    "angle",
-    "untouched",
-    "untouched_u",
-    "doubt",
-)
+FOUND = {
+    "torque": np.float64,
+    "u": np.float64,
+    "states": np.int8,
+    "kinds": np.int8,
+    "causal": np.float64,
+    "causal_u": np.float64,
+    "causal_states": np.int8,
+    "reference": np.float64,
+    "angle": np.float64,
+    "untouched": np.float32,
+    "untouched_u": np.float32,
+    "doubt": np.float32,
+}
 """At each step, but for the causal torque and its u, which are kept at the table's rows."""

@@ -20,6 +20,7 @@ from rigtool.experiments.force_filter.accuracy import (
 )
 from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
 from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
+from rigtool.experiments.force_sensor.response import Spectra, bandwidth
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
@@ -54,6 +55,7 @@ class Reading:
     contacts: tuple[Contact, ...] = ()
     every: int = 1
     dead_bands: bool = False
+    response: Spectra | None = None
 
     @property
     def hidden(self) -> Mask:
@@ -117,13 +119,13 @@ def force_outcome(
     `scales` (kinds, 2) are those of the smoothed torque (`intervals`), `limits` (3, 2) the
     thresholds by which contacts were looked for.
     """
-    bandwidth = recipe.measure_force.motion.bandwidth_hz
+    cutoff_hz = recipe.measure_force.motion.bandwidth_hz
     parts = [(number, part) for number, r in enumerate(recordings) for part in r.parts]
     rows = [part for _, part in parts]
     results, tables = over_time_tables(
         rows,
         reach.torque,
-        bandwidth,
+        cutoff_hz,
         recipe.rig.load_arm,
         numbers=[number for number, _ in parts],
         lost=sum(r.lost for r in recordings),
@@ -162,7 +164,7 @@ def over_time_tables(
     judged = [row for row in rows if row.reference is not None]
     if judged:
         found, tables["force_accuracy"] = _judged(Reading.joined(judged), largest)
-        results |= found
+        results |= found | _bandwidth([row.response for row in judged if row.response is not None])
     return results, tables
 
 
@@ -268,6 +270,14 @@ def _judged(rows: Reading, largest: float) -> tuple[dict[str, Quantity], Table]:
     return results, Table(
         ("band", "state"), columns, "rmse", "torque against the reference, by load and state"
     )
+
+
+def _bandwidth(responses: Sequence[Spectra]) -> dict[str, Quantity]:
+    """Return up to which frequency the torque has the reference's amplitude; none unless known."""
+    if not responses:
+        return {}
+    value, u = bandwidth(responses)
+    return {} if math.isnan(value) else {"bandwidth": Quantity(value, "Hz", u)}
 
 
 def _cells(prefix: str, cells: list[list[Accuracy]]) -> dict[str, Column]:

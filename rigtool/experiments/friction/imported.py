@@ -104,6 +104,9 @@ def analyse_imported(
     linear, units = is_linear(recordings[0]), UNITS_BY_EFFORT[first.unit]
     if against is None and reference is not None:
         raise UsageError("--reference: is compared with the run of --against: give both")
+    given = [*runs, *(run for run in (against, reference) if run is not None)]
+    if against is not None and len({run.content_sha256 for run in given}) < len(given):
+        raise UsageError("one run is given twice: nothing changed between a run and itself")
     if all(held):
         _add_holds(recordings, efforts, held, found)
         if against is not None:

@@ -100,7 +100,7 @@ def _signals(recording: Recording, kt: Run | None, found: Findings) -> Signals:
 def _notes(change: Change, recording: Recording, against: Recording) -> list[str]:
     notes = [
         f"{place(recording)} minus {place(against)}, at the same points of one motion; the second "
-        f"of them is {-change.shift:.4g} s later",
+        f"of them is {0.0 - change.shift:.4g} s later",
         "what both runs share cancels: ripple, friction that is no straight line over speed, "
         "joints that move alike; coupling to other joints of an arm that the change brings is not "
         "in u",

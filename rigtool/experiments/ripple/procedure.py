@@ -16,7 +16,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.between_set_points import unsampled_note
-from rigtool.experiments.controller_torque import naming, require_unlimited
+from rigtool.experiments.controller_torque import naming, require_unlimited, smallest_gain
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
@@ -107,6 +107,7 @@ def _spec(
 def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
     """Turn steadily under each condition; the amplifier is restarted between power cycles."""
     del kt  # part of the rig already
+    smallest_gain(recipe)  # refuses a controller that this rate cannot have
     for spec in recordings(recipe):
         conditions = {name: value for name, (value, _) in spec.conditions.items()}
         if conditions.get("power_cycle", 0) > 0:

@@ -8,7 +8,8 @@ scatter is unknown, its probability for n independent residuals is
     p = Q^(-n/2) / sum over all hypotheses,
 
 even in the logarithms of s, lag and tau (A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013,
-section 3.2). Friction opposes motion: hypotheses that want the opposite have none. The spread of
+section 3.2). Friction opposes motion: hypotheses that want the opposite have none; those in which
+heat raises the constant count without heat, since no magnet gains by it. The spread of
 the torque constants of all hypotheses is the uncertainty due to what the data do not show: friction
 whose contacts bend further than the arm moves is a spring beside the arm, and no staircase shows
 its stiffness.
@@ -246,15 +247,13 @@ class _Means:
         self, current: Array, lost: Array, friction: tuple[Array, Array]
     ) -> tuple[Array, Array, Array]:
         """Return Q (s,), slopes (s, 2), and which transitions are without friction (s,)."""
-        warm = self._fit_columns(current, [lost], friction)
-        cold = self._fit_columns(current, [], friction)
-        # No magnet gains by heat.
-        gains = warm[3] > 0
-        square, slope, free = (
-            np.where(gains if one.ndim == 1 else gains[:, None], other, one)
-            for one, other in zip(warm[:3], cold[:3], strict=True)
-        )
-        return square, slope, free
+        square, slope, free, added = self._fit_columns(current, [lost], friction)
+        gains = added > 0  # as no magnet does by heat
+        if not gains.any():
+            return square, slope, free
+        cold, cold_slope, cold_free, _ = self._fit_columns(current, [], friction)
+        slope = np.where(gains[:, None], cold_slope, slope)
+        return np.where(gains, cold, square), slope, np.where(gains, cold_free, free)
 
     def _fit_columns(
         self, current: Array, lost: list[Array], friction: tuple[Array, Array]

@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Mapping as MappingType
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 from rigtool.errors import RigtoolError, RunFileError
 from rigtool.plugins import load_all, warn
 from rigtool.quantity import Quantity
-from rigtool.recipe.mapping import Mapping
+from rigtool.recipe.mapping import SIGNALS, Mapping
 from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays
 from rigtool.runfile.importers.conditions import parts
@@ -54,6 +55,9 @@ IMPORTERS = {"epos": epos.IMPORTER}
 
 PLUGINS = "rigtool.importers"
 """Group of the entry points with which other packages add formats: each an `Importer`."""
+
+LIKE = 0.8
+"""Similarity (`difflib`) from which on a name may be a slip."""
 
 LISTED = 5
 """Most bad lines that a note names."""
@@ -223,8 +227,23 @@ def understand(
     raw, known, notes = _read(source, mapping, skip_bad)
     signals, raw = to_si(source, raw, known, skip_bad)
     notes += [note for note in (irregular(signals["time"]), _left_out_note(raw)) if note]
-    notes += contradictions(signals, known)
+    notes += [*contradictions(signals, known), *_slips(known)]
     return signals, raw, known, notes
+
+
+def _slips(mapping: Mapping) -> list[str]:
+    """Return notes on names of signals that resemble one with a fixed meaning."""
+    free = [name for name in SIGNALS if name not in mapping.signals]
+    found = {
+        name: get_close_matches(name, free, 1, LIKE)
+        for name in mapping.signals
+        if name not in SIGNALS
+    }
+    return [
+        f"signal {name} has no fixed meaning: if it is {near[0]}, call it that"
+        for name, near in found.items()
+        if near and not name.startswith(near[0])
+    ]
 
 
 def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, Mapping, list[str]]:

@@ -29,6 +29,9 @@ from rigtool.runfile.importers.raw import (
 
 WHITESPACE = "whitespace"
 
+MINUS = "\u2212"
+"""The minus sign of typesetting, which some programs write for a hyphen."""
+
 MARKS = tuple(
     (delimiter, decimal) for delimiter in (",", ";", "\t", WHITESPACE) for decimal in ".,"
 )
@@ -86,8 +89,24 @@ def read_text(
         )
     marks = marks_of(lines.after(head).text, layout)
     names = split_fields(lines.text[head - 1], marks.delimiter) if named else []
+    if (better := _line_of_names(lines, marks, columns)) is not None and better != head:
+        missing = [column for column in columns if isinstance(column, str) and column not in names]
+        if missing:
+            raise RunFileError(
+                f"{path}: line {lines.number[head - 1]} names no column {missing[0]!r}, line "
+                f"{lines.number[better - 1]} names all: state header_lines = {better} in [file]"
+            )
     raw = read_numbers(path, lines.after(head), marks, columns, names, skip_bad, words)
     return raw, marks.notes(layout)
+
+
+def _line_of_names(lines: Lines, marks: Marks, columns: Sequence[ColumnKey]) -> int | None:
+    """Return which of the first lines, from 1, names all columns that are given by name."""
+    asked = {column for column in columns if isinstance(column, str)}
+    for number, line in enumerate(lines.text[:LOOKED_AT], start=1):
+        if asked and asked <= set(split_fields(line, marks.delimiter)):
+            return number
+    return None
 
 
 @dataclass(frozen=True)
@@ -137,7 +156,11 @@ def _fields(line: str, delimiter: str) -> list[str]:
 
 
 def _plain(field: str, decimal: str) -> str:
-    return field.strip().strip('"').replace(decimal, ".")
+    """Return a field without the quotes around it; one quote alone is a part of a longer field."""
+    text = field.strip()
+    if len(text) > 1 and text[0] == text[-1] == '"':
+        text = text[1:-1]
+    return text.replace(decimal, ".")
 
 
 def read_numbers(
@@ -159,7 +182,12 @@ def read_numbers(
         raise RunFileError(f"{path}: holds no line of numbers: check comment and header_lines")
     delimiter = None if marks.delimiter == WHITESPACE else marks.delimiter
     counts = _field_counts(lines.text, delimiter)
-    usual = len(names) or Counter(counts).most_common(1)[0][0]
+    most = Counter(counts).most_common(1)[0][0]
+    if most == len(names) + 1 > 1 and delimiter is not None:
+        # Some programs end each line, but not the names, with a delimiter.
+        ended = [line.rstrip().endswith(delimiter) for line in lines.text]
+        counts = [n - end for n, end in zip(counts, ended, strict=True)]
+    usual = len(names) or most
     try:
         indices = [_index(path, column, names, usual) for column in columns]
     except RunFileError as error:
@@ -228,10 +256,11 @@ def _translate(
 
 def decode(data: bytes) -> str:
     """Return text: UTF-16 with a byte order mark, else UTF-8 or, for any other bytes, Latin-1."""
+    data = data.removesuffix(b"\x1a")  # the end of a file for DOS
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data.decode("utf-16", "replace")
+        return data.decode("utf-16", "replace").replace(MINUS, "-")
     try:
-        return data.decode("utf-8-sig")
+        return data.decode("utf-8-sig").replace(MINUS, "-")
     except UnicodeDecodeError:
         return data.decode("latin-1")
 

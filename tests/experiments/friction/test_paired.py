@@ -105,6 +105,8 @@ def test_runs_by_the_command(tmp_path):
         assert any("coupling to other joints" in note for note in outcome.notes)
         with pytest.raises(UsageError, match="one recording with one"):
             analyse([unknown, known], tmp_path / "e.h5", against=against)
+        with pytest.raises(UsageError, match="given twice"):
+            analyse([bare], tmp_path / "e.h5", against=against)
         with pytest.raises(UsageError, match="--reference"):
             analyse([unknown], tmp_path / "e.h5", reference=reference)
     with open_run(tmp_path / "d.h5") as stored, pytest.raises(RunFileError, match="no recording"):
@@ -145,3 +147,15 @@ def test_curves_at_constant_speeds(tmp_path):
 
 def test_the_mapping_states_the_gear():
     assert parse_mapping(MAPPING).rig.gear_ratio == 50
+
+
+def test_runs_that_do_not_move_exactly_alike():
+    """A loaded arm that swings 4 % further: what the bare arm needs for that is no change."""
+    sines = ((0.832, 0.2, 0.0), (0.312, 0.53, 1.0))
+    (change,) = changes(arm(0.0, 1), [arm(0.205, 2, noise=0.005, sines=sines)])
+    for name, truth in (("inertia", 0.205 * ARM**2), ("viscous", 0.0), ("coulomb", 0.041)):
+        found, u = change.estimate(name)
+        assert abs(found - truth) < 4 * u
+    viscous, u = change.estimate("viscous")
+    # Without the correction it would be 4 % of 0.3 N m s/rad.
+    assert abs(viscous) < 0.006 > 2 * u

@@ -69,6 +69,10 @@ def test_the_map_is_what_repeats(rig):
         assert found.value == pytest.approx(amplitude, rel=0.05, abs=0)
         assert found.unit == "A"
     with open_run(folder / "map.h5") as run:
+        # two repeats: one degree of freedom of the mean, two of each order
+        dof = run.tables["lookup"].columns["dof"].values
+        assert np.all(dof >= 1)
+        assert np.all(dof <= 2 * 100)
         learned = learned_table_from(run)
         assert learned.unit == "A"
         assert learned.table.period == pytest.approx(2 * np.pi, rel=1e-12, abs=0)

@@ -271,6 +271,11 @@ def test_settings_that_cannot_be_are_mistakes(folder, overrides, message):
         run(IDENTIFY_PLANT, RECIPE, folder / "mistake.h5", *overrides)
 
 
+def test_lines_may_lie_up_to_half_the_sampling_rate():
+    recipe = load_recipe(RECIPE, ["identify_plant.frequency_max=3900"])[0]
+    assert excited_lines(recipe).max() == round(3900 * recipe.identify_plant.period)
+
+
 def test_directions_have_phases_of_their_own():
     """What a function of the position leaves would otherwise be alike in both, and not scatter."""
     recipe = load_recipe(RECIPE, [PULLEY])[0]

@@ -17,7 +17,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import open_serial_rig
 from rigtool.rigs.serial.emulators.faults import Fault, Faults
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.transport.can_frames import Frame, encode
+from rigtool.rigs.serial.transport.can_frames import CanFrame, encode
 from tests.rigs.serial.emulators.vesc import framed
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.test_commands import DRIVES
@@ -81,7 +81,7 @@ def fail(failure, name, world, server, rig):
     elif failure == "mute":
         server._out = Faults((Fault("silence"),), "host", server._act)
     else:
-        heartbeat = encode(Frame(0x705, b"\5"))
+        heartbeat = encode(CanFrame(0x705, b"\5"))
         talk(server.emulator, OTHERS.get(name, heartbeat))
 
 

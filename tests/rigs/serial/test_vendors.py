@@ -1,6 +1,6 @@
 """What the makers' own packages send and name, byte for byte; skipped where they are missing.
 
-    pip install moteus odrive
+    pip install moteus odrive cobs
 
 Frames of moteus 1.1.1 are here as well, so that something is compared everywhere.
 """
@@ -19,6 +19,7 @@ from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.moteus import drive, frames
 from rigtool.rigs.serial.moteus.registers import MODE
 from rigtool.rigs.serial.odrive.text import AXIS_ERRORS_05, AXIS_ERRORS_06
+from rigtool.rigs.serial.target.frames import cobs_decode, cobs_encode
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
 
 SINGLE = st.floats(-1e4, 1e4, width=32)
@@ -128,3 +129,11 @@ def test_errors_of_an_odrive_have_the_names_of_the_makers_package():
     assert named == AXIS_ERRORS_06
     for bit, name in AXIS_ERRORS_05.items():
         assert getattr(found, f"AXIS_ERROR_{name}") == bit
+
+
+@given(st.one_of(st.binary(max_size=40), st.integers(250, 260).map(lambda size: b"x" * size)))
+def test_frames_of_the_target_link_are_those_of_the_package_cobs(data):
+    """A run of 254 bytes ends with a block of its own here, as in the paper; both are read."""
+    cobs = pytest.importorskip("cobs.cobs")
+    assert cobs.decode(cobs_encode(data)) == data
+    assert cobs_decode(cobs.encode(data)) == data

@@ -266,3 +266,52 @@ def test_a_first_sample_that_is_none_is_left_out(tmp_path):
     growing = [f"{2 * i},{7 * i},{0.01 * (i + 1) ** 3:.6f}" for i in range(ROWS)]
     (done,) = take(write(tmp_path / "b.csv", growing), tmp_path / "b.h5").done
     assert done.left_out == 0
+
+
+NAMED = """mapping = 1
+[rig]
+name = "bench"
+[signals]
+time = { column = "t", unit = "s" }
+current = { column = "i", unit = "A" }
+"""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,i\n0,-1,\n1,-2,\n2,-3,\n",
+        "t,i\n0,\u22121\n1,\u22122\n2,\u22123\n",
+        "t,i\r\n0,-1\r\n1,-2\r\n2,-3\r\n\x1a",
+        '"t","i"\n"0","-1"\n"1","-2"\n"2","-3"\n',
+    ],
+)
+def test_what_other_programs_put_around_numbers(tmp_path, text):
+    """A delimiter behind each line, a typeset minus sign, the end of a file for DOS, quotes."""
+    (tmp_path / "a.csv").write_bytes(text.encode())
+    take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED)
+    with open_run(tmp_path / "a.h5") as run:
+        np.testing.assert_array_equal(run.recording("imported").read("current"), [-1, -2, -3])
+
+
+def test_marks_of_thousands_are_no_numbers(tmp_path):
+    """A number in quotes that the delimiter cuts is not its first digit."""
+    (tmp_path / "a.csv").write_text("".join(f'{n},"{n + 1},234.5"\n' for n in range(9)))
+    text = NAMED.replace('"t"', "1").replace('"i"', "2")
+    with pytest.raises(RunFileError, match="column 2 holds '\"1', no number"):
+        take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+
+
+def test_names_further_down_are_found_and_said(tmp_path):
+    (tmp_path / "a.csv").write_text("Oscilloscope\nmodel,7\n\nt,i\n0,1\n1,2\n")
+    with pytest.raises(RunFileError, match=r"line 4 names all: state header_lines = 3"):
+        take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED)
+    text = NAMED.replace("[signals]", "[file]\nheader_lines = 3\n[signals]")
+    take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+
+
+def test_a_name_that_may_be_a_slip_gets_a_note(tmp_path):
+    (tmp_path / "a.csv").write_text("t,i\n0,1\n1,2\n")
+    text = NAMED.replace("current =", "curent =")
+    (done,) = take(tmp_path / "a.csv", tmp_path / "a.h5", text).done
+    assert any("signal curent has no fixed meaning: if it is current" in n for n in done.notes)

@@ -1,0 +1,112 @@
+"""Up to which frequency the amplitude of a torque is right, from what acted and what was read.
+
+With spectra R of the reference and Y of the torque, of n segments with a Hann window,
+
+    H = sum conj(R) Y / sum |R|^2,   g^2 = |sum conj(R) Y|^2 / (sum |R|^2 sum |Y|^2)
+    u(|H|) = |H| sqrt((1 - g^2) / (2 n g^2))
+
+(J. S. Bendat, A. G. Piersol, Random Data, 4th ed. 2010, sections 6.2 and 9.2.4). Segments overlap
+by half; n counts those that do not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SEGMENT = 1.0
+"""Of a segment, s: a Hann window resolves 2 Hz."""
+
+RIGHT = 0.95
+"""Amplitude, relative to the true one, that is right."""
+
+KNOWN = 0.02
+"""Standard uncertainty of an amplitude up to which it counts."""
+
+HIGHEST_HZ = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Sums over `count` segments, at `frequency` (f,) Hz."""
+
+    frequency: Array
+    of_reference: Array
+    of_torque: Array
+    cross: NDArray[np.complex128]
+    count: int
+
+    @classmethod
+    def of(cls, torque: Array, reference: Array, valid: NDArray[np.bool_], rate: float) -> Spectra:
+        """Return the sums of signals (m,) of a rate, Hz; segments that are not all valid do not
+        count."""
+        size = round(SEGMENT * rate)
+        frequency: Array = np.fft.rfftfreq(size, 1 / rate).astype(np.float64)
+        kept = frequency <= HIGHEST_HZ
+        window = np.hanning(size)
+        found = cls.none(frequency[kept])
+        for first in range(0, len(torque) - size + 1, size // 2):
+            part = slice(first, first + size)
+            if not valid[part].all():
+                continue
+            read, acted = (
+                np.fft.rfft(window * (signal[part] - signal[part].mean()))[kept]
+                for signal in (torque, reference)
+            )
+            products = np.abs(acted) ** 2, np.abs(read) ** 2, np.conj(acted) * read
+            found = found.added(cls(found.frequency, *products, 1))
+        return found
+
+    @classmethod
+    def none(cls, frequency: Array) -> Spectra:
+        """Return the sums over no segment."""
+        zero = np.zeros(len(frequency))
+        return cls(frequency, zero, zero, zero.astype(np.complex128), 0)
+
+    def added(self, other: Spectra) -> Spectra:
+        """Return the sums over both."""
+        return Spectra(
+            self.frequency,
+            self.of_reference + other.of_reference,
+            self.of_torque + other.of_torque,
+            self.cross + other.cross,
+            self.count + other.count,
+        )
+
+    def amplitude(self) -> tuple[Array, Array]:
+        """Return |H| and its standard uncertainty (f,); infinite where nothing acted."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.abs(self.cross) / self.of_reference
+            coherence = np.abs(self.cross) ** 2 / (self.of_reference * self.of_torque)
+            u = ratio * np.sqrt((1 - coherence) / (2 * max(self.count / 2, 1) * coherence))
+        return ratio, np.where(np.isfinite(u), u, np.inf)
+
+
+def bandwidth(parts: Sequence[Spectra]) -> tuple[float, float]:
+    """Return up to which frequency the amplitude is `RIGHT`, Hz, and its standard uncertainty.
+
+    That is the highest frequency at which the amplitude is known, or where it falls below. NaN
+    where nothing is known, or already the lowest known amplitude is wrong.
+    """
+    whole = reduce(Spectra.added, parts)
+    ratio, u = whole.amplitude()
+    known = np.flatnonzero((u <= KNOWN) & (whole.frequency > 0))
+    frequency, ratio, u = whole.frequency[known], ratio[known], u[known]
+    if not len(known) or ratio[0] < RIGHT:
+        return math.nan, math.nan
+    spacing = 1 / SEGMENT
+    wrong = np.flatnonzero(ratio < RIGHT)
+    if not len(wrong):
+        return float(frequency[-1]), spacing / math.sqrt(12)
+    after = wrong[0]
+    before = after - 1
+    slope = (ratio[before] - ratio[after]) / (frequency[after] - frequency[before])
+    crossing = frequency[before] + (ratio[before] - RIGHT) / slope
+    return float(crossing), float(math.hypot(u[before] / slope, spacing / math.sqrt(12)))
