@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction.model_doubt import own_part
+from rigtool.experiments.friction.model_doubt import TIME_PARTS, own_part, structure
 from rigtool.experiments.friction.motion_terms import MIN_SAMPLES, SLIDING, band_limit
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_signals
@@ -45,6 +45,13 @@ SAME_MOTION = 0.1
 NOISE = 0.2
 """Largest relative u of a known change: noise alone fitted by p terms has 1/sqrt(p)."""
 
+OVERLAP = 0.5
+"""Part of the shorter run that is compared at least, where the peak of a correlation is not the
+highest."""
+
+FEW_PEAKS = 5
+"""Peaks of the correlation of two motions from which they are aligned: the best fit counts."""
+
 ROUNDS = 20
 """Most steps of the alignment."""
 
@@ -64,7 +71,7 @@ class Signals:
 class Change:
     """Change of `names`' parameters (p,) against the first run, with covariance (p, p) and `dof`.
 
-    `difference` (n,) is that of the efforts at rows `time` (n,) and `position` (n,), `model` (n,)
+    `difference` (n,) is that of the efforts at rows `time`, `position`, `speed` (n,), `model` (n,)
     what the parameters explain of it; rows that are not `used` are near standstill.
     """
 
@@ -75,6 +82,7 @@ class Change:
     shift: float
     time: Array
     position: Array
+    speed: Array
     difference: Array
     model: Array
     used: Mask
@@ -161,7 +169,8 @@ def ratio(change: Change, known: Change) -> tuple[float, float, int]:
             "with a larger one"
         )
     scale = float(seen @ seen) / alike
-    return found, math.sqrt(float(covariance[0, 0])) * scale, dof
+    doubt = _doubt(change.position, change.speed, left, seen[:, None], used)
+    return found, math.hypot(math.sqrt(float(covariance[0, 0])), float(doubt[0])) * scale, dof
 
 
 def _change(
@@ -183,6 +192,8 @@ def _change(
     residual = np.where(used, difference - design @ parameters, 0.0)
     independent = independent_samples(residual, used, lag)
     covariance, dof = long_run_covariance(design, residual, independent)
+    doubt = _doubt(position, other.design[:, TERMS.index("viscous")], residual, design, used)
+    covariance = covariance + np.diag(doubt**2)
     return Change(
         tuple(TERMS[i] for i in chosen),
         parameters,
@@ -191,11 +202,22 @@ def _change(
         shift,
         time,
         position,
+        other.design[:, TERMS.index("viscous")],
         difference,
         other.design[:, chosen] @ parameters,
         used,
         independent,
     )
+
+
+def _doubt(position: Array, speed: Array, residual: Array, design: Array, used: Mask) -> Array:
+    """Return the uncertainty (p,) from what is a function of position, or of speed, in residuals:
+    ripple or friction that differ by how far the runs did not move alike."""
+    times = np.arange(len(used)) * TIME_PARTS // len(used)
+    kept = residual[used], design[used], times[used]
+    by_position, by_speed = (structure(over[used], *kept)[1] for over in (position, speed))
+    found: Array = np.hypot(by_position, by_speed)
+    return found
 
 
 def _separated(design: Array) -> list[int]:
@@ -266,26 +288,42 @@ def _even(run: Signals) -> tuple[Array, Array, Array, Array | None, Mask]:
 
 def _shift(time: Array, position: Array, other: Array, moved: Array) -> float:
     """Return the time by which another run is later at the same point of the motion, s."""
-    from scipy.signal import correlate
+    from scipy.signal import correlate, find_peaks
 
     step = float(time[1] - time[0])
     again = np.interp(np.arange(other[0], other[-1], step), other, moved)
     theirs, ours = (np.gradient(values) for values in (again, position))
     found = correlate(theirs - theirs.mean(), ours - ours.mean(), method="fft")
-    shift = (int(np.argmax(found)) - (len(position) - 1)) * step
-    # The peak leans towards more overlap: least squares of the positions from there.
+    peaks = find_peaks(found, distance=max(1, len(position) // FEW_PEAKS**2))[0]
+    highest = peaks[np.argsort(-found[peaks])[:FEW_PEAKS]]
+    tried = [
+        _refined(time, position, other, moved, (int(peak) - (len(position) - 1)) * step)
+        for peak in [int(np.argmax(found)), *highest]
+    ]
+    return min(tried, key=lambda found: found[0])[1]  # the first one where none overlaps enough
+
+
+def _refined(
+    time: Array, position: Array, other: Array, moved: Array, shift: float
+) -> tuple[float, float]:
+    """Return the rms distance of positions after least squares from a shift, s, and that shift.
+
+    The peak of a correlation leans towards more overlap.
+    """
+    step, rms = float(time[1] - time[0]), math.inf
     for _ in range(ROUNDS):
         here = time[(time + shift >= other[0]) & (time + shift <= other[-1])]
-        if len(here) < MIN_SAMPLES:
-            break
+        if len(here) < max(MIN_SAMPLES, OVERLAP * min(len(time), len(other))):
+            return math.inf, shift
         apart = np.interp(here + shift, other, moved) - np.interp(here, time, position)
         slope = np.gradient(np.interp(here, time, position), step)
         slope = slope - slope.mean()
+        rms = float(np.std(apart))
         more = float(slope @ (apart - apart.mean())) / max(float(slope @ slope), 1e-300)
         shift -= more
         if abs(more) < 1e-4 * step:
             break
-    return shift
+    return rms, shift
 
 
 def _require_same(position: Array, other: Array) -> None:

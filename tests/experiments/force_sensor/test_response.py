@@ -42,3 +42,11 @@ def test_what_has_no_value_does_not_count():
     torque[10_000:20_000], valid[10_000:20_000] = 0.0, False
     assert bandwidth([spectra(torque, reference, valid)])[0] == pytest.approx(100.0)
     assert np.isnan(bandwidth([spectra(torque, reference, ~valid)])[0])
+
+
+def test_what_is_no_part_of_the_reference_changes_no_amplitude():
+    reference, noise = np.random.default_rng(6).standard_normal((2, 60_000))
+    ratio, u = spectra(0.97 * reference + 0.3 * noise, reference).amplitude()
+    assert ratio[1:].mean() == pytest.approx(0.97, abs=0.01)
+    # error over u, of 100 frequencies of which neighbours share the window
+    assert np.sqrt(np.mean(((ratio[1:] - 0.97) / u[1:]) ** 2)) == pytest.approx(1.0, abs=0.35)
