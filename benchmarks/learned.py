@@ -1,13 +1,15 @@
 """How well torque over time is known with what was learned, beside an estimator that knows all.
 
     .venv/bin/python benchmarks/learned.py [--seeds 1] [--jobs 2] [--rig thesis] [--duration 60]
+        [--tables build/learned]
 
 Each rig is calibrated and learned (`calibrate-kt`, `ilc-learn --implementation D`) as its owner
 would, then it moves while contacts touch it; the same recordings are read by the oracle of
 `oracle.py`. Printed are learned parameters over true ones, then errors of both in mN m, and their
 ratio, by motion, form, bandwidth and state; `cover` is the share of errors within 1.96 standard
 deviations, for what was learned within 1.96 u. With `--power-cycle 1` the rig moves with
-other ripple of the amplifier than was learned. The warm rig was learned at room temperature.
+other ripple of the amplifier than was learned. The warm rig was learned at room temperature. Runs
+of `calibrate-kt` and `ilc-learn` that `--tables` holds are taken as they are, and kept there.
 """
 
 from __future__ import annotations
@@ -87,8 +89,8 @@ COMPARED = (
 
 
 def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, float, Reach]:
-    """Calibrate and learn a rig; return its model, N m/A at the temperature of its use, and a reach
-    without limits."""
+    """Calibrate and learn a rig, but for runs in the folder; return its model, N m/A at the
+    temperature of its use, and a reach without limits."""
     sets = () if rig == WARM else RIGS[rig]
     kt, tables = folder / "kt.h5", folder / "tables.h5"
     implementation = "ilc_learn.implementation=D"
@@ -99,8 +101,10 @@ def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, float, Reach
             runs = {name: stack.enter_context(open_run(path)) for name, path in inputs.items()}
             run_command(procedure, [str(RECIPE)], str(output), options=options, inputs=runs)
 
-    run(CALIBRATE_KT, kt)
-    run(ILC_LEARN, tables, implementation, kt=kt)
+    if not kt.exists():
+        run(CALIBRATE_KT, kt)
+    if not tables.exists():
+        run(ILC_LEARN, tables, implementation, kt=kt)
     recipe, _ = load_recipe(RECIPE, list(RIGS[rig]))
     assert recipe.virtual is not None
     with open_run(tables) as stored, open_run(kt) as calibration:
@@ -149,8 +153,8 @@ def read(
     causal = Filter(*filtered).add(signals)
     torque, deviation = smoothed(*filtered, signals)
     power_up = PowerUp(model, step_time, band)
-    ripple, variance = power_up.add(causal.low + signals.width / 2, causal.states)
-    later, later_variance = power_up.whole(causal.low + signals.width / 2, torque)
+    ripple, variance, _ = power_up.add(causal.low + signals.width / 2, causal.states)
+    later, later_variance, _ = power_up.whole(causal.low + signals.width / 2, torque)
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
     judge = Judge(reach, signals.width, step_time)
     moments = Moments(causal.low, *moving, torque, zeros, zeros)
@@ -197,10 +201,19 @@ Found = tuple[str, dict[str, float], dict[Key, Score], dict[Key, Score]]
 """Rig, learned parameters over true ones, scores of what was learned and of the oracle."""
 
 
-def measured(rig: str, seed: int, duration: float, power_cycle: int) -> Found:
+def learned_in(store: Path | None, rig: str, seed: int) -> tuple[ForceModel, float, Reach]:
+    """Return `learned` from a store by rig and seed, which it keeps, or from nothing."""
+    if store is None:
+        with tempfile.TemporaryDirectory() as folder:
+            return learned(rig, seed, Path(folder))
+    own = store / f"{rig}-{seed}"
+    own.mkdir(parents=True, exist_ok=True)
+    return learned(rig, seed, own)
+
+
+def measured(rig: str, seed: int, duration: float, power_cycle: int, store: Path | None) -> Found:
     """Learn one rig, move it, and score both estimators."""
-    with tempfile.TemporaryDirectory() as folder:
-        model, torque_constant, reach = learned(rig, seed, Path(folder))
+    model, torque_constant, reach = learned_in(store, rig, seed)
     own: dict[Key, Score] = {}
     oracle: dict[Key, Score] = {}
     for motion in MOTIONS:
@@ -264,9 +277,10 @@ def main() -> None:
     parser.add_argument("--rig", choices=RIGS, action="append")
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--power-cycle", type=int, default=0, help="of the amplifier; learned at 0")
+    parser.add_argument("--tables", type=Path, help="folder that keeps what was learned")
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    how = arguments.duration, arguments.power_cycle
+    how = arguments.duration, arguments.power_cycle, arguments.tables
     work = [(rig, seed, *how) for rig in arguments.rig or RIGS for seed in seeds]
     with ProcessPoolExecutor(arguments.jobs) as pool:
         print_table(list(pool.map(measured, *zip(*work, strict=True))))

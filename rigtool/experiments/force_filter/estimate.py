@@ -4,6 +4,10 @@ A step of the filter is `step_samples` samples long; its angle is that of the fi
 it, so that step k is the estimate at the end of its samples. Both forms have the same equations
 (`plant`, `kalman`); the smoothed one runs them backwards (`smoother`, Bryson and Frazier 1963),
 each time over `BLOCK` and the `AHEAD` that follows it.
+
+A step of the torque shows some time after it began. What is smoothed is therefore filtered once
+more, with the noise of the torque open `BEFORE` it showed (`Again`): a random walk without jumps
+spreads a load that comes at rest over the rest before it.
 """
 
 from __future__ import annotations
@@ -22,6 +26,9 @@ from rigtool.numerics.arrays import Array
 
 PIECE = 8192
 """Steps that are filtered at a time where the smoother keeps what the filter did."""
+
+BEFORE = 30e-3
+"""Time that a change of the torque takes to show, s."""
 
 BLOCK, AHEAD = 64.0, 20.0
 """Time that is smoothed at once, and what must follow it, s: with 20 s, what follows later changes
@@ -45,8 +52,8 @@ class Signals:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimate after each of m steps: all states (m, 12); the torque behind the low-pass, and its
-    deviation, (m, 2) N m.
+    """Estimate after each of m steps: all states (m, 12); the torque behind the low-pass, its
+    deviation, both N m, and the level of the torque's noise, (m, 3).
 
     `low` (m,) rad is the count's edge after each, `kept` what the smoother needs of the steps,
     None where it was not asked for.
@@ -88,8 +95,19 @@ class Filter:
         self._waiting: Signals | None = None
         self._state: NDArray[np.void] | None = None
 
-    def add(self, signals: Signals, *, keep: bool = False) -> Estimate:
-        """Return the estimate after every step that these samples complete, m of them."""
+    def add(
+        self,
+        signals: Signals,
+        *,
+        keep: bool = False,
+        less: Array | None = None,
+        least: Array | None = None,
+    ) -> Estimate:
+        """Return the estimate after every step that these samples complete, m of them.
+
+        `less` (m,) N m is taken off the drive torque in each; `least` (m,) are the lowest levels of
+        the torque's noise.
+        """
         if self._waiting is not None:
             signals = _joined(self._waiting, signals)
         if self._state is None and signals.low.size:
@@ -99,23 +117,59 @@ class Filter:
         self._waiting = _part(signals, count * size, None)
         kept = smoother.room(count) if keep else None
         low = np.ascontiguousarray(signals.low[size : count * size + 1 : size])
-        found = Estimate(np.empty((count, STATES)), np.empty((count, 2)), low, kept)
+        found = Estimate(np.empty((count, STATES)), np.empty((count, 3)), low, kept)
         if self._state is None or not count:
             return found
+        torque = signals.drive_torque[: count * size].reshape(count, size)
         kalman.run(
             self._state,
             as_record(self._plant),
             as_record(self._uncertainty),
             self._plant.friction_map,
-            signals.drive_torque[: count * size].reshape(count, size),
+            torque if less is None else torque - less[:, None],
             signals.viscous[: count * size].reshape(count, size),
             low,
             signals.width,
             self._low_pass,
+            np.zeros(count) if least is None else np.ascontiguousarray(least[:count]),
             found.states,
             found.outputs,
             kept,
         )
+        return found
+
+
+class Again:
+    """The filter once more, `BEFORE` behind, for the smoother; samples are added as they come."""
+
+    def __init__(
+        self, plant: Plant, uncertainty: Uncertainty, step_samples: int, bandwidth_hz: float
+    ) -> None:
+        self._filter = Filter(plant, uncertainty, step_samples, bandwidth_hz)
+        self._size = step_samples
+        self._behind = max(1, round(BEFORE / (step_samples * plant.sample_time)))
+        self._signals: Signals | None = None
+        self._levels = np.empty(0)
+        self._begun = False
+
+    def add(self, signals: Signals, estimate: Estimate, *, last: bool = False) -> Estimate:
+        """Take samples and the steps that they complete in the first filter; return the steps that
+        are far enough back, or all after the `last` ones, with what the smoother needs."""
+        from scipy.ndimage import maximum_filter1d
+
+        if self._signals is not None:
+            signals = _joined(self._signals, signals)
+        levels = np.concatenate([self._levels, estimate.outputs[:, 2]])
+        behind = self._behind
+        count = max(0, len(levels) - (0 if last else behind))
+        # the highest of a level and those that follow it
+        highest = maximum_filter1d(
+            np.append(levels, np.zeros(behind)), behind + 1, origin=-(behind + 1) // 2 + 1
+        )
+        end = count * self._size + (0 if self._begun or not count else 1)
+        found = self._filter.add(_part(signals, 0, end), keep=True, least=highest[:count])
+        self._begun = self._begun or count > 0
+        self._signals, self._levels = _part(signals, end, None), levels[count:]
         return found
 
 
@@ -183,12 +237,14 @@ def smoothed(
     if signals.low.size <= step_samples:
         raise ValueError(f"{signals.low.size} samples are less than a step of {step_samples}")
     causal = Filter(plant, uncertainty, step_samples, bandwidth_hz)
+    again = Again(plant, uncertainty, step_samples, bandwidth_hz)
     step_time = step_samples * plant.sample_time
     later = Smoother(uncertainty, step_time)
     found = []
     for first in range(0, signals.low.size, PIECE * step_samples):
         piece = _part(signals, first, first + PIECE * step_samples)
-        found.append(later.add(causal.add(piece, keep=True)))
+        last = first + PIECE * step_samples >= signals.low.size
+        found.append(later.add(again.add(piece, causal.add(piece), last=last)))
     found.append(later.finish())
     torque, deviation = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return torque, without_delay(deviation, bandwidth_hz, step_time)

@@ -126,6 +126,12 @@ def begin(plant: Plant, uncertainty: Uncertainty, low: float, width: float) -> N
 
 
 @compiled
+def _level(s: Record) -> float:
+    """Return the level of the torque's noise: 0 quiet, 1 a slow change, 2 a step."""
+    return 2.0 if s.step_left > 0.0 else 1.0 if s.slow_left > 0.0 else 0.0
+
+
+@compiled
 def _propagate(rows: Array, covariance: Array, work: Array) -> None:
     """Let work (7, 12) = Phi P, and the covariance of the moving states Phi P Phi'."""
     for i in range(MOVING_STATES):
@@ -151,8 +157,12 @@ def _predict(
     low_pass: Array,
     rows: Array,
     work: Array,
+    least: float,
 ) -> bool:
-    """Advance mean and covariance by one step of len(torque) samples; whether a stroke began."""
+    """Advance mean and covariance by one step of len(torque) samples; whether a stroke began.
+
+    The torque's noise has the level `least`, at least.
+    """
     x, covariance = s.mean, s.covariance
     span = len(torque) * p.sample_time
     for i in range(STATES):
@@ -176,10 +186,11 @@ def _predict(
             covariance[j, NOISE] = covariance[NOISE, j]
     covariance[NOISE, NOISE] *= kept * kept
     covariance[NOISE, NOISE] += u.friction_noise**2 * (1.0 - kept * kept)
+    level = max(least, _level(s))
     walk = u.torque_rate
-    if s.step_left > 0.0:
+    if level > 1.0:
         walk = u.step_torque_rate
-    elif s.slow_left > 0.0:
+    elif level > 0.0:
         walk = u.slow_torque_rate
     s.step_left -= span
     s.slow_left -= span
@@ -253,26 +264,31 @@ def run(
     low: Array,
     width: float,
     low_pass: Array,
+    least: Array,
     means: Array,
     outputs: Array,
     steps: tuple[Array, ...] | None,
 ) -> None:
     """Filter m steps; `torque`, `viscous` (m, samples a step), `low` (m,) of the angle after each.
 
-    `means` (m, 12) receive the states after each step, `outputs` (m, 2) the torque behind
-    `low_pass` (3, 3) and its deviation; `steps`, where it is not None, what `smoother.room` makes
-    room for.
+    `least` (m,) are the lowest levels of the torque's noise. `means` (m, 12) receive the states
+    after each step, `outputs` (m, 3) the torque behind `low_pass` (3, 3), its deviation, and the
+    level of noise that the next step has by itself; `steps`, where it is not None, what
+    `smoother.room` makes room for.
     """
     s, p, u = state[0], plant[0], uncertainty[0]
     rows, work = np.empty((STATES, STATES)), np.empty((MOVING_STATES, STATES))
     column, row = np.empty(STATES), np.empty(STATES)
     span = torque.shape[1] * p.sample_time
     for k in range(torque.shape[0]):
-        began = _predict(s, p, u, friction_map, torque[k], viscous[k], low_pass, rows, work)
+        began = _predict(
+            s, p, u, friction_map, torque[k], viscous[k], low_pass, rows, work, least[k]
+        )
         moved, informed, before = _update(s, u, low[k], width, span, column)
         _copy(s.mean, means[k])
         mean, spread = passed.output(s, low_pass, row)
         outputs[k, 0], outputs[k, 1] = mean, math.sqrt(max(spread, 0.0))
+        outputs[k, 2] = _level(s)
         if steps is not None:
             derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
             for i in range(MOVING_STATES):

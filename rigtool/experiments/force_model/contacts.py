@@ -7,15 +7,20 @@ first-order low-pass of `LAG`:
     jump    |M(t) - M(t - WINDOW)|       errors that last longer than the window cancel
     level   |M(t)| / u(t)                what comes slowly; u is the filter's deviation of M
 
+Where a part of M is in doubt by d (ripple of another power-up), the level's u is sqrt(u^2 + d^2),
+and a jump counts by u over that: as much as u, it is what errors of a jump are in proportion to.
+
 Errors depend on the `Motion`: steady motion, within `AFTER` of a reversal, and rest. In each, the
 highest values in blocks of WINDOW (longer than the errors of a jump remember) where nothing touches
 give the threshold of a test at a rate of false alarms: an exponential tail above the quantile t at
-`TAIL`, m the mean of what exceeds it (J. Pickands, Ann. Stat. 3(1) 119-131, 1975, shape 0):
+`TAIL` (J. Pickands, Ann. Stat. 3(1) 119-131, 1975, shape 0), whose mean m is known from the n
+values that exceed it alone (predictive distribution; prior 1 / m):
 
-    P(x > t + y) = (1 - TAIL) exp(-y / m)
+    P(x > t + y) = (1 - TAIL) (1 + y / (n m))^-n
 
-A contact begins where M passed half of what it was when it was found, and ends where M falls below
-half of its mean so far, which is as likely to be no contact as that mean.
+A contact begins where M passed half of the highest value in WINDOW from where it was found, there
+at the latest, and ends where M falls below half of its mean so far, which is as likely to be no
+contact as that mean.
 """
 
 from __future__ import annotations
@@ -87,8 +92,17 @@ class Contact:
     end: int
 
 
-def trial(torque: Array, deviation: Array, states: States, step_time: float) -> Trial:
-    """Return the tests of a stretch from what the filter without contacts gives, N m; (m,)."""
+def trial(
+    torque: Array,
+    deviation: Array,
+    states: States,
+    step_time: float,
+    doubt: Array | float = 0.0,
+) -> Trial:
+    """Return the tests of a stretch from what the filter without contacts gives, N m; (m,).
+
+    `doubt` N m is the standard deviation of what was taken off its torque.
+    """
     from scipy.signal import lfilter
 
     kept = math.exp(-step_time / LAG)
@@ -96,12 +110,14 @@ def trial(torque: Array, deviation: Array, states: States, step_time: float) -> 
     window = round(WINDOW / step_time)
     jump: Single = np.zeros(len(smooth), dtype=np.float32)
     jump[window:] = smooth[window:] - smooth[: len(smooth) - window]
+    whole = np.hypot(deviation, doubt)
+    jump *= deviation / whole
     motion = np.full(len(smooth), Motion.STEADY, dtype=np.int32)
     motion[_lately(states == State.REVERSED, round(AFTER / step_time))] = Motion.REVERSED
     motion[states == State.STILL] = Motion.STILL
     motion[_lately(states == State.OUTSIDE, window)] = -1
     motion[: round(SETTLING / step_time)] = -1
-    level: Single = np.divide(smooth, deviation, dtype=np.float32)
+    level: Single = np.divide(smooth, whole, dtype=np.float32)
     return Trial(smooth, jump, level, motion, step_time)
 
 
@@ -143,13 +159,15 @@ def _exceeded(values: Array, probability: float) -> float:
     beyond = values[values > start] - start
     if not len(beyond):
         return start
-    return start + float(beyond.mean()) * math.log((1 - TAIL) / probability)
+    count = len(beyond)
+    return start + float(beyond.sum()) * (((1 - TAIL) / probability) ** (1 / count) - 1)
 
 
 def contacts(test: Trial, limits: Array) -> list[Contact]:
     """Return the contacts in a stretch, by thresholds (3, 2) as `thresholds` gives them."""
     longest = round(STROKE / test.step_time)
-    rows = _contacts(test.torque, test.jump, test.level, test.motion, limits, longest)
+    window = round(WINDOW / test.step_time)
+    rows = _contacts(test.torque, test.jump, test.level, test.motion, limits, window, longest)
     return [Contact(*row) for row in rows]
 
 
@@ -160,6 +178,7 @@ def _contacts(
     level: Single,
     motion: NDArray[np.int32],
     limits: Array,
+    window: int,
     longest: int,
 ) -> list[tuple[int, int, int]]:
     rows = []
@@ -182,7 +201,8 @@ def _contacts(
         if not rises and (ending or not high):
             continue
         found, side, begin = k, np.sign(torque[k]), k
-        while begin > max(0, k - longest) and side * torque[begin - 1] > abs(torque[k]) / 2.0:
+        half = (side * torque[k : k + window + 1]).max() / 2.0
+        while begin > max(0, k - longest) and side * torque[begin - 1] > half:
             begin -= 1
         total = abs(torque[k])
     if found >= 0:

@@ -2,21 +2,28 @@
 
     u^2 = (c s)^2 + (g M)^2,   s the filter's deviation, M the torque on the output
 
-c and g of each kind of motion (`Judge.kinds`) are those under which the errors e under known loads
-are most likely, all that lies within `INDEPENDENT` as one, with log c ~ N(0, S^2):
+c and g of each kind of motion (`Judge.kinds`) are those whose 95 % intervals, half as wide as
+h = 1.96 u, have the least score under known loads with errors e (T. Gneiting, A. E. Raftery, J. Am.
+Stat. Assoc. 102(477) 359-378, 2007, section 6.2), in units of s:
 
-    sum of (log u^2 + e^2 / u^2) / 2 + (log c)^2 / (2 S^2)
+    sum of (2 h + (2 / 0.05) max(|e| - h, 0)) / s
 
-While the rotor slides, s follows from hundreds of strokes, so that S is small there.
+c is from errors without load, or from all where these are too few, and g from all, given c. The
+score is least where 95 % of the errors are within h, whatever their tails: friction's are heavy
+after reversals and at rest. All that lies within `INDEPENDENT` counts as one error; normal errors
+of deviation s, `EXPECTED` in number, count besides. While the rotor slides, s follows from hundreds
+of strokes, so that they are many there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import CREEPING, KINDS, State, States
 from rigtool.numerics.arrays import Array
 
@@ -26,8 +33,11 @@ APART = 20e-3
 INDEPENDENT = 1.0
 """Time that one independent error is worth, s: a stroke's own friction is one error."""
 
-SPREAD, SLIDING_SPREAD = 0.5, 0.1
-"""Prior standard deviation S of log c, and S while the rotor slides."""
+EXPECTED, SLIDING_EXPECTED = 2.0, 50.0
+"""Errors of deviation s that count as if they had been seen; while the rotor slides."""
+
+COVERAGE = 0.95
+"""Of an interval that is `COVERAGE_FACTOR` u wide to either side."""
 
 FEWEST = 100
 """Compared steps of a kind without which its factors are those of all kinds."""
@@ -35,11 +45,8 @@ FEWEST = 100
 TOGETHER = ((State.AGAINST, State.WITH), (State.REVERSED,), (State.STILL,), (CREEPING,))
 """Kinds that have one c and g."""
 
-STARTS = (0.003, 0.1)
-"""Values of g at which the search begins."""
-
-BOUNDS = ((np.log(0.2), np.log(20.0)), (np.log(1e-4), np.log(1.0)))
-"""Bounds of log c and log g."""
+FACTORS, SHARES, GRID, PRECISION = (0.2, 20.0), (1e-4, 1.0), 12, 1e-3
+"""Between which c and g are, how many of each are tried first, and the precision of the search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,42 +78,54 @@ def scales(parts: Sequence[Errors]) -> Array:
     of_all: dict[float, Array] = {}
     for together in TOGETHER:
         chosen = np.isin(kinds, together)
-        spread = SLIDING_SPREAD if State.AGAINST in together else SPREAD
+        expected = SLIDING_EXPECTED if State.AGAINST in together else EXPECTED
         if chosen.sum() >= FEWEST:
-            own = _of_both(error[:, chosen], deviation[:, chosen], torque[chosen], spread)
+            own = _of_both(error[:, chosen], deviation[:, chosen], torque[chosen], expected)
         else:
-            if spread not in of_all:
-                of_all[spread] = _of_both(error, deviation, torque, spread)
-            own = of_all[spread]
+            if expected not in of_all:
+                of_all[expected] = _of_both(error, deviation, torque, expected)
+            own = of_all[expected]
         found[:, list(together)] = own[:, None]
     return found
 
 
-def _of_both(error: Array, deviation: Array, torque: Array, spread: float) -> Array:
+def _of_both(error: Array, deviation: Array, torque: Array, expected: float) -> Array:
     """Return c and g of smoothed and of causal torque, (2, 2)."""
     pairs = zip(error, deviation, strict=True)
-    return np.stack([_most_likely(*own, torque, spread) for own in pairs])
+    return np.stack([_of_least_score(*own, torque, expected) for own in pairs])
 
 
-def _most_likely(error: Array, deviation: Array, torque: Array, spread: float) -> Array:
+def _of_least_score(error: Array, deviation: Array, torque: Array, expected: float) -> Array:
     """Return c and g, (2,), of errors (n,)."""
-    from scipy.optimize import minimize
+    errors, loads = np.abs(error / deviation), np.abs(torque / deviation)
+    free = loads == 0
+    if free.sum() < FEWEST:
+        free[:] = True
 
-    squares, of_error = np.stack([deviation**2, torque**2]), error**2
+    own = errors[free]
+    factor = _least(lambda c: _score(own, np.full(len(own), c), expected, c), *FACTORS)
+    share = _least(lambda g: _score(errors, np.hypot(factor, g * loads)), *SHARES)
+    return np.array([factor, share])
 
-    def cost(logs: Array) -> tuple[float, Array]:
-        """Return the cost, and its slopes along log c and log g."""
-        scaled = np.exp(2 * logs)
-        variance = scaled @ squares
-        relative = of_error / variance
-        unlikely = np.sum(np.log(variance) + relative) * APART / INDEPENDENT
-        slopes = scaled * (squares @ ((1 - relative) / variance)) * APART / INDEPENDENT
-        slopes[0] += logs[0] / spread**2
-        return float(0.5 * unlikely + 0.5 * (logs[0] / spread) ** 2), slopes
 
-    tried = (
-        minimize(cost, np.log([1.0, share]), jac=True, method="L-BFGS-B", bounds=BOUNDS)
-        for share in STARTS
-    )
-    found: Array = np.exp(np.asarray(min(tried, key=lambda one: one.fun).x, dtype=np.float64))
-    return found
+def _score(errors: Array, u: Array, expected: float = 0.0, factor: float = 1.0) -> float:
+    """Return the score of errors (n,), and of those that are expected, with a factor for u."""
+    half, edge, penalty = COVERAGE_FACTOR * u, COVERAGE_FACTOR * factor, 2 / (1 - COVERAGE)
+    seen = float(np.sum(2 * half + penalty * np.maximum(errors - half, 0))) * APART / INDEPENDENT
+    density = math.exp(-(edge**2) / 2) / math.sqrt(2 * math.pi)
+    beyond = density - edge * math.erfc(edge / math.sqrt(2)) / 2
+    return seen + expected * (2 * edge + penalty * 2 * beyond)
+
+
+def _least(score: Callable[[float], float], low: float, high: float) -> float:
+    """Return where between two values a score is least, searched by its logarithm."""
+    from scipy.optimize import minimize_scalar
+
+    def at(x: float) -> float:
+        return score(math.exp(x))
+
+    grid = np.linspace(math.log(low), math.log(high), GRID).tolist()
+    best = min(range(GRID), key=lambda n: at(grid[n]))
+    around = grid[max(best - 1, 0)], grid[min(best + 1, GRID - 1)]
+    found = minimize_scalar(at, bounds=around, method="bounded", options={"xatol": PRECISION})
+    return math.exp(found.x)

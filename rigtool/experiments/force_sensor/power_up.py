@@ -92,8 +92,8 @@ STATE = np.dtype(
 class PowerUp:
     """Follows the ripple of a recording without a gap; steps are added as they come.
 
-    Both methods return what ripple adds to the torque on the output after each of m steps, and its
-    variance, N m and N2 m2.
+    Both methods return what ripple adds to the torque on the output after each of m steps, its
+    variance, N m and N2 m2, and what it takes off the drive torque, N m, not low-passed.
     """
 
     def __init__(self, model: ForceModel, step_time: float, bandwidth_hz: float) -> None:
@@ -122,7 +122,7 @@ class PowerUp:
         other: float = self._state["other"][0]
         return 1 / (1 + math.exp(-other))
 
-    def add(self, angle: Array, states: Array) -> tuple[Array, Array]:
+    def add(self, angle: Array, states: Array) -> tuple[Array, Array, Array]:
         """Return them from these steps and those before, torque behind the low-pass (m,).
 
         `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter.
@@ -131,7 +131,7 @@ class PowerUp:
         sliding = states[:, HOUSING] * way >= SLIDING
         return self._followed(self._state, angle, states[:, TORQUE], sliding)
 
-    def whole(self, angle: Array, torque: Array) -> tuple[Array, Array]:
+    def whole(self, angle: Array, torque: Array) -> tuple[Array, Array, Array]:
         """Return them from all that was added, at its steps again: (m,) not low-passed.
 
         `angle` (m,) rad as before, `torque` (m,) N m from the whole recording.
@@ -142,11 +142,12 @@ class PowerUp:
 
     def _followed(
         self, state: NDArray[np.void], angle: Array, torque: Array, sliding: NDArray[np.bool_]
-    ) -> tuple[Array, Array]:
-        found = np.empty((len(angle), 2))
+    ) -> tuple[Array, Array, Array]:
+        found = np.empty((3, len(angle)))
         torque = np.ascontiguousarray(torque)
         _follow(state, self._parameters, self._low_pass, angle, torque, sliding, found)
-        return found[:, 0], found[:, 1]
+        ripple, variance, less = found
+        return ripple, variance, less
 
 
 def row_steps(step_time: float) -> int:
@@ -177,7 +178,7 @@ def _follow(
     sliding: NDArray[np.bool_],
     found: Array,
 ) -> None:
-    """Advance by m steps; `found` (m, 2) receives ripple and variance.
+    """Advance by m steps; `found` (3, m) receives ripple, variance and drive torque.
 
     Where `sliding` is given, it learns, and ripple passes the low-pass.
     """
@@ -200,12 +201,13 @@ def _follow(
             mean += p.factor * s.waves[i] * s.mean[i]
             for j in range(WAVES):
                 variance += p.factor**2 * s.waves[i] * s.waves[j] * s.covariance[i, j]
-        found[k, 1] = weight * variance + weight * (1.0 - weight) * mean * mean
-        found[k, 0] = weight * mean
+        found[0, k] = weight * mean
+        found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
+        found[2, k] = weight * mean / p.factor
         if sliding.shape[0]:
             first, second = s.passed
-            found[k, 0] = low_pass[2, 0] * first + low_pass[2, 1] * second
-            found[k, 0] += low_pass[2, 2] * weight * mean
+            found[0, k] = low_pass[2, 0] * first + low_pass[2, 1] * second
+            found[0, k] += low_pass[2, 2] * weight * mean
             for i in range(2):
                 s.passed[i] = low_pass[i, 0] * first + low_pass[i, 1] * second
                 s.passed[i] += low_pass[i, 2] * weight * mean

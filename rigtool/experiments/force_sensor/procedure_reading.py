@@ -6,7 +6,7 @@ Memory holds what was read, a few numbers a step, and no samples.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.estimate import (
     PIECE,
-    Estimate,
     Filter,
-    Signals,
     Smoother,
     without_delay,
 )
@@ -33,7 +31,7 @@ from rigtool.experiments.force_sensor.results_over_time import (
     Recorded,
     steps_of_a_row,
 )
-from rigtool.experiments.force_sensor.sensor import Instrument, Sensor
+from rigtool.experiments.force_sensor.sensor import Instrument, Sensed, Sensor
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
@@ -157,7 +155,8 @@ class _Stretch:
         self._name, self._instrument, self._workers = name, instrument, workers
         self._began = began - instrument.interval / 2
         self._every = steps_of_a_row(step_time, instrument.bandwidth_hz)
-        self._sensor = Sensor(instrument, keep=True)
+        self._sensor = Sensor(instrument)
+        self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._untouched: Filter | None = None
         if np.isfinite(instrument.model.limits).any():
@@ -189,9 +188,9 @@ class _Stretch:
             self._keep("reference", reference)
         before = self._waiting
         self._waiting = sensed.moments if before is None else before.joined(before, sensed.moments)
-        self._later = [self._workers.submit(self._smooth, self._smoother.add, estimate)]
+        self._later = [self._workers.submit(self._smooth, sensed, last)]
         if self._untouched is not None:
-            self._later.append(self._workers.submit(self._test, self._untouched, sensed.signals))
+            self._later.append(self._workers.submit(self._test, self._untouched, sensed))
 
     def _keep(self, name: str, values: NDArray[Any]) -> None:
         """Keep values behind those that were kept, in memory of the whole stretch's size that is
@@ -207,15 +206,22 @@ class _Stretch:
         for task in self._later:
             task.result()
 
-    def _test(self, untouched: Filter, signals: Signals) -> None:
+    def _test(self, untouched: Filter, sensed: Sensed) -> None:
         """Keep what the tests for contacts look at."""
-        other = untouched.add(signals)
+        other = untouched.add(sensed.signals, less=sensed.less)
+        self._keep("doubt", sensed.doubt)
         self._keep("untouched", other.torque)
         self._keep("untouched_u", other.deviation)
 
-    def _smooth(self, smoothed: Callable[..., tuple[Array, Array]], *estimate: Estimate) -> None:
-        """Smooth the steps that wait the longest, and give them their states."""
-        torque, deviation = smoothed(*estimate)
+    def _smooth(self, sensed: Sensed, last: bool) -> None:
+        """Smooth the steps that wait the longest."""
+        kept = self._again.add(sensed.signals, sensed.estimate, last=last)
+        self._judged(*self._smoother.add(kept))
+        if last:
+            self._judged(*self._smoother.finish())
+
+    def _judged(self, torque: Array, deviation: Array) -> None:
+        """Keep smoothed steps, and give them their states."""
         if not len(torque):
             return
         assert self._waiting is not None
@@ -238,7 +244,6 @@ class _Stretch:
         referred = "reference" in self._found
         self.add(np.empty((4 if referred else 3, 0)), last=True)
         self._settle()
-        self._smooth(self._smoother.finish)
         step_time, every = self._instrument.grid.step_time, self._every
         if self._steps * step_time < SHORTEST:
             return []
@@ -280,14 +285,15 @@ class _Stretch:
             return ()
         torque, deviation = self._taken("untouched"), self._taken("untouched_u")
         states = self._found["causal_states"][: self._steps]
-        tested = trial(torque, deviation, states, self._instrument.grid.step_time)
+        doubt, step_time = self._taken("doubt"), self._instrument.grid.step_time
+        tested = trial(torque, deviation, states, step_time, doubt)
         return tuple(contacts(tested, self._instrument.model.limits))
 
     def _whole(self) -> tuple[Array, Array]:
         """Return the torque (m,) less what this power-up's ripple adds, and u of its rows, N m."""
         instrument, every = self._instrument, self._every
         torque: Array = self._taken("torque")
-        ripple, variance = self._sensor.power_up.whole(self._taken("angle"), torque)
+        ripple, variance, _ = self._sensor.power_up.whole(self._taken("angle"), torque)
         torque -= ripple
         bandwidth, step_time = instrument.bandwidth_hz, instrument.grid.step_time
         deviation = without_delay(self._taken("u"), bandwidth, step_time)[::every]
@@ -309,5 +315,6 @@ FOUND = {
     "angle": np.float64,
     "untouched": np.float32,
     "untouched_u": np.float32,
+    "doubt": np.float32,
 }
 """At each step, but for the causal torque and its u, which are kept at the table's rows."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_filter.estimate import Estimate, Filter, Signals
+from rigtool.experiments.force_filter.estimate import Again, Estimate, Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach, States
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
@@ -60,6 +60,12 @@ class Instrument:
         plant = self.model.plant(grid.sample_time)
         return Filter(plant, uncertainty, grid.step_samples, self.bandwidth_hz)
 
+    def again(self) -> Again:
+        """Return the filter whose steps are smoothed, for the same samples."""
+        grid = self.grid
+        plant, u = self.model.plant(grid.sample_time), self.model.uncertainty
+        return Again(plant, u, grid.step_samples, self.bandwidth_hz)
+
     def judge(self, *, causal: bool) -> Judge:
         """Return the judge of states."""
         return Judge(self.reach, self.count, self.grid.step_time, causal)
@@ -72,7 +78,8 @@ class Sensed:
     `torque` (m,) N m is that behind the low-pass, less the ripple that this power-up of the
     amplifier adds, `u` its standard uncertainty.
 
-    `signals` are what the filter took, for another one.
+    `signals` are what the filter took, for another one; `less` (m,) N m is what that ripple takes
+    off the drive torque, and `doubt` (m,) N m its standard deviation on the output.
     """
 
     estimate: Estimate
@@ -82,18 +89,20 @@ class Sensed:
     states: States
     others: Array
     signals: Signals
+    less: Array
+    doubt: Array
 
 
 class Sensor:
     """Takes samples without a gap; a gap begins another one.
 
-    With `keep` the estimate holds what the smoother needs. Without `context` each sample must be a
+    Without `context` each sample must be a
     count of the encoder, and an estimate waits for the sample that ends its step alone.
     """
 
-    def __init__(self, instrument: Instrument, *, keep: bool = False, context: bool = True) -> None:
+    def __init__(self, instrument: Instrument, *, context: bool = True) -> None:
         grid, model = instrument.grid, instrument.model
-        self._instrument, self._keep = instrument, keep
+        self._instrument = instrument
         self._sampler = Sampler(grid, instrument.count, model.drive, CONTEXT if context else 0)
         self._stepper = Stepper(grid.step_samples)
         self._filter = instrument.filter(model.uncertainty)
@@ -113,10 +122,10 @@ class Sensor:
         signals, riding = self._sampler.add(
             np.array([*known, warm, limited, *others], dtype=np.float64), last=last
         )
-        estimate = self._filter.add(signals, keep=self._keep)
+        estimate = self._filter.add(signals)
         found = self._stepper.add(riding)
         angle = estimate.low + self._instrument.count / 2
-        ripple, variance = self.power_up.add(angle, estimate.states)
+        ripple, variance, less = self.power_up.add(angle, estimate.states)
         torque, deviation = estimate.passed - ripple, np.sqrt(estimate.deviation**2 + variance)
         moments = Moments(
             estimate.low,
@@ -128,7 +137,8 @@ class Sensor:
         )
         states, kinds = self._states(moments)
         u = standard_uncertainty(self._instrument.model.scales[1], deviation, torque, kinds)
-        return Sensed(estimate, torque, u, moments, states, found[2:], signals)
+        doubt = np.sqrt(variance)
+        return Sensed(estimate, torque, u, moments, states, found[2:], signals, less, doubt)
 
     def _states(self, moments: Moments) -> tuple[States, States]:
         """Return states and kinds of these steps, that follow from the steps before them, too."""

@@ -128,6 +128,17 @@ def test_smoothing_is_better_and_does_not_depend_on_its_pieces(recording, monkey
     np.testing.assert_allclose(same, deviation, rtol=1e-9)
 
 
+def test_a_load_that_comes_at_rest_is_not_spread_over_the_rest_before_it(recording, monkeypatch):
+    signals, truth, _ = recording
+    time = np.arange(len(truth)) * STEP * PLANT.sample_time
+    before = (time > 6.8) & (time < 7.2)  # at rest; the load comes at 7.2 s, and 30 ms later shows
+    torque, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    monkeypatch.setattr(estimate, "BEFORE", 0.0)
+    spread, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
+    error, without = (np.sqrt(np.mean((t - truth)[before] ** 2)) for t in (torque, spread))
+    assert error < 0.7 * without
+
+
 def test_what_comes_long_afterwards_does_not_matter(recording, monkeypatch):
     signals, _, _ = recording
     torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)

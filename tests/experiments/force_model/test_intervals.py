@@ -1,4 +1,4 @@
-"""The standard uncertainty is that under which the errors under known loads are most likely."""
+"""The standard uncertainty is that whose intervals have the least score under known loads."""
 
 import numpy as np
 import pytest
@@ -6,15 +6,19 @@ import pytest
 from rigtool.experiments.force_filter.motion_states import CREEPING, KINDS, State
 from rigtool.experiments.force_model.intervals import Errors, scales, standard_uncertainty
 
-MINUTES = 90_000
-"""Compared steps of half an hour."""
+MINUTES = 30_000
+"""Compared steps of ten minutes."""
 
 
-def drawn(factor, share, kind, count=MINUTES, seed=3):
+def drawn(factor, share, kind, count=MINUTES, seed=3, tails=False):
+    """Return errors, half of them without load; with heavy `tails` 95 % hold, too."""
     rng = np.random.default_rng(seed)
     deviation = rng.uniform(0.3e-3, 1e-3, (2, count))
-    torque = rng.uniform(-60e-3, 60e-3, count)
-    error = rng.standard_normal((2, count)) * np.hypot(factor * deviation, share * torque)
+    torque = rng.uniform(-60e-3, 60e-3, count) * (np.arange(count) % 2)
+    unit = (
+        rng.standard_t(3, (2, count)) * 1.96 / 3.182 if tails else rng.standard_normal((2, count))
+    )
+    error = unit * np.hypot(factor * deviation, share * torque)
     return Errors(error, deviation, torque, np.full(count, kind, dtype=np.int32))
 
 
@@ -27,7 +31,7 @@ def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
     every = scales([own])
     found = every[:, kind]
     np.testing.assert_allclose(found[:, 0], factor, rtol=0.05)
-    np.testing.assert_allclose(found[:, 1], share, rtol=0.05, atol=2e-3)
+    np.testing.assert_allclose(found[:, 1], share, atol=8e-3)
     u = standard_uncertainty(every[1], own.deviation[1], own.torque, own.kinds)
     assert 0.945 < np.mean(np.abs(own.error[1]) < 1.96 * u) < 0.955
 
@@ -36,8 +40,15 @@ def test_kinds_have_their_own_errors_and_sliding_has_one_for_both_directions():
     parts = [drawn(0.8, 0.0, State.AGAINST), drawn(0.8, 0.0, State.WITH), drawn(2.0, 0, CREEPING)]
     found = scales(parts)
     np.testing.assert_array_equal(found[:, State.AGAINST], found[:, State.WITH])
-    np.testing.assert_allclose(found[:, State.WITH, 0], 0.8, rtol=0.02)
-    np.testing.assert_allclose(found[:, CREEPING, 0], 2.0, rtol=0.02)
+    np.testing.assert_allclose(found[:, State.WITH, 0], 0.8, rtol=0.04)
+    np.testing.assert_allclose(found[:, CREEPING, 0], 2.0, rtol=0.04)
+
+
+def test_heavy_tails_do_not_widen_the_intervals():
+    own = drawn(1.5, 0.0, State.REVERSED, tails=True)
+    np.testing.assert_allclose(scales([own])[:, State.REVERSED, 0], 1.5, rtol=0.05)
+    u = standard_uncertainty(scales([own])[0], own.deviation[0], own.torque, own.kinds)
+    assert 0.945 < np.mean(np.abs(own.error[0]) < 1.96 * u) < 0.955
 
 
 def test_few_strokes_hardly_change_what_slides():

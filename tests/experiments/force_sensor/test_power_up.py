@@ -68,7 +68,7 @@ def another():
     added = ripple(OTHER, angle) - ripple(LEARNED, angle)
     states[:, TORQUE] = contact(time) + noise(time, states) + added
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance = power_up.add(angle, states)
+    found, variance, _ = power_up.add(angle, states)
     return power_up, angle, states, added, found, variance
 
 
@@ -78,7 +78,7 @@ def test_ripple_of_another_power_up_is_found_under_contacts(another):
     late = slice(round(10 / STEP), None)
     assert np.sqrt(np.mean((found - added)[late] ** 2)) < 0.35 * np.sqrt(np.mean(added**2))
     assert np.mean(np.abs(found - added)[late] < 1.96 * np.sqrt(variance[late])) > 0.95
-    whole, left = power_up.whole(angle, states[:, TORQUE])
+    whole, left, _ = power_up.whole(angle, states[:, TORQUE])
     assert np.sqrt(np.mean((whole - added) ** 2)) < 0.3 * np.sqrt(np.mean(added**2))
     assert np.mean(np.abs(whole - added) < 1.96 * np.sqrt(left)) > 0.95
 
@@ -88,7 +88,7 @@ def test_motion_over_a_small_part_of_a_turn_shows_the_mean_of_the_ripple_there()
     added = ripple(OTHER, angle) - ripple(LEARNED, angle)
     states[:, TORQUE] = contact(time) + noise(time, states) + added
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance = power_up.add(angle, states)
+    found, variance, _ = power_up.add(angle, states)
     late = slice(round(20 / STEP), None)
     assert abs(added[late].mean()) > 0.8e-3
     assert abs((found - added)[late].mean()) < 0.2 * abs(added[late].mean())
@@ -99,7 +99,7 @@ def test_the_learned_power_up_changes_nothing():
     time, angle, states = motion()
     states[:, TORQUE] = contact(time) + noise(time, states)
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, variance = power_up.add(angle, states)
+    found, variance, _ = power_up.add(angle, states)
     late = slice(round(10 / STEP), None)
     assert power_up.probability < 0.01
     assert np.abs(found[late]).max() < 0.1 * STROKE
@@ -111,7 +111,7 @@ def test_blocks_of_any_length_give_the_same(another):
     parts, again = PowerUp(model(), STEP, BANDWIDTH), []
     for first, last in ((0, 7), (7, 7), (7, 5001), (5001, None)):
         again.append(parts.add(angle[first:last], states[first:last]))
-    torques, variances = zip(*again, strict=True)
+    torques, variances, _ = zip(*again, strict=True)
     np.testing.assert_array_equal(np.concatenate(torques), found)
     np.testing.assert_array_equal(np.concatenate(variances), variance)
 
@@ -119,7 +119,7 @@ def test_blocks_of_any_length_give_the_same(another):
 def test_at_rest_nothing_is_learned_and_the_doubt_stays():
     _, angle, states = motion(5.0)
     angle[:], states[:, SPEED], states[:, HOUSING] = 0.5, 0.0, 0.3
-    found, variance = PowerUp(model(), STEP, BANDWIDTH).add(angle, states)
+    found, variance, _ = PowerUp(model(), STEP, BANDWIDTH).add(angle, states)
     settled = slice(round(1 / STEP), None)
     # half of the mean of a ripple that is all its own: minus the learned one
     gone = -ripple(LEARNED, angle)
@@ -134,11 +134,11 @@ def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
     spring = stiffness * np.maximum(angle - 1.5, 0.0)
     states[:, TORQUE] = spring + noise(time, states)
     power_up = PowerUp(model(), STEP, BANDWIDTH)
-    found, _ = power_up.add(angle, states)
+    found, *_ = power_up.add(angle, states)
     assert power_up.probability < 1e-6
     late = slice(round(20 / STEP), None)
     assert np.abs(found[late]).max() < 1e-9
-    again, _ = power_up.whole(angle, states[:, TORQUE])
+    again, *_ = power_up.whole(angle, states[:, TORQUE])
     assert np.abs(again).max() < 1e-9
     # before that, no more is taken for ripple than a power-up may draw
     largest = 3 * FACTOR * sum(np.hypot(LEARNED[n, 0], LEARNED[n, 1]) for n in (1, 2))
