@@ -72,8 +72,8 @@ def test_a_part_by_its_name(tmp_path):
 
 def test_no_line_passes_zero_speed(tmp_path):
     columns = {
-        "speed": Column(np.array([-2.0, -1.0, 1.0, 2.0]), "rad/s"),
-        "torque": Column(np.array([-4e-3, -3e-3, 3e-3, 4e-3]), "N m"),
+        "speed": Column(np.array([-1.0, 1.0, -2.0, 2.0]), "rad/s"),
+        "torque": Column(np.array([-3e-3, 3e-3, -4e-3, 4e-3]), "N m"),
     }
     axes = drawn(tmp_path / "a.h5", {}, {"friction": Table(("speed",), columns, "torque")})
     (line,) = axes.lines
@@ -86,3 +86,11 @@ def test_numbered_values_are_points_at_whole_numbers(tmp_path):
     (line,) = axes.lines
     assert line.get_linewidth() == 0
     np.testing.assert_array_equal(axes.get_xticks(), np.round(axes.get_xticks()))
+
+
+def test_nothing_is_drawn_where_nothing_was_recorded(tmp_path):
+    signals = samples(200)["sweep"]
+    signals["time"][100:] += 10.0
+    axes = drawn(tmp_path / "a.h5", {"sweep": signals}, {})
+    (area,) = axes.collections
+    assert len(area.get_paths()) == 2
