@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError, did_you_mean
@@ -102,7 +103,11 @@ def draw_plot(run: Run, name: str) -> Figure:
 
 
 def _draw_table(axes: Axes, table: Table) -> None:
-    """Draw the signal along the last axis, one line for each point of the other axes."""
+    """Draw the signal along the last axis, one line for each point of the other axes.
+
+    Along whole numbers, such as loads, points stand alone. No line passes zero speed, where
+    friction changes its sign.
+    """
     signal = table.columns[table.signal]
     along = table.axes[-1]
     factor, unit = display_unit(signal.unit, _size(signal.values))
@@ -111,13 +116,24 @@ def _draw_table(axes: Axes, table: Table) -> None:
     scale, axis_unit = display_unit(table.columns[along].unit)
     places = np.asarray(table[along]) * scale
     shown = _spread(len(lines))
+    numbered = table.columns[along].unit == "1" and bool(np.all(places == np.round(places)))
+    if numbered:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    drawn: dict[str, Any] = {"marker": ".", "ms": 8 if numbered else 3, "lw": 0 if numbered else 1}
+    zero = _zero(places) if along == "speed" else np.array([], dtype=int)
     for index, colour in zip(shown, style.colours(len(shown)), strict=True):
-        axes.plot(places, lines[index], ".-", ms=3, lw=1, color=colour, label=labels[index])
+        x, y = np.insert(places, zero, 0.0), np.insert(lines[index], zero, np.nan)
+        axes.plot(x, y, color=colour, label=labels[index], **drawn)
     if len(lines) > 1:
         axes.legend(fontsize="small")
     _scale(axes, places, along, signal.values)
     axes.set_xlabel(_label(along, axis_unit))
     axes.set_ylabel(_label(table.signal, unit))
+
+
+def _zero(places: NDArray[Any]) -> NDArray[Any]:
+    """Return the indices before which the places change their sign."""
+    return np.flatnonzero(places[:-1] * places[1:] < 0) + 1
 
 
 def _size(values: NDArray[Any]) -> float:
