@@ -361,7 +361,7 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
             f"{limit * 1e3:.3g} mN m ({STRUCTURE_LIMIT:.0%} of the friction); worst at "
             f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
             "that is slower than a hold (raise stribeck.hold_time), the current amplifier at low "
-            "current (thesis Appendix C), or a resonance of the speed loop"
+            "current, or a resonance of the speed loop"
         )
 
 
