@@ -254,6 +254,13 @@ def test_torque_along_the_motion_is_a_wrong_sign():
         require_explained([fit])
 
 
+def test_a_torque_that_does_not_depend_on_the_motion_is_no_friction():
+    speed = np.array(SPEEDS, dtype=float)
+    u = np.full(len(speed), 1e-5)
+    with pytest.raises(InsufficientDataError, match="which may not change"):
+        fit_directions(np.append(speed, -speed), np.full(2 * len(speed), 1e-3), np.append(u, u))
+
+
 def test_a_constant_torque_above_friction_is_no_wrong_sign():
     speed = np.array(SPEEDS, dtype=float)
     u = np.full(len(speed), 1e-5)
@@ -324,6 +331,14 @@ def test_a_constant_speed_is_no_sweep():
     time = np.arange(1000) * 1e-3
     with pytest.raises(InsufficientDataError, match="a sweep runs through speeds"):
         torque_speed_curve(time=time, setpoint=3 * time, torque=time, inertia=1e-5)
+
+
+def test_a_sweep_in_coarse_steps_is_refused():
+    """No two samples in a row lie in one range of speed."""
+    time = np.arange(400) * 0.01
+    setpoint = np.cumsum(np.tile([1.0, 2.0, 3.0, 1.0], 100)) * 0.01
+    with pytest.raises(InsufficientDataError, match="too coarse for a curve"):
+        torque_speed_curve(time=time, setpoint=setpoint, torque=time, inertia=1e-5)
 
 
 # -- the amplifier at low current
