@@ -92,6 +92,16 @@ def test_no_hold_is_refused():
         find_holds(time=time, angle=time**2, torque=time, setpoint=time**2, inertia=1e-5)
 
 
+def test_a_hold_of_which_one_sample_is_left_is_left_out():
+    """Three samples a turn, and settling that lasts until the last one."""
+    time = np.arange(40) * 0.05
+    angle = 40.0 * time
+    behind = np.where(time < time[-2], np.exp(-time), 0.0)
+    signals = {"time": time, "torque": np.ones(40), "setpoint": angle, "inertia": 1e-5}
+    with pytest.raises(InsufficientDataError, match="leaves 8 samples once it has settled"):
+        find_holds(angle=angle - behind, **signals)
+
+
 # -- models
 
 
