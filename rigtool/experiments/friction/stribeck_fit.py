@@ -352,6 +352,11 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
             "mN m at standstill: friction cannot be below 0; check the signs of current and encoder"
         )
     friction = float(np.mean([fit.friction for fit in fits]))
+    if friction <= 0:
+        raise InsufficientDataError(
+            f"the mean torque against the motion is {friction * 1e3:.3g} mN m: friction is above "
+            "0; check current and encoder, whose signs may be wrong or which may not change"
+        )
     limit = STRUCTURE_LIMIT * friction
     worst = max(fits, key=lambda fit: fit.structure)
     if worst.dof > 0 and worst.structure > limit:
