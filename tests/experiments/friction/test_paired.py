@@ -1,12 +1,18 @@
 """What changed between two runs of one motion: a payload on an arm, and friction at held speeds."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.friction.paired import Signals, changes, ratio
+from rigtool.experiments.friction.results import Findings, Scale
+from rigtool.experiments.friction.results_difference import HOLDS, add_curve_difference
+from rigtool.quantity import Quantity
 from rigtool.recipe.mapping import parse_mapping
-from rigtool.runfile import open_run
+from rigtool.runfile import Column, Table, open_run
 from tests.experiments.friction.test_imported import HELD, analyse, hold
 from tests.experiments.imported_runs import take
 
@@ -159,3 +165,38 @@ def test_runs_that_do_not_move_exactly_alike():
     viscous, u = change.estimate("viscous")
     # Without the correction it would be 4 % of 0.3 N m s/rad.
     assert abs(viscous) < 0.006 > 2 * u
+
+
+def test_noise_of_the_known_change_does_not_enlarge_the_ratio():
+    """Least squares against a noisy column would give 2 / (1 + 0.7**2)."""
+    (known,) = changes(arm(0.0, 1), [arm(0.1, 2)])
+    random = np.random.default_rng(4)
+    size = np.sqrt(np.mean(known.model[known.used] ** 2))
+    noisy = known.model + random.normal(0, 0.7 * size, len(known.model))
+    twice = replace(known, difference=2 * known.model)
+    value, _, _ = ratio(twice, replace(known, difference=noisy, independent=1e4))
+    assert value == pytest.approx(2, rel=0.05)
+
+
+def test_scatter_beyond_the_stated_one_widens_differences():
+    """Curves of which the torques scatter three times as much as their u states."""
+    speed = np.concatenate([np.geomspace(2, 60, 12), -np.geomspace(2, 60, 12)])
+    pulls = []
+    for seed in range(40):
+        random = np.random.default_rng(seed)
+
+        def curve(random=random):
+            columns = {
+                "speed": Column(speed, "rad/s"),
+                "torque": Column(random.normal(0, 3e-5, len(speed)), "N m"),
+                "u": Column(np.full(len(speed), 1e-5), "N m"),
+            }
+            return Table(("speed",), columns, "torque")
+
+        found = Findings(Scale(Quantity(0.045, "N m/A", 0.0)), tables={HOLDS: curve()})
+        other = SimpleNamespace(path="b.h5", tables={HOLDS: curve()}, require_command=str)
+        other.table = other.tables.__getitem__
+        add_curve_difference(found, other, None)
+        pulls += [found.results[f"{n}_friction_difference"] for n in ("coulomb", "viscous")]
+    # 80 pulls; a third of the true u would give 3.
+    assert 0.75 < np.sqrt(np.mean([(q.value / q.u) ** 2 for q in pulls])) < 1.3
