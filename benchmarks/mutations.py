@@ -3,11 +3,11 @@
     .venv/bin/python benchmarks/mutations.py [--count 60] [--seed 1] [--only NUMBER ...] [--list]
 
 Each mutation changes one operator, comparison, index, number or function name in the body of a
-function of `rigtool/numerics`, `rigtool/control` or a room of `rigtool/experiments`, drawn from all
-such places alike. It is made in a copy of the tree; the tests of the file run first, then those of
-its room. A mutation that all of them pass survives. Not changed are named limits at the top of a
-module, which are a judgement, texts of messages, and annotations (R. A. DeMillo, R. J. Lipton,
-F. G. Sayward, Computer 11(4), 34, 1978).
+function of `rigtool/quantity.py`, `rigtool/numerics`, `rigtool/control` or a room of
+`rigtool/experiments`, drawn from all such places alike. It is made in a copy of the tree; the tests
+of the file run first, then those of its room. A mutation that all of them pass survives. Not
+changed are named limits at the top of a module, which are a judgement, texts of messages, and
+annotations (R. A. DeMillo, R. J. Lipton, F. G. Sayward, Computer 11(4), 34, 1978).
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def sites(tree: ast.AST) -> Iterator[tuple[ast.AST, str, object]]:
 
 def drawn(seed: int, count: int) -> list[Mutation]:
     """Return `count` mutations, drawn from all places in all files alike."""
-    files = [
+    files = [ROOT / "rigtool" / "quantity.py"] + [
         path
         for folder in ("numerics", "control", "experiments")
         for path in sorted((ROOT / "rigtool" / folder).rglob("*.py"))

@@ -18,7 +18,7 @@ def test_a_drawn_rig_is_within_what_is_stated(monkeypatch):
     tried = trial(number, seed=2)
     assert tried.refusal is None
     names = {name for name, _ in tried.found}
-    assert {"torque_constant", "torque_constant_ripple", "amplifier_gain"} <= names
+    assert {"torque_constant", "amplifier_gain"} <= names
     for error, u, dof in tried.found.values():
         width = u * stats.t.ppf(0.975, dof) / stats.norm.ppf(0.975)
         assert abs(error) < FAR * width

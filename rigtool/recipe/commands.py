@@ -242,6 +242,15 @@ class MeasureForce(Section):
     motion: ForceMotion = ForceMotion()
 
     @model_validator(mode="after")
+    def _whole_cycles_show_scatter(self) -> MeasureForce:
+        if self.correction == "full" and self.cycles < 5:
+            raise ValueError(
+                f'{self.cycles} cycles are too few for correction = "full", which needs 3 whole '
+                "ones between those that run in and out: raise cycles to 5 or more"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _reads_within_the_stroke(self) -> MeasureForce:
         require_straight_part("turn_angle", self.turn_angle, self.angle)
         low, high = self.turn_angle, self.angle - self.turn_angle

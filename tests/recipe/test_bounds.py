@@ -106,6 +106,14 @@ def test_torque_is_read_where_the_speed_is_constant(angle):
         load_recipe(RECIPE, [f"measure_force.measure_angle={angle}"])
 
 
+def test_whole_cycles_of_a_full_correction_are_as_many_as_it_reads():
+    full = "measure_force.correction=full"
+    with pytest.raises(RecipeError, match="4 cycles are too few"):
+        load_recipe(RECIPE, [full, "measure_force.cycles=4"])
+    assert load_recipe(RECIPE, [full, "measure_force.cycles=5"])[0].measure_force.cycles == 5
+    assert load_recipe(RECIPE, ["measure_force.cycles=3"])[0].measure_force.cycles == 3
+
+
 def test_turns_that_overlap_are_refused():
     with pytest.raises(RecipeError, match="leaves nothing of the angle"):
         load_recipe(RECIPE, ["measure_force.turn_angle=100"])

@@ -40,6 +40,10 @@ OTHER_VELOCITIES = 25
 STRUCTURE_LIMIT = 0.08
 """Largest rms structure in the residuals, relative to the mean friction."""
 
+FAR_BEYOND = 3.0
+"""Multiple of the scatter of points from which on residuals are structure: scatter that is itself
+uncertain leaves less, which the uncertainty of the fit includes."""
+
 SHAPES = {2.0: 0.0, 1.0: 6.0}
 """Exponents d to try, each with the lead in the Akaike criterion that it needs: the Gaussian, and
 Tustin's, which extrapolates further towards standstill and so must be clearly better."""
@@ -61,7 +65,7 @@ class DirectionFit:
     """Friction in one direction; torques in N m against the motion, speeds in rad/s.
 
     `covariance` belongs to `parameters`, (fc, fv) or (fc, fv, fs, vs). The fit covers speeds from
-    `lowest` to `highest`; `structure` is the rms of its residuals beyond scatter, the largest at
+    `lowest` to `highest`; `structure` is the rms of its residuals far beyond scatter, largest at
     `worst_speed`; `friction` is the mean of the points; `criterion` is Akaike's, by which the model
     was chosen, with the lead that its shape needs.
     """
@@ -256,7 +260,7 @@ def _finish(
     square = float(np.sum((residual * weight) ** 2))
     # Scatter counts where it exceeds the uncertainties of the means (Birge ratio).
     scale = max(1.0, square / dof) if dof > 0 else 1.0
-    excess = np.mean(residual**2) * len(v) / max(dof, 1) - np.mean(1 / weight**2)
+    excess = np.mean(residual**2) * len(v) / max(dof, 1) - np.mean((FAR_BEYOND / weight) ** 2)
     return DirectionFit(
         parameters=parameters,
         covariance=inverse @ inverse.T * scale,
@@ -366,7 +370,7 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
             f"{limit * 1e3:.3g} mN m ({STRUCTURE_LIMIT:.0%} of the friction); worst at "
             f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
             "that is slower than a hold (raise stribeck.hold_time), the current amplifier at low "
-            "current (thesis Appendix C), or a resonance of the speed loop"
+            "current, or a resonance of the speed loop"
         )
 
 

@@ -85,8 +85,8 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
     `coefficient` is c of (1) in 1/K, as far as it is known. Raises `InsufficientDataError` where a
     staircase does not rise and fall, or where torque does not follow current.
     """
+    _require_resolution(plateaus)
     stairs = arrange(plateaus)
-    _require_resolution(stairs)
     rise = mean_of(stairs.temperature, stairs.weight)
     rise = rise - rise.mean()
     trend = rise / max(float(rise @ rise), 1e-300)
@@ -259,14 +259,20 @@ def _rounding(stairs: Stairs, solution: _Solution, weight: Array) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def _require_resolution(stairs: Stairs) -> None:
+def _require_resolution(plateaus: Plateaus) -> None:
     """Raise where the gauge is too coarse for the torque of a staircase."""
-    span = float(np.ptp(stairs.torque))
-    if stairs.resolution * FEWEST_STEPS > span:
+    span, step = float(np.ptp(plateaus.torque)), float(plateaus.resolution.max())
+    if span == 0:
         raise InsufficientDataError(
-            f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, the "
-            f"staircase has {span * 1e3:.3g} mN m: fewer than {FEWEST_STEPS} steps; take a finer "
-            "gauge, a longer arm or a higher current_max"
+            f"the gauge reads {float(plateaus.torque[0]) * 1e3:.3g} mN m at the arm whatever the "
+            "current: it is not connected, is saturated, does not touch the arm, or reads in steps "
+            "larger than all torque of the staircase; look at the gauge, or take a finer one"
+        )
+    if step * FEWEST_STEPS > span:
+        raise InsufficientDataError(
+            f"the gauge reads in steps of {step * 1e3:.3g} mN m at the arm, the staircase has "
+            f"{span * 1e3:.3g} mN m: fewer than {FEWEST_STEPS} steps; take a finer gauge, a "
+            "longer arm or a higher current_max"
         )
 
 

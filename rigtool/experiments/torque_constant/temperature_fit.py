@@ -48,6 +48,11 @@ LINEARITY_LIMIT = 5e-3
 """Largest deviation of the amplifier from a straight line, relative to the span."""
 
 
+RIPPLE_ANGLES = 8
+"""Rotor angles from which the ripple has an uncertainty: with fewer, orders of a turn up to the
+sixth may show nothing, or a part that their phase decides."""
+
+
 @dataclass(frozen=True)
 class Calibration:
     """Torque constant of the motor, and linearity of the amplifier.
@@ -58,7 +63,8 @@ class Calibration:
     `temperature` (k,) in degC, `value` and `u` (k,) in N m/A with its `dof` are the points of
     Fig. 20.
     `ripple` is the relative standard deviation of the constant over the rotor angles, None for
-    fewer than three: a torque read at one angle is uncertain by it. `components` are relative
+    fewer than three and without uncertainty for fewer than eight: a torque read at one angle is
+    uncertain by it. `components` are relative
     standard uncertainties of `mean` by source; `rotor_angles` counts the angles of the arm (0 where
     unknown).
     """
@@ -137,7 +143,7 @@ def calibrate(
         coefficient=law.stated(law.coefficient(), "1/K") if fit.slope_known else None,
         mean=law.stated(mean, "N m/A"),
         constant_error=law.constant_error(mean, (low, high)) if fit.slope_known else None,
-        ripple=fit.ripple if fit.angles > 2 else None,
+        ripple=_stated_ripple(fit),
         temperature=temperature,
         value=value,
         u=np.array([point.u for point in points]),
@@ -233,6 +239,23 @@ def _ripple(found: AngleEffects, value: float, friction: float) -> Quantity:
     u = math.hypot(found.deviation_u, model)
     dof = found.deviation_dof * (u / found.deviation_u) ** 4  # Welch and Satterthwaite
     return Quantity(found.deviation / value, "1", u / value, dof)
+
+
+def _stated_ripple(fit: _Fit) -> Quantity | None:
+    """Return the ripple: without uncertainty from few angles, None from less than three.
+
+    Of n angles around a turn, the orders that are multiples of n show nothing, and those of n/2 as
+    much as their phase allows.
+    """
+    if fit.angles < 3:
+        return None
+    if fit.angles < RIPPLE_ANGLES:
+        reason = (
+            f"{fit.angles} rotor angles do not show all orders: their ripple may be larger; clamp "
+            f"the arm at {RIPPLE_ANGLES} or more"
+        )
+        return Quantity(fit.ripple.value, "1", reason=reason)
+    return fit.ripple
 
 
 class _Law:

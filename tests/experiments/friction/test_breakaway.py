@@ -155,6 +155,15 @@ def test_repeated_ramps_are_averaged(signals):
     assert len(twice.position) == len(once.position)
 
 
+def test_sixteen_samples_are_the_fewest():
+    time = np.arange(16.0)
+    ramp = {"time": time, "angle": 10 * np.maximum(time - 12, 0), "torque": 1e-3 * time}
+    (found,) = find_ramps(**ramp, threshold=0.02)
+    assert found.end == 16
+    with pytest.raises(InsufficientDataError, match=r"15 samples .* 16 are needed"):
+        find_ramps(**{name: values[:15] for name, values in ramp.items()}, threshold=0.02)
+
+
 @given(scale=st.floats(0.1, 50.0))
 @settings(max_examples=10, deadline=None)
 def test_torque_scales(scale):

@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from rigtool.experiments.friction.model_doubt import (
+    RANGES,
     STRIBECK_VELOCITIES,
     TIME_PARTS,
     curvature,
@@ -63,6 +64,13 @@ def test_what_was_passed_once_may_be_a_function():
     residual = np.sin(np.linspace(0, 20, COUNT))
     share, _ = structure(TIME, residual, np.ones((COUNT, 1)), PARTS)
     assert share > 0.9
+
+
+def test_a_single_sample_in_each_range_shows_no_chance():
+    residual = np.random.default_rng(6).normal(size=RANGES)
+    once = np.zeros(RANGES, dtype=np.intp)
+    share, _ = structure(np.arange(RANGES), residual, np.ones((RANGES, 1)), once)
+    assert share == pytest.approx(1.0, rel=1e-12)
 
 
 def test_doubts_scale_with_what_shows_and_go_to_what_is_alike():

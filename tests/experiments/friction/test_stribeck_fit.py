@@ -232,7 +232,7 @@ def test_a_curve_that_no_friction_model_explains_is_refused():
     speed = np.geomspace(0.5, 30, 14)
     torque = 2.3e-3 + 5.33e-5 * speed + 0.5e-3 * np.sin(2.5 * speed)
     fit = fit_direction(speed, torque, np.full(14, 1e-5))
-    with pytest.raises(InsufficientDataError, match="Appendix C"):
+    with pytest.raises(InsufficientDataError, match="No friction model explains"):
         require_explained([fit])
 
 
@@ -242,6 +242,18 @@ def test_the_same_bumps_within_scatter_are_not_structure():
     fit = fit_direction(speed, torque, np.full(14, 0.6e-3))
     require_explained([fit])
     assert fit.coulomb[1] > 1e-4
+
+
+def test_noise_of_uncertain_size_is_not_structure():
+    """Means of noisy holds, whose u rests on few degrees of freedom: intervals, no refusal."""
+    random, pulls = np.random.default_rng(8), []
+    speed = np.concatenate([np.geomspace(0.5, 30, 12), -np.geomspace(0.5, 30, 12)])
+    for _ in range(30):
+        noise = 0.35e-3 * random.standard_normal(24)
+        u = 0.35e-3 * np.sqrt(random.chisquare(8, 24) / 8)
+        fits = fit_directions(speed, 2.3e-3 * np.sign(speed) + 5e-5 * speed + noise, u)
+        pulls += [(fit.coulomb[0] - 2.3e-3) / fit.coulomb[1] for fit in fits.values()]
+    assert np.mean(np.abs(pulls) < 2.2) >= 0.9
 
 
 @pytest.mark.parametrize(

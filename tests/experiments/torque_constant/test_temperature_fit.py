@@ -70,6 +70,17 @@ def test_ripple_over_rotor_angles_is_found():
     assert analyse(smooth, smooth.record((20, 50), angles=1, shifted=False)).ripple is None
 
 
+def test_ripple_that_few_angles_may_not_show_has_no_uncertainty():
+    # six angles show nothing of order 6, nine show all of it
+    sixth = Bench(ripple=(0.0, 0.0, 0.0, 0.0, 0.0, 0.006), saturation=0.0)
+    few = analyse(sixth, sixth.record((20, 50), angles=6, shifted=False)).ripple
+    assert few.value < 1e-3
+    assert few.u is None
+    assert "6 rotor angles do not show all orders" in few.reason
+    enough = analyse(sixth, sixth.record((20, 50), angles=9, shifted=False)).ripple
+    assert abs(enough.value - 0.006 / np.sqrt(2)) < 3 * enough.u
+
+
 def test_errors_scatter_as_stated():
     # The arm's length and the gauge are exact here: compare with the parts that do scatter.
     bench = Bench()
@@ -247,12 +258,25 @@ def test_linearity_finds_the_worst_level():
         (Bench(), {"current_setpoint": lambda s: 0 * s}, "throughout"),
         (Bench(), {"force": lambda s: -s}, "reverse the sign"),
         (Bench(), {"force": lambda s: np.minimum(s, 0.25)}, "not linear"),
+        (Bench(), {"force": lambda s: 0 * s + 0.1}, "54 mN m at the arm whatever the current"),
+        (Bench(), {"force": lambda s: np.round(s, 1)}, "in steps of 54 mN m at the arm"),
         (Bench(), {"force": lambda s: np.where(np.arange(len(s)) == 77, np.nan, s)}, "sample 77"),
         (Bench(), {"temperature": lambda s: s[:-1]}, "samples"),
         (Bench(), {"time": lambda s: s[::-1]}, "does not rise"),
         (Bench(settle_time=0.3), {}, "hold each step longer"),
     ],
-    ids=["amplifier", "constant", "sign", "end stop", "nan", "length", "clock", "short steps"],
+    ids=[
+        "amplifier",
+        "constant",
+        "sign",
+        "end stop",
+        "still",
+        "coarse",
+        "nan",
+        "length",
+        "clock",
+        "short steps",
+    ],
 )
 def test_bad_signals_are_refused_with_a_reason(bench, change, message):
     signals = replace(bench, settle_time=0.08).record((20, 40), 2)

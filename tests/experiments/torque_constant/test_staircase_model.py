@@ -1,0 +1,38 @@
+"""Heat in the winding over staircases, against the differential equation in small steps."""
+
+from types import SimpleNamespace
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from rigtool.experiments.torque_constant.staircase_model import winding
+
+COPPER = 3.93e-3  # 1/K, IEC 60028
+TIME_CONSTANT = 29.0
+STEP = 1e-3
+
+
+def heat_in_small_steps(time, current, housing):
+    """Return w' = i^2 (1 + COPPER (T - 20)) - w / TIME_CONSTANT at each time, A2 s."""
+    power, heat = current**2 * (1 + COPPER * (housing - 20)), np.zeros(len(time))
+    for k in range(1, len(time)):
+        heat[k] = heat[k - 1] + STEP * (power[k] - heat[k - 1] / TIME_CONSTANT)
+    return heat
+
+
+def test_heat_is_that_of_the_current_in_warm_copper():
+    levels, count = np.array([1.0, 3.0, 4.0, 2.0]), 2
+    begin = np.array([np.arange(4.0) + 30 * k for k in range(count)])  # s, each for 0.8 s
+    degc = np.full((count, 4), 50.0)
+    stairs = SimpleNamespace(
+        begin=begin, end=begin + 0.8, current=np.tile(levels, (count, 1)), temperature=degc
+    )
+    found, lagging = winding(stairs, TIME_CONSTANT)
+    time = np.arange(0, 35, STEP)
+    current = np.zeros(len(time))
+    for first, level in zip(begin.ravel(), np.tile(levels, count), strict=True):
+        current[(time >= first) & (time < first + 0.8)] = level
+    heat = heat_in_small_steps(time, current, 50.0)
+    # the model takes the mean of both ends of a plateau for its middle
+    assert_allclose(found, np.interp(begin + 0.4, time, heat), rtol=0.01)
+    assert_allclose(lagging, degc, rtol=1e-12)
