@@ -75,6 +75,22 @@ def test_motion_follows_its_set_points_and_settings_come_back(name):
     assert device.bit_rate == "S8"
 
 
+@pytest.mark.parametrize(("mode", "objects"), [(9, {}), (3, {(0x607F, 0): (U32, 30_000)})])
+def test_drive_turns_no_faster_than_its_own_limits(mode, objects):
+    """40 rpm by 6080, 30 by the limit of profiles: 8 rad/s are 76 rpm."""
+    device = CiA402Emulator(
+        {(0x6502, 0): (U32, 1 << (mode - 1)), (0x6080, 0): (U32, 40), **objects}
+    )
+    device.motor.coulomb = device.motor.viscous = 0.0  # against which its loop would droop
+    with serve(device) as server, can_rig(server.port) as rig:
+        rig.drive.enable("velocity")
+        for _ in range(40):
+            rig.drive.step(SetPoint(speed=8.0))
+            rig.line.pause(0.005)
+        own = (30 if objects else 40) * 2 * np.pi / 60
+        assert device.motor.speed == pytest.approx(own, rel=0.03)
+
+
 def test_set_points_of_current_are_the_current(name):
     device = KINDS[name]()
     with serve(device) as server, can_rig(server.port, name=name) as rig:

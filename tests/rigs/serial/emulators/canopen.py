@@ -120,6 +120,8 @@ class CiA402Emulator(SlcanEmulator):
     """
 
     current = (0x6078, 0)
+    limits_in_its_unit = False
+    """Whether 6080 is in the unit of speed, as in an EPOS4, or in rpm."""
     mechanical = EmulatedMotor
 
     def __init__(self, objects=None, hears=True):
@@ -330,9 +332,16 @@ class CiA402Emulator(SlcanEmulator):
         self.motor.advance(
             self.mode,
             get(0x607A) / COUNTS * 2 * math.pi,
-            get(0x60FF) * unit if self.mode == "velocity" else 0.0,
+            self.speed(unit) if self.mode == "velocity" else 0.0,
             offset + target,
         )
+
+    def speed(self, unit):
+        """Return the set point of speed, rad/s, within 6080 and, in profile mode, 607F."""
+        top = self.value(0x6080) * (unit if self.limits_in_its_unit else RPM)
+        if self.value(0x6060) == 3 and (0x607F, 0) in self.kept:
+            top = min(top, self.value(0x607F) * unit)
+        return min(max(self.value(0x60FF) * unit, -top), top)
 
     def speed_unit(self):
         return self.value(0x60A9) if (0x60A9, 0) in self.kept else 0xB44700
@@ -348,6 +357,8 @@ class CiA402Emulator(SlcanEmulator):
 class Epos4CanEmulator(CiA402Emulator):
     """An EPOS4: its current and limits are objects of its maker, its rated torque in uN m."""
 
+    limits_in_its_unit = True
+
     def __init__(self, objects=None, hears=True):
         own = {
             (0x1018, 1): (U32, 0xFB),
@@ -358,6 +369,7 @@ class Epos4CanEmulator(CiA402Emulator):
             (0x30D0, 0): (I16, 0),
             (0x30D1, 2): (I32, 0),
             (0x6076, 0): (U32, 144450),
+            (0x6080, 0): (U32, 10_000_000),
             (0x6072, 0): (U16, None),
             (0x6073, 0): (U16, None),
             (0x6075, 0): (U32, None),
