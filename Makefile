@@ -170,6 +170,7 @@ FAULTY = --set virtual.amplifier.distortion=0.05 --set virtual.amplifier.distort
 
 $(THESIS)/idm640.h5: $(RECIPE) $(BUILD)/kt.h5 | $(THESIS)
 	rm -f $@ $@.part
+	@echo "Expected: stribeck refuses the data of this faulty amplifier, exit code 4; recover keeps them"
 	$(RIGTOOL) stribeck $(RECIPE) --kt $(BUILD)/kt.h5 $(FAULTY) -o $@ $(MEASURE); test $$? -eq 4
 	$(RIGTOOL) recover $@.part -o $@ && rm $@.part
 

@@ -12,7 +12,7 @@ project = "rigtool"
 author = "rigtool developers"
 version = release = version_of("rigtool")
 extensions = ["myst_parser", "generated", "mathml"]
-exclude_patterns = ["_ext"]
+exclude_patterns = ["_ext", "_static"]
 source_suffix = {".md": "markdown"}
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
@@ -25,5 +25,8 @@ html_title = f"rigtool {version}"
 html_math_renderer = "mathml"
 html_copy_source = False
 html_show_sphinx = False
+html_show_copyright = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 templates_path: list[str] = []
 suppress_warnings = ["myst.strikethrough"]

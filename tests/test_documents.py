@@ -95,3 +95,10 @@ def test_links_lead_somewhere():
     for document in DOCUMENTS:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text_of(document)):
             assert Path(ROOT / target).exists(), f"{document}: {target}"
+
+
+def test_the_style_of_the_site_is_there_and_named():
+    conf = (ROOT / "docs" / "conf.py").read_text("utf-8")
+    (names,) = re.findall(r"html_css_files = (\[.*\])", conf)
+    there = {path.name for path in (ROOT / "docs" / "_static").iterdir()}
+    assert set(ast.literal_eval(names)) == there

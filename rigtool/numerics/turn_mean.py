@@ -25,7 +25,7 @@ SAME_ANGLE = 0.02
 class TurnMean:
     """Mean over a turn, standard uncertainty and degrees of freedom; `scatter` of one angle.
 
-    `u` and `scatter` are NaN where only one angle is known.
+    `u` and `scatter` are NaN where only one angle is known, `value` too where none is.
     """
 
     value: float
@@ -62,6 +62,8 @@ def mean_over_turn(angle: Array, value: Array) -> TurnMean:
         means = np.bincount(index, weights=value) / np.bincount(index)
         orders = len(means) // 4
     count = len(means)
+    if count == 0:
+        return TurnMean(math.nan, math.nan, 0.0, math.nan)
     if count == 1:
         return TurnMean(float(means[0]), math.nan, 0.0, math.nan)
     design = np.ones((count, 1 + 2 * orders))

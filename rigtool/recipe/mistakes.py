@@ -63,7 +63,8 @@ def described(
         path = tuple(part for part in item["loc"] if isinstance(part, str))
         # tables contradict each other: the mistake concerns the whole recipe
         dotted = ".".join(str(part) for part in item["loc"]) if path else kind
-        where = f"{name}, --set" if ".".join(path) in set_keys else _where(name, path, lines)
+        given = any(".".join(path[:end]) in set_keys for end in range(1, len(path) + 1))
+        where = f"{name}, --set" if given else _where(name, path, lines)
         mistakes.append(f"{where}: {dotted}: {_message(item, model)}")
     count = len(mistakes)
     head = f"{name}: {count} mistake{'s' if count > 1 else ''} in the {kind}"

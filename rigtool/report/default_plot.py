@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError, did_you_mean
@@ -25,7 +26,10 @@ FORMATS = (".png", ".svg", ".pdf")
 
 _BINS = 2000
 _BLOCK = 2**17
+_GAP = 5
+"""Times of a usual bin, beyond which nothing was recorded."""
 _MOST_LINES = 12
+_MOST_MARKS = 100
 
 
 def write_plot(
@@ -102,7 +106,11 @@ def draw_plot(run: Run, name: str) -> Figure:
 
 
 def _draw_table(axes: Axes, table: Table) -> None:
-    """Draw the signal along the last axis, one line for each point of the other axes."""
+    """Draw the signal along the last axis, one line for each point of the other axes.
+
+    Along whole numbers, such as loads, a few points stand alone. No line passes zero speed, where
+    friction changes its sign.
+    """
     signal = table.columns[table.signal]
     along = table.axes[-1]
     factor, unit = display_unit(signal.unit, _size(signal.values))
@@ -110,9 +118,20 @@ def _draw_table(axes: Axes, table: Table) -> None:
     labels = _labels(table)
     scale, axis_unit = display_unit(table.columns[along].unit)
     places = np.asarray(table[along]) * scale
+    few = places.size <= _MOST_MARKS
+    numbered = few and table.columns[along].unit == "1" and not np.any(places % 1)
+    if numbered:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    drawn: dict[str, Any] = {"marker": "." if few else "", "lw": 0 if numbered else 1}
+    zero = np.array([], dtype=int)
+    if along == "speed":
+        order = np.argsort(places, kind="stable")
+        places, lines = places[order], lines[:, order]
+        zero = np.flatnonzero(places[:-1] * places[1:] < 0) + 1
     shown = _spread(len(lines))
     for index, colour in zip(shown, style.colours(len(shown)), strict=True):
-        axes.plot(places, lines[index], ".-", ms=3, lw=1, color=colour, label=labels[index])
+        x, y = np.insert(places, zero, 0.0), np.insert(lines[index], zero, np.nan)
+        axes.plot(x, y, color=colour, label=labels[index], **drawn)
     if len(lines) > 1:
         axes.legend(fontsize="small")
     _scale(axes, places, along, signal.values)
@@ -155,7 +174,10 @@ def _spread(count: int) -> list[int]:
 
 
 def _draw_recording(axes: Axes, recording: Recording, name: str) -> None:
-    """Draw the lowest and highest value of each bin: no peak of a long recording is lost."""
+    """Draw the lowest and highest value of each bin: no peak of a long recording is lost.
+
+    Nothing is drawn across gaps of the time.
+    """
     factor, shown = display_unit(recording.units[name])
     step = -(-recording.size // _BINS)
     block = step * max(1, _BLOCK // step)
@@ -167,9 +189,11 @@ def _draw_recording(axes: Axes, recording: Recording, name: str) -> None:
         time.append(recording.read("time", start, stop)[::step])
         low.append(np.minimum.reduceat(values, bins))
         high.append(np.maximum.reduceat(values, bins))
-    axes.fill_between(
-        np.concatenate(time), np.concatenate(low), np.concatenate(high), lw=1, color=style.BLUE
-    )
+    times, lows, highs = (np.concatenate(part) for part in (time, low, high))
+    steps = np.diff(times, prepend=times[0])
+    gaps = np.flatnonzero(steps > _GAP * np.median(steps))
+    lows, highs = (np.insert(part, gaps, np.nan) for part in (lows, highs))
+    axes.fill_between(np.insert(times, gaps, times[gaps]), lows, highs, lw=1, color=style.BLUE)
     axes.set_xlabel(_label("time", recording.units["time"]))
     axes.set_ylabel(_label(name, shown))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -82,8 +83,12 @@ def _over_time_table(run: Run, label: str) -> ReportTable:
 
 def _accuracy_table(run: Run, label: str) -> ReportTable:
     own = {name: run.result(name).value for name in _JUDGED}
+    inputs = run.provenance["inputs"]
+    folders = {Path(one["path"]).parent.name for one in inputs if one["command"] == "import"}
     rows = [_accuracy_row("rigtool", {"split": 0, **own})]
-    rows += [_accuracy_row(row["source"], row) for row in published_accuracy(run.rig or "")]
+    rows += [
+        _accuracy_row(row["source"], row) for row in published_accuracy(run.rig or "", folders)
+    ]
     return ReportTable(
         name=f"table-accuracy-{label}",
         title=f"Error against the sensor ({label})",

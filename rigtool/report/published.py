@@ -6,6 +6,7 @@ No other module reads `published.toml` and `published_instruments.toml`.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -75,12 +76,18 @@ def published_entry(path: str) -> Any:
     return entry
 
 
-def published_accuracy(rig: str) -> list[dict[str, Any]]:
-    """Return the errors that other groups reached with the data of a rig, whose name begins
-    alike."""
+def published_accuracy(rig: str, folders: Collection[str]) -> list[dict[str, Any]]:
+    """Return the errors that others reached with the data of a rig, whose name begins alike.
+
+    A row of a single instrument counts only where the runs are in the `folders` named after it.
+    """
     reference = _reference("published_instruments.toml")
     return [
-        row for name, entry in reference.items() if rig.startswith(name) for row in entry["rows"]
+        row
+        for name, entry in reference.items()
+        if rig.startswith(name)
+        for row in entry["rows"]
+        if row.get("folder") is None or row["folder"] in folders
     ]
 
 

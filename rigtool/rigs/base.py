@@ -45,6 +45,7 @@ NEEDS = {
     "feedforward": "add a torque that is computed from the set point",
     "table": "add a learned table",
     "signal": "add a torque signal sample by sample",
+    "held_current": "hold its current from one sample to the next",
     "load": "hang a load, or pull at the shaft",
     "clamp": "clamp the arm on the force gauge",
     "soak": "bring the motor to a temperature",

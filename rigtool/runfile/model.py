@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rigtool.errors import UsageError
+from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import schema
 
 if TYPE_CHECKING:
@@ -139,6 +139,12 @@ class Table:
         return tuple(self.columns[name].values.size for name in self.axes)
 
     def __getitem__(self, column: str) -> NDArray[Any]:
+        """Return the values of a column; raises `RunFileError` where the table lacks it."""
+        if column not in self.columns:
+            raise RunFileError(
+                f"a table has no column {column!r}, only {', '.join(self.columns)}: make this run "
+                "again with this rigtool"
+            )
         return self.columns[column].values
 
     def to_pandas(self) -> pd.DataFrame:

@@ -80,6 +80,8 @@ def test_overrides_change_values_and_are_checked():
     assert override_recipe(recipe, ["ilc_learn.moves=5"]).ilc_learn.moves == 5
     with pytest.raises(RecipeError, match=r"--set: ilc_learn\.moves"):
         override_recipe(recipe, ["ilc_learn.moves=1"])
+    with pytest.raises(RecipeError, match=r"--set: virtual\.contact\.0\.pulse\.force: is missing"):
+        load_recipe(RECIPE, ['virtual.contact=[{kind="pulse"}]'])
     with pytest.raises(UsageError, match="expected key=value"):
         load_recipe(RECIPE, ["virtual.seed"])
     with pytest.raises(UsageError, match="is a value, not a table"):

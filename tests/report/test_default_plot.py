@@ -5,7 +5,7 @@ import pytest
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.report.default_plot import chosen_name, draw_plot, plot_names
-from rigtool.runfile import RunWriter, open_run
+from rigtool.runfile import Column, RunWriter, Table, open_run
 from tests.runfile.whole_run import SPECS, TABLES, samples
 
 
@@ -68,3 +68,29 @@ def test_a_part_by_its_name(tmp_path):
         assert plot_names(run)[0] == f"tables/{next(iter(run.tables))}"
     with pytest.raises(UsageError, match=r"has no part 'sweeps' to draw.* did you mean sweep"):
         drawn(tmp_path / "d.h5", recording, TABLES, "sweeps")
+
+
+def test_no_line_passes_zero_speed(tmp_path):
+    columns = {
+        "speed": Column(np.array([-1.0, 1.0, -2.0, 2.0]), "rad/s"),
+        "torque": Column(np.array([-3e-3, 3e-3, -4e-3, 4e-3]), "N m"),
+    }
+    axes = drawn(tmp_path / "a.h5", {}, {"friction": Table(("speed",), columns, "torque")})
+    (line,) = axes.lines
+    np.testing.assert_allclose(line.get_ydata(), [-4, -3, np.nan, 3, 4], rtol=1e-12)
+
+
+def test_numbered_values_are_points_at_whole_numbers(tmp_path):
+    columns = {"load": Column(np.arange(3), "1"), "torque": Column(np.arange(3.0), "N m")}
+    axes = drawn(tmp_path / "a.h5", {}, {"loads": Table(("load",), columns, "torque")})
+    (line,) = axes.lines
+    assert line.get_linewidth() == 0
+    np.testing.assert_array_equal(axes.get_xticks(), np.round(axes.get_xticks()))
+
+
+def test_nothing_is_drawn_where_nothing_was_recorded(tmp_path):
+    signals = samples(200)["sweep"]
+    signals["time"][100:] += 10.0
+    axes = drawn(tmp_path / "a.h5", {"sweep": signals}, {})
+    (area,) = axes.collections
+    assert len(area.get_paths()) == 2

@@ -1,6 +1,6 @@
 import pytest
 
-from rigtool.report.published import published_table, published_value
+from rigtool.report.published import published_accuracy, published_table, published_value
 
 
 def test_tables_8_and_9_agree_with_themselves():
@@ -47,3 +47,11 @@ def test_values_belong_to_an_attachment():
     assert published_value("stribeck", "coulomb_friction", "pulley") is not None
     assert published_value("stribeck", "no_such_result", None) is None
     assert published_value("no-such-command", "x", None) is None
+
+
+def test_the_errors_of_one_instrument_are_not_shown_for_another():
+    rig = "MRDLab tool characterization, Maryland, left jaw"
+    everywhere = published_accuracy(rig, {"Tool_4_Maryland_L_2"})
+    assert "folder" not in {key for row in everywhere for key in row}
+    assert len(everywhere) < len(published_accuracy(rig, {"Tool_4_Maryland_L_4"}))
+    assert published_accuracy("another rig", {"Tool_4_Maryland_L_4"}) == []

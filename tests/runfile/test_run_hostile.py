@@ -146,3 +146,10 @@ def test_hashing_reads_files_only(tmp_path):
             provenance.file_sha256(path)
     with pytest.raises(RunFileError, match="no such file"):
         open_run("a\0b")
+
+
+def test_a_table_without_a_column_is_refused(copy):
+    with open_run(copy) as run:
+        table = next(iter(run.tables.values()))
+        with pytest.raises(RunFileError, match=r"no column 'nothing', only .*"):
+            table["nothing"]

@@ -44,6 +44,9 @@ SHAKING_LIMIT = 0.25
 MIN_SAMPLES = 16
 """Smallest number of samples in a hold."""
 
+MIN_KEPT = 8
+"""Smallest number of samples that settling and whole turns may leave of a hold."""
+
 AT_REST = 1e-3
 """Speeds below this part of the highest one are standstill."""
 
@@ -97,15 +100,16 @@ def find_holds(
         _, wanted = require_signals(MIN_SAMPLES, time=t, position_setpoint=setpoint)
         stretches = _steady_stretches(t, wanted)
         watched = wanted - shaft
-    holds = [
+    found = [
         _hold(t[a:b], wanted[a:b], effort[a:b], None if watched is None else watched[a:b], inertia)
         for a, b in stretches
         if b - a >= MIN_SAMPLES
     ]
+    holds = [hold for hold in found if hold is not None]
     if not holds:
         raise InsufficientDataError(
-            "no stretch of constant speed was found in the position set point: hold each speed "
-            "for some revolutions"
+            "no stretch of constant speed was found in the position set point that leaves "
+            f"{MIN_KEPT} samples once it has settled: hold each speed for some revolutions"
         )
     return Holds(*np.array(holds).T)
 
@@ -133,8 +137,8 @@ def _steady_stretches(time: Array, setpoint: Array) -> list[tuple[int, int]]:
 
 def _hold(
     time: Array, position: Array, torque: Array, watched: Array | None, inertia: float
-) -> tuple[float, ...]:
-    """Return the columns of `Holds` for one hold."""
+) -> tuple[float, ...] | None:
+    """Return the columns of `Holds` for one hold, None where too little of it has settled."""
     travel = np.abs(position - position[-1])
     if watched is None:
         settled = max(_warm_up(torque), _warm_up(np.gradient(position, time)))
@@ -145,6 +149,8 @@ def _hold(
     if revolutions >= 1:
         first = int(np.searchsorted(-travel, -revolutions * 2 * np.pi * (1 + 1e-9)))
     kept = torque[first:]
+    if len(kept) < MIN_KEPT:
+        return None
     speed = (position[-1] - position[first]) / (time[-1] - time[first])
     u, dof = _uncertainty(kept, revolutions)
     sample = float(np.median(np.diff(time)))

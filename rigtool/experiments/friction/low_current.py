@@ -57,5 +57,5 @@ def require_linear_at_low_current(
             f"the amplifier's current deviates from its set point by {rms * 1e3:.3g} mA rms, worst "
             f"{deviation[worst] * 1e3:.3g} mA at {level[worst] * 1e3:.3g} mA, limit "
             f"{limit * 1e3:.3g} mA ({DEVIATION_LIMIT:.0%} of the current that friction takes): it "
-            "is not linear at low current (thesis Appendix C); use another amplifier"
+            "is not linear at low current; use another amplifier"
         )

@@ -209,7 +209,7 @@ def add_radial_friction(
     `weights_u` is the relative standard uncertainty of the force.
     """
     nearest = np.argmin(np.abs(unloaded.speed - loaded.speed[:, None]), axis=1)
-    same = np.abs(unloaded.speed[nearest] / loaded.speed - 1) < 0.01
+    same = np.abs(unloaded.speed[nearest] - loaded.speed) < 0.01 * np.abs(loaded.speed)
     if not same.any():
         found.notes.append("no speed was held with and without radial force: nothing to compare")
         return
@@ -217,9 +217,13 @@ def add_radial_friction(
     value = float(np.mean(np.sign(after.speed) * (after.torque - before.torque)))
     lines = [error_line("hung weights", value * weights_u, "N m")]
     for name, holds in ((SCATTER, before), ("scatter with the force", after)):
-        square = holds.u**2 / len(after.speed) ** 2
-        dof = float(square.sum() ** 2 / np.sum(square**2 / holds.dof))
-        lines.append(error_line(name, math.sqrt(square.sum()), "N m", dof))
+        share = 1 / len(after.speed)
+        parts = [
+            error_line(name, u * share, "N m", dof)
+            for u, dof in zip(holds.u.tolist(), holds.dof.tolist(), strict=True)
+        ]
+        mean = combined(0.0, "N m", parts)
+        lines.append(error_line(name, mean.u or 0.0, "N m", mean.dof))
     added = found.scale.quantity(value, "N m", lines)
     found.results["radial_load_friction"] = added
     found.results["radial_friction_coefficient"] = scaled(added, 1 / force, "N m/N")
@@ -242,12 +246,17 @@ def add_static_friction(
                 total = math.hypot(mean.u, middle.u, u)
                 found.add(f"static_friction_{name}", (value, total), "N m", mean.dof)
         return
+    if unloaded is not None:
+        found.notes.append(
+            "breakaway gives no static friction: both directions broke away at "
+            f"{unloaded.paired} positions, 2 are needed"
+        )
     static = {s: known for s, fit in fits.items() if (known := fit.static) is not None}
     if static:
         _add_directions(found, "static_friction", static, "N m", None, offset)
         found.notes.append(
-            "static friction is the Stribeck model's, extrapolated to standstill: no breakaway was "
-            "recorded"
+            "static friction is the Stribeck model's, extrapolated to standstill, not that of "
+            "breakaway"
         )
 
 

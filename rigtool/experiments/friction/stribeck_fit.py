@@ -356,6 +356,11 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
             "mN m at standstill: friction cannot be below 0; check the signs of current and encoder"
         )
     friction = float(np.mean([fit.friction for fit in fits]))
+    if friction <= 0:
+        raise InsufficientDataError(
+            f"the mean torque against the motion is {friction * 1e3:.3g} mN m: friction is above "
+            "0; check current and encoder, whose signs may be wrong or which may not change"
+        )
     limit = STRUCTURE_LIMIT * friction
     worst = max(fits, key=lambda fit: fit.structure)
     if worst.dof > 0 and worst.structure > limit:
@@ -365,7 +370,7 @@ def require_explained(fits: Sequence[DirectionFit]) -> None:
             f"{limit * 1e3:.3g} mN m ({STRUCTURE_LIMIT:.0%} of the friction); worst at "
             f"{worst.worst_speed:.3g} rad/s. No friction model explains that: suspect noise "
             "that is slower than a hold (raise stribeck.hold_time), the current amplifier at low "
-            "current (thesis Appendix C), or a resonance of the speed loop"
+            "current, or a resonance of the speed loop"
         )
 
 

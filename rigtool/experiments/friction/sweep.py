@@ -71,6 +71,11 @@ def torque_speed_curve(
             rows.append((label[first], np.mean(speed[part]), np.mean(corrected), whole))
             for turn in np.array_split(corrected, whole) if whole else ():
                 single[int(label[first])].append(float(np.mean(turn)))
+    if not rows:
+        raise InsufficientDataError(
+            f"the speed set point leaves each of {SPEED_BINS} ranges of speed with the next "
+            "sample: its steps are too coarse for a curve; sweep more slowly"
+        )
     passes = np.array(rows)
     # A sweep up and down passes each bin twice: average the passes.
     _, index = np.unique(passes[:, 0], return_inverse=True)

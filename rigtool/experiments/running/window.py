@@ -165,10 +165,11 @@ def main() -> int:
     def turn() -> None:
         import matplotlib.pyplot as plt
 
+        ended = inbox.ended  # before its blocks are taken: the last ones come before it
         if inbox.empty_into(panel):
             panel.draw()
             figure.canvas.draw_idle()
-        elif inbox.ended:
+        elif ended:
             plt.close(figure)
 
     import matplotlib.pyplot as plt

@@ -48,7 +48,8 @@ def draw_headline(run: Run, loads: Table) -> Figure:
         rows = (applied > 0) & np.isfinite(table["mean_torque"])
         x, bar = MILLI * applied[rows], COVERAGE_FACTOR * table["mean_torque_u"][rows]
         drawn: dict[str, Any] = {"fmt": marker, "color": colour}
-        style.points(above, x, MILLI * table["mean_torque"][rows], MILLI * bar, label, **drawn)
+        name = f"{label}, k = {COVERAGE_FACTOR:g}"
+        style.points(above, x, MILLI * table["mean_torque"][rows], MILLI * bar, name, **drawn)
         percent = 100 * bar / applied[rows]
         style.points(below, x, table["error_percent"][rows], percent, "", **drawn)
         largest = max(largest, float(x.max(initial=0.0)))

@@ -100,7 +100,7 @@ def draw_ripple_by_speed(run: Run, table: Table) -> Figure:
     return figure
 
 
-@plot(28, "fft-ripple", "PSD of the ripple in Figure 27", "speed_psd")
+@plot(28, "fft-ripple", "PSD of the ripple at all motor speeds", "speed_psd")
 def draw_psd_by_speed(run: Run, table: Table) -> Figure:
     """Fig. 28: power spectral densities of some of these signals, slow to fast.
 

@@ -10,6 +10,13 @@ from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction.breakaway import around_turn, find_ramps
+from rigtool.experiments.friction.results import (
+    Findings,
+    Scale,
+    add_breakaway,
+    add_static_friction,
+)
+from rigtool.quantity import Quantity
 
 COUNT = 2 * np.pi / 4000
 
@@ -119,6 +126,26 @@ def test_ramps_of_other_positions_are_not_paired(signals):
     apart = around_turn(ramps[:1] + ramps[8:9], np.linspace(0.3, 5.9, 24))
     # ramps at 0.01 rad are further from all of these than half their spacing
     assert np.all(np.isnan(apart.positive))
+
+
+def test_directions_that_broke_away_at_different_positions_have_no_mean(signals):
+    ramps = find_ramps(**signals, threshold=0.02)
+    apart = around_turn([*ramps[:4], *ramps[13:15]])
+    assert apart.paired == 0
+    for mean in (apart.level, apart.middle):
+        assert np.isnan([mean.value, mean.u]).all()
+        assert mean.dof == 0
+    found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    add_static_friction(apart, {}, None, found)
+    add_breakaway(apart, found)
+    assert set(found.results) == {"breakaway_torque_min", "breakaway_torque_max"}
+    assert any("broke away at 0 positions" in note for note in found.notes)
+
+
+def test_ramps_of_few_samples_are_refused_by_their_number(signals):
+    coarse = {name: values[::400] for name, values in signals.items()}
+    with pytest.raises(InsufficientDataError, match=r"16 samples or more; the longest has 1[0-5]"):
+        find_ramps(**coarse, threshold=0.02)
 
 
 def test_repeated_ramps_are_averaged(signals):

@@ -163,7 +163,7 @@ def test_no_stribeck_effect_is_said_so(measured):
 def test_an_amplifier_that_fails_at_low_current_is_refused(folder, kt):
     """[Appendix C]"""
     path = folder / "idm640.h5"
-    with pytest.raises(InsufficientDataError, match="Appendix C"):
+    with pytest.raises(InsufficientDataError, match="not linear at low current"):
         run(
             STRIBECK,
             RECIPE,

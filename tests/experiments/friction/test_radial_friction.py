@@ -44,3 +44,12 @@ def test_other_speeds_are_not_compared():
     )
     assert not found.results
     assert any("no speed was held" in note for note in found.notes)
+
+
+def test_holds_without_scatter_or_speed_divide_nothing():
+    """A current that stays on one step of its drive has no scatter; a shaft at rest no speed."""
+    found = Findings(Scale(Quantity(0.05, "N m/A", 0.0)))
+    before = holds([1, 2, 0], [1e-3, 1e-3, 0], 0.0, 0.0)
+    add_radial_friction(before, holds([1, 0], [2e-3, 0], 0.0, 4.0), 20.0, found)
+    result = found.results["radial_load_friction"]
+    assert (result.value, result.u) == (pytest.approx(1e-3), 0.0)

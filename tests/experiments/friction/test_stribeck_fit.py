@@ -92,6 +92,16 @@ def test_no_hold_is_refused():
         find_holds(time=time, angle=time**2, torque=time, setpoint=time**2, inertia=1e-5)
 
 
+def test_a_hold_of_which_one_sample_is_left_is_left_out():
+    """Three samples a turn, and settling that lasts until the last one."""
+    time = np.arange(40) * 0.05
+    angle = 40.0 * time
+    behind = np.where(time < time[-2], np.exp(-time), 0.0)
+    signals = {"time": time, "torque": np.ones(40), "setpoint": angle, "inertia": 1e-5}
+    with pytest.raises(InsufficientDataError, match="leaves 8 samples once it has settled"):
+        find_holds(angle=angle - behind, **signals)
+
+
 # -- models
 
 
@@ -222,7 +232,7 @@ def test_a_curve_that_no_friction_model_explains_is_refused():
     speed = np.geomspace(0.5, 30, 14)
     torque = 2.3e-3 + 5.33e-5 * speed + 0.5e-3 * np.sin(2.5 * speed)
     fit = fit_direction(speed, torque, np.full(14, 1e-5))
-    with pytest.raises(InsufficientDataError, match="Appendix C"):
+    with pytest.raises(InsufficientDataError, match="No friction model explains"):
         require_explained([fit])
 
 
@@ -264,6 +274,13 @@ def test_torque_along_the_motion_is_a_wrong_sign():
     fit = fit_direction(speed, -2e-3 - 5e-5 * speed, np.full(len(speed), 1e-5))
     with pytest.raises(InsufficientDataError, match="signs of current and encoder"):
         require_explained([fit])
+
+
+def test_a_torque_that_does_not_depend_on_the_motion_is_no_friction():
+    speed = np.array(SPEEDS, dtype=float)
+    u = np.full(len(speed), 1e-5)
+    with pytest.raises(InsufficientDataError, match="which may not change"):
+        fit_directions(np.append(speed, -speed), np.full(2 * len(speed), 1e-3), np.append(u, u))
 
 
 def test_a_constant_torque_above_friction_is_no_wrong_sign():
@@ -336,6 +353,14 @@ def test_a_constant_speed_is_no_sweep():
     time = np.arange(1000) * 1e-3
     with pytest.raises(InsufficientDataError, match="a sweep runs through speeds"):
         torque_speed_curve(time=time, setpoint=3 * time, torque=time, inertia=1e-5)
+
+
+def test_a_sweep_in_coarse_steps_is_refused():
+    """No two samples in a row lie in one range of speed."""
+    time = np.arange(400) * 0.01
+    setpoint = np.cumsum(np.tile([1.0, 2.0, 3.0, 1.0], 100)) * 0.01
+    with pytest.raises(InsufficientDataError, match="too coarse for a curve"):
+        torque_speed_curve(time=time, setpoint=setpoint, torque=time, inertia=1e-5)
 
 
 # -- the amplifier at low current

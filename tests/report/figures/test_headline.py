@@ -35,7 +35,7 @@ def test_a_corrected_run_shows_both(make, open_all):
     (run,) = open_all(make("measure-force", sets=("measure_force.correction=full",)))
     above, _ = PLOTS[100].draw(run).axes
     labels = above.get_legend_handles_labels()[1]
-    assert {"without correction", "correction full"} <= set(labels)
+    assert {"without correction, k = 2", "correction full, k = 2"} <= set(labels)
     (uncorrected, _), (corrected, _) = bars(above)
     assert len(uncorrected) == 5
     assert len(corrected) == 4  # the largest load was not learned

@@ -85,6 +85,15 @@ SHORTER = {
         "ilc_learn.turning.low_speeds_rev_per_s=[]",
         "ilc_learn.turning.revolutions=3",
     ),
+    "identify-plant": (
+        "identify_plant.speeds=[8]",
+        "identify_plant.realisations=2",
+        "identify_plant.periods=4",
+        "identify_plant.period=1",
+        "identify_plant.lines=20",
+        "identify_plant.frequency_min=2",
+        "identify_plant.frequency_max=30",
+    ),
     "measure-force": (
         "measure_force.forces=[0.5]",
         "measure_force.cycles=3",
@@ -137,8 +146,8 @@ class Bench:
         assert code == 0, (arguments[0], err)
         return out + err
 
-    def run(self, command, *more, shorter=SHORTER, inputs=()):
-        """Look at --dry-run, then measure; return the path of the run."""
+    def run(self, command, *more, shorter=SHORTER, inputs=(), refused=False):
+        """Look at --dry-run, then measure; return the path of the run, or why it is `refused`."""
         output = self._folder / f"{command}.h5"
         settings = (
             f'serial.port="{self._at}"',
@@ -151,6 +160,10 @@ class Bench:
         changes = [part for setting in settings for part in ("--set", setting)]
         arguments = (command, self.recipe, *inputs, "-o", output, *changes)
         self.call(*arguments, "--dry-run")
+        if refused:
+            code, _, err = call(self._capsys, *arguments, "--yes")
+            assert code == 5
+            return err
         self.call(*arguments, "--yes")
         return output
 
@@ -199,6 +212,20 @@ def test_constant_and_ripple_are_measured_on_each_drive(bench):
         line = json.loads(run.provenance["line"])
     assert line["driver"] == bench.name
     assert line["late_samples"] == 0
+
+
+@pytest.mark.thorough
+def test_the_plant_is_identified_where_the_host_closes_the_loop(bench):
+    """Loops of a drive change the current between two samples: they are refused at rest."""
+    kt = ("--kt", bench.kt)
+    if bench.name in ("vesc", "simplefoc"):
+        path = bench.run("identify-plant", inputs=kt)
+        assert_true(result(path, "inertia"), bench.motor.inertia, 0.04)
+        return
+    before = bench.motor.position
+    err = bench.run("identify-plant", inputs=kt, refused=True)
+    assert "needs to hold its current from one sample to the next: the loop of this" in err
+    assert bench.motor.position == before
 
 
 @pytest.mark.thorough

@@ -165,6 +165,8 @@ class HostedRig(SerialRig):
         added = able.feedforward or self.mode == "current"
         if need in ("feedforward", "table", "signal") and not added:
             return f"this {name} takes no torque feed-forward beside its set point"
+        if need == "held_current" and self.mode != "current":
+            return f"the loop of this {name} changes its current between two samples, unseen"
         if need in ("current", "current_setpoint", "temperature") and need not in able.channels:
             more = ": add [serial.temperature]" if need == "temperature" else ""
             return f"this {name} does not report its {need}{more}"

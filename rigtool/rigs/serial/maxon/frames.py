@@ -7,6 +7,9 @@ EPOS4 (RS232, USB) [maxon, EPOS4 Communication Guide]:
 
     90 02 | op code | length in words | data | CRC        0x90 after the start is doubled
 
+An answer begins with an error code; a damaged command is answered with that of a wrong CRC or of an
+unknown op code, and not carried out [rel8759, 2.2.2, 6].
+
 EPOS2 and DES (RS232) [implementations of others, two agree]: the host sends the op code, the device
 answers `O` (ready) or `F`; the host sends length - 1, data and CRC, the device answers `O` or `F`.
 An answer is a command of the device, with the op code 0, and acknowledged by the host.
@@ -23,6 +26,9 @@ START = b"\x90\x02"
 DLE = 0x90
 OKAY, FAILED = b"O", b"F"
 ANSWER = 0x00
+
+DAMAGED = {0x05040001: "an unknown op code", 0x05040004: "a wrong CRC"}
+"""Error codes of a command that an EPOS4 did not receive as it was sent."""
 
 FRAME_TIMEOUT = 0.5
 """Time after which a device in lock-step gives up a frame that does not go on, s."""
@@ -90,6 +96,8 @@ class DleFrames:
         data = self._take(2 * length)
         if self._take(2) != crc(bytes([length, opcode]), data):
             raise DamagedReply(f"{self.line.port}: wrong CRC of an answer of {length} words")
+        if found := DAMAGED.get(int.from_bytes(data[:4], "little")):
+            raise DamagedReply(f"{self.line.port}: the drive received {found}")
         if opcode != ANSWER or len(data) != size:
             raise DamagedReply(
                 f"{self.line.port}: {len(data)} bytes with op code {opcode:#x} came as an answer, "

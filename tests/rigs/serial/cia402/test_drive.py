@@ -186,6 +186,7 @@ def test_modes_are_those_that_the_drive_has(supported, modes):
         assert rig.drive._modes == modes
         found = perform(rig, TO_AND_FRO)
         assert (rig.lacks("feedforward") is None) == (supported != 0x00D)
+        assert "between two samples" in rig.lacks("held_current")
     off = found["encoder"] * 2 * np.pi / 4000 - found["position_setpoint"]
     assert np.abs(off).max() < 0.2
 

@@ -1,7 +1,9 @@
 """maxon drives: an EPOS4 between DLE and CRC, an EPOS2 and a DES 70/10 in lock-step.
 
 With the faults of the real ones: no watchdog, whole rpm, answers that do not say to which question
-they belong, and in lock-step a frame that goes on until it is complete or given up.
+they belong, and a frame that goes on until it is complete or given up. They are slaves that answer
+one request at a time: what comes before the answer has left is lost. An EPOS4 answers a frame with
+a wrong CRC with an error (maxon, EPOS4 Communication Guide rel8759, 2.2.1, 2.2.2, 2.2.7).
 """
 
 from __future__ import annotations
@@ -29,6 +31,10 @@ COUNTS = 4000
 """Quad counts a turn of the encoder."""
 
 NO_OBJECT, WRONG_STATE = 0x06020000, 0x08000022
+UNKNOWN_COMMAND, CRC_ERROR = 0x05040001, 0x05040004
+
+NOT_AWAITED = "lost what came before the answer"
+"""Line of the log of a device whose host did not wait."""
 
 BITS = {
     **dict.fromkeys((0x1000, 0x1018, 0x3001, 0x6076, 0x60A9, 0x6080, 0x3010), 32),
@@ -108,7 +114,12 @@ class LockStep(Device):
             self.phase = "idle"
             self.log.append("frame given up")
         self.then = time.monotonic()
-        return b"".join(self.byte(bytes([value])) for value in data)
+        for place, value in enumerate(data):
+            if answer := self.byte(bytes([value])):
+                if data[place + 1 :]:
+                    self.log.append(NOT_AWAITED)
+                return answer
+        return b""
 
     def byte(self, byte: bytes) -> bytes:
         """Take one byte and return what is answered at once."""
@@ -257,7 +268,7 @@ class Epos4Emulator(Epos):
 
     def reset(self) -> None:
         """Restart: in the middle of nothing."""
-        self.buffer = b""
+        self.buffer, self.then = b"", time.monotonic()
         super().reset()
 
     def apply(self) -> None:
@@ -280,14 +291,21 @@ class Epos4Emulator(Epos):
         }
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes; frames with a wrong CRC are dropped without a word."""
+        """Take bytes; the first whole frame is answered, the rest of what came is lost."""
+        if time.monotonic() - self.then > FRAME_TIMEOUT:
+            self.buffer = b""
+        self.then = time.monotonic()
         self.buffer += data
-        answers = b""
-        while (frame := self.next_frame()) is not None:
-            body, check = frame[:-2], frame[-2:]
-            if check == crc(body[1::-1], body[2:]):
-                answers += self.answer(body[0], body[2:])
-        return answers
+        frame = self.next_frame()
+        if frame is None:
+            return b""
+        if self.buffer:
+            self.log.append(NOT_AWAITED)
+        self.buffer = b""
+        body, check = frame[:-2], frame[-2:]
+        if check != crc(body[1::-1], body[2:]):
+            return dle_frame(ANSWER, struct.pack("<I", CRC_ERROR))
+        return self.answer(body[0], body[2:])
 
     def next_frame(self) -> bytes | None:
         """Take a whole frame from what has come: op code, length, data, CRC."""
@@ -319,7 +337,7 @@ class Epos4Emulator(Epos):
         if opcode == 0x68 and len(data) == 8:
             node, index, sub, value = struct.unpack("<BHBI", data)
             return dle_frame(ANSWER, self.carry_out(node, index, sub, value))
-        return dle_frame(ANSWER, struct.pack("<I", 0x05040001))
+        return dle_frame(ANSWER, struct.pack("<I", UNKNOWN_COMMAND))
 
 
 class Epos2Emulator(LockStep, Epos):

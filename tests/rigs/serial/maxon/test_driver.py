@@ -19,7 +19,7 @@ from rigtool.recipe import load_recipe
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.cia402.objects import MODE, POSITION, TARGET_TORQUE
+from rigtool.rigs.serial.cia402.objects import MODE, POSITION, TARGET_SPEED, TARGET_TORQUE
 from rigtool.rigs.serial.emulators.faults import Fault, Faults
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import loop
@@ -27,10 +27,15 @@ from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.maxon import guard as maxon_guard
-from rigtool.rigs.serial.maxon.frames import DleFrames, crc, dle_frame, lock_step_frame
+from rigtool.rigs.serial.maxon.frames import OKAY, DleFrames, crc, dle_frame, lock_step_frame
 from rigtool.rigs.serial.maxon.objects import CURRENT_TARGET_2
 from rigtool.rigs.serial.ports import find_devices
-from tests.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4Emulator
+from tests.rigs.serial.emulators.maxon import (
+    NOT_AWAITED,
+    DesEmulator,
+    Epos2Emulator,
+    Epos4Emulator,
+)
 from tests.rigs.serial.recipes import RECIPE, serial_recipe
 
 ROOT = Path(__file__).parents[4]
@@ -380,6 +385,26 @@ def test_no_value_is_taken_for_another(epos4, kind):
             assert sample.position == pytest.approx(1.0, abs=2e-3)
             assert sample.current == sample.current_setpoint == 0.0
         assert rig.line.counts.retries > 0
+
+
+def test_a_damaged_command_is_answered_with_an_error_and_sent_again(epos4):
+    with serve(epos4) as server, maxon_rig(server.port) as rig:
+        inject(server, Fault("flip", at=0, towards="device"))
+        rig.drive._objects.write(TARGET_SPEED, 48)
+        assert rig.line.counts.retries == 1
+        assert epos4.objects[0x60FF, 0] == 48
+
+
+def test_a_device_answers_one_request_at_a_time(device):
+    """A host that does not wait gets one answer."""
+    if isinstance(device, Epos4Emulator):
+        data = bytes.fromhex("01 64 60 00")
+        both = dle_frame(0x60, data) + dle_frame(0x60, data)
+        assert device.receive(both) == device.receive(dle_frame(0x60, data))
+    else:
+        opcode = bytes([next(iter(device.lengths))])
+        assert device.receive(opcode + opcode) == OKAY
+    assert device.log == [NOT_AWAITED]
 
 
 def broken_off(rig, got, happens):

@@ -5,10 +5,57 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 static struct rigtool_target target;
 static struct rigtool_target_config config = {
     125e-6, 4000, 1, "rigtool target in C, on a computer", 1, 1, 0, 1 << 23, 0, 0, 0, 0};
+
+#ifdef WITH_SENSOR
+#include "sensor.h"
+#define READINGS 20000
+static struct rigtool_sensor sensor;
+static double readings[5 * READINGS];
+static uint32_t read_so_far, seen;
+
+static void firmware_forget(void)
+{
+    rigtool_sensor_init(&sensor);
+    read_so_far = 0;
+}
+
+/* Torque, u, low, high and state of each reading of the last motion; returns their number. */
+uint32_t firmware_readings(double *out)
+{
+    memcpy(out, readings, 5 * read_so_far * sizeof *out);
+    return read_so_far;
+}
+
+/* Follows what the log records, all that the host receives: each motion begins anew. */
+static void observe(void *context, const struct rigtool_target_sample *sample)
+{
+    struct rigtool_sensor_sample now;
+    const struct rigtool_sensor_reading *reading;
+    (void)context;
+    if (target.recorded == seen)
+        return;
+    seen = target.recorded;
+    if (seen == 1)
+        firmware_forget();
+    now.encoder = sample->reading.encoder;
+    now.current = (rigtool_sensor_real)sample->asked;
+    now.temperature = (rigtool_sensor_real)sample->reading.degc;
+    reading = rigtool_sensor_update(&sensor, now);
+    if (reading->fresh && read_so_far < READINGS) {
+        double *out = readings + 5 * read_so_far++;
+        out[0] = (double)reading->torque;
+        out[1] = (double)reading->u;
+        out[2] = (double)reading->low;
+        out[3] = (double)reading->high;
+        out[4] = (double)reading->state;
+    }
+}
+#endif
 
 void firmware_begin(uint32_t boot, uint32_t log_size, int keeps_log)
 {
@@ -19,6 +66,9 @@ void firmware_begin(uint32_t boot, uint32_t log_size, int keeps_log)
     config.keeps_log = keeps_log;
     config.objects = malloc(config.objects_size);
     config.log = malloc(log_size);
+#ifdef WITH_SENSOR
+    config.observe = observe;
+#endif
     rigtool_target_init(&target, &config);
 }
 
@@ -83,25 +133,8 @@ int firmware_table(const uint8_t *object, uint32_t size, uint32_t count, const d
 
 #ifdef FIRMWARE_MAIN
 #include <poll.h>
-#include <string.h>
 #include <time.h>
 #include <unistd.h>
-
-#ifdef WITH_SENSOR
-#include "sensor.h"
-static struct rigtool_sensor sensor;
-static uint32_t readings;
-
-static void observe(void *context, const struct rigtool_target_sample *sample)
-{
-    struct rigtool_sensor_sample now;
-    (void)context;
-    now.encoder = sample->reading.encoder;
-    now.current = sample->asked;
-    now.temperature = sample->reading.degc;
-    readings += (uint32_t)rigtool_sensor_update(&sensor, now)->fresh;
-}
-#endif
 
 static uint32_t milliseconds(void)
 {
@@ -117,10 +150,6 @@ int main(int argc, char **argv)
     const double dt = 125e-6, inertia = 1.5e-5, constant = 0.045, coulomb = 2.3e-3;
     uint32_t then;
     int line = argc > 1 ? atoi(argv[1]) : 0;
-#ifdef WITH_SENSOR
-    rigtool_sensor_init(&sensor);
-    config.observe = observe;
-#endif
     firmware_begin(milliseconds(), 1 << 24, 1);
     then = milliseconds();
     for (;;) {
@@ -156,7 +185,7 @@ int main(int argc, char **argv)
                 return 3;
     }
 #ifdef WITH_SENSOR
-    printf("%u readings\n", readings);
+    fwrite(readings, 5 * sizeof *readings, read_so_far, stdout);
 #endif
     free(config.objects);
     free(config.log);

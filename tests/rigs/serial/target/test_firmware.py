@@ -1,11 +1,8 @@
 """The target in C: tests of the Python emulator, currents of the virtual rig, the same tables."""
 
 import json
-import os
 import shutil
-import subprocess
 import time
-import tty
 import zlib
 from dataclasses import replace
 
@@ -16,15 +13,13 @@ from hypothesis import strategies as st
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import HardwareError
-from rigtool.experiments.deploy.force_sensor import sensor_header
 from rigtool.rigs import Feedforward, Task, open_rig
 from rigtool.rigs.motion import CurrentSteps, Move, SpeedProfile, Triangle
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.line import LineLost
 from rigtool.rigs.serial.target import link, protocol
 from rigtool.rigs.serial.target.link import FrameKind, Slot, TargetState
-from tests.experiments.deploy.sensors import instrument
-from tests.rigs.serial.emulators.firmware import Bare, Firmware, build, library, pointer
+from tests.rigs.serial.emulators.firmware import Bare, Firmware, library, pointer
 from tests.rigs.serial.target import test_driver_emulator, test_driver_faults
 from tests.rigs.serial.target.test_driver import (
     KT,
@@ -293,28 +288,3 @@ def test_a_silent_host_stops_the_motor():
         assert time.monotonic() - begin < 0.3
         with pytest.raises(LineLost):
             list(running)
-
-
-# -- a program of its own
-
-
-@pytest.mark.real_time
-def test_over_a_pseudo_terminal_under_the_sanitizers_with_the_force_sensor(tmp_path):
-    (tmp_path / "sensor.h").write_text(sensor_header(instrument(), 1.96, ["test"]))
-    flags = ("-DFIRMWARE_MAIN", "-DWITH_SENSOR", "-D_POSIX_C_SOURCE=200809L", "-g")
-    program = build(tmp_path, "target", *flags, "-fsanitize=address,undefined")
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    with subprocess.Popen(
-        [program, str(master)], pass_fds=[master], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as process:
-        os.close(master)
-        more = ("rig.attachment=pulley", "serial.watchdog=5")
-        with target_rig(os.ttyname(slave), *more, "serial.log=stream") as rig:
-            got = blocks_of(rig, replace(EXACT[1], record_every=4))
-            angle = got["encoder"] * 2 * np.pi / 4000
-            assert np.abs(angle - got["position_setpoint"]).max() < 0.05
-        os.close(slave)
-        out, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (0, b"")
-    assert int(out.split()[0]) > 500
