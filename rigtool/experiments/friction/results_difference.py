@@ -80,13 +80,19 @@ def add_curve_difference(
 
 
 def _ratio(mine: _Curve, base: _Curve, other: _Curve) -> Quantity:
-    """Return the ratio of two differences against one curve: weighted least squares over speeds."""
+    """Return the ratio of two differences against one curve: weighted least squares over speeds.
+
+    Errors of the known difference would lower the ratio, and those of the curve that both share
+    move it towards one: both are taken off the sums (W. A. Fuller, Measurement Error Models, 1987,
+    section 2.2).
+    """
     known = _minus(other, base)
     this = _minus(mine, base)
     at = [int(np.argmin(np.abs(known[0] - speed))) for speed in this[0]]
     both = np.abs(known[0][at] - this[0]) <= SAME_SPEED * np.abs(this[0])
     x, x_u = (values[at][both] for values in known[1:])
     y, y_u = (values[both] for values in this[1:])
+    shared = np.array([base[2][np.argmin(np.abs(base[0] - one))] for one in this[0][both]])
     if len(y) < 1 + FEWEST:
         raise InsufficientDataError(
             f"{len(y)} speeds are common to all three runs, {1 + FEWEST} are needed: hold the same "
@@ -95,8 +101,8 @@ def _ratio(mine: _Curve, base: _Curve, other: _Curve) -> Quantity:
     weight = 1 / (x_u**2 + y_u**2)
     value = float(np.sum(weight * x * y) / np.sum(weight * x**2))
     for _ in range(10):  # weights follow the ratio
-        weight = 1 / (y_u**2 + (value * x_u) ** 2)
-        value = float(np.sum(weight * x * y) / np.sum(weight * (x**2 - x_u**2)))
+        weight = 1 / (y_u**2 + (value * x_u) ** 2 - 2 * value * shared**2)
+        value = float(np.sum(weight * (x * y - shared**2)) / np.sum(weight * (x**2 - x_u**2)))
     power = float(np.sum(weight * (x**2 - x_u**2)))
     if not power > FEWEST**2:
         raise InsufficientDataError(

@@ -178,6 +178,38 @@ def test_noise_of_the_known_change_does_not_enlarge_the_ratio():
     assert value == pytest.approx(2, rel=0.05)
 
 
+def held(speed, torque, u):
+    """Return the table of a curve of constant speeds."""
+    columns = {"speed": Column(speed, "rad/s"), "torque": Column(torque, "N m")}
+    columns["u"] = Column(np.full(len(speed), u), "N m")
+    return Table(("speed",), columns, "torque")
+
+
+def stored(table):
+    """Return what the comparison reads of a stored run."""
+    run = SimpleNamespace(path="b.h5", tables={HOLDS: table}, require_command=str)
+    run.table = run.tables.__getitem__
+    return run
+
+
+def test_the_curve_that_both_differences_share_does_not_move_their_ratio():
+    """A known change of 5 u at each speed, and one in the other direction, over 100 draws."""
+    speed = np.concatenate([np.geomspace(2, 60, 20), -np.geomspace(2, 60, 20)])
+    pulls = []
+    for seed in range(100):
+        random = np.random.default_rng(seed)
+        bare, known, unknown = (
+            held(speed, change * np.sign(speed) + random.normal(0, 1e-5, len(speed)), 1e-5)
+            for change in (0.0, 5e-5, -5e-5)
+        )
+        found = Findings(Scale(Quantity(0.045, "N m/A", 0.0)), tables={HOLDS: unknown})
+        add_curve_difference(found, stored(bare), stored(known))
+        ratio = found.results["ratio_of_differences"]
+        pulls.append((ratio.value + 1) / ratio.u)
+    assert abs(np.mean(pulls)) < 0.3  # three standard deviations
+    assert 0.8 < np.std(pulls) < 1.2
+
+
 def test_scatter_beyond_the_stated_one_widens_differences():
     """Curves of which the torques scatter three times as much as their u states."""
     speed = np.concatenate([np.geomspace(2, 60, 12), -np.geomspace(2, 60, 12)])
@@ -185,18 +217,9 @@ def test_scatter_beyond_the_stated_one_widens_differences():
     for seed in range(40):
         random = np.random.default_rng(seed)
 
-        def curve(random=random):
-            columns = {
-                "speed": Column(speed, "rad/s"),
-                "torque": Column(random.normal(0, 3e-5, len(speed)), "N m"),
-                "u": Column(np.full(len(speed), 1e-5), "N m"),
-            }
-            return Table(("speed",), columns, "torque")
-
-        found = Findings(Scale(Quantity(0.045, "N m/A", 0.0)), tables={HOLDS: curve()})
-        other = SimpleNamespace(path="b.h5", tables={HOLDS: curve()}, require_command=str)
-        other.table = other.tables.__getitem__
-        add_curve_difference(found, other, None)
+        this, other = (held(speed, random.normal(0, 3e-5, len(speed)), 1e-5) for _ in range(2))
+        found = Findings(Scale(Quantity(0.045, "N m/A", 0.0)), tables={HOLDS: this})
+        add_curve_difference(found, stored(other), None)
         pulls += [found.results[f"{n}_friction_difference"] for n in ("coulomb", "viscous")]
     # 80 pulls; a third of the true u would give 3.
     assert 0.75 < np.sqrt(np.mean([(q.value / q.u) ** 2 for q in pulls])) < 1.3
