@@ -5,10 +5,13 @@
 
 Friction is a bristle model: each contact has a deflection z in -1..1 with x0 dz/dt = w - |w| z and
 the torque level*z, after Dahl (1968) and Canudas de Wit et al., IEEE TAC 40(3) 419-425, 1995; the
-level follows Stribeck. Pre-sliding, breakaway and reversal come from it. Integration is
-semi-implicit Euler at the sample time of the loop; the bristles implicit, which keeps them stable
-at any speed; the tendon exact for torques held over a step (`tendon`). SI units; temperatures in
-degC.
+level follows Stribeck. Pre-sliding, breakaway and reversal come from it.
+
+Steps are those of the leapfrog method (Hairer, Lubich and Wanner, Geometric Numerical Integration,
+2006, section I.1): speeds belong to the samples, angles to the middle between them, so that springs
+act as they stand in the middle of a step. What opposes the shaft's speed in proportion is exact for
+torques held over a step (`heavier`); the bristles are implicit, which keeps them stable at any
+speed; the tendon is exact (`tendon`). SI units; temperatures in degC.
 
 Contacts at the output (grasper, or pulley without an instrument) enter its equation of motion:
 
@@ -16,7 +19,8 @@ Contacts at the output (grasper, or pulley without an instrument) enter its equa
 
 with the recipe's hanging load L, a force F, hung masses of weight W r and inertia I (the load's
 included), tissue (k, c from th0 on, never pulling) and the grip of a hand (kh, ch) that is at thh.
-M is the torque on the output, `reference_torque`. Springs and dampers are implicit, thus stable.
+M is the torque on the output, `reference_torque`. These springs and dampers are implicit, thus
+stable however stiff they are: a spring damps as k dt more than it does.
 """
 
 from __future__ import annotations
@@ -143,9 +147,20 @@ ENCODER, CURRENT_SETPOINT, CURRENT, ARM_TORQUE, TEMPERATURE = range(5)
 
 
 @compiled
-def _bristle(z: float, speed: float, dt: float, presliding_angle: float) -> float:
-    """Deflection of a bristle one step later, implicit in z."""
-    return (z + speed * dt / presliding_angle) / (1.0 + abs(speed) * dt / presliding_angle)
+def _bristle(z: float, speed: float, per_speed: float) -> float:
+    """Deflection of a bristle one step later, implicit in z; `per_speed` is dt/x0."""
+    return (z + speed * per_speed) / (1.0 + abs(speed) * per_speed)
+
+
+@compiled
+def heavier(inertia: float, drag: float, dt: float) -> float:
+    """Return the inertia with which w + dt (T - f w)/inertia is the speed one step later.
+
+    `drag` f [N m s/rad] opposes the speed w. Exactly it is J x/(1 - exp(-x)) with x = f dt/J:
+    its series J (1 + x/2 + x2/12) is 1.4e-3 x^4 off, and stable at any x.
+    """
+    half = drag * dt / 2.0
+    return inertia + half + half * half / (3.0 * inertia)
 
 
 @compiled
@@ -306,26 +321,29 @@ def run(
         modulation = low[4] + part * (high[4] - low[4])
         raw = offset_ripple + current * (gain_ripple + abs(current) * saturation_ripple)
         ripple += p.ripple_step * (raw - ripple)
-        # Bearings
-        before = bristle
-        bristle = _bristle(bristle, speed, dt, p.presliding_angle)
+        # Bearings; `drag` is all that opposes the speed in proportion
+        per_speed = dt / p.presliding_angle
+        bristling = p.presliding_damping / p.presliding_angle
+        bristling *= (1.0 - bristle * math.copysign(1.0, speed)) / (1.0 + abs(speed) * per_speed)
+        bristle = _bristle(bristle, speed, per_speed)
         level = p.coulomb
         ratio = speed / p.stribeck_velocity
         if abs(ratio) < 5.0:
             level += (p.static - p.coulomb) * math.exp(-ratio * ratio)
-        friction = (
-            level * (1.0 + p.asymmetry * bristle) * bristle
-            + s.friction_noise * bristle
-            + level * p.presliding_damping * (bristle - before) / dt
-            + p.viscous * (1.0 + modulation) * speed
-        )
+        drag = level * bristling + p.viscous * (1.0 + modulation)
+        friction = level * (1.0 + p.asymmetry * bristle) * bristle + s.friction_noise * bristle
         torque = torque_constant * (current + ripple) + cogging - friction
         if touch is None or instrument:
             torque -= p.load_torque
-        arm_torque = 0.0
+        spring = 0.0
         if clamped:
-            arm_torque = p.arm_stiffness * (angle - p.clamp_angle) + p.arm_damping * speed
-            torque -= arm_torque
+            spring = p.arm_stiffness * (angle - p.clamp_angle)
+            torque -= spring
+            drag += p.arm_damping
+        if instrument:
+            drag += p.housing_viscous
+        torque -= drag * speed
+        inertia = heavier(p.inertia, drag, dt)
         if instrument:
             # Tendon, grasper and the friction on both sides of the tendon
             twist = p.stiffness * (angle / p.angle_ratio - grasper_angle) + p.damping * (
@@ -338,7 +356,7 @@ def run(
             shape = friction_map[cell] + (place - cell) * (
                 friction_map[cell + 1] - friction_map[cell]
             )
-            s.housing_bristle = _bristle(s.housing_bristle, speed, dt, p.housing_presliding_angle)
+            s.housing_bristle = _bristle(s.housing_bristle, speed, dt / p.housing_presliding_angle)
             z = s.housing_bristle
             if z * s.direction < -0.5:
                 s.direction = -s.direction
@@ -352,8 +370,8 @@ def run(
                 + s.stroke_cosine * cosine
                 + s.drift
             )
-            torque -= level * z + p.housing_viscous * speed
-            s.tip_bristle = _bristle(s.tip_bristle, grasper_speed, dt, p.tip_presliding_angle)
+            torque -= level * z
+            s.tip_bristle = _bristle(s.tip_bristle, grasper_speed, dt / p.tip_presliding_angle)
             tip = p.tip_friction * s.tip_bristle
             if touch is None:
                 s.contact = 0.0
@@ -361,7 +379,7 @@ def run(
             carried = (
                 p.tendon_angle * (angle / p.angle_ratio - grasper_angle)
                 + p.tendon_speed * (speed / p.angle_ratio - grasper_speed)
-                + p.tendon_share * (torque / (p.angle_ratio * p.inertia) + held / p.grasper_inertia)
+                + p.tendon_share * (torque / (p.angle_ratio * inertia) + held / p.grasper_inertia)
             )
             torque -= carried / p.torque_factor
             if touch is None:
@@ -382,8 +400,9 @@ def run(
                 outside_sum += outside
             grasper_angle += dt * grasper_speed
         # Motion
+        before = speed
         if touch is None or instrument:
-            speed += dt * torque / p.inertia
+            speed += dt * torque / inertia
         else:
             speed, outside, _ = _touched(
                 p,
@@ -395,7 +414,7 @@ def run(
                 1.0,
                 torque,
                 p.load_torque,
-                p.inertia,
+                inertia,
             )
             outside_sum += outside
         angle += dt * speed
@@ -403,7 +422,8 @@ def run(
         sums[0] += encoder
         sums[1] += asked
         sums[2] += current
-        sums[3] += arm_torque
+        if clamped:
+            sums[3] += spring + p.arm_damping * (before + speed) / 2.0
         if (k + 1) % record_every == 0:
             row = (k + 1) // record_every - 1
             for j in range(4):

@@ -121,6 +121,40 @@ def test_constant_speed_needs_coulomb_and_viscous_torque():
         assert torque == pytest.approx(np.sign(speed) * 2.3e-3 + 5.33e-5 * speed, rel=2e-3)
 
 
+FINE = "rig.encoder_counts=4000000000"
+STEPS = pytest.mark.parametrize("sample_time", [125e-6, 1e-3])
+
+
+@STEPS
+@pytest.mark.parametrize("viscous", [5.33e-5, 5e-3])
+def test_inertia_and_viscous_friction_are_those_of_the_recipe(sample_time, viscous):
+    rig, recipe = rig_with(
+        f"rig.sample_time={sample_time}", f"virtual.motor.viscous_friction={viscous}", FINE
+    )
+    got = perform(rig, Task(CurrentSteps((1.0, 0.0), 0.25)))
+    angle = got["encoder"] * 2 * np.pi / 4e9
+    free = np.diff(angle[len(angle) // 2 + 10 :]) / sample_time
+    decay = -np.log(free[1:] @ free[:-1] / (free[:-1] @ free[:-1])) / sample_time
+    # What the torque has done: it turned the rotor against its friction, and the rest is momentum.
+    turned = angle[-1] - angle[0] - free[-1] * sample_time / 2  # angles are half a sample ahead
+    inertia = KT * 0.25 / (decay * turned + free[-1])
+    assert inertia == pytest.approx(recipe.virtual.motor.inertia, rel=1e-4)
+    assert decay * inertia == pytest.approx(viscous, rel=1e-4)
+
+
+@STEPS
+def test_the_clamped_arm_dies_out_as_its_damper_says(sample_time):
+    rig, recipe = rig_with(f"rig.sample_time={sample_time}", FINE)
+    rig.clamp(0.0)
+    got = perform(rig, Task(CurrentSteps((1.0, 0.0), 0.02), load=Load(clamped=True)))
+    force = got["force"][round(0.022 / sample_time) :]
+    past = np.stack([force[1:-1], force[:-2]], axis=1)
+    rest = np.linalg.lstsq(past, force[2:], rcond=None)[0]
+    inertia = recipe.virtual.arm.inertia + recipe.virtual.motor.inertia
+    damping = -np.log(-rest[1]) / sample_time * inertia
+    assert damping == pytest.approx(recipe.virtual.arm.damping, rel=2e-4)
+
+
 @pytest.mark.parametrize(("radial", "expected"), [(0.0, 4e-3), (22.0, 4e-3 + 22 * 4.77e-5)])
 def test_breakaway_comes_at_static_friction(radial, expected):
     rig, _ = rig_with("virtual.motor.coulomb_friction=2.3e-3", "virtual.motor.static_friction=4e-3")
