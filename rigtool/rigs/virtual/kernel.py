@@ -9,7 +9,8 @@ level follows Stribeck. Pre-sliding, breakaway and reversal come from it.
 
 Steps are those of the leapfrog method (Hairer, Lubich and Wanner, Geometric Numerical Integration,
 2006, section I.1): speeds belong to the samples, angles to the middle between them, so that springs
-act as they stand in the middle of a step. What opposes the shaft's speed in proportion is exact for
+act as they stand in the middle of a step; the encoder is read at the samples. Current and ripple
+act with their means over a step. What opposes the shaft's speed in proportion is exact for
 torques held over a step (`heavier`); the bristles are implicit, which keeps them stable at any
 speed; the tendon is exact (`tendon`). SI units; temperatures in degC.
 
@@ -90,6 +91,7 @@ PARAMETERS = np.dtype(
             "gain",
             "offset",
             "current_step",
+            "current_kept",
             "ripple_step",
             "distortion",
             "distortion_period",
@@ -289,7 +291,7 @@ def run(
     grasper_angle, grasper_speed = s.grasper_angle, s.grasper_speed
     done = n
     for k in range(n):
-        encoder = math.floor(angle / count)
+        encoder = math.floor((angle - dt / 2.0 * speed) / count)
         # Controller
         if closed_loop:
             u = setpoint[k] - encoder * count
@@ -306,8 +308,9 @@ def run(
         target = p.gain * asked + p.offset
         if p.distortion > 0.0:
             target += p.distortion * math.sin(2.0 * math.pi * target / p.distortion_period)
+        mean_current = target + p.current_kept * (current - target)
         current += p.current_step * (target - current)
-        square_current += current * current
+        square_current += mean_current * mean_current
         # Functions of the rotor's angle
         place = angle * map_scale
         place -= math.floor(place / map_size) * map_size
@@ -319,7 +322,8 @@ def run(
         saturation_ripple = low[2] + part * (high[2] - low[2])
         cogging = low[3] + part * (high[3] - low[3])
         modulation = low[4] + part * (high[4] - low[4])
-        raw = offset_ripple + current * (gain_ripple + abs(current) * saturation_ripple)
+        raw = offset_ripple + mean_current * (gain_ripple + abs(mean_current) * saturation_ripple)
+        mean_ripple = ripple + p.ripple_step * (raw - ripple) / 2.0
         ripple += p.ripple_step * (raw - ripple)
         # Bearings; `drag` is all that opposes the speed in proportion
         per_speed = dt / p.presliding_angle
@@ -332,7 +336,7 @@ def run(
             level += (p.static - p.coulomb) * math.exp(-ratio * ratio)
         drag = level * bristling + p.viscous * (1.0 + modulation)
         friction = level * (1.0 + p.asymmetry * bristle) * bristle + s.friction_noise * bristle
-        torque = torque_constant * (current + ripple) + cogging - friction
+        torque = torque_constant * (mean_current + mean_ripple) + cogging - friction
         if touch is None or instrument:
             torque -= p.load_torque
         spring = 0.0
@@ -421,7 +425,7 @@ def run(
         # Record and keep the slow clock
         sums[0] += encoder
         sums[1] += asked
-        sums[2] += current
+        sums[2] += mean_current
         if clamped:
             sums[3] += spring + p.arm_damping * (before + speed) / 2.0
         if (k + 1) % record_every == 0:

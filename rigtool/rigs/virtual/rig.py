@@ -79,7 +79,8 @@ class VirtualRig(Rig):
     def position(self) -> float:
         """Angle shown by the encoder, rad."""
         count = 2 * math.pi / self._rig.encoder_counts
-        return math.floor(self._state["angle"][0] / count) * count
+        angle, speed = (float(self._state[name][0]) for name in ("angle", "speed"))
+        return math.floor((angle - self._rig.sample_time / 2 * speed) / count) * count
 
     @property
     def temperature(self) -> float:
@@ -358,6 +359,7 @@ class VirtualRig(Rig):
         tendon_angle, tendon_speed, tendon_share = step_terms(
             v.instrument.stiffness, v.instrument.damping, mobility + 1 / grasper_inertia, dt
         )
+        lag = 2 * math.pi * amplifier.bandwidth_hz * dt
         noise_decay = math.exp(-tick / motor.friction_noise_time)
         drift_decay = math.exp(-tick / v.instrument.drift_time)
         radial = motor.radial_friction * load.radial_force * (1 + v.misstated.weights)
@@ -380,7 +382,8 @@ class VirtualRig(Rig):
             "noise_gain": motor.friction_noise * math.sqrt(1 - noise_decay**2),
             "gain": amplifier.gain,
             "offset": amplifier.offset,
-            "current_step": 1 - math.exp(-2 * math.pi * amplifier.bandwidth_hz * dt),
+            "current_step": -math.expm1(-lag),
+            "current_kept": -math.expm1(-lag) / lag,
             "ripple_step": 1 - math.exp(-2 * math.pi * amplifier.ripple_corner_hz * dt),
             "distortion": amplifier.distortion,
             "distortion_period": amplifier.distortion_period,

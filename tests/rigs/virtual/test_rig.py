@@ -42,6 +42,8 @@ IDEAL = [
     "virtual.instrument.load_stroke_noise=0",
 ]
 KT = 0.0458
+FINE = "rig.encoder_counts=4000000000"
+STEPS = pytest.mark.parametrize("sample_time", [125e-6, 1e-3])
 
 
 def rig_with(*overrides, stream="test"):
@@ -83,30 +85,24 @@ def test_clamped_arm_swings_as_an_integrator_says():
     assert got["force"][-1] == pytest.approx(KT / recipe.rig.arm.length, rel=1e-3)
 
 
-def test_closed_loop_follows_the_linear_model():
-    # The step response without friction, against python-control on the same loop.
-    rig, recipe = rig_with("rig.encoder_counts=40000000")
-    step = 0.01
-    rig.move_by(0.0)
+@STEPS
+def test_closed_loop_follows_the_linear_model(sample_time):
+    # The step response without Coulomb friction, against python-control on the same loop.
+    rig, recipe = rig_with(
+        f"rig.sample_time={sample_time}", "virtual.motor.viscous_friction=1e-3", FINE
+    )
+    step, r, motor = 0.01, recipe.rig, recipe.virtual.motor
     got = perform(rig, Task(SpeedProfile((0, 1e-3, 0.3), (0, step / 0.2, step / 0.2))))
-    r = recipe.rig
-    sections = controller_sections(**r.loop_design)
-    dt = r.sample_time
-    loop = control.tf([dt**2 / recipe.virtual.motor.inertia, 0], [1, -2, 1], dt)
-    alpha = 1 - np.exp(-2 * np.pi * recipe.virtual.amplifier.bandwidth_hz * dt)
-    loop = loop * control.tf([alpha, 0], [1, alpha - 1], dt)  # the current loop
-    for section in sections:
-        loop = loop * control.tf(list(section[:3]), list(section[3:]), dt)
-    # the encoder is read before the torque of the same sample moves the rotor
-    closed = control.feedback(loop * control.tf([1], [1, 0], dt), 1)
-    time = np.arange(len(got["encoder"])) * dt
-    start = got["position_setpoint"][0] - step / 0.2 * (0.5 * dt) ** 2 / 2e-3
-    expected = control.forced_response(
-        closed, T=time, inputs=got["position_setpoint"] - start
-    ).outputs
-    measured = got["encoder"] * 2 * np.pi / 40000000 - start
-    # The recorded count is that of the sample's start: one step of delay less than the output.
-    np.testing.assert_allclose(measured, expected, rtol=0, atol=2e-3 * np.ptp(measured))
+    lag = 1 / (2 * np.pi * recipe.virtual.amplifier.bandwidth_hz)
+    plant = control.tf([1], [lag, 1]) * control.tf([1], [motor.inertia, 1e-3, 0])
+    loop = control.sample_system(plant, sample_time, "zoh")
+    for section in controller_sections(**r.loop_design):
+        loop = loop * control.tf(list(section[:3]), list(section[3:]), sample_time)
+    setpoint, measured = got["position_setpoint"], got["encoder"] * 2 * np.pi / 4e9
+    time = np.arange(len(measured)) * sample_time
+    closed = control.feedback(loop, 1)
+    expected = control.forced_response(closed, T=time, inputs=setpoint).outputs
+    np.testing.assert_allclose(measured, expected, rtol=0, atol=1e-4 * np.ptp(measured))
 
 
 def test_constant_speed_needs_coulomb_and_viscous_torque():
@@ -121,10 +117,6 @@ def test_constant_speed_needs_coulomb_and_viscous_torque():
         assert torque == pytest.approx(np.sign(speed) * 2.3e-3 + 5.33e-5 * speed, rel=2e-3)
 
 
-FINE = "rig.encoder_counts=4000000000"
-STEPS = pytest.mark.parametrize("sample_time", [125e-6, 1e-3])
-
-
 @STEPS
 @pytest.mark.parametrize("viscous", [5.33e-5, 5e-3])
 def test_inertia_and_viscous_friction_are_those_of_the_recipe(sample_time, viscous):
@@ -136,8 +128,8 @@ def test_inertia_and_viscous_friction_are_those_of_the_recipe(sample_time, visco
     free = np.diff(angle[len(angle) // 2 + 10 :]) / sample_time
     decay = -np.log(free[1:] @ free[:-1] / (free[:-1] @ free[:-1])) / sample_time
     # What the torque has done: it turned the rotor against its friction, and the rest is momentum.
-    turned = angle[-1] - angle[0] - free[-1] * sample_time / 2  # angles are half a sample ahead
-    inertia = KT * 0.25 / (decay * turned + free[-1])
+    last = free[-1] * (1 - np.tanh(decay * sample_time / 2))  # at the end of its step
+    inertia = KT * 0.25 / (decay * (angle[-1] - angle[0]) + last)
     assert inertia == pytest.approx(recipe.virtual.motor.inertia, rel=1e-4)
     assert decay * inertia == pytest.approx(viscous, rel=1e-4)
 
