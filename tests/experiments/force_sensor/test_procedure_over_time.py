@@ -265,5 +265,7 @@ def test_samples_that_are_too_coarse_give_no_force_as_it_comes(rig, change):
 
 def test_tables_of_another_instrument_are_refused(rig):
     other = ("measure_force.speed_rev_per_s=0.5", "virtual.instrument.tip_friction=6e-3")
-    with pytest.raises(InsufficientDataError, match="another instrument or mounting.* learn again"):
+    with pytest.raises(
+        InsufficientDataError, match=r"another instrument or mounting.* learn again"
+    ):
         rig(8.0, *other, name="other.h5")
