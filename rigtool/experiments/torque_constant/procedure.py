@@ -12,8 +12,8 @@ from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_constant.imported import analyse_imported
 from rigtool.experiments.torque_constant.staircase import Plateaus, find_plateaus
+from rigtool.experiments.torque_constant.staircase_fit import SAME_TEMPERATURE
 from rigtool.experiments.torque_constant.temperature_fit import (
-    SAME_TEMPERATURE,
     Calibration,
     calibrate,
 )

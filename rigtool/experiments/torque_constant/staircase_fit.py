@@ -32,6 +32,9 @@ MISFIT_LIMIT = 5e-3
 SLOPE_LIMIT = 0.25
 """Largest relative change of a straight line's slope by friction and heat."""
 
+SAME_TEMPERATURE = 2.0
+"""Range of staircases that count as one temperature, K."""
+
 PHASES = 12
 """Places of the gauge's zero within one of its steps that are tried."""
 
@@ -50,9 +53,9 @@ class Slopes:
     uncertainty from the model of friction with `friction_dof`, `friction_share` the
     relative part by which friction changes a straight line's slope; `resolution_u` that from the
     resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
-    `transition` is s of (1) in N m (None where no
-    friction shows), `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in
-    N m: torque minus the straight line, mean over staircases; `hysteresis` in N m: falling minus
+    `transition` is s of (1) in N m (None where no friction shows), `exponent` that of its law,
+    `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque minus
+    the straight line, mean over staircases; `hysteresis` in N m: falling minus
     rising in the middle of the span, `hysteresis_u` its standard uncertainty with `hysteresis_dof`.
     """
 
@@ -70,6 +73,7 @@ class Slopes:
     resolution_u: float
     trend_u: float
     transition: float | None
+    exponent: float
     time_constant: float
     level: Array
     rising: Array
@@ -79,11 +83,11 @@ class Slopes:
     hysteresis_dof: int
 
 
-def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
+def fit_staircases(plateaus: Plateaus) -> Slopes:
     """Fit (1) to all staircases together and return each one's slope.
 
-    `coefficient` is c of (1) in 1/K, as far as it is known. Raises `InsufficientDataError` where a
-    staircase does not rise and fall, or where torque does not follow current.
+    Raises `InsufficientDataError` where a staircase does not rise and fall, or where torque does
+    not follow current.
     """
     _require_resolution(plateaus)
     stairs = arrange(plateaus)
@@ -91,6 +95,7 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
     rise = rise - rise.mean()
     trend = rise / max(float(rise @ rise), 1e-300)
     average = np.full(len(rise), 1 / len(rise))
+    coefficient = _about(stairs)
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs = hypotheses.stairs
     solution = _solve(stairs, hypotheses.best, coefficient, rise)
@@ -116,6 +121,7 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
         resolution_u=_rounding(stairs, solution, average) / constant,
         trend_u=math.hypot(trend_u, hypotheses.drift, _rounding(stairs, solution, trend)),
         transition=hypotheses.best.transition,
+        exponent=hypotheses.best.exponent,
         time_constant=hypotheses.best.time_constant,
         level=level,
         rising=rising,
@@ -124,6 +130,18 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
         hysteresis_u=hysteresis_u,
         hysteresis_dof=hysteresis_dof,
     )
+
+
+def _about(stairs: Stairs) -> float:
+    """Return c of (1), 1/K, by a straight line through each staircase: the drift within one is
+    small."""
+    degc = mean_of(stairs.temperature, stairs.weight)
+    if np.ptp(degc) <= SAME_TEMPERATURE:
+        return 0.0
+    off = (stairs.current - mean_of(stairs.current, stairs.weight)[:, None]) * stairs.weight
+    lines = np.sum(off * stairs.torque, axis=1) / np.sum(off**2, axis=1)
+    slope, middle = np.polyfit(degc - degc.mean(), lines, 1).tolist()
+    return float(slope / middle)
 
 
 @dataclass(frozen=True)
