@@ -155,6 +155,9 @@ def _results(found: Calibration, recipe: Recipe) -> dict[str, Quantity]:
             linearity.deviation, "A", linearity.deviation_u, linearity.deviation_dof
         ),
         "hysteresis_torque": hysteresis,
+        "winding_heat_loss": Quantity(
+            slopes.steady_heating, "1/A2", slopes.steady_heating_u, slopes.heating_dof
+        ),
     }
     return {name: quantity for name, quantity in results.items() if quantity is not None}
 

@@ -49,7 +49,8 @@ class Slopes:
     `slope` (m,) in N m/A, `u` (m,) its standard uncertainty from scatter with `dof`; `temperature`
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
-    `heating_u` its standard uncertainty with `heating_dof`; `friction_u` the relative standard
+    `heating_u` its standard uncertainty with `heating_dof`; `steady_heating` 1/A2 is what a current
+    lowers the constant by that flows for long, times its square; `friction_u` the relative standard
     uncertainty from the model of friction with `friction_dof`, `friction_share` the
     relative part by which friction changes a straight line's slope; `resolution_u` that from the
     resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
@@ -67,6 +68,8 @@ class Slopes:
     heating: float
     heating_u: float
     heating_dof: float
+    steady_heating: float
+    steady_heating_u: float
     friction_u: float
     friction_dof: float
     friction_share: float
@@ -115,6 +118,8 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
+        steady_heating=solution.loss * hypotheses.best.time_constant,
+        steady_heating_u=solution.loss_u * hypotheses.best.time_constant,
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
@@ -155,6 +160,8 @@ class _Solution:
     heating: float
     heating_u: float
     heating_dof: float
+    loss: float
+    loss_u: float
     fit: _LeastSquares
     off_line: Array
 
@@ -189,6 +196,8 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
         heating=loss * share,
         heating_u=loss_u * share,
         heating_dof=loss_dof,
+        loss=loss,
+        loss_u=loss_u,
         fit=fit,
         off_line=stairs.torque - current * fit.own[:, :1] - stairs.weight * fit.own[:, 1:2],
     )
