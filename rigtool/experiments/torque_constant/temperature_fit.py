@@ -38,7 +38,7 @@ from rigtool.quantity import (
     input_line,
 )
 
-PATH_U, TREND_U = 0.3, 0.15
+PATH_U, TREND_U = 0.3, 0.2
 """What no law of one exponent shows, since friction changes the path that it follows: standard
 uncertainty of a slope, times the squared part that friction takes of it, and of the change of that
 part with temperature, relative."""
@@ -53,6 +53,11 @@ LINEARITY_LIMIT = 5e-3
 RIPPLE_ANGLES = 8
 """Rotor angles from which the ripple has an uncertainty: with fewer, orders of a turn up to the
 sixth may show nothing, or a part that their phase decides."""
+
+
+HIDDEN_RIPPLE = 5e-3
+"""Relative standard uncertainty by ripple of orders that fewer angles than these do not show, where
+the orders that they show would state less: nothing in the data bounds it."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,7 @@ def calibrate(
         "gauge calibration": relative(gauge_relative_u),
         "heat in the winding": relative(slopes.heating_u, slopes.heating_dof),
         "friction of the shaft": relative(slopes.friction_u, slopes.friction_dof),
+        "ripple that few angles hide": relative(_hidden(fit)),
         "model of friction": relative(PATH_U * slopes.friction_share**2),
         "gauge resolution": relative(slopes.resolution_u),
         "gauge linearity": relative(gauge_linearity / math.sqrt(3)),  # GUM 4.3.7
@@ -241,6 +247,12 @@ def _ripple(found: AngleEffects, value: float, friction: float) -> Quantity:
     u = math.hypot(found.deviation_u, model)
     dof = found.deviation_dof * (u / found.deviation_u) ** 4  # Welch and Satterthwaite
     return Quantity(found.deviation / value, "1", u / value, dof)
+
+
+def _hidden(fit: _Fit) -> float:
+    """Return the relative u of orders that are multiples of the number of angles, beyond `turn`."""
+    few = 2 <= fit.angles < RIPPLE_ANGLES
+    return math.sqrt(max(HIDDEN_RIPPLE**2 - fit.turn**2, 0.0)) if few else 0.0
 
 
 def _stated_ripple(fit: _Fit) -> Quantity | None:
