@@ -35,6 +35,9 @@ SLOPE_LIMIT = 0.25
 SAME_TEMPERATURE = 2.0
 """Range of staircases that count as one temperature, K."""
 
+LARGE_FRICTION = 0.03
+"""Friction, relative to the span of the torque, that may change a slope by `SLOPE_LIMIT`."""
+
 PHASES = 12
 """Places of the gauge's zero within one of its steps that are tried."""
 
@@ -333,7 +336,7 @@ def _require_straight(stairs: Stairs, solution: _Solution) -> None:
         raise InsufficientDataError(
             f"torque follows current by {straight:.3g} N m/A on the whole, but by "
             f"{np.mean(solution.slope):.3g} N m/A once friction and heat are taken out; they may "
-            f"change it by {SLOPE_LIMIT:.0%}: {_too_much(stairs)}"
+            f"change it by {SLOPE_LIMIT:.0%}: {_too_much(stairs, solution)}"
         )
     residual = solution.fit.residual
     current, level = _levels(stairs)
@@ -350,7 +353,7 @@ def _require_straight(stairs: Stairs, solution: _Solution) -> None:
         )
 
 
-def _too_much(stairs: Stairs) -> str:
+def _too_much(stairs: Stairs, solution: _Solution) -> str:
     """Return why friction and heat may seem to change a slope by too much, and the remedy."""
     span = float(np.ptp(stairs.torque))
     if stairs.resolution * CLEAR_STEPS > span:
@@ -358,6 +361,12 @@ def _too_much(stairs: Stairs) -> str:
             f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, too "
             f"coarse to separate friction from torque in a staircase of {span * 1e3:.3g} mN m; "
             "take a finer gauge, a longer arm or a higher current_max"
+        )
+    friction = _hysteresis(stairs, solution.off_line)[0] / 2
+    if friction > LARGE_FRICTION * span:
+        return (
+            f"friction of the shaft shows {friction * 1e3:.3g} mN m in a staircase of "
+            f"{span * 1e3:.3g} mN m, too much to be taken out; raise current_max"
         )
     return (
         "torque is not linear in current; look for an end stop or a saturated gauge, or raise "

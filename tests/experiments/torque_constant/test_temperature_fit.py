@@ -103,6 +103,12 @@ def test_the_exponent_of_friction_comes_from_the_staircases(exponent):
     assert abs(found.torque_constant.value - 45.8e-3) < 2.5 * found.torque_constant.u
 
 
+def test_friction_that_is_too_large_is_the_reason_of_the_refusal():
+    bench = Bench(friction=30e-3, presliding_angle=3e-3)
+    with pytest.raises(InsufficientDataError, match=r"friction of the shaft shows .* raise curr"):
+        analyse(bench, bench.record((20,), angles=4))
+
+
 def test_stated_uncertainty_holds_what_is_common_to_all_points(thesis):
     # 0.3 times the squared part of a slope that friction takes is stated for its model.
     model = thesis.components["model of friction"]
