@@ -55,6 +55,9 @@ SHORT, LONG = 6e-3, 0.1
 STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
+SPARE = passed.JOINT * WIDE
+"""A row behind the joint covariance, to compute with."""
+
 LEAST_VARIANCE = 1e-3
 """Smallest variance of the angle after an update, relative to before: it stays positive."""
 
@@ -147,12 +150,12 @@ def _propagate(rows: Array, turned: Array, factors: Array, samples: int, kept: f
     `kept` is what remains of the noise; `turned` (12 * WIDE,) is overwritten.
     """
     for k in range(samples):
-        forwards(rows, WIDE, factors, k * FACTORS)
+        forwards(rows, WIDE, factors, k)
     for m in range(STATES):
         for i in range(MOVING_STATES):
             turned[_at(m, i)] = rows[_at(i, m)]
     for k in range(samples):
-        forwards(turned, MOVING_STATES + 1, factors, k * FACTORS)
+        forwards(turned, MOVING_STATES + 1, factors, k)
     for i in range(MOVING_STATES):
         for j in range(i + 1):
             rows[_at(i, j)] = rows[_at(j, i)] = turned[_at(i, j)]
@@ -191,8 +194,7 @@ def _predict(
     spread = u.undecided * math.sqrt(rows[_at(SPEED, SPEED)])
     outer = u.undecided * math.sqrt(rows[_at(GRASPER_SPEED, GRASPER_SPEED)])
     for i in range(samples):
-        first = i * FACTORS
-        advance(x, p, friction_map, torque[k, i], viscous[k, i], factors, first, spread, outer)
+        advance(x, p, friction_map, torque[k, i], viscous[k, i], factors, i, spread, outer)
     x[NOISE] *= kept
     _propagate(rows, turned, factors, samples, kept)
     rows[_at(NOISE, NOISE)] += u.friction_noise**2 * (1.0 - kept * kept)
@@ -225,6 +227,34 @@ def _predict(
 
 
 @compiled
+def _remove(rows: Array, gain: Array, scale: float) -> None:
+    """Take scale^2 gain gain' off the joint covariance."""
+    # written out, so that a processor does all rows of eight columns at once
+    g0, g1, g2, g3 = scale * gain[0], scale * gain[1], scale * gain[2], scale * gain[3]
+    g4, g5, g6, g7 = scale * gain[4], scale * gain[5], scale * gain[6], scale * gain[7]
+    g8, g9, g10, g11 = scale * gain[8], scale * gain[9], scale * gain[10], scale * gain[11]
+    g12, g13 = scale * gain[12], scale * gain[13]
+    for j in range(WIDE):
+        rows[SPARE + j] = scale * gain[j]
+    for j in range(WIDE):
+        g = rows[SPARE + j]
+        rows[j] -= g0 * g
+        rows[WIDE + j] -= g1 * g
+        rows[2 * WIDE + j] -= g2 * g
+        rows[3 * WIDE + j] -= g3 * g
+        rows[4 * WIDE + j] -= g4 * g
+        rows[5 * WIDE + j] -= g5 * g
+        rows[6 * WIDE + j] -= g6 * g
+        rows[7 * WIDE + j] -= g7 * g
+        rows[8 * WIDE + j] -= g8 * g
+        rows[9 * WIDE + j] -= g9 * g
+        rows[10 * WIDE + j] -= g10 * g
+        rows[11 * WIDE + j] -= g11 * g
+        rows[12 * WIDE + j] -= g12 * g
+        rows[13 * WIDE + j] -= g13 * g
+
+
+@compiled
 def _update(
     s: Record,
     u: Record,
@@ -251,15 +281,7 @@ def _update(
         x[i] += gain[i] * shift
     for i in range(passed.ORDER):
         s.passed[i] += gain[STATES + i] * shift
-    removed = variance * weight
-    for j in range(0, WIDE, 4):  # a processor does several columns at once
-        a, b, c, d = gain[j], gain[j + 1], gain[j + 2], gain[j + 3]
-        for i in range(passed.JOINT):
-            one, place = gain[i], _at(i, j)
-            rows[place] -= one * a * removed
-            rows[place + 1] -= one * b * removed
-            rows[place + 2] -= one * c * removed
-            rows[place + 3] -= one * d * removed
+    _remove(rows, gain, math.sqrt(variance * max(weight, 0.0)))
     for i in (BRISTLE, HOUSING, TIP):
         x[i] = min(max(x[i], -1.0), 1.0)
     s.step_sum = memory[0] * s.step_sum + mean * span
@@ -296,8 +318,8 @@ def run(
     """
     s, p, u = state[0], plant[0], uncertainty[0]
     samples = torque.shape[1]
-    rows, turned = np.zeros(passed.JOINT * WIDE), np.zeros(STATES * WIDE)
-    gain, shared, factors = np.empty(WIDE), np.empty(STATES), np.empty(samples * FACTORS)
+    rows, turned = np.zeros(SPARE + WIDE), np.zeros(STATES * WIDE)
+    gain, shared, factors = np.empty(WIDE), np.empty(STATES), np.empty((samples, FACTORS))
     span = samples * p.sample_time
     memory = math.exp(-span / SHORT), math.exp(-span / LONG)
     kept = math.exp(-span / u.friction_noise_time)
@@ -306,7 +328,19 @@ def run(
             rows[_at(i, j)] = s.covariance[i, j]
     for k in range(torque.shape[0]):
         began = _predict(
-            s, p, u, friction_map, torque, viscous, k, low_pass, rows, turned, factors, kept, least[k]
+            s,
+            p,
+            u,
+            friction_map,
+            torque,
+            viscous,
+            k,
+            low_pass,
+            rows,
+            turned,
+            factors,
+            kept,
+            least[k],
         )
         moved, informed, before = _update(s, u, rows, low[k], width, span, memory, gain)
         for i in range(STATES):
@@ -316,8 +350,9 @@ def run(
         outputs[k, 2] = _level(s)
         if steps is not None:
             derivative, fresh, correction, weight, variance, gains, torque_row, passed_row = steps
-            for i in range(samples * FACTORS):
-                derivative[k, i] = factors[i]
+            for i in range(samples):
+                for j in range(FACTORS):
+                    derivative[k * samples + i, j] = factors[i, j]
             fresh[k] = began
             correction[k], weight[k], variance[k] = moved, informed, before
             for i in range(STATES):

@@ -8,8 +8,8 @@ each other one is the sum of two, and the last rows stay. `plant.advance` gives 
     z' = f17 z + f18 w,   h' = f19 h + f20 w,   t' = f21 t + f22 v
     angle' = angle + f23 w',   a' = a + f23 v'
 
-and on a bare shaft, f24 > 0, instead a' = f24 angle', v' = f24 w'. Matrices are flat, rows of `WIDE`
-columns one behind the other: so a processor does eight columns at once.
+and on a bare shaft, f24 > 0, instead a' = f24 angle', v' = f24 w'. Matrices are flat, rows of
+`WIDE` columns one behind the other: so a processor does eight columns at once.
 """
 
 from __future__ import annotations
@@ -40,21 +40,21 @@ S, C, L, N, M = SINE * WIDE, COSINE * WIDE, LOAD * WIDE, NOISE * WIDE, TORQUE * 
 
 
 @compiled
-def _read(factors: Array, i: int) -> tuple[float, ...]:
-    """Return the factors from i on, those of a sample."""
-    speed = factors[i], factors[i + 1], factors[i + 2], factors[i + 3], factors[i + 4], factors[i + 5]
-    last = factors[i + 6], factors[i + 7], factors[i + 8], factors[i + 9], factors[i + 10]
-    outer = factors[i + 11], factors[i + 12], factors[i + 13], factors[i + 14], factors[i + 15]
-    bends = factors[i + 16], factors[i + 17], factors[i + 18], factors[i + 19], factors[i + 20]
-    rest = factors[i + 21], factors[i + 22], factors[i + 23], factors[i + 24]
+def _read(factors: Array, k: int) -> tuple[float, ...]:
+    """Return the factors of sample k."""
+    speed = factors[k, 0], factors[k, 1], factors[k, 2], factors[k, 3], factors[k, 4], factors[k, 5]
+    last = factors[k, 6], factors[k, 7], factors[k, 8], factors[k, 9], factors[k, 10]
+    outer = factors[k, 11], factors[k, 12], factors[k, 13], factors[k, 14], factors[k, 15]
+    bends = factors[k, 16], factors[k, 17], factors[k, 18], factors[k, 19], factors[k, 20]
+    rest = factors[k, 21], factors[k, 22], factors[k, 23], factors[k, 24]
     return (*speed, *last, *outer, *bends, *rest)
 
 
 @compiled
-def forwards(rows: Array, columns: int, factors: Array, first: int) -> None:
-    """Advance the first `columns` of a matrix (12 * WIDE,) by a sample; its factors begin at
-    `first` in `factors`."""
-    found = _read(factors, first)
+def forwards(rows: Array, columns: int, factors: Array, k: int) -> None:
+    """Advance the first `columns` of a matrix (12 * WIDE,) by sample k of `factors`
+    (samples, `FACTORS`)."""
+    found = _read(factors, k)
     w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10 = found[:11]
     v0, v1, v2, v3, v4, v5, z0, z1, h0, h1, t0, t1, dt, shaft = found[11:]
     for j in range(columns):
@@ -73,9 +73,9 @@ def forwards(rows: Array, columns: int, factors: Array, first: int) -> None:
 
 
 @compiled
-def backwards(rows: Array, columns: int, factors: Array, first: int) -> None:
+def backwards(rows: Array, columns: int, factors: Array, k: int) -> None:
     """Multiply columns by the transpose of what `forwards` multiplies by."""
-    found = _read(factors, first)
+    found = _read(factors, k)
     w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10 = found[:11]
     v0, v1, v2, v3, v4, v5, z0, z1, h0, h1, t0, t1, dt, shaft = found[11:]
     if shaft > 0.0:

@@ -162,56 +162,57 @@ def advance(
     torque: float,
     viscous: float,
     factors: Array | None,
-    first: int,
+    k: int,
     spread: float,
     grasper_spread: float,
 ) -> None:
     """Advance the states x (12,) by one sample under a drive torque [N m].
 
-    `factors`, where it is not None, receives from `first` on the `FACTORS` by which the sample
+    `factors`, where it is not None, receives as row k the `FACTORS` by which the sample
     multiplies small changes of x (`linear`); speeds within their spread [rad/s] of zero have no
     certain direction.
     """
-    dt, r, g = p.sample_time, p.angle_ratio, p.torque_factor
+    dt, r, per_factor = p.sample_time, p.angle_ratio, 1.0 / p.torque_factor
     bare = p.grasper_inertia <= 0.0
+    e, f = dt / p.inertia, 0.0 if bare else dt / p.grasper_inertia
+    pull, drag = (0.0, 0.0) if bare else (p.stiffness, p.damping)
+    rotor_pull, rotor_drag = pull / r, drag / r
     w, v, a, old = x[SPEED], x[GRASPER_SPEED], x[GRASPER], x[BRISTLE]
     z, z_by_z, z_by_w = _bend(old, w, dt, p.presliding_angle, spread)
     h, h_by_h, h_by_w = _bend(x[HOUSING], w, dt, p.housing_presliding_angle, spread)
     t, t_by_t, t_by_v = _bend(x[TIP], v, dt, p.tip_presliding_angle, grasper_spread)
-    twist = x[TORQUE] if bare else p.stiffness * (x[ANGLE] / r - a) + p.damping * (w / r - v)
+    twist = x[TORQUE] if bare else pull * (x[ANGLE] / r - a) + drag * (w / r - v)
     bearings, by_z, by_old, by_w = _bearings(p, w, old, z, x[NOISE], viscous)
     housing, by_h, by_twist, by_a, by_load = _housing(p, friction_map, x, h, twist)
     sine, cosine = h * math.sin(a), h * math.cos(a)
-    net = torque - bearings - twist / g - housing - p.housing_viscous * w
+    net = torque - bearings - twist * per_factor - housing - p.housing_viscous * w
     outer = twist - p.tip_friction * t - x[TORQUE]
     x[BRISTLE], x[HOUSING], x[TIP] = z, h, t
-    x[SPEED] += dt * net / p.inertia
+    x[SPEED] += e * net
     x[ANGLE] += dt * x[SPEED]
     if bare:
         x[GRASPER_SPEED], x[GRASPER] = x[SPEED] / r, x[ANGLE] / r
     else:
-        x[GRASPER_SPEED] += dt * outer / p.grasper_inertia
+        x[GRASPER_SPEED] += f * outer
         x[GRASPER] += dt * x[GRASPER_SPEED]
     if factors is None:
         return
-    by_twist += 1.0 / g
+    by_twist += per_factor
     by_w += p.housing_viscous + by_z * z_by_w + by_h * h_by_w
-    pull, drag = (0.0, 0.0) if bare else (p.stiffness, p.damping)
-    e, f = dt / p.inertia, 0.0 if bare else dt / p.grasper_inertia
-    factors[first] = -e * by_twist * pull / r
-    factors[first + 1] = 1.0 - e * (by_w + by_twist * drag / r)
-    factors[first + 2] = -e * (by_z * z_by_z + by_old)
-    factors[first + 3] = -e * by_h * h_by_h
-    factors[first + 4] = e * (by_twist * pull - by_a)
-    factors[first + 5] = e * by_twist * drag
-    factors[first + 6], factors[first + 7] = -e * sine, -e * cosine
-    factors[first + 8], factors[first + 9] = -e * by_load, -e * z
-    factors[first + 10] = -e * by_twist if bare else 0.0
-    factors[first + 11], factors[first + 12] = f * pull / r, f * drag / r
-    factors[first + 13] = -f * pull
-    factors[first + 14] = 1.0 - f * (drag + p.tip_friction * t_by_v)
-    factors[first + 15], factors[first + 16] = -f * p.tip_friction * t_by_t, -f
-    factors[first + 17], factors[first + 18] = z_by_z, z_by_w
-    factors[first + 19], factors[first + 20] = h_by_h, h_by_w
-    factors[first + 21], factors[first + 22] = t_by_t, t_by_v
-    factors[first + 23], factors[first + 24] = dt, 1.0 / r if bare else 0.0
+    factors[k, 0] = -e * by_twist * rotor_pull
+    factors[k, 1] = 1.0 - e * (by_w + by_twist * rotor_drag)
+    factors[k, 2] = -e * (by_z * z_by_z + by_old)
+    factors[k, 3] = -e * by_h * h_by_h
+    factors[k, 4] = e * (by_twist * pull - by_a)
+    factors[k, 5] = e * by_twist * drag
+    factors[k, 6], factors[k, 7] = -e * sine, -e * cosine
+    factors[k, 8], factors[k, 9] = -e * by_load, -e * z
+    factors[k, 10] = -e * by_twist if bare else 0.0
+    factors[k, 11], factors[k, 12] = f * rotor_pull, f * rotor_drag
+    factors[k, 13] = -f * pull
+    factors[k, 14] = 1.0 - f * (drag + p.tip_friction * t_by_v)
+    factors[k, 15], factors[k, 16] = -f * p.tip_friction * t_by_t, -f
+    factors[k, 17], factors[k, 18] = z_by_z, z_by_w
+    factors[k, 19], factors[k, 20] = h_by_h, h_by_w
+    factors[k, 21], factors[k, 22] = t_by_t, t_by_v
+    factors[k, 23], factors[k, 24] = dt, 1.0 / r if bare else 0.0

@@ -28,14 +28,14 @@ ADJOINT = STATES
 def room(count: int, samples: int) -> tuple[Array, ...]:
     """Return arrays for the data that the filter keeps of `count` steps of some `samples`.
 
-    Factors of the samples (count, samples * FACTORS), see `linear`; where a stroke began (count,), correction s d /
-    s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update, (count,) each, its gain
-    (count, 12), and the covariance of the torque, and of the torque behind the low-pass, with the
-    states (count, 12).
+    Factors of the samples (count * samples, FACTORS), see `linear`; where a stroke began (count,),
+    correction s d / s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update,
+    (count,) each, its gain (count, 12), and the covariance of the torque, and of the torque behind
+    the low-pass, with the states (count, 12).
     """
     numbers = [np.empty(count) for _ in range(4)]
     rows = [np.empty((count, STATES)) for _ in range(3)]
-    return (np.empty((count, samples * FACTORS)), *numbers, *rows)
+    return (np.empty((count * samples, FACTORS)), *numbers, *rows)
 
 
 @compiled
@@ -72,7 +72,7 @@ def _before_update(
 
 @compiled
 def _before_prediction(
-    rows: Array, factors: Array, k: int, count: int, kept: float, drawn: float, columns: int
+    rows: Array, factors: Array, k: int, samples: int, kept: float, drawn: float, columns: int
 ) -> None:
     """Multiply by the transpose of a step's derivative; `drawn` is 0 where a stroke began."""
     for j in range(columns):
@@ -80,9 +80,8 @@ def _before_prediction(
         rows[S + j] *= drawn
         rows[C + j] *= drawn
         rows[L + j] *= drawn
-    end = (k + 1) * count
-    for first in range(end - FACTORS, end - count - 1, -FACTORS):
-        multiply_back(rows, columns, factors, first)
+    for i in range(samples):
+        multiply_back(rows, columns, factors, (k + 1) * samples - 1 - i)
 
 
 @compiled
@@ -101,8 +100,7 @@ def backwards(
     first. `kept` is what a step leaves of friction noise.
     """
     factors, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
-    column, count = np.empty(STATES), factors.shape[1]
-    flat = factors.reshape(factors.size)
+    column, samples = np.empty(STATES), factors.shape[0] // max(len(torque), 1)
     here, there = rows.copy(), np.zeros_like(rows)
     for k in range(len(torque) - 1, -1, -1):
         _times(here, passed_row, k, column)
@@ -114,12 +112,12 @@ def backwards(
         deviation[k] = math.sqrt(max(deviation[k] ** 2 - reduction, 0.0))
         _before_update(here, gain, k, correction[k], weight[k], variance[k], column)
         drawn = 0.0 if fresh[k] > 0.5 else 1.0
-        _before_prediction(here, flat, k, count, kept, drawn, STATES + 1)
+        _before_prediction(here, factors, k, samples, kept, drawn, STATES + 1)
         for i in range(STATES):
             for j in range(STATES):
                 there[i * WIDE + j] = here[j * WIDE + i]
             there[i * WIDE + ADJOINT] = here[i * WIDE + ADJOINT]
-        _before_prediction(there, flat, k, count, kept, drawn, STATES)
+        _before_prediction(there, factors, k, samples, kept, drawn, STATES)
         here, there = there, here
     for i in range(len(rows)):
         rows[i] = here[i]
