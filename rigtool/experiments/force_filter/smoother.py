@@ -118,6 +118,9 @@ def backwards(
                 there[i * WIDE + j] = here[j * WIDE + i]
             there[i * WIDE + ADJOINT] = here[i * WIDE + ADJOINT]
         _before_prediction(there, factors, k, samples, kept, drawn, STATES)
+        for i in range(STATES):
+            for j in range(i):
+                there[i * WIDE + j] = there[j * WIDE + i]
         here, there = there, here
     for i in range(len(rows)):
         rows[i] = here[i]
