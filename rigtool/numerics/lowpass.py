@@ -1,4 +1,4 @@
-"""Low-pass without phase shift: a Butterworth filter, applied forward and backward [8.1].
+"""Low-pass without phase shift: a Butterworth filter of order 2, forward and backward [8.1].
 
 The gain is that of the filter squared, 1 / (1 + (f / f_c)^4): one half at the cut-off f_c.
 """
@@ -9,9 +9,7 @@ import math
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
-
-FILTER_ORDER = 2
-"""Order of the Butterworth filter, which is applied twice."""
+from rigtool.numerics.recursion import butterworth, filtered, filtered_both_ways
 
 KEPT_RATE = 125
 """Samples in each period of the cut-off that suffice: in signals decimated to it, the gain of
@@ -23,8 +21,6 @@ def lowpass(rate: float, values: Array, cutoff_hz: float) -> Array:
 
     Raises `InsufficientDataError` where the rate or the length does not allow that.
     """
-    from scipy.signal import butter, sosfiltfilt
-
     if not cutoff_hz < rate / 2:
         raise InsufficientDataError(
             f"a low-pass of {cutoff_hz} Hz needs signals above {2 * cutoff_hz} Hz, these have "
@@ -37,17 +33,12 @@ def lowpass(rate: float, values: Array, cutoff_hz: float) -> Array:
             f"{size} samples ({size / rate:.3g} s) are too few for a low-pass of "
             f"{cutoff_hz} Hz, {4 * length} are needed: record for longer, or raise lowpass_hz"
         )
-    sections = butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos")
-    filtered: Array = sosfiltfilt(sections, values, padlen=length)
-    return filtered
+    return filtered_both_ways(butterworth(rate, cutoff_hz), values, length)
 
 
 def delayed(rate: float, values: Array, cutoff_hz: float) -> Array:
     """Filter signals (..., n) of a rate, Hz, once, forward: by values up to its time alone."""
-    from scipy.signal import butter, sosfilt
-
-    filtered: Array = sosfilt(butter(FILTER_ORDER, cutoff_hz, fs=rate, output="sos"), values)
-    return filtered
+    return filtered(butterworth(rate, cutoff_hz), values)
 
 
 def kept_factor(rate: float, cutoff_hz: float) -> int:

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter.motion_states import State, States
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
+from rigtool.numerics.recursion import Section, filtered
 
 Single = NDArray[np.float32]
 
@@ -103,10 +104,9 @@ def trial(
 
     `doubt` N m is the standard deviation of what was taken off its torque.
     """
-    from scipy.signal import lfilter
-
     kept = math.exp(-step_time / LAG)
-    smooth: Single = np.asarray(lfilter([1 - kept], [1, -kept], torque), dtype=np.float32)
+    low_pass = Section(1 - kept, 0.0, 0.0, -kept, 0.0)
+    smooth: Single = filtered(low_pass, torque).astype(np.float32)
     window = round(WINDOW / step_time)
     jump: Single = np.zeros(len(smooth), dtype=np.float32)
     jump[window:] = smooth[window:] - smooth[: len(smooth) - window]
