@@ -52,8 +52,10 @@ def butterworth(rate: float, cutoff_hz: float) -> Section:
 
 
 def filtered(section: Section, values: Array, steady: Array | None = None) -> Array:
-    """Return signals (..., n) behind a filter that starts at zero, or, where they are given, as if
-    values `steady` (...,) had lasted for ever."""
+    """Return signals (..., n) behind a filter, in their precision.
+
+    It starts at zero, or as if values `steady` (...,) had lasted for ever.
+    """
     change, feed = section.state_space()
     powers = [np.eye(2)]
     for _ in range(BLOCK):
@@ -67,7 +69,7 @@ def filtered(section: Section, values: Array, steady: Array | None = None) -> Ar
     state = np.zeros((*values.shape[:-1], 2))
     if steady is not None:
         state = np.asarray(steady)[..., None] * np.linalg.solve(np.eye(2) - change, feed)
-    found = np.empty(values.shape)
+    found = np.empty(values.shape, np.result_type(values, np.float32))
     for first in range(0, values.shape[-1], PIECE):
         piece = values[..., first : first + PIECE]
         size = piece.shape[-1]
