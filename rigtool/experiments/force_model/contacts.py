@@ -111,7 +111,8 @@ def trial(
     jump: Single = np.zeros(len(smooth), dtype=np.float32)
     jump[window:] = smooth[window:] - smooth[: len(smooth) - window]
     whole = np.hypot(deviation, doubt)
-    jump *= deviation / whole
+    jump *= deviation
+    jump /= whole
     motion = np.full(len(smooth), Motion.STEADY, dtype=np.int8)
     motion[_lately(states == State.REVERSED, round(AFTER / step_time))] = Motion.REVERSED
     motion[states == State.STILL] = Motion.STILL

@@ -36,6 +36,7 @@ from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.lowpass import delayed, lowpass
+from rigtool.numerics.memory import give_back
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
@@ -244,13 +245,16 @@ class _Stretch:
         referred = "reference" in self._found
         self.add(np.empty((4 if referred else 3, 0)), last=True)
         self._settle()
+        give_back()
         step_time, every = self._instrument.grid.step_time, self._every
         if self._steps * step_time < SHORTEST:
             return []
         self.seconds = self._steps * step_time
         contacts = self._contacts()
+        give_back()
         time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
         torque, u = self._whole()
+        give_back()
         reference = self._taken("reference") if referred else None
         rate, bandwidth = 1 / step_time, self._instrument.bandwidth_hz
         torque, states = lowpass(rate, torque, bandwidth), self._taken("states")
