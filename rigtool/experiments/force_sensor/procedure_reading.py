@@ -164,7 +164,7 @@ class _Stretch:
             self._untouched = instrument.filter(instrument.model.untouched)
         self._later: list[Future[None]] = []
         self._judge = instrument.judge(causal=False)
-        self._waiting: Moments | None = None  # of which some, in front, give states alone
+        self._waiting: list[Moments] = []  # of which some, in front, give states alone
         self._in_front = 0
         self._room = math.ceil(size * instrument.interval / step_time) + 1
         self._found: dict[str, NDArray[Any]] = {}
@@ -187,8 +187,7 @@ class _Stretch:
         self._keep("causal_states", sensed.states)
         for reference in sensed.others:
             self._keep("reference", reference)
-        before = self._waiting
-        self._waiting = sensed.moments if before is None else before.joined(before, sensed.moments)
+        self._waiting.append(sensed.moments)
         self._later = [self._workers.submit(self._smooth, sensed, last)]
         if self._untouched is not None:
             self._later.append(self._workers.submit(self._test, self._untouched, sensed))
@@ -225,10 +224,9 @@ class _Stretch:
         """Keep smoothed steps, and give them their states."""
         if not len(torque):
             return
-        assert self._waiting is not None
-        judge, first = self._judge, self._in_front
+        judge, first, waiting = self._judge, self._in_front, Moments.joined(*self._waiting)
         end = first + len(torque)
-        part = self._waiting.part(0, end + judge.span)
+        part = waiting.part(0, end + judge.span)
         own = part.torque.copy()
         own[first:end] = torque
         states = judge.states(replace(part, torque=own))
@@ -237,7 +235,7 @@ class _Stretch:
         self._keep("states", states[first:end])
         self._keep("kinds", judge.kinds(states, part)[first:end])
         self._in_front = min(end, judge.span)
-        self._waiting = self._waiting.part(end - self._in_front)
+        self._waiting = [waiting.part(end - self._in_front)]
 
     def reading(self) -> list[Reading]:
         """Return the rows of what was read, once the stretch is over; nothing where it is too
