@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import kalman, passed, smoother
 from rigtool.experiments.force_filter.kalman import Uncertainty
+from rigtool.experiments.force_filter.linear import WIDE
 from rigtool.experiments.force_filter.plant import STATES, TORQUE, Plant, as_record
 from rigtool.numerics.arrays import Array
 
@@ -115,7 +116,7 @@ class Filter:
             self._state = kalman.begin(self._plant, self._uncertainty, start, signals.width)
         size, count = self._size, max(0, (signals.low.size - 1) // self._size)
         self._waiting = _part(signals, count * size, None)
-        kept = smoother.room(count) if keep else None
+        kept = smoother.room(count, size) if keep else None
         low = np.ascontiguousarray(signals.low[size : count * size + 1 : size])
         found = Estimate(np.empty((count, STATES)), np.empty((count, 3)), low, kept)
         if self._state is None or not count:
@@ -182,7 +183,7 @@ class Smoother:
     def __init__(self, uncertainty: Uncertainty, step_time: float) -> None:
         self._kept = math.exp(-step_time / uncertainty.friction_noise_time)
         self._block, self._ahead = BLOCK / step_time, AHEAD / step_time
-        self._waiting: deque[Estimate] = deque()
+        self._waiting: deque[tuple[Array, Array, tuple[Array, ...]]] = deque()
         self._count = 0
 
     def add(self, estimate: Estimate) -> tuple[Array, Array]:
@@ -191,7 +192,9 @@ class Smoother:
         As many as are followed by enough; often none.
         """
         if len(estimate.deviation):
-            self._waiting.append(estimate)
+            assert estimate.kept is not None
+            own = estimate.torque.copy(), estimate.deviation.copy(), estimate.kept
+            self._waiting.append(own)
             self._count += len(estimate.deviation)
         if self._count < self._block + self._ahead:
             return np.empty(0), np.empty(0)
@@ -203,13 +206,12 @@ class Smoother:
 
     def _backwards(self, ahead: float) -> tuple[Array, Array]:
         """Smooth the waiting steps, and hand out all but at least the last `ahead` of them."""
-        adjoint, information = np.zeros(STATES), np.zeros((STATES, STATES))
+        rows = np.zeros(STATES * WIDE)
         done: deque[tuple[Array, Array]] = deque()
         behind = 0
-        for estimate in reversed(self._waiting):
-            torque, deviation = estimate.torque.copy(), estimate.deviation.copy()
-            assert estimate.kept is not None
-            smoother.backwards(adjoint, information, self._kept, estimate.kept, torque, deviation)
+        for causal, spread, kept in reversed(self._waiting):
+            torque, deviation = causal.copy(), spread.copy()
+            smoother.backwards(rows, self._kept, kept, torque, deviation)
             if behind >= ahead:
                 done.appendleft((torque, deviation))
             behind += len(deviation)

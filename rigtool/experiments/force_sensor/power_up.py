@@ -25,6 +25,7 @@ Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple m
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,9 +142,13 @@ class PowerUp:
 
         `angle` (m,) rad as before, `torque` (m,) N m from the whole recording.
         """
-        again = self._state.copy()
-        again["waves"] = 0.0
-        return self._followed(again, angle, torque, np.zeros(0, np.bool_))
+        return self.again()(angle, torque)
+
+    def again(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
+        """Return `whole` for a recording that is given piece by piece."""
+        state = self._state.copy()
+        state["waves"] = 0.0
+        return lambda angle, torque: self._followed(state, angle, torque, np.zeros(0, np.bool_))
 
     def _followed(
         self, state: NDArray[np.void], angle: Array, torque: Array, sliding: NDArray[np.bool_]
@@ -188,24 +193,31 @@ def _follow(
     Where `sliding` is given, it learns, and ripple passes the low-pass.
     """
     s, p = state[0], parameters[0]
+    waves = s.waves
     for k in range(angle.shape[0]):
-        for j in range(WAVES):
-            phase = (j // 2 + 1) * angle[k]
-            s.waves[j] += p.lag * ((math.sin(phase) if j % 2 else math.cos(phase)) - s.waves[j])
+        sine, cosine = math.sin(angle[k]), math.cos(angle[k])
+        high, wide = sine, cosine  # of the orders, each from the one before
+        for j in range(0, WAVES, 2):
+            waves[j] += p.lag * (wide - waves[j])
+            waves[j + 1] += p.lag * (high - waves[j + 1])
+            high, wide = high * cosine + wide * sine, wide * cosine - high * sine
         if sliding.shape[0]:
             for j in range(WAVES):
-                s.row[j] += p.factor * s.waves[j] / p.steps
+                s.row[j] += p.factor * waves[j] / p.steps
             s.row[WAVES] += torque[k] / p.steps
             s.slid += 1.0 if sliding[k] else 0.0
             s.filled += 1.0
             if s.filled >= p.steps:
                 _read(s, p)
         weight = 1.0 / (1.0 + math.exp(-s.other))
-        mean, variance = 0.0, (p.gain * torque[k]) ** 2
+        mean, variance = 0.0, 0.0
         for i in range(WAVES):
-            mean += p.factor * s.waves[i] * s.mean[i]
-            for j in range(WAVES):
-                variance += p.factor**2 * s.waves[i] * s.waves[j] * s.covariance[i, j]
+            mean += p.factor * waves[i] * s.mean[i]
+            total = 0.5 * s.covariance[i, i] * waves[i]
+            for j in range(i):
+                total += s.covariance[i, j] * waves[j]
+            variance += 2.0 * waves[i] * total
+        variance = p.factor**2 * variance + (p.gain * torque[k]) ** 2
         found[0, k] = weight * mean
         found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
         found[2, k] = weight * mean / p.factor

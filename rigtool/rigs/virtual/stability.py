@@ -5,7 +5,7 @@ Euler, Hairer, Lubich and Wanner, Geometric Numerical Integration, 2006, section
 
     v' = v - h M^-1 (K x + D v),   x' = x + h v'
 
-with the tendon's terms of `tendon` and the shaft's inertia of `kernel.heavier`, which follow their
+with the tendon's terms of `tendon` and the shaft's mobility (`kernel.mobility`), which follow their
 dampers exactly: no damper is too strong. A spring k between masses whose reciprocal sum is 1/m is
 stable where its oscillation turns by less than two radians a sample, and samples still show it:
 
@@ -20,7 +20,8 @@ import numpy as np
 
 from rigtool.errors import RecipeError
 from rigtool.numerics.arrays import Array
-from rigtool.rigs.virtual.kernel import TICK, heavier
+from rigtool.rigs.virtual.kernel import mobility
+from rigtool.rigs.virtual.layout import TICK
 
 ROUNDING = 1e-6
 """By which the largest eigenvalue of a free, stable motion may differ from 1."""
@@ -67,7 +68,7 @@ def _moving(p: Any, h: float) -> Array:
     if p["clamped"]:
         stiffness[0, 0] = p["arm_stiffness"]
         damping[0, 0] += p["arm_damping"]
-    inertia = heavier(float(p["inertia"]), damping[0, 0], h)
+    inertia = 1 / mobility(float(p["inertia"]), damping[0, 0], h)
     if p["instrument"]:
         share = float(p["tendon_share"]) * ratio[0] / inertia
         sides = np.array([1 / factor, -1.0])[:, None]  # on the shaft, on the grasper

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rigtool.control.lookup_table import LookupTable
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.recipe import load_recipe, parse_recipe
@@ -247,6 +248,34 @@ def test_recording_fewer_samples_gives_their_means():
         means = fine[name].reshape(-1, 8).mean(axis=1)
         np.testing.assert_allclose(coarse[name], means, rtol=1e-9, atol=1e-12, err_msg=name)
     assert np.all(np.mod(fine["encoder"], 1) == 0)
+
+
+@pytest.mark.parametrize("period", [None, 2 * np.pi])
+def test_set_points_in_the_simulation_are_those_for_arrays_of_times(period):
+    rng = np.random.default_rng(20061)
+    angles, low = np.linspace(0.0, 2 * np.pi, 50, endpoint=False), np.array([0.0, 1.0, 2.0])
+    speeds = np.array([-6.0, -2.0, 2.0, 4.0])
+    table = LookupTable(angles, speeds, rng.normal(size=(4, 50)) * 1e-3, low, low * low / 4, period)
+    signal = rng.normal(size=777) * 1e-3
+    feedforward = Feedforward(1.5e-5, 2e-3, 5e-5, table, signal)
+    rig, recipe = rig_with()
+    for motion in (
+        SpeedProfile((0, 0.4, 2.0, 2.5), (0, -5, -1, 3)),
+        Triangle(-1.0, 9.0, 5.0, 0.3, 2),
+    ):
+        origin = rig.position if motion.start is None else motion.start
+        got = perform(rig, Task(motion, feedforward))
+        time = (np.arange(len(got["time"])) + 0.5) * recipe.rig.sample_time
+        position, speed, acceleration = motion.setpoint(time)
+        position = position + origin
+        expected = {
+            "position_setpoint": position,
+            "feedforward_current": feedforward.model_torque(speed, acceleration) / KT,
+            "table_current": table.evaluate(position, speed) / KT,
+            "signal_current": np.resize(signal, len(time)) / KT,
+        }
+        for name, values in expected.items():
+            np.testing.assert_allclose(got[name], values, rtol=0, atol=1e-12, err_msg=name)
 
 
 def test_a_virtual_rig_needs_its_parameters():
