@@ -151,8 +151,8 @@ def rigtool() -> None:
 
 
 GARBAGE = 20_000
-"""New objects after which Python looks for cycles of garbage: by default 700, which took a twentieth of
-the start of a command, as imports make many objects and no garbage."""
+"""New objects after which Python looks for cycles of garbage: by default 700, which took a
+twentieth of the start of a command, as imports make many objects and no garbage."""
 
 
 def main(argv: Sequence[str] | None = None) -> NoReturn:
