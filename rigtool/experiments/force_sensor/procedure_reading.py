@@ -301,19 +301,20 @@ class _Stretch:
         rows. All N m."""
         instrument, every = self._instrument, self._every
         torque, angle = self._taken("torque"), self._taken("angle")
-        again, rows = self._sensor.power_up.again(), []
+        again, added, variances = self._sensor.power_up.again(), [], []
         for first in range(0, len(torque), PIECE):
             part = slice(first, first + PIECE)
             ripple, variance, _ = again(angle[part].astype(np.float64), torque[part])
             torque[part] -= ripple
-            rows.append(variance[-first % every :: every])
+            added.append(ripple[-first % every :: every])
+            variances.append(variance[-first % every :: every])
         bandwidth, step_time = instrument.bandwidth_hz, instrument.grid.step_time
         deviation = without_delay(self._taken("u"), bandwidth, step_time)[::every].astype(float)
-        deviation = np.sqrt(deviation**2 + np.concatenate(rows))
+        deviation = np.sqrt(deviation**2 + np.concatenate(variances))
         kinds = self._taken("kinds")[::every]
         scales = instrument.model.scales[0]
         u = standard_uncertainty(scales, deviation, torque[::every], kinds)
-        return torque, u, ripple[::every]
+        return torque, u, np.concatenate(added)
 
 
 FOUND = {
