@@ -30,17 +30,17 @@ FIELDS = [
 """Fields of the filter's state: mean and covariance of q, and covariance of x and q."""
 
 
-def section(bandwidth_hz: float, step_time: float) -> Array:
+def section(corner_hz: float, step_time: float) -> Array:
     """Return A, B over C, D of the low-pass, (3, 3), for steps of `step_time` s."""
     from scipy.signal import butter, tf2ss
 
-    a, b, c, d = tf2ss(*butter(ORDER, bandwidth_hz, fs=1 / step_time))
+    a, b, c, d = tf2ss(*butter(ORDER, corner_hz, fs=1 / step_time))
     return np.block([[a, b], [c, d]])
 
 
-def delay(bandwidth_hz: float) -> float:
+def delay(corner_hz: float) -> float:
     """Return by how much y is late at low frequencies, s."""
-    return math.sqrt(2) / (2 * math.pi * bandwidth_hz)
+    return math.sqrt(2) / (2 * math.pi * corner_hz)
 
 
 @compiled
