@@ -188,24 +188,31 @@ def _follow(
     Where `sliding` is given, it learns, and ripple passes the low-pass.
     """
     s, p = state[0], parameters[0]
+    waves = s.waves
     for k in range(angle.shape[0]):
-        for j in range(WAVES):
-            phase = (j // 2 + 1) * angle[k]
-            s.waves[j] += p.lag * ((math.sin(phase) if j % 2 else math.cos(phase)) - s.waves[j])
+        sine, cosine = math.sin(angle[k]), math.cos(angle[k])
+        high, wide = sine, cosine  # of the orders, each from the one before
+        for j in range(0, WAVES, 2):
+            waves[j] += p.lag * (wide - waves[j])
+            waves[j + 1] += p.lag * (high - waves[j + 1])
+            high, wide = high * cosine + wide * sine, wide * cosine - high * sine
         if sliding.shape[0]:
             for j in range(WAVES):
-                s.row[j] += p.factor * s.waves[j] / p.steps
+                s.row[j] += p.factor * waves[j] / p.steps
             s.row[WAVES] += torque[k] / p.steps
             s.slid += 1.0 if sliding[k] else 0.0
             s.filled += 1.0
             if s.filled >= p.steps:
                 _read(s, p)
         weight = 1.0 / (1.0 + math.exp(-s.other))
-        mean, variance = 0.0, (p.gain * torque[k]) ** 2
+        mean, variance = 0.0, 0.0
         for i in range(WAVES):
-            mean += p.factor * s.waves[i] * s.mean[i]
-            for j in range(WAVES):
-                variance += p.factor**2 * s.waves[i] * s.waves[j] * s.covariance[i, j]
+            mean += p.factor * waves[i] * s.mean[i]
+            total = 0.5 * s.covariance[i, i] * waves[i]
+            for j in range(i):
+                total += s.covariance[i, j] * waves[j]
+            variance += 2.0 * waves[i] * total
+        variance = p.factor**2 * variance + (p.gain * torque[k]) ** 2
         found[0, k] = weight * mean
         found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
         found[2, k] = weight * mean / p.factor

@@ -32,6 +32,7 @@ from rigtool.experiments.force_sensor.results_over_time import (
     steps_of_a_row,
 )
 from rigtool.experiments.force_sensor.sensor import Instrument, Sensed, Sensor
+from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
@@ -255,21 +256,23 @@ class Stretch:
         if self._steps * step_time < SHORTEST:
             return []
         self.seconds = self._steps * step_time
-        contacts = self._contacts()
+        contacts, angle = self._contacts(), self._found["angle"][: self._steps : every].copy()
         time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
-        torque, u = self._whole()
+        torque, u, ripple = self._whole()
         reference = self._taken("reference") if referred else None
         rate, corner_hz = 1 / step_time, self._instrument.corner_hz
         torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
-        inside = states != State.OUTSIDE
+        inside, rows = states != State.OUTSIDE, slice(None, None, every)
+        sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
+        at = step_time * every, angle, sliding, self._instrument.reach.angle
         return [
             Reading(
                 self._name,
                 step_time * every,
                 time,
-                torque[::every].copy(),
+                torque[rows].copy(),
                 u,
-                states[::every].astype(np.int32),
+                states[rows].astype(np.int32),
                 self._taken("causal"),
                 self._taken("causal_u"),
                 self._taken("causal_states")[::every].astype(np.int32),
@@ -281,6 +284,7 @@ class Stretch:
                 contacts,
                 every,
                 response=None if reference is None else Spectra.of(torque, reference, inside, rate),
+                passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
             )
         ]
 
@@ -298,8 +302,9 @@ class Stretch:
         tested = trial(torque, deviation, states, step_time, doubt)
         return tuple(contacts(tested, self._instrument.model.limits))
 
-    def _whole(self) -> tuple[Array, Array]:
-        """Return the torque (m,) less what this power-up's ripple adds, and u of its rows, N m."""
+    def _whole(self) -> tuple[Array, Array, Array]:
+        """Return the torque (m,) less what this power-up's ripple adds; u and that ripple of its
+        rows. All N m."""
         instrument, every = self._instrument, self._every
         torque: Array = self._taken("torque")
         ripple, variance, _ = self._sensor.power_up.whole(self._taken("angle"), torque)
@@ -312,7 +317,8 @@ class Stretch:
         deviation = np.sqrt(deviation[::every] ** 2 + variance[::every])
         kinds = self._taken("kinds")[::every]
         scales = instrument.model.scales[0]
-        return torque, standard_uncertainty(scales, deviation, torque[::every], kinds)
+        u = standard_uncertainty(scales, deviation, torque[::every], kinds)
+        return torque, u, ripple[::every]
 
 
 def held_lowpass(rate: float, values: Array, corner_hz: float) -> Array:
