@@ -19,7 +19,6 @@ import math
 import tempfile
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +45,6 @@ from rigtool.experiments.force_filter.accuracy import JUDGED
 from rigtool.experiments.force_filter.estimate import PIECE
 from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.procedure_learning import ANYWHERE
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import Stretch
@@ -91,8 +89,8 @@ COMPARED = (
 
 
 def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, Reach, Known]:
-    """Calibrate and learn a rig, but for runs in the folder; return its model, a reach without
-    limits, and the torque constant."""
+    """Calibrate and learn a rig, but for runs in the folder; return its model, how far it was
+    learned, and the torque constant."""
     sets = () if rig == WARM else RIGS[rig]
     kt, tables = folder / "kt.h5", folder / "tables.h5"
     implementation = "ilc_learn.implementation=D"
@@ -110,10 +108,10 @@ def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, Reach, Known
     recipe, _ = load_recipe(RECIPE, list(RIGS[rig]))
     assert recipe.virtual is not None
     with open_run(tables) as stored, open_run(kt) as calibration:
-        model, slow = model_from(stored, recipe), reach_of(stored, calibration, recipe).slow
+        model, reach = model_from(stored, recipe), reach_of(stored, calibration, recipe)
         cold = torque_per_ampere_at(calibration, 0.0).value
         slope = torque_per_ampere_at(calibration, 1.0).value - cold
-        return model, replace(ANYWHERE, slow=slow), (cold, slope)
+        return model, reach, (cold, slope)
 
 
 def instrument_of(
@@ -275,13 +273,16 @@ def print_table(found: list[Found]) -> None:
             line = f"  {motion:8} {form:9}{band:3.0f} Hz  {state:45}{_cell(own):>14}"
             if key in mine[0][3]:
                 oracle = sum_of([one[3][key] for one in mine])
-                line += f"{_cell(oracle):>14}{math.sqrt(own.squares / oracle.squares):7.2f}"
+                line += f"{_cell(oracle):>14}{_rmse(own) / _rmse(oracle):7.2f}"
             print(line, flush=True)
 
 
+def _rmse(one: Score) -> float:
+    return math.sqrt(one.squares / one.count)
+
+
 def _cell(one: Score) -> str:
-    rmse = 1e3 * math.sqrt(one.squares / one.count)
-    return f"{rmse:.2f} ({100 * one.covered / one.count:.0f})"
+    return f"{1e3 * _rmse(one):.2f} ({100 * one.covered / one.count:.0f})"
 
 
 def main() -> None:
