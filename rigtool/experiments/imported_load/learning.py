@@ -181,11 +181,21 @@ def _fit(rows: Rows, folds: Numbers, levels: int, pace: Numbers, prior: Side | N
         raise InsufficientDataError(
             "only one load moves in one of the directions: record all loads to and fro"
         )
-    ways = [level if levels > 2 else rows.recording % FOLDS]
+    ways = [rows.recording % FOLDS]
+    if levels > 2:
+        ways = [level, _turns(folds)[rows.recording]]
     if pace.max() > 1:  # speeds beyond the others are outside: those at the ends stay
         ways.append(np.where((paces == 0) | (paces == pace.max()), -1, paces))
     names = groups_for(tuple(rows.functions), levels) if prior is None else prior.groups
     return Fit.of(rows, names, level, ways, prior)
+
+
+def _turns(level: Numbers) -> Numbers:
+    """Return which recordings (r,) are left out together: one of each level at most, and of other
+    speeds where levels were recorded at the same speeds in turn."""
+    rank = np.array([np.sum(level[:n] == own) for n, own in enumerate(level)])
+    turns: Numbers = (rank + level) % min(FOLDS, int(rank.max()) + 1)
+    return turns
 
 
 def _scales_as(prior: LoadModel, scales: Scales) -> Scales:
