@@ -230,11 +230,11 @@ class Fit:
         The lowest and the highest level stand twice: outermost as they were left out, for torques
         beyond them; then by the other ways, as none of the torques within is beyond the others.
         """
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
         loads_left_out = 1 if np.array_equal(self.folds[0], self.level) else 0
         repeats = len(np.unique(self.rows.recording))
-        wider = float(t.ppf((1 + COVERAGE) / 2, repeats - 1)) / COVERAGE_FACTOR
+        wider = float(stdtrit(repeats - 1, (1 + COVERAGE) / 2)) / COVERAGE_FACTOR
         rows = []
         for level in np.unique(self.level):
             own = self.level == level

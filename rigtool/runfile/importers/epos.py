@@ -16,16 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.recipe.mapping import RATED, UNITS, FileLayout, Mapping, Signal
+from rigtool.recipe.mapping import FileLayout, Mapping, Signal
+from rigtool.recipe.units import RATED, UNITS, unit_name
+from rigtool.runfile.importers.header import Lines, decode, split_lines
+from rigtool.runfile.importers.marks import marks_of, split_fields
 from rigtool.runfile.importers.raw import Importer, Raw, read_bytes, require_good
-from rigtool.runfile.importers.text import (
-    Lines,
-    decode,
-    marks_of,
-    read_numbers,
-    split_fields,
-    split_lines,
-)
+from rigtool.runfile.importers.text import read_numbers, words_of
 
 OBJECTS = {
     0x6064: "position",
@@ -109,7 +105,7 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
     marks = marks_of(
         data.text, FileLayout(delimiter=mapping.file.delimiter or ";", decimal=mapping.file.decimal)
     )
-    raw = read_numbers(path, data, marks, mapping.columns, names, skip_bad, mapping.words)
+    raw = read_numbers(path, data, marks, mapping.columns, names, skip_bad, words_of(mapping))
     _require_period(path, header, raw, mapping)
     return raw, mapping, [*notes, *_missing(path, header, data, skip_bad)]
 
@@ -252,9 +248,11 @@ def _meaning(name: str, index: int, unit: str, mapping: Mapping) -> tuple[str, s
     words = " ".join(name.lower().split()[:2])
     plain = _NAME.sub("_", name.lower()).strip("_") or "channel"
     signal = OBJECTS.get(index, NAMED.get(words, plain))
-    if unit in ("inc", "qc", "counts"):
-        unit = "count"
+    unit = unit_name(unit)
+    if unit == "count":
         signal = {"position": "encoder"}.get(signal, f"{signal}_count")
+    elif mapping.fixed_unit(signal) not in (None, UNITS.get(unit, ("", None))[1], "N m"):
+        signal = plain  # a speed of a belt in mm/s is none of the motor
     if signal == "torque" and unit == "%":
         return (
             ("torque", RATED) if mapping.rig.rated_torque is not None else ("relative_torque", "%")
