@@ -195,8 +195,10 @@ def model_and_reach(tables: Run, kt: Run, recipe: Recipe) -> tuple[ForceModel, R
     """Return the model in these tables, and how far it was learned; checks that all belongs
     together."""
     require_calibration(kt, recipe)
+    tables.require_command("ilc-learn")
+    model = model_from(tables, recipe)
     require_rig(tables, recipe)
-    return model_from(tables, recipe), reach_of(tables, kt, recipe)
+    return model, reach_of(tables, kt, recipe)
 
 
 def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:

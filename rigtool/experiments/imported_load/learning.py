@@ -44,6 +44,10 @@ FOLDS = 10
 APART = 0.02
 """Part of the highest load by which levels differ, at least."""
 
+ONE_LEVEL = 0.1
+"""Part of the highest load within which recordings are repeats of one load, whatever gaps they
+have: differences of that size do not show how effort grows with load."""
+
 APART_SPEED = 0.1
 """Part of the highest speed by which speeds differ, at least."""
 
@@ -93,9 +97,12 @@ class Learned:
 def level_numbers(values: Sequence[float], apart: float = APART) -> list[int]:
     """Return the number of each recording's level, by its mean torque or speed, smallest first.
 
-    Levels are apart by more than a quarter of the widest gap, and by `apart` of the highest.
+    Levels are apart by more than a quarter of the widest gap, and by `apart` of the highest; within
+    `ONE_LEVEL` of the highest all are one.
     """
     sizes = np.abs(np.asarray(values, dtype=np.float64))
+    if np.ptp(sizes) <= ONE_LEVEL * float(sizes.max(initial=0.0)):
+        return [0] * len(sizes)
     order = np.argsort(sizes, kind="stable")
     gaps = np.diff(sizes[order])
     widest = float(gaps.max()) if len(gaps) else 0.0

@@ -171,6 +171,11 @@ def test_each_load_level_has_a_factor_of_its_own():
         assert asked[0] / asked[1] > before[0] / before[1]
 
 
+def test_repeats_of_one_load_are_one_level():
+    assert level_numbers([11.2, 11.6, 11.9, 11.3, 11.7]) == [0] * 5
+    assert level_numbers([11.2, 11.6, 14.0, 13.9, 11.3]) == [0, 0, 1, 1, 0]
+
+
 def test_strays_of_a_stroke_beyond_what_was_learned_have_no_value():
     direction = np.repeat([1.0, 0.0, -1.0, 1.0], [10, 2, 10, 10])
     moving = direction != 0
