@@ -371,7 +371,9 @@ def _notes(
         f"a share of the torque: {factors}",
     ]
     if (outside := 1 - known.mean()) > 0:
-        notes.append(f"no value in {outside:.1%} of the time: outside what was learned")
+        limit = any(part.limited for r in recordings for part in r.parts)
+        why = ", or about a current at its limit" if limit else ""
+        notes.append(f"no value in {outside:.1%} of the time: outside what was learned{why}")
     if breaks := sum(r.breaks for r in recordings):
         lost = sum(r.lost for r in recordings)
         notes.append(
