@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.temperature_fit import SAME_TEMPERATURE
+from rigtool.experiments.torque_constant.staircase_fit import SAME_TEMPERATURE
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, require_signals
 from rigtool.numerics.plateaus import find_plateaus
