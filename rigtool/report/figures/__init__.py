@@ -21,6 +21,7 @@ from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLO
 )
 from rigtool.report.figures.plots import HEADLINE, PLOTS
 from rigtool.report.published import is_of_thesis
+from rigtool.runfile.opened import guard
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
@@ -41,7 +42,7 @@ def draw_figures(run: Run, label: str) -> Iterator[Picture]:
     """Draw every figure whose tables the run holds; `label` distinguishes this run from others."""
     for number, plot in sorted(PLOTS.items()):
         if plot.fits(run):
-            with style.styled():
+            with style.styled(), guard(run.path, f"what figure {number} shows"):
                 svg, png = style.render(plot.draw(run))
             figure = f"Fig. {number}. " if number < HEADLINE and is_of_thesis(run.rig) else ""
             title = f"{figure}{plot.title} ({label})"

@@ -24,6 +24,14 @@ MAX_BYTES = 2**31
 FREE_BYTES, MAX_RATIO = 2**24, 100
 """A compressed source may unpack to `MAX_RATIO` times its own size, and to `FREE_BYTES` anyway."""
 
+MAX_TEXT, MAX_LINES, MAX_LINE = 2**28, 2**22, 2**18
+"""Most bytes and lines of a text, and characters of one of its lines."""
+
+MAX_OBJECTS, MAX_NESTED = 10_000, 2**27
+"""Most arrays, groups or members of a binary file, and bytes of its cells and structures."""
+
+BINARY = "save the numbers as .npy, .npz or a matrix in .mat, or split the file"
+
 LISTED_LINES = 5
 """Most bad lines that a message lists."""
 
@@ -89,6 +97,7 @@ def read_bytes(path: Path) -> bytes:
             require_size(path, path.stat().st_size)
             data = path.read_bytes()
             _require_no_spreadsheet(path, data)
+            _require_text(path, data)
             return data
         with gzip.open(path) as stream:
             data = stream.read(unpacked_limit(path) + 1)
@@ -97,6 +106,7 @@ def read_bytes(path: Path) -> bytes:
     except OSError as error:
         raise RunFileError(f"{path}: cannot be read: {error.strerror or error}") from None
     require_size(path, len(data))
+    _require_text(path, data)
     return data
 
 
@@ -106,6 +116,22 @@ def _require_no_spreadsheet(path: Path, data: bytes) -> None:
         raise RunFileError(
             f"{path}: is a spreadsheet or an archive, no text: export it as CSV in the program "
             "that wrote it, or unpack it, and import that"
+        )
+
+
+def _require_text(path: Path, data: bytes) -> None:
+    """Raise `RunFileError` for a text of more bytes or lines than are read."""
+    lines = data.count(b"\n") + data.count(b"\r") - data.count(b"\r\n")
+    for count, limit, what in ((len(data), MAX_TEXT, "bytes"), (lines, MAX_LINES, "lines")):
+        if count > limit:
+            raise RunFileError(f"{path}: has {count} {what}, above {limit} of a text: {BINARY}")
+
+
+def require_objects(path: Path, count: int) -> None:
+    """Raise `RunFileError` where a binary file has more arrays, groups or members than are read."""
+    if count > MAX_OBJECTS:
+        raise RunFileError(
+            f"{path}: has more than {MAX_OBJECTS} arrays, groups or members: {BINARY}"
         )
 
 

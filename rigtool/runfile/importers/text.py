@@ -19,6 +19,8 @@ import numpy as np
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import FileLayout
 from rigtool.runfile.importers.raw import (
+    BINARY,
+    MAX_LINE,
     Array,
     ColumnKey,
     Raw,
@@ -80,6 +82,8 @@ def read_text(
     short, hold something else than numbers, or end with the file.
     """
     lines = split_lines(decode(read_bytes(path)), layout.comment)
+    if (longest := max(map(len, lines.text), default=0)) > MAX_LINE:
+        raise RunFileError(f"{path}: a line has {longest} characters, above {MAX_LINE}: {BINARY}")
     named = any(isinstance(column, str) for column in columns)
     head = layout.header_lines if layout.header_lines is not None else int(named)
     if named and not 0 < head <= len(lines.text):

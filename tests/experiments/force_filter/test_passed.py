@@ -1,5 +1,7 @@
 """The torque behind the low-pass, against scipy and against one Kalman filter over all states."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -99,3 +101,20 @@ def test_it_is_one_kalman_filter_over_all_states(seed, bandwidth_hz):
     expected = covariance - np.outer(gain, gain) * variance * share
     np.testing.assert_allclose(found[Q], (mean + gain * shift)[Q], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(after[Q], expected[Q], rtol=1e-9, atol=1e-11 * scale)
+
+
+def test_compiled_code_stays_within_its_arrays():
+    # Python raises where machine code writes beyond an array.
+    rng = np.random.default_rng(1)
+    section, rows = passed.section(10.0, 1e-3), rng.normal(size=(STATES, STATES))
+    root = rng.normal(size=(ALL, ALL))
+    found = []
+    for predict in (passed.predict, passed.predict.__wrapped__):
+        state = np.zeros(1, dtype=STATE)
+        put(state, np.arange(ALL, dtype=float), root @ root.T)
+        plain = SimpleNamespace(**{name: state[name][0] for name in STATE.names})
+        of_numba = predict is passed.predict
+        predict(state[0] if of_numba else plain, section, rows, KEPT, NOISE, np.empty((2, STATES)))
+        found.append(whole(state))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
