@@ -12,50 +12,14 @@ import re
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from rigtool.errors import RecipeError
 from rigtool.recipe.base import Section
 from rigtool.recipe.load import parse_toml, read_document, validate
+from rigtool.recipe.units import DATE, RATED, UNITS, require_unit, unit_name
 
 MAPPING_VERSION = 1
-
-RATED = "% of rated torque"
-"""Unit of drives that report torque relative to the motor's rated torque."""
-
-UNITS: dict[str, tuple[float, str]] = {
-    "1": (1.0, "1"),
-    "%": (1e-2, "1"),
-    "s": (1.0, "s"),
-    "ms": (1e-3, "s"),
-    "us": (1e-6, "s"),
-    "min": (60.0, "s"),
-    "count": (1.0, "count"),
-    "rad": (1.0, "rad"),
-    "mrad": (1e-3, "rad"),
-    "deg": (math.pi / 180, "rad"),
-    "rev": (2 * math.pi, "rad"),
-    "rad/s": (1.0, "rad/s"),
-    "deg/s": (math.pi / 180, "rad/s"),
-    "rpm": (math.pi / 30, "rad/s"),
-    "rev/s": (2 * math.pi, "rad/s"),
-    "m": (1.0, "m"),
-    "mm": (1e-3, "m"),
-    "um": (1e-6, "m"),
-    "m/s": (1.0, "m/s"),
-    "mm/s": (1e-3, "m/s"),
-    "A": (1.0, "A"),
-    "mA": (1e-3, "A"),
-    "V": (1.0, "V"),
-    "mV": (1e-3, "V"),
-    "N": (1.0, "N"),
-    "mN": (1e-3, "N"),
-    "N m": (1.0, "N m"),
-    "mN m": (1e-3, "N m"),
-    "N cm": (1e-2, "N m"),
-    "degC": (1.0, "degC"),
-}
-"""Units that files may have: factor and SI unit."""
 
 SIGNALS: dict[str, tuple[str, str, str]] = {
     "time": ("s", "s", "clock of the recording"),
@@ -148,8 +112,8 @@ class FileLayout(Section):
     header_lines: int | None = Field(
         None,
         ge=0,
-        description="lines before the numbers, comments not counted; the last of them names the "
-        "columns. Default: 1 where a column is given by name, else 0",
+        description="lines before the numbers, comments not counted; one of them names the "
+        "columns. Default: all lines before the first number",
     )
     variable: str | None = Field(
         None, description="which matrix of the file holds columns given by number"
@@ -185,15 +149,17 @@ class Signal(Section):
     )
     description: str = Field("", description="what it is, for names without a fixed meaning")
 
+    @field_validator("unit")
+    @classmethod
+    def _unit_is_known(cls, unit: str) -> str:
+        return require_unit(unit, [RATED])
+
     @model_validator(mode="after")
     def _makes_sense(self) -> Signal:
         if isinstance(self.column, int) and self.column < 1:
             raise ValueError(f"columns are counted from 1, got {self.column}")
         if self.scale == 0:
             raise ValueError("scale 0 leaves nothing of the signal")
-        if self.unit not in (*UNITS, RATED):
-            known = ", ".join([*UNITS, RATED])
-            raise ValueError(f"unit {self.unit!r} is not known; known are {known}")
         if self.counts_per_turn is not None and self.unit != "count":
             raise ValueError('counts_per_turn goes with unit = "count"')
         return self
@@ -267,7 +233,7 @@ class Condition(Section):
     @property
     def si(self) -> tuple[float, str]:
         """SI value of one `unit`, and its SI unit; a unit that is not known stays."""
-        return UNITS.get(self.unit, (1.0, self.unit))
+        return UNITS.get(unit_name(self.unit), (1.0, self.unit))
 
 
 class Map(Section):
@@ -279,10 +245,13 @@ class Map(Section):
     column: int | str | None = Field(None, description="of the values, in a file with several")
     angle: Signal | None = Field(None, description="column of the angles; default: equal steps")
 
+    @field_validator("unit")
+    @classmethod
+    def _unit_is_known(cls, unit: str) -> str:
+        return require_unit(unit)
+
     @model_validator(mode="after")
     def _is_known(self) -> Map:
-        if self.unit not in UNITS:
-            raise ValueError(f"unit {self.unit!r} is not known; known are {', '.join(UNITS)}")
         if self.angle is not None and self.column is None:
             raise ValueError("a map with a column of angles needs `column`, that of the values")
         angle = self.angle
@@ -348,6 +317,11 @@ class Mapping(Section):
             for item in self.conditions
             if item.column is not None and item.values is not None
         }
+
+    @property
+    def dates(self) -> set[int | str]:
+        """Columns of dates or clock times."""
+        return {signal.column for signal in self.signals.values() if signal.unit == DATE}
 
     def fixed_unit(self, name: str) -> str | None:
         """Return the unit that a name has by its fixed meaning, None for other names."""

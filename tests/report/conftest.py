@@ -324,5 +324,7 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw one stand-in for the figures of a run: for tests that are not about figures."""
     monkeypatch.setattr(
         "rigtool.report.build.draw_figures",
-        lambda run, label: [Picture(f"figure-63-{label}", 63, "Fig. 63.", "<svg/>", b"\x89PNG")],
+        lambda runs: [
+            Picture(f"figure-63-{label}", 63, "Fig. 63.", "<svg/>", b"\x89PNG") for label, _ in runs
+        ],
     )

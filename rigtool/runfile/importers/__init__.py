@@ -23,7 +23,7 @@ from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays
 from rigtool.runfile.importers.conditions import parts
 from rigtool.runfile.importers.contradictions import contradictions
-from rigtool.runfile.importers.convert import irregular, stem, to_si
+from rigtool.runfile.importers.convert import intervals, irregular, longest, stem, to_si
 from rigtool.runfile.importers.maps import read_map
 from rigtool.runfile.importers.plan import is_binary, plan
 from rigtool.runfile.importers.raw import Array, Importer, Raw
@@ -226,8 +226,9 @@ def understand(
     """
     raw, known, notes = _read(source, mapping, skip_bad)
     signals, raw = to_si(source, raw, known, skip_bad)
-    notes += [note for note in (irregular(signals["time"]), _left_out_note(raw)) if note]
-    notes += [*contradictions(signals, known), *_slips(known)]
+    uneven = irregular(intervals(signals["time"], raw))
+    notes += [note for note in (uneven, _left_out_note(raw)) if note]
+    notes += [*contradictions(longest(signals, raw), known), *_slips(known)]
     return signals, raw, known, notes
 
 
@@ -266,7 +267,7 @@ def _read(source: Path, mapping: Mapping | None, skip_bad: bool) -> tuple[Raw, M
         )
     if is_binary(source):
         return read_arrays(source, mapping.file.variable, mapping.columns, skip_bad), mapping, []
-    raw, notes = read_text(source, mapping.file, mapping.columns, skip_bad, mapping.words)
+    raw, notes = read_text(source, mapping, skip_bad)
     return raw, mapping, notes
 
 

@@ -83,13 +83,16 @@ def _in_name(path: Path, condition: Condition, pattern: str) -> tuple[float | No
 def parts(path: Path, raw: Raw, mapping: Mapping) -> tuple[list[Part], list[str]]:
     """Return the parts of a file in which no condition of a column changes, and notes.
 
-    One part without such conditions. Raises `RunFileError` where one changes too often.
+    One part without such conditions; time that starts anew ends a part, too. Raises `RunFileError`
+    where one changes too often.
     """
     whole, notes = conditions(path, mapping)
     by_column = [item for item in mapping.conditions if item.column is not None]
-    count = len(raw.line)
+    if raw.starts:
+        lines = ", ".join(map(str, raw.starts[:5])) + (", ..." if len(raw.starts) > 5 else "")
+        notes.append(f"time starts anew at {raw.what} {lines}: a recording begins there")
     if not by_column:
-        return [Part(0, count, whole)], notes
+        return [Part(a, b, whole) for a, b in pairwise(raw.edges)], notes
     values = [_values(path, raw, item) for item in by_column]
     changes = np.flatnonzero(np.any([np.diff(value) != 0 for value in values], axis=0)) + 1
     if len(changes) >= MOST_PARTS:
@@ -99,14 +102,14 @@ def parts(path: Path, raw: Raw, mapping: Mapping) -> tuple[list[Part], list[str]
             f"(at most {MOST_PARTS} parts): map it as a signal, or state its `values`"
         )
     found = []
-    for start, stop in pairwise([0, *changes.tolist(), count]):
+    for start, stop in pairwise(sorted({*raw.edges, *changes.tolist()})):
         if stop - start >= FEWEST_SAMPLES:
             here = {
                 item.name: (float(value[start]) * item.si[0], item.si[1])
                 for item, value in zip(by_column, values, strict=True)
             }
             found.append(Part(start, stop, {**whole, **here}))
-    left_out = count - sum(part.stop - part.start for part in found)
+    left_out = len(raw.line) - sum(part.stop - part.start for part in found)
     if not found:
         raise RunFileError(f"{path}: its conditions change at each sample: map them as signals")
     if left_out:

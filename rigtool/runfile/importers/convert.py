@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -32,16 +34,17 @@ def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[
     fewer than two samples are there.
     """
     time = _time(raw, mapping)
+    raw = replace(raw, starts=tuple(raw.line[_starts(time)].tolist()))
     bad = {
-        int(
-            raw.line[index]
-        ): f"time does not rise: {time[index]:.9g} s after {time[index - 1]:.9g} s"
+        int(raw.line[index]): _not_risen(time[index], time[index - 1])
         for index in np.flatnonzero(np.diff(time) <= 0) + 1
+        if index not in raw.edges
     }
     if bad:
         if not skip_bad:
             require_good(path, raw.what, bad)
-        off = np.setdiff1d(np.arange(len(time)), _longest_rise(time))
+        kept = [a + i for a, b in pairwise(raw.edges) for i in _longest_rise(time[a:b])]
+        off = np.setdiff1d(np.arange(len(time)), kept)
         raw = raw.without({int(raw.line[index]): "out of the order of time" for index in off})
         time = _time(raw, mapping)
     if (why := _wrong_start(time, raw, mapping)) is not None:
@@ -59,8 +62,37 @@ def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[
                 f"{path}: {name} is beyond the numbers of a computer with this scale and offset: "
                 "correct them in the mapping"
             )
-    require_same_motion(path, signals, mapping.rig)
+    require_same_motion(path, longest(signals, raw), mapping.rig)
     return signals, raw
+
+
+def longest(signals: dict[str, Array], raw: Raw) -> dict[str, Array]:
+    """Return the signals of the longest recording of a file."""
+    a, b = max(pairwise(raw.edges), key=lambda part: part[1] - part[0])
+    return {name: values[a:b] for name, values in signals.items()}
+
+
+def _not_risen(now: float, before: float) -> str:
+    same = "; state sampling_rate_hz for `time` if its clock is too coarse" if now == before else ""
+    return f"time does not rise: {now:.9g} s after {before:.9g} s{same}"
+
+
+def _starts(time: Array) -> list[int]:
+    """Return the samples at which the time of a file (n,) starts anew.
+
+    There, it falls to the start of the recording or before it, and goes on at the usual rate.
+    """
+    steps = np.diff(time)
+    falls = np.flatnonzero(steps < 0) + 1
+    if falls.size == 0:
+        return []
+    usual, found = float(np.median(steps)), [0]
+    for at in falls.tolist():
+        again = time[at] <= time[found[-1]] + usual
+        more = steps[at : at + STEPS]
+        if again and len(more) == STEPS and np.all((more >= 0) & (more < START_STEP * usual)):
+            found.append(at)
+    return found[1:]
 
 
 def _wrong_start(time: Array, raw: Raw, mapping: Mapping) -> str | None:
@@ -121,9 +153,8 @@ def _longest_rise(values: Array) -> list[int]:
     return chain[::-1]
 
 
-def irregular(time: Array) -> str | None:
-    """Return a note where the intervals of a time axis differ, else None."""
-    steps = np.diff(time)
+def irregular(steps: Array) -> str | None:
+    """Return a note where the intervals of a time axis (n,) differ, else None."""
     usual = float(np.median(steps))
     if np.max(np.abs(steps - usual)) <= IRREGULAR * usual:
         return None
@@ -131,6 +162,11 @@ def irregular(time: Array) -> str | None:
         f"the time axis is irregular, intervals from {steps.min():.4g} to {steps.max():.4g} s, "
         f"median {usual:.4g} s: kept as recorded"
     )
+
+
+def intervals(time: Array, raw: Raw) -> Array:
+    """Return the intervals within the recordings of a file."""
+    return np.delete(np.diff(time), np.array(raw.edges[1:-1], dtype=np.intp) - 1)
 
 
 def stem(path: Path) -> str:

@@ -16,16 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.recipe.mapping import RATED, UNITS, FileLayout, Mapping, Signal
+from rigtool.recipe.mapping import FileLayout, Mapping, Signal
+from rigtool.recipe.units import RATED, UNITS, unit_name
+from rigtool.runfile.importers.header import Lines, decode, split_lines
+from rigtool.runfile.importers.marks import marks_of, split_fields
 from rigtool.runfile.importers.raw import Importer, Raw, read_bytes, require_good
-from rigtool.runfile.importers.text import (
-    Lines,
-    decode,
-    marks_of,
-    read_numbers,
-    split_fields,
-    split_lines,
-)
+from rigtool.runfile.importers.text import read_numbers, words_of
 
 OBJECTS = {
     0x6064: "position",
@@ -59,6 +55,9 @@ FEWEST_TIMES = 3
 OTHER_UNIT = 30.0
 """Ratio of the times' period and that of the header that rows taken out do not explain."""
 
+_NAMES = (";", "time;", "Time;")
+"""Beginnings of the line that names the channels."""
+
 _HEADER_LINES = 60
 _HEADED = re.compile(r"^\"?Index:[;,\t]\"?0x", re.MULTILINE)
 _KEY = re.compile(r"^\"?[A-Z][A-Za-z. ]+:\"?([;,\t])", re.MULTILINE)
@@ -89,6 +88,7 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
     lines, notes = _as_exported(split_lines(decode(read_bytes(path)), mapping.file.comment))
     header = _header(path, lines)
     names_at = len(header)
+    _require_one(path, lines, names_at)
     names = ["time", *(name.strip() for name in lines.text[names_at].split(";")[1:])]
     units = [unit.strip() for unit in lines.text[names_at + 1].split(";")]
     if len(names) != len(units):
@@ -105,7 +105,7 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
     marks = marks_of(
         data.text, FileLayout(delimiter=mapping.file.delimiter or ";", decimal=mapping.file.decimal)
     )
-    raw = read_numbers(path, data, marks, mapping.columns, names, skip_bad, mapping.words)
+    raw = read_numbers(path, data, marks, mapping.columns, names, skip_bad, words_of(mapping))
     _require_period(path, header, raw, mapping)
     return raw, mapping, [*notes, *_missing(path, header, data, skip_bad)]
 
@@ -167,7 +167,7 @@ def _header(path: Path, lines: Lines) -> dict[tuple[int, str], list[str]]:
     for at, (number, line) in enumerate(zip(lines.number, lines.text, strict=True)):
         if at + 1 >= len(lines.text) or at >= _HEADER_LINES:
             break
-        if line.startswith((";", "time;", "Time;")):
+        if line.startswith(_NAMES):
             return header
         key, *values = line.split(";")
         header[number, key.rstrip(":")] = values
@@ -175,6 +175,23 @@ def _header(path: Path, lines: Lines) -> dict[tuple[int, str], list[str]]:
         f"{path}: is an export of EPOS Studio without names and units of its channels: it was cut "
         "short; export it again"
     )
+
+
+def _require_one(path: Path, lines: Lines, names_at: int) -> None:
+    """Raise `RunFileError` where another recording follows the first."""
+    begin = None  # of lines of a header
+    for at in range(names_at + 1, len(lines.text)):
+        line = lines.text[at]
+        if _KEY.match(line):
+            begin = at if begin is None else begin
+        elif begin is None or not line.startswith(_NAMES):
+            begin = None
+        else:
+            raise RunFileError(
+                f"{path}, line {lines.number[begin]}: another recording begins here, and a file "
+                "holds one: save each in a file of its own, from its header to its last sample, "
+                "and import the folder"
+            )
 
 
 def _field(header: dict[tuple[int, str], list[str]], key: str) -> tuple[int, list[str]]:
@@ -231,9 +248,11 @@ def _meaning(name: str, index: int, unit: str, mapping: Mapping) -> tuple[str, s
     words = " ".join(name.lower().split()[:2])
     plain = _NAME.sub("_", name.lower()).strip("_") or "channel"
     signal = OBJECTS.get(index, NAMED.get(words, plain))
-    if unit in ("inc", "qc", "counts"):
-        unit = "count"
+    unit = unit_name(unit)
+    if unit == "count":
         signal = {"position": "encoder"}.get(signal, f"{signal}_count")
+    elif mapping.fixed_unit(signal) not in (None, UNITS.get(unit, ("", None))[1], "N m"):
+        signal = plain  # a speed of a belt in mm/s is none of the motor
     if signal == "torque" and unit == "%":
         return (
             ("torque", RATED) if mapping.rig.rated_torque is not None else ("relative_torque", "%")

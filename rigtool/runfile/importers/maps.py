@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.recipe.mapping import UNITS, Mapping, Signal
+from rigtool.recipe.mapping import Mapping, Signal
+from rigtool.recipe.units import UNITS
 from rigtool.runfile.importers.arrays import read_arrays, read_vector
 from rigtool.runfile.importers.convert import stem
 from rigtool.runfile.importers.plan import is_binary
@@ -48,7 +49,7 @@ def _around(source: Path, mapping: Mapping) -> tuple[Array, Array, int]:
     column: ColumnKey = 1 if known.column is None else known.column
     columns = [column] if known.angle is None else [column, known.angle.column]
     if not is_binary(source):
-        raw = read_text(source, mapping.file, columns, skip_bad=False)[0].columns
+        raw = read_text(source, mapping, skip_bad=False, columns=columns)[0].columns
     elif known.column is None:
         raw = {column: read_vector(source, mapping.file.variable)}
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -12,8 +13,11 @@ from rigtool.escapes import is_text
 from rigtool.runfile.importers.convert import stem
 
 BINARY = (".mat", ".npy", ".npz")
-TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc")
+TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm", ".tab", ".prn")
 """Suffixes of files to import from a folder, in upper or lower case, also followed by .gz."""
+
+ARRAYS = (b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"MATLAB 5.0", b"MATLAB 7.3")
+"""First bytes of files of arrays, whatever their names."""
 
 SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
 
@@ -82,7 +86,7 @@ def find_files(
     left_out: list[Path] = []
     alone = len(sources) == 1 and not Path(sources[0]).is_dir()
     for source in map(Path, sources):
-        for file in _files(source, (*TEXT, *BINARY, *endings)):
+        for file in _files(source, (*TEXT, *BINARY, *endings), pattern):
             if alone or pattern is None or fnmatchcase(file.name, pattern):
                 found.append((file, source))
             else:
@@ -95,17 +99,32 @@ def find_files(
     return found, left_out
 
 
-def _files(source: Path, endings: tuple[str, ...]) -> list[Path]:
+def _files(source: Path, endings: tuple[str, ...], pattern: str | None) -> list[Path]:
+    """Return the files of a folder that end in one of `endings` or fit the `pattern`."""
     if not source.is_dir():
         return [_file(source)]
-    found = sorted(path for path in source.iterdir() if path.is_file() and _is_data(path, endings))
-    if not found:
-        sheets = any(path.suffix.lower() in SPREADSHEETS for path in source.iterdir())
-        raise RunFileError(
-            f"{source}: holds no file that ends in {', '.join(endings)} (or .gz): "
-            + ("export its spreadsheets as CSV" if sheets else "give another folder, or name files")
-        )
-    return found
+    inside = sorted(path for path in source.iterdir() if not path.name.startswith("."))
+    files = [path for path in inside if path.is_file()]
+    found = [
+        path
+        for path in files
+        if path.name.lower().removesuffix(".gz").endswith(endings)
+        or (pattern is not None and fnmatchcase(path.name, pattern))
+    ]
+    if found:
+        return found
+    if any(path.suffix.lower() in SPREADSHEETS for path in files):
+        remedy = "export its spreadsheets as CSV"
+    elif files:
+        ending = files[0].suffix
+        remedy = f'name files, or state which in the mapping (files = "*{ending}")'
+    elif inside:
+        remedy = f"give folders in it, as {inside[0]}"
+    else:
+        remedy = "give another folder"
+    raise RunFileError(
+        f"{source}: holds no file that ends in {', '.join(endings)} (or .gz): {remedy}"
+    )
 
 
 def _file(source: Path) -> Path:
@@ -114,11 +133,10 @@ def _file(source: Path) -> Path:
     return source
 
 
-def _is_data(path: Path, endings: tuple[str, ...]) -> bool:
-    name = path.name.lower().removesuffix(".gz")
-    return not name.startswith(".") and name.endswith(endings)
-
-
 def is_binary(path: Path) -> bool:
-    """Return whether a file holds arrays, not text."""
-    return path.suffix.lower() in BINARY
+    """Return whether a file holds arrays, not text: by its name, or its first bytes."""
+    if path.suffix.lower() in BINARY:
+        return True
+    with suppress(OSError), path.open("rb") as stream:
+        return stream.read(16).startswith(ARRAYS)
+    return False

@@ -12,15 +12,20 @@ from rigtool.recipe.mapping import FileLayout, Mapping
 from rigtool.runfile.importers import importers, recognised, understand
 from rigtool.runfile.importers.arrays import load_arrays
 from rigtool.runfile.importers.conditions import parts
+from rigtool.runfile.importers.convert import intervals
+from rigtool.runfile.importers.header import before_numbers, split_lines, text_of
+from rigtool.runfile.importers.marks import marks_of, split_fields
 from rigtool.runfile.importers.plan import find_files, is_binary
 from rigtool.runfile.importers.raw import Array, read_bytes
-from rigtool.runfile.importers.text import decode, marks_of, split_fields, split_lines
 
 ROWS = 5
 """Rows of a file that are shown."""
 
 WIDEST = 24
-"""Most characters of a column's name that are shown."""
+"""Most characters of a field that are shown."""
+
+NAMES = 2
+"""Most lines before the numbers that are shown: names, and units."""
 
 GAP = 1.5
 """Smallest interval that is a gap, relative to the median."""
@@ -59,18 +64,17 @@ def _file(source: Path, mapping: Mapping | None, skip_bad: bool) -> list[str]:
     ]
     return [
         *_aligned([head, *rows]),
-        _rate(signals["time"]),
+        _rate(signals["time"], intervals(signals["time"], raw)),
         *ranges,
         *stated,
         *(f"note: {note}" for note in [*notes, *missing]),
     ]
 
 
-def _rate(time: Array) -> str:
-    steps = np.diff(time)
+def _rate(time: Array, steps: Array) -> str:
     usual = float(np.median(steps))
     gaps = np.flatnonzero(steps > GAP * usual)
-    text = f"{len(time)} samples over {time[-1] - time[0]:.6g} s, {1 / usual:.6g} Hz, "
+    text = f"{len(time)} samples over {steps.sum():.6g} s, {1 / usual:.6g} Hz, "
     if gaps.size == 0:
         return text + "no gaps"
     longest = gaps[np.argmax(steps[gaps])]
@@ -87,29 +91,25 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
         arrays = load_arrays(source)
         return [*(f"{name or 'array'}: {np.shape(a)}" for name, a in arrays.items()), remedy]
     layout = FileLayout() if mapping is None else mapping.file
-    lines = split_lines(decode(read_bytes(source)), layout.comment)
+    lines = split_lines(text_of(source, read_bytes(source)), layout.comment)
     marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
     rows = [split_fields(line, marks.delimiter) for line in lines.text]
     count = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-    numbers = (at for at, row in enumerate(rows) if len(row) == count and _numeric(row))
-    begin = next(numbers, None)
-    if begin is None:
+    begin = before_numbers(lines, marks, range(count))
+    if begin == len(rows):
         return [f"{len(rows)} lines, none of numbers; delimiter = {marks.delimiter!r}", remedy]
     shown = [[str(number) for number in range(1, count + 1)]]
-    if begin > 0 and len(rows[begin - 1]) == count:
-        shown.append([field[:WIDEST] for field in rows[begin - 1]])
-    shown += [row for row in rows[begin : begin + ROWS] if len(row) == count]
+    shown += [
+        [field[:WIDEST] for field in row]
+        for row in [*rows[max(0, begin - NAMES) : begin], *rows[begin : begin + ROWS]]
+        if len(row) == count
+    ]
     return [
         f"{len(rows)} lines, numbers from line {lines.number[begin]} on; "
         f"delimiter = {marks.delimiter!r}, decimal = {marks.decimal!r}; columns by number:",
         *_aligned(shown),
         remedy,
     ]
-
-
-def _numeric(row: Sequence[str]) -> bool:
-    """Return whether a row is none of names or text: it begins with a digit, sign or point."""
-    return row[0][:1] in "0123456789+-."
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +32,21 @@ MAX_OBJECTS, MAX_NESTED = 10_000, 2**27
 
 BINARY = "save the numbers as .npy, .npz or a matrix in .mat, or split the file"
 
+NO_TEXT = {
+    b"PK\x03\x04": "a spreadsheet or an archive",
+    b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1": "a spreadsheet",
+    b"PAR1": "a Parquet file",
+    b"ARROW1": "a Feather file",
+    b"TDSm": "a TDMS file of LabVIEW",
+    b"MDF ": "an MDF file",
+    b"#ROSBAG": "a ROS bag",
+    b"SQLite format 3": "a database",
+    b"\x80\x04": "a pickle of Python",
+    b"\x80\x05": "a pickle of Python",
+    b"%PDF": "a PDF",
+}
+"""First bytes of files that people give for text, and what they are."""
+
 LISTED_LINES = 5
 """Most bad lines that a message lists."""
 
@@ -42,7 +57,8 @@ class Raw:
 
     `place` (n,) counts the samples of the file from 0, with gaps for samples that were left out.
     `line` (n,) holds line numbers from 1 in text, sample numbers from 1 elsewhere; `what` names
-    either. `left_out` maps the number of each line left out to the reason.
+    either. `left_out` maps the number of each line left out to the reason. `starts` are the
+    numbers of the lines at which the time starts anew, each the first of another recording.
     """
 
     columns: dict[ColumnKey, Array]
@@ -50,13 +66,24 @@ class Raw:
     line: NDArray[np.int64]
     what: str
     left_out: dict[int, str] = field(default_factory=dict)
+    starts: tuple[int, ...] = ()
 
     def without(self, bad: dict[int, str]) -> Raw:
         """Return the same without the lines in `bad`."""
         keep = ~np.isin(self.line, list(bad))
-        columns = {name: values[keep] for name, values in self.columns.items()}
-        left_out = {**self.left_out, **bad}
-        return Raw(columns, self.place[keep], self.line[keep], self.what, left_out)
+        return replace(
+            self,
+            columns={name: values[keep] for name, values in self.columns.items()},
+            place=self.place[keep],
+            line=self.line[keep],
+            left_out={**self.left_out, **bad},
+        )
+
+    @property
+    def edges(self) -> list[int]:
+        """First samples of the recordings of the file, and the number of samples."""
+        inner = np.searchsorted(self.line, self.starts).tolist()
+        return sorted({0, *inner, len(self.line)})
 
 
 @dataclass(frozen=True)
@@ -84,7 +111,8 @@ def require_good(path: Path, what: str, bad: dict[int, str]) -> None:
         listed.append(f"  and {len(numbers) - LISTED_LINES} more")
     count = len(numbers)
     head = f"{path}: {count} bad {what}{'s' if count > 1 else ''}"
-    remedy = "correct the file, or read the rest of it by --skip-bad-lines"
+    layout = "state comment or header_lines in [file], " if what == "line" else ""
+    remedy = f"correct the file, {layout}or read the rest of it by --skip-bad-lines"
     raise RunFileError("\n".join([head, *listed, remedy]))
 
 
@@ -96,7 +124,6 @@ def read_bytes(path: Path) -> bytes:
         if not packed:
             require_size(path, path.stat().st_size)
             data = path.read_bytes()
-            _require_no_spreadsheet(path, data)
             _require_text(path, data)
             return data
         with gzip.open(path) as stream:
@@ -110,17 +137,14 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def _require_no_spreadsheet(path: Path, data: bytes) -> None:
-    """Raise `RunFileError` for files of spreadsheet programs: archives, or compound documents."""
-    if data[:4] == b"PK\x03\x04" or data[:8] == b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1":
-        raise RunFileError(
-            f"{path}: is a spreadsheet or an archive, no text: export it as CSV in the program "
-            "that wrote it, or unpack it, and import that"
-        )
-
-
 def _require_text(path: Path, data: bytes) -> None:
-    """Raise `RunFileError` for a text of more bytes or lines than are read."""
+    """Raise `RunFileError` for files that are known to be no text, or more than is read."""
+    kind = next((kind for start, kind in NO_TEXT.items() if data.startswith(start)), None)
+    if kind is not None:
+        raise RunFileError(
+            f"{path}: is {kind}, no text: export it as CSV in the program that wrote it, and "
+            "import that"
+        )
     lines = data.count(b"\n") + data.count(b"\r") - data.count(b"\r\n")
     for count, limit, what in ((len(data), MAX_TEXT, "bytes"), (lines, MAX_LINES, "lines")):
         if count > limit:

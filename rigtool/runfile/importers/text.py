@@ -7,17 +7,31 @@ comments nor an exact value without its slower parser.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from rigtool.errors import RunFileError
+from rigtool.recipe import mapping as mappings
 from rigtool.recipe.mapping import FileLayout
+from rigtool.recipe.units import DATE
+from rigtool.runfile.importers.dates import is_date, seconds_of
+from rigtool.runfile.importers.header import Lines, header_of, split_lines, text_of
+from rigtool.runfile.importers.marks import (
+    NUMBER,
+    THOUSANDS,
+    WHITESPACE,
+    Marks,
+    fields_of,
+    marks_of,
+    plain,
+    unquoted,
+)
 from rigtool.runfile.importers.raw import (
     BINARY,
     MAX_LINE,
@@ -29,142 +43,53 @@ from rigtool.runfile.importers.raw import (
     require_good,
 )
 
-WHITESPACE = "whitespace"
+Words = Mapping[ColumnKey, tuple[Callable[[Sequence[str]], Array], str]]
+"""What makes numbers of the texts of columns, NaN for any other text, and what that then is."""
 
-MINUS = "\u2212"
-"""The minus sign of typesetting, which some programs write for a hyphen."""
+EXPONENT = str.maketrans("dD", "ee")
+"""Of double precision as Fortran writes it."""
 
-MARKS = tuple(
-    (delimiter, decimal) for delimiter in (",", ";", "\t", WHITESPACE) for decimal in ".,"
-)
-"""Delimiters and decimal marks that the lines of a text may show, the usual ones first."""
-
-LOOKED_AT = 50
-"""Most lines that are looked at for them."""
-
-MOSTLY = 0.3
-"""Smallest part of numbers among the fields of lines of measurements."""
-
-Words = Mapping[ColumnKey, Mapping[str, float]]
-"""Numbers for the texts of columns."""
-
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-
-
-@dataclass(frozen=True)
-class Lines:
-    """The lines of a text that are not comments, each with its number from 1.
-
-    `whole` is False where the last one has no end of line.
-    """
-
-    text: list[str]
-    number: list[int]
-    whole: bool
-
-    def after(self, count: int) -> Lines:
-        """Return all but the first `count` lines."""
-        return Lines(self.text[count:], self.number[count:], self.whole)
+SPLIT = "\x1f"
+"""Delimiter of lines whose fields in quotes were taken apart: a control character for it."""
 
 
 def read_text(
-    path: Path,
-    layout: FileLayout,
-    columns: Sequence[ColumnKey],
-    skip_bad: bool,
-    words: Words | None = None,
+    path: Path, mapping: mappings.Mapping, skip_bad: bool, columns: Sequence[ColumnKey] = ()
 ) -> tuple[Raw, list[str]]:
-    """Read columns of a text file as numbers; also return notes on what its lines show.
-
-    `words` are the numbers for the texts of columns that hold text.
+    """Read the columns of a mapping, or `columns`, as numbers; also return notes on what the lines
+    show.
 
     Raises `RunFileError` for a missing column, and, unless `skip_bad`, for lines that are cut
-    short, hold something else than numbers, or end with the file.
+    short, or hold something else than numbers.
     """
-    lines = split_lines(decode(read_bytes(path)), layout.comment)
+    layout = mapping.file
+    lines = split_lines(text_of(path, read_bytes(path)), layout.comment)
     if (longest := max(map(len, lines.text), default=0)) > MAX_LINE:
         raise RunFileError(f"{path}: a line has {longest} characters, above {MAX_LINE}: {BINARY}")
-    named = any(isinstance(column, str) for column in columns)
-    head = layout.header_lines if layout.header_lines is not None else int(named)
-    if named and not 0 < head <= len(lines.text):
-        raise RunFileError(
-            f"{path}: has no line that names its columns (header_lines = {head}): give columns by "
-            "number, or correct the mapping"
-        )
-    marks = marks_of(lines.after(head).text, layout)
-    names = split_fields(lines.text[head - 1], marks.delimiter) if named else []
-    if (better := _line_of_names(lines, marks, columns)) is not None and better != head:
-        missing = [column for column in columns if isinstance(column, str) and column not in names]
-        if missing:
-            raise RunFileError(
-                f"{path}: line {lines.number[head - 1]} names no column {missing[0]!r}, line "
-                f"{lines.number[better - 1]} names all: state header_lines = {better} in [file]"
-            )
-    raw = read_numbers(path, lines.after(head), marks, columns, names, skip_bad, words)
-    return raw, marks.notes(layout)
+    asked = list(columns) or mapping.columns
+    marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
+    head, names = header_of(path, lines, marks, layout, asked)
+    notes = marks.notes(layout)
+    if layout.header_lines is None and head != bool(names):
+        notes.append(f"as the lines show, header_lines = {head}: state it in [file]")
+    data = lines.after(head)
+    if layout.sampling_rate_hz is None:
+        data = data.without(set(lines.text[:head]))
+    return read_numbers(path, data, marks, asked, names, skip_bad, words_of(mapping)), notes
 
 
-def _line_of_names(lines: Lines, marks: Marks, columns: Sequence[ColumnKey]) -> int | None:
-    """Return which of the first lines, from 1, names all columns that are given by name."""
-    asked = {column for column in columns if isinstance(column, str)}
-    for number, line in enumerate(lines.text[:LOOKED_AT], start=1):
-        if asked and asked <= set(split_fields(line, marks.delimiter)):
-            return number
-    return None
+def words_of(mapping: mappings.Mapping) -> Words:
+    """Return what makes numbers of the columns of a mapping that hold text."""
+    date = seconds_of, "no date with a clock time, and no clock time"
+    found: dict[ColumnKey, tuple[Callable[[Sequence[str]], Array], str]]
+    found = dict.fromkeys(mapping.dates, date)
+    for column, values in mapping.words.items():
+        found[column] = partial(_by_word, values), f"none of {', '.join(values)}"
+    return found
 
 
-@dataclass(frozen=True)
-class Marks:
-    """Delimiter and decimal mark of a text."""
-
-    delimiter: str
-    decimal: str
-
-    def notes(self, layout: FileLayout) -> list[str]:
-        """Return what a mapping leaves to the lines and they show otherwise than plain CSV does."""
-        stated = {"delimiter": layout.delimiter, "decimal": layout.decimal}
-        usual = {"delimiter": ",", "decimal": "."}
-        found = [
-            f"{key} = {getattr(self, key)!r}"
-            for key, value in stated.items()
-            if value is None and getattr(self, key) != usual[key]
-        ]
-        return [f"as the lines show, {', '.join(found)}: state it in [file]"] if found else []
-
-
-def marks_of(lines: Sequence[str], layout: FileLayout) -> Marks:
-    """Return delimiter and decimal mark: as stated, else those with most numbers a line."""
-    best, most = Marks(layout.delimiter or ",", layout.decimal or "."), 0.0
-    shown = lines[:LOOKED_AT]
-    for delimiter, decimal in MARKS:
-        marks = Marks(layout.delimiter or delimiter, layout.decimal or decimal)
-        if marks.delimiter == marks.decimal:
-            continue
-        rows = [_fields(line, marks.delimiter) for line in shown]
-        usual = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-        numbers = [
-            bool(_NUMBER.fullmatch(_plain(field, marks.decimal)))
-            for row in rows
-            if len(row) == usual
-            for field in row
-        ]
-        # A mark that splits numbers leaves text, or makes more fields of which some are no number.
-        part = float(np.mean(numbers)) if numbers else 0.0
-        if part >= MOSTLY and (score := sum(numbers) * part) > most:
-            best, most = marks, score
-    return best
-
-
-def _fields(line: str, delimiter: str) -> list[str]:
-    return line.split(None if delimiter == WHITESPACE else delimiter)
-
-
-def _plain(field: str, decimal: str) -> str:
-    """Return a field without the quotes around it; one quote alone is a part of a longer field."""
-    text = field.strip()
-    if len(text) > 1 and text[0] == text[-1] == '"':
-        text = text[1:-1]
-    return text.replace(decimal, ".")
+def _by_word(values: Mapping[str, float], texts: Sequence[str]) -> Array:
+    return np.array([values.get(text, np.nan) for text in texts])
 
 
 def read_numbers(
@@ -178,20 +103,25 @@ def read_numbers(
 ) -> Raw:
     """Read columns of lines that hold numbers; `names` are those of all columns, or none.
 
-    `words` as in `read_text`.
-
-    Raises `RunFileError` for bad lines, and where no line holds numbers.
+    A last line without its end is left out where its last field may be cut short. Raises
+    `RunFileError` for bad lines, and where no line holds numbers.
     """
     if not lines.text:
         raise RunFileError(f"{path}: holds no line of numbers: check comment and header_lines")
-    delimiter = None if marks.delimiter == WHITESPACE else marks.delimiter
-    counts = _field_counts(lines.text, delimiter)
+    delimiter = marks.delimiter
+    if any('"' in line for line in lines.text):
+        joined = [SPLIT.join(fields_of(line, delimiter)) for line in lines.text]
+        lines, delimiter = replace(lines, text=joined), SPLIT
+    split = None if delimiter == WHITESPACE else delimiter
+    counts = _field_counts(lines.text, split)
     most = Counter(counts).most_common(1)[0][0]
-    if most == len(names) + 1 > 1 and delimiter is not None:
+    if most == len(names) + 1 > 1 and split is not None:
         # Some programs end each line, but not the names, with a delimiter.
-        ended = [line.rstrip().endswith(delimiter) for line in lines.text]
+        ended = [line.rstrip(" ").endswith(split) for line in lines.text]
         counts = [n - end for n, end in zip(counts, ended, strict=True)]
     usual = len(names) or most
+    if most < usual and split is not None:
+        usual = most  # nothing was written in the last columns
     try:
         indices = [_index(path, column, names, usual) for column in columns]
     except RunFileError as error:
@@ -205,89 +135,60 @@ def read_numbers(
         for number, count in zip(lines.number, counts, strict=True)
         if count != usual
     }
-    if not lines.whole:
-        bad[lines.number[-1]] = "the file ends within this line: its end is missing"
-    said = {
-        column: _translate(lines, delimiter, index, words[column], bad)
-        for column, index in zip(columns, indices, strict=True)
-        if words and column in words
-    }
-    numeric = [
-        (column, index)
-        for column, index in zip(columns, indices, strict=True)
-        if column not in said
-    ]
-    good = [
-        text for text, number in zip(lines.text, lines.number, strict=True) if number not in bad
-    ]
-    numbers = [number for number in lines.number if number not in bad]
-    asked = [index for _, index in numeric]
-    table = _parse(good, delimiter, marks.decimal, asked)
-    if table is None:
-        table = _parse_exactly(good, numbers, delimiter, marks.decimal, asked, bad)
+    cut = {}
+    if not lines.whole and lines.number[-1] not in bad and not _as_long(lines.text, split):
+        cut = {lines.number[-1]: "the file ends within this line: it may be cut short"}
+        lines = lines.before(-1)
+    table = _columns(
+        lines, split, marks.decimal, dict(zip(columns, indices, strict=True)), bad, words or {}
+    )
     if not skip_bad:
         require_good(path, "line", bad)
     place = np.flatnonzero([number not in bad for number in lines.number]).astype(np.int64)
     line = np.array(lines.number, dtype=np.int64)[place]
-    found = dict(zip((column for column, _ in numeric), table, strict=True))
-    found |= {
-        column: np.array([by_line[number] for number in line.tolist()])
+    return Raw(table, place, line, "line", {**bad, **cut})
+
+
+def _as_long(lines: Sequence[str], split: str | None) -> bool:
+    """Return whether the last field of the last line has as many decimals as those before it."""
+    decimals = {len(re.split("[.,]", line.split(split)[-1].strip())[-1]) for line in lines[-3:]}
+    return len(lines) > 2 and len(decimals) == 1 and bool(re.search(r"[.,]\d+\W*$", lines[-1]))
+
+
+def _columns(
+    lines: Lines,
+    split: str | None,
+    decimal: str,
+    places: Mapping[ColumnKey, int],
+    bad: dict[int, str],
+    words: Words,
+) -> dict[ColumnKey, Array]:
+    """Return the columns of the lines that hold numbers; add the others to `bad`."""
+    texts = {column: at for column, at in places.items() if column in words}
+    numeric = {column: at for column, at in places.items() if column not in words}
+
+    def good() -> list[tuple[str, int]]:
+        both = zip(lines.text, lines.number, strict=True)
+        return [(line, number) for line, number in both if number not in bad]
+
+    said: dict[ColumnKey, dict[int, float]] = {}
+    for column, at in texts.items():
+        fields = [(unquoted(line.split(split)[at]), number) for line, number in good()]
+        numbers_of, other = words[column]
+        values = numbers_of([text for text, _ in fields])
+        said[column] = {n: v for (_, n), v in zip(fields, values.tolist(), strict=True)}
+        for (text, number), value in zip(fields, values, strict=True):
+            if not np.isfinite(value):
+                bad[number] = f"column {at + 1} holds {text[:40]!r}, {other}"
+    rows, asked = good(), list(numeric.values())
+    table = _parse([line for line, _ in rows], split, decimal, asked) if asked else []
+    if table is None:
+        table = _parse_exactly(rows, split, decimal, asked, bad)
+    numbers = [number for _, number in rows if number not in bad]
+    return dict(zip(numeric, table, strict=True)) | {
+        column: np.array([by_line[number] for number in numbers])
         for column, by_line in said.items()
     }
-    return Raw(found, place, line, "line", bad)
-
-
-def _translate(
-    lines: Lines,
-    delimiter: str | None,
-    index: int,
-    words: Mapping[str, float],
-    bad: dict[int, str],
-) -> dict[int, float]:
-    """Return the number for a text column by line; add lines with any other text to `bad`."""
-    found = {}
-    for line, number in zip(lines.text, lines.number, strict=True):
-        if number in bad:
-            continue
-        text = line.split(delimiter)[index].strip().strip('"')
-        if text in words:
-            found[number] = words[text]
-        else:
-            known = ", ".join(words)
-            bad[number] = f"column {index + 1} holds {text[:40]!r}, none of {known}"
-    return found
-
-
-def decode(data: bytes) -> str:
-    """Return text: UTF-16 with a byte order mark, else UTF-8 or, for any other bytes, Latin-1."""
-    data = data.removesuffix(b"\x1a")  # the end of a file for DOS
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data.decode("utf-16", "replace").replace(MINUS, "-")
-    try:
-        return data.decode("utf-8-sig").replace(MINUS, "-")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")
-
-
-def split_lines(text: str, comment: str | None) -> Lines:
-    """Return the lines of a text without comments and empty lines; ends of any system."""
-    if "\r" in text:
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
-    whole = text.endswith("\n")
-    everything = text.split("\n")
-    if comment is not None and comment in text:
-        everything = [line.partition(comment)[0] for line in everything]
-    numbered = [(line, number) for number, line in enumerate(everything, 1) if line.strip()]
-    # A file that ends within a comment lacks no number.
-    whole = whole or not numbered or numbered[-1][1] < len(everything)
-    return Lines([line for line, _ in numbered], [number for _, number in numbered], whole)
-
-
-def split_fields(line: str, delimiter: str) -> list[str]:
-    """Return the fields of one line without surrounding quotes and spaces."""
-    if delimiter == WHITESPACE:
-        return line.split()
-    return [field.strip() for field in next(csv.reader([line], delimiter=delimiter))]
 
 
 def _field_counts(lines: Sequence[str], delimiter: str | None) -> list[int]:
@@ -315,6 +216,8 @@ def _parse(
     if not lines:
         return None
     if decimal != ".":
+        if any("." in line for line in lines):
+            return None  # a point may divide thousands
         lines = [line.replace(decimal, ".") for line in lines]
     try:
         table = np.loadtxt(lines, delimiter=delimiter, comments=None, usecols=indices, ndmin=2)
@@ -324,25 +227,32 @@ def _parse(
 
 
 def _parse_exactly(
-    lines: Sequence[str],
-    numbers: Sequence[int],
+    rows: Sequence[tuple[str, int]],
     delimiter: str | None,
     decimal: str,
     indices: Sequence[int],
     bad: dict[int, str],
 ) -> list[Array]:
-    """Return the columns of the lines that hold numbers; add the others to `bad`."""
-    rows = []
-    for line, number in zip(lines, numbers, strict=True):
+    """Return the columns of the lines, each with its number, that hold numbers; add the others to
+    `bad`."""
+    found = []
+    for line, number in rows:
         fields = line.split(delimiter)
         row = []
         for index in indices:
-            text = _plain(fields[index], decimal)
-            value = float(text) if _NUMBER.fullmatch(text) else np.nan
+            text = plain(fields[index], decimal)
+            thousands = decimal != "." and THOUSANDS.fullmatch(unquoted(fields[index]))
+            good = NUMBER.fullmatch(text) and not thousands
+            value = float(text.translate(EXPONENT)) if good else np.nan
             if not np.isfinite(value):
-                bad[number] = f"column {index + 1} holds {fields[index].strip()[:40]!r}, no number"
+                bad[number] = _no_number(index, fields[index].strip())
                 break
             row.append(value)
         else:
-            rows.append(row)
-    return list(np.array(rows, dtype=np.float64).reshape(-1, len(indices)).T)
+            found.append(row)
+    return list(np.array(found, dtype=np.float64).reshape(-1, len(indices)).T)
+
+
+def _no_number(index: int, text: str) -> str:
+    hint = f': a date or clock time has unit = "{DATE}"' if is_date(text) else ""
+    return f"column {index + 1} holds {text[:40]!r}, no number{hint}"

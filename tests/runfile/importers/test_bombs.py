@@ -11,13 +11,21 @@ import pytest
 from scipy.io import savemat
 
 from rigtool.errors import RunFileError
-from rigtool.recipe.mapping import FileLayout
+from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile.importers import arrays, raw
 from rigtool.runfile.importers.arrays import load_arrays
 from rigtool.runfile.importers.raw import FREE_BYTES, MAX_LINE, read_bytes
 from rigtool.runfile.importers.text import read_text
 
 SIZE = 4 * FREE_BYTES
+MAPPING = """mapping = 1
+[rig]
+name = "bench"
+encoder_counts = 4096
+[signals]
+time = { column = 1, unit = "s" }
+position = { column = 2, unit = "rad" }
+"""
 
 
 def gz(path: Path) -> None:
@@ -84,7 +92,7 @@ def test_a_line_of_any_length_is_not_divided(tmp_path):
     path = tmp_path / "line.csv"
     path.write_text("1,2\n" + "1," * MAX_LINE + "1\n")
     with pytest.raises(RunFileError, match=f"a line has {2 * MAX_LINE + 1} characters, above"):
-        read_text(path, FileLayout(), [1, 2], skip_bad=False)
+        read_text(path, parse_mapping(MAPPING), skip_bad=False)
 
 
 def of_members(path: Path, count: int) -> None:

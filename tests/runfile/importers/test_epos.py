@@ -55,6 +55,14 @@ def test_the_header_says_what_is_there(tmp_path):
     assert signals["bus_voltage"][4] == 23.5
 
 
+@pytest.mark.parametrize("skip", [False, True])
+def test_a_file_with_two_recordings_states_where_the_second_begins(tmp_path, skip):
+    two = write(tmp_path / "two.csv", HEAD, [*ROWS, *HEAD.splitlines(), *ROWS])
+    with pytest.raises(RunFileError, match=r"line 17: another recording begins here.* its own"):
+        take(two, skip_bad=skip)
+    assert not two.with_suffix(".h5").exists()
+
+
 def test_the_rated_torque_turns_percent_into_torque(tmp_path):
     units, signals, run = take(write(tmp_path / "n2.csv"), RATED)
     assert units["torque"] == "N m"
@@ -115,8 +123,15 @@ def test_a_file_that_ends_early_is_told_by_its_header(tmp_path):
 
 
 def test_a_file_that_ends_within_a_line(tmp_path):
-    with pytest.raises(RunFileError, match="line 16: the file ends within this line"):
-        take(write(tmp_path / "n2.csv", end=""))
+    rows = [*ROWS[:-1], ROWS[-1].rpartition(";")[0] + ";2"]
+    _, signals, run = take(write(tmp_path / "n2.csv", rows=rows, end=""))
+    assert len(signals["time"]) == len(ROWS) - 1
+    assert any("line 16: the file ends within this line" in note for note in run.notes)
+
+
+def test_a_speed_in_a_unit_of_another_axis_is_none_of_the_motor(tmp_path):
+    units, _, _ = take(write(tmp_path / "a.csv", HEAD.replace("ms;rpm;", "ms;mm/s;")))
+    assert units["velocity_actual_value_averaged"] == "m/s"
 
 
 @pytest.mark.parametrize(
@@ -161,9 +176,9 @@ def test_what_a_spreadsheet_makes_of_an_export_is_undone(tmp_path, edit):
 
 
 def test_a_column_in_an_unknown_unit_is_left_out_and_said(tmp_path):
-    path = write(tmp_path / "a.csv", HEAD.replace("inc;V", "inc;kg"))
+    path = write(tmp_path / "a.csv", HEAD.replace("inc;V", "inc;bar"))
     done = import_files([str(path)], str(tmp_path / "a.h5"), None).done[0]
-    assert any("channel 'Bus Voltage' is in 'kg'" in note for note in done.notes)
+    assert any("channel 'Bus Voltage' is in 'bar'" in note for note in done.notes)
     with open_run(tmp_path / "a.h5") as run:
         assert "bus_voltage" not in run.recording("imported").units
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rigtool.errors import RunFileError
-from rigtool.recipe.mapping import FileLayout
+from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers.text import read_text
 from tests.runfile.importers.mappings import ROWS, TEXT, columns, lines, take
@@ -125,7 +125,8 @@ def damaged(kind):
         rows[20] = "38.0,137,0.1"
         return rows, "\n", 21, "time does not rise: 0.038 s after 0.038 s"
     assert kind == "end"
-    return rows, "", ROWS, "the file ends within this line"
+    rows[-1] = rows[-1].rpartition(",")[0]
+    return rows, "", ROWS, "has 2 fields, the others have 3"
 
 
 KINDS = ("text", "empty", "nan", "cut", "joined", "backwards", "again", "end")
@@ -178,6 +179,8 @@ def test_one_wrong_time_costs_one_line(tmp_path):
         (b"1,2,3\n", "at least 2 are needed"),
         (b"\x1f\x8b\x08garbage", "damaged gzip"),
         (b"\x00\xff" * 50, "has no column 2"),
+        (bytes(range(1, 32)) * 9, "is no text"),
+        (b"PAR1" + b"\x15\x04" * 50, "a Parquet file"),
     ],
 )
 def test_files_that_hold_nothing_of_use(tmp_path, content, message):
@@ -193,6 +196,7 @@ def test_a_missing_name_is_told_with_those_there(tmp_path):
         take(source, tmp_path / "a.h5", text)
 
 
+BARE = parse_mapping('mapping = 1\n[rig]\nname = "x"\n[file]\ncomment = "%"\n')
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -201,7 +205,7 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 def test_every_double_comes_in_exactly(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("exact") / "a.csv"
     write(path, [",".join(map(repr, row)) for row in rows])
-    raw, _ = read_text(path, FileLayout(), [3, 1], skip_bad=False)
+    raw, _ = read_text(path, BARE, skip_bad=False, columns=[3, 1])
     np.testing.assert_array_equal(raw.columns[1], [row[0] for row in rows])
     np.testing.assert_array_equal(raw.columns[3], [row[2] for row in rows])
 
@@ -218,7 +222,7 @@ def test_no_damage_goes_in_unseen(tmp_path_factory, data):
     (folder / "a.csv").write_text(good[:start] + cut + good[start + count :])
     known = dict(zip(good.split("\n")[1:], zip(*columns(12), strict=True), strict=False))
     try:
-        raw, _ = read_text(folder / "a.csv", FileLayout(comment="%"), [1, 2, 3], skip_bad=True)
+        raw, _ = read_text(folder / "a.csv", BARE, skip_bad=True, columns=[1, 2, 3])
     except RunFileError:
         return
     text = (folder / "a.csv").read_text().split("\n")
@@ -298,16 +302,106 @@ def test_marks_of_thousands_are_no_numbers(tmp_path):
     """A number in quotes that the delimiter cuts is not its first digit."""
     (tmp_path / "a.csv").write_text("".join(f'{n},"{n + 1},234.5"\n' for n in range(9)))
     text = NAMED.replace('"t"', "1").replace('"i"', "2")
-    with pytest.raises(RunFileError, match="column 2 holds '\"1', no number"):
+    with pytest.raises(RunFileError, match=r"column 2 holds '1,234\.5', no number"):
         take(tmp_path / "a.csv", tmp_path / "a.h5", text)
 
 
-def test_names_further_down_are_found_and_said(tmp_path):
-    (tmp_path / "a.csv").write_text("Oscilloscope\nmodel,7\n\nt,i\n0,1\n1,2\n")
-    with pytest.raises(RunFileError, match=r"line 4 names all: state header_lines = 3"):
-        take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED)
-    text = NAMED.replace("[signals]", "[file]\nheader_lines = 3\n[signals]")
+@pytest.mark.parametrize(
+    ("head", "count"),
+    [
+        ("t,i\n", 1),
+        ("t,i\ns,A\n", 2),
+        ("Oscilloscope\nmodel,7\n\nt,i\n", 3),
+        ("# t,i\n", 1),
+        ("'t','i'\n[s],[A]\n", 2),
+    ],
+)
+def test_the_header_is_found_and_said(tmp_path, head, count):
+    (tmp_path / "a.csv").write_text(f"{head}0,1\n1,2\n")
+    (done,) = take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED).done
+    assert any(f"header_lines = {count}: state" in note for note in done.notes) == (count > 1)
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "current"), [1, 2])
+    for stated in range(count + 1):
+        text = NAMED.replace("[signals]", f"[file]\nheader_lines = {stated}\n[signals]")
+        if stated == count:
+            take(tmp_path / "a.csv", tmp_path / "b.h5", text)
+        else:
+            with pytest.raises(RunFileError, match=r"state .*header_lines|no number"):
+                take(tmp_path / "a.csv", tmp_path / "b.h5", text)
+
+
+def test_a_damaged_first_line_is_no_header(tmp_path):
+    text = NAMED.replace('"t"', "1").replace('"i"', "2")
+    for damaged in ("0,x\n", "0\n", "x,0\n"):
+        (tmp_path / "a.csv").write_text(f"{damaged}1,1\n2,2\n3,3\n")
+        with pytest.raises(RunFileError, match="line 1: "):
+            take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+
+
+def test_quotes_around_numbers_with_the_delimiter_as_decimal_mark(tmp_path):
+    (tmp_path / "a.csv").write_text("".join(f'"{n},0","{n},5"\n' for n in range(5)))
+    take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED.replace('"t"', "1").replace('"i"', "2"))
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "current"), np.arange(5) + 0.5)
+
+
+def test_a_point_that_divides_thousands_is_no_decimal_mark(tmp_path):
+    rows = "".join(f"{n},25;{n + 1}.500\n" for n in range(9))
+    (tmp_path / "a.csv").write_text(rows)
+    with pytest.raises(RunFileError, match=r"column 2 holds '1\.500', no number"):
+        take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED.replace('"t"', "1").replace('"i"', "2"))
+
+
+@pytest.mark.parametrize("names", ["", "t,i\n"])
+@pytest.mark.parametrize("start", [0.0, 5.0])
+def test_several_recordings_of_one_file(tmp_path, names, start):
+    """Time starts anew; names are repeated or not."""
+    once = "".join(f"{start + 0.1 * n:.1f},{n}\n" for n in range(20))
+    (tmp_path / "a.csv").write_text("t,i\n" + once + names + once + names + once)
+    (done,) = take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED).done
+    assert any("time starts anew at line" in note for note in done.notes)
+    with open_run(tmp_path / "a.h5") as run:
+        recordings = run.recordings_named("imported_")
+        assert len(recordings) == 3
+        for recording in recordings:
+            np.testing.assert_array_equal(recording.read("current"), np.arange(20))
+
+
+def test_one_time_that_falls_back_starts_no_recording(tmp_path):
+    rows = [f"{0.1 * n:.1f},{n}" for n in range(50)]
+    rows[25] = "0.0,25"
+    with pytest.raises(RunFileError, match="line 27: time does not rise"):
+        take(write(tmp_path / "a.csv", ["t,i", *rows]), tmp_path / "a.h5", NAMED)
+
+
+def test_a_last_line_without_end(tmp_path):
+    """It stays where its last field is as long as the others; else it may be cut short."""
+    for last, kept in (("2,3.25", 3), ("2,3.2", 2)):
+        (tmp_path / "a.csv").write_text(f"t,i\n0,1.25\n1,2.25\n{last}")
+        (done,) = take(tmp_path / "a.csv", tmp_path / f"{kept}.h5", NAMED).done
+        assert (done.samples, done.left_out) == (kept, 3 - kept)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "seconds"),
+    [
+        ("2021-03-04 23:59:59.500", "2021-03-05T00:00:00.750", 1.25),
+        ("31.12.2020 23:59:59.5", "01.01.2021 00:00:01,5", 2.0),
+        ("2/28/2021 11:59:59 PM", "3/1/2021 12:00:01 AM", 2.0),
+        ("28/2/2021 1:00", "1/3/2021 1:00", None),
+        ("23:59:59.9", "00:00:00.2", 0.3),
+    ],
+)
+def test_dates_and_clock_times(tmp_path, first, second, seconds):
+    text = NAMED.replace('unit = "s"', 'unit = "date"')
+    (tmp_path / "a.csv").write_text(f"t;i\n{first};1\n{second};2\n")
+    if seconds is None:  # 28 is no month, 1/3 is the third of January
+        with pytest.raises(RunFileError, match="time does not rise"):
+            take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+        return
     take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+    np.testing.assert_allclose(read(tmp_path / "a.h5", "time"), [0, seconds], atol=1e-6)
+    with pytest.raises(RunFileError, match='unit = "date"'):
+        take(tmp_path / "a.csv", tmp_path / "b.h5", NAMED)
 
 
 def test_a_name_that_may_be_a_slip_gets_a_note(tmp_path):

@@ -1,0 +1,99 @@
+"""Delimiter and decimal mark of a text, and the fields of a line."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rigtool.recipe.mapping import FileLayout
+
+WHITESPACE = "whitespace"
+
+MARKS = tuple(
+    (delimiter, decimal) for delimiter in (",", ";", "\t", WHITESPACE) for decimal in ".,"
+)
+"""Delimiters and decimal marks that the lines of a text may show, the usual ones first."""
+
+LOOKED_AT = 50
+"""Most lines that are looked at for them."""
+
+MOSTLY = 0.3
+"""Smallest part of numbers among the fields of lines of measurements."""
+
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
+THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")
+"""Digits that points may divide into thousands."""
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Delimiter and decimal mark of a text."""
+
+    delimiter: str
+    decimal: str
+
+    def notes(self, layout: FileLayout) -> list[str]:
+        """Return what a mapping leaves to the lines and they show otherwise than plain CSV does."""
+        stated = {"delimiter": layout.delimiter, "decimal": layout.decimal}
+        usual = {"delimiter": ",", "decimal": "."}
+        found = [
+            f"{key} = {getattr(self, key)!r}"
+            for key, value in stated.items()
+            if value is None and getattr(self, key) != usual[key]
+        ]
+        return [f"as the lines show, {', '.join(found)}: state it in [file]"] if found else []
+
+
+def marks_of(lines: Sequence[str], layout: FileLayout) -> Marks:
+    """Return delimiter and decimal mark: as stated, else those with most numbers a line."""
+    best, most = Marks(layout.delimiter or ",", layout.decimal or "."), 0.0
+    shown = lines[:LOOKED_AT]
+    for delimiter, decimal in MARKS:
+        marks = Marks(layout.delimiter or delimiter, layout.decimal or decimal)
+        if marks.delimiter == marks.decimal and not any('"' in line for line in shown):
+            continue
+        rows = [fields_of(line, marks.delimiter) for line in shown]
+        usual = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
+        numbers = [
+            bool(NUMBER.fullmatch(plain(field, marks.decimal)))
+            for row in rows
+            if len(row) == usual
+            for field in row
+        ]
+        # A mark that splits numbers leaves text, or makes more fields of which some are no number.
+        part = float(np.mean(numbers)) if numbers else 0.0
+        if part >= MOSTLY and (score := sum(numbers) * part) > most:
+            best, most = marks, score
+    return best
+
+
+def fields_of(line: str, delimiter: str) -> list[str]:
+    """Return the fields of a line; a delimiter within a pair of quotes is a part of its field."""
+    if delimiter == WHITESPACE:
+        return line.split()
+    if '"' in line and line.count('"') % 2 == 0:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    return line.split(delimiter)
+
+
+def plain(field: str, decimal: str) -> str:
+    """Return a field without the quotes around it; one quote alone is a part of a longer field."""
+    return unquoted(field).replace(decimal, ".")
+
+
+def unquoted(field: str) -> str:
+    """Return a field without spaces and a pair of quotes around it."""
+    text = field.strip()
+    if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
+        text = text[1:-1]
+    return text
+
+
+def split_fields(line: str, delimiter: str) -> list[str]:
+    """Return the fields of one line without surrounding quotes and spaces."""
+    return [unquoted(field) for field in fields_of(line, delimiter)]
