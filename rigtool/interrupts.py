@@ -71,8 +71,11 @@ def handled() -> Iterator[None]:
         if _State.waiting is None:
             raise
         raised = _exception(_State.waiting)
-        for note in getattr(error, "__notes__", ()):
-            raised.add_note(note)
+        behind: BaseException | None = error
+        while behind is not None:
+            for note in getattr(behind, "__notes__", ()):
+                raised.add_note(note)
+            behind = behind.__cause__
         raise raised from error
     finally:
         sys.unraisablehook = hook

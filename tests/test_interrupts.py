@@ -104,13 +104,14 @@ def test_ignored_signals_stay_ignored_and_handlers_come_back():
 
 
 @pytest.mark.parametrize(("number", "error"), KINDS)
-def test_an_interrupt_that_became_another_error_is_an_interrupt(number, error):
+@pytest.mark.parametrize("noted", ["interrupt", "other"])
+def test_an_interrupt_that_became_another_error_is_an_interrupt(number, error, noted):
     def leave():
         try:
             send(number)
-        except BaseException as interrupt:  # as a compiled function does on its way out
+        except BaseException as interrupt:  # as a compiled function does on its way out, or click
             other = SystemError("returned a result with an exception set")
-            other.add_note("samples are kept")
+            {"interrupt": interrupt, "other": other}[noted].add_note("samples are kept")
             raise other from interrupt
 
     with pytest.raises(error) as caught, handled():

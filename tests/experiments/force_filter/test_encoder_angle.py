@@ -18,8 +18,10 @@ def recorded(first, rate, fast=16):
 def test_edges_are_where_the_rotor_passes_them(rate, falling, first):
     rate = -rate if falling else rate
     place, angle = known_angles(recorded(first + 0.3, rate))
-    # An edge is known within one of the 16 samples of the loop.
-    assert_allclose(angle, first + 0.3 + rate * place, rtol=0, atol=abs(rate) / 16 + 1e-9)
+    # An edge is known within one of the 16 samples of the loop, but where the recording ends in it.
+    inside = (place >= 1) & (place <= 399)
+    expected = first + 0.3 + rate * place[inside]
+    assert_allclose(angle[inside], expected, rtol=0, atol=abs(rate) / 16 + 1e-9)
     assert len(place) >= int(400 * abs(rate)) - 1
 
 
