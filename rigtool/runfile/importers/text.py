@@ -35,6 +35,7 @@ from rigtool.runfile.importers.marks import (
 from rigtool.runfile.importers.raw import (
     BINARY,
     MAX_LINE,
+    MAX_NUMBERS,
     Array,
     ColumnKey,
     Raw,
@@ -108,6 +109,8 @@ def read_numbers(
     """
     if not lines.text:
         raise RunFileError(f"{path}: holds no line of numbers: check comment and header_lines")
+    if (amount := len(lines.text) * len(columns)) > MAX_NUMBERS:
+        raise RunFileError(f"{path}: has {amount} numbers, above {MAX_NUMBERS} of a text: {BINARY}")
     delimiter = marks.delimiter
     if any('"' in line for line in lines.text):
         joined = [SPLIT.join(fields_of(line, delimiter)) for line in lines.text]

@@ -12,10 +12,9 @@ from scipy.io import savemat
 
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import parse_mapping
-from rigtool.runfile.importers import arrays, raw
+from rigtool.runfile.importers import arrays, raw, text
 from rigtool.runfile.importers.arrays import load_arrays
 from rigtool.runfile.importers.raw import FREE_BYTES, MAX_LINE, read_bytes
-from rigtool.runfile.importers.text import read_text
 
 SIZE = 4 * FREE_BYTES
 MAPPING = """mapping = 1
@@ -72,17 +71,17 @@ def test_bombs(tmp_path, make):
 
 
 @pytest.mark.parametrize(
-    ("limit", "text", "message"),
+    ("limit", "content", "message"),
     [
         ("MAX_TEXT", "1,22\n", "has 5 bytes, above 4 of a text: save the numbers"),
         ("MAX_LINES", "1\r\n" * 5, "has 5 lines, above 4"),
         ("MAX_LINES", "1\r" * 5, "has 5 lines, above 4"),
     ],
 )
-def test_texts(tmp_path, monkeypatch, limit, text, message):
+def test_texts(tmp_path, monkeypatch, limit, content, message):
     monkeypatch.setattr(raw, limit, 4)
     path = tmp_path / "long.csv"
-    for data in (text.encode(), gzip.compress(text.encode())):
+    for data in (content.encode(), gzip.compress(content.encode())):
         path.write_bytes(data)
         with pytest.raises(RunFileError, match=message):
             read_bytes(path)
@@ -92,7 +91,7 @@ def test_a_line_of_any_length_is_not_divided(tmp_path):
     path = tmp_path / "line.csv"
     path.write_text("1,2\n" + "1," * MAX_LINE + "1\n")
     with pytest.raises(RunFileError, match=f"a line has {2 * MAX_LINE + 1} characters, above"):
-        read_text(path, parse_mapping(MAPPING), skip_bad=False)
+        text.read_text(path, parse_mapping(MAPPING), skip_bad=False)
 
 
 def of_members(path: Path, count: int) -> None:
@@ -131,3 +130,11 @@ def test_cells_are_bounded_and_numbers_beside_them_are_not(tmp_path, monkeypatch
     savemat(path, {"a": cells}, do_compression=packed)
     with pytest.raises(RunFileError, match=r"cells or structures of \d+ bytes, above 50000"):
         load_arrays(path)
+
+
+def test_numbers_of_a_text(tmp_path, monkeypatch):
+    monkeypatch.setattr(text, "MAX_NUMBERS", 9)
+    path = tmp_path / "a.csv"
+    path.write_text("1,2\n2,3\n3,4\n4,5\n5,6\n")
+    with pytest.raises(RunFileError, match="has 10 numbers, above 9 of a text: save"):
+        text.read_text(path, parse_mapping(MAPPING), skip_bad=False)
