@@ -17,7 +17,7 @@ from rigtool.errors import InsufficientDataError, RigtoolError, UsageError
 from rigtool.interrupts import Terminated, handled
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter, open_run
-from rigtool.runfile.outputs import own_name
+from rigtool.runfile.outputs import own_name, require_output
 from rigtool.runfile.recovery import recover
 from tests.runfile.whole_run import SPECS, samples, write
 
@@ -377,3 +377,21 @@ def test_a_disk_with_just_enough_room(tmp_path):
     assert (done.returncode, done.stdout) == (0, "")
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
     assert 800_000 < path.stat().st_size < 10_000_000
+
+
+@pytest.mark.parametrize("name", ["loop", "d/" * 2100 + "x.h5"])
+def test_an_output_that_leads_nowhere(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    with pytest.raises(UsageError, match=r"leads to itself|name too long"):
+        require_output(name, overwrite=True)
+    assert Path("loop").is_symlink()
+
+
+def test_an_output_in_a_folder_that_was_removed(tmp_path, monkeypatch):
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    with pytest.raises(UsageError, match="choose another folder"):
+        require_output("run.h5", overwrite=False)
