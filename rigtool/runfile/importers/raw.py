@@ -24,7 +24,7 @@ MAX_BYTES = 2**31
 FREE_BYTES, MAX_RATIO = 2**24, 100
 """A compressed source may unpack to `MAX_RATIO` times its own size, and to `FREE_BYTES` anyway."""
 
-MAX_TEXT, MAX_LINES, MAX_NUMBERS, MAX_LINE = 2**28, 2**22, 2**24, 2**18
+MAX_TEXT, MAX_LINES, MAX_NUMBERS, MAX_LINE = 2**28, 2**21, 2**23, 2**18
 """Most bytes, lines and numbers of a text, and characters of one of its lines."""
 
 MAX_OBJECTS, MAX_NESTED = 10_000, 2**27
