@@ -328,3 +328,12 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
             Picture(f"figure-63-{label}", 63, "Fig. 63.", "<svg/>", b"\x89PNG") for label, _ in runs
         ],
     )
+
+
+@pytest.fixture
+def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make every figure, and store a stand-in for its picture."""
+    monkeypatch.setattr(
+        "rigtool.report.figures.side_by_side.render",
+        lambda figure: ('<?xml version="1.0"?><svg/>', b"\x89PNG"),
+    )

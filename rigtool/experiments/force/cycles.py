@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
-from rigtool.numerics.shapiro_wilk import shapiro_wilk
+from rigtool.numerics.shapiro_wilk import p_value
 
 HYSTERESIS = 0.1
 """Part of the stroke by which the position must pass the middle to count as having passed."""
@@ -197,7 +197,7 @@ def normality(values: ArrayLike) -> Normality:
         quantile=quantile,
         probability=probability,
         correlation=float(np.corrcoef(quantile, ordered)[0, 1]),
-        p=shapiro_wilk(scaled)[1],
+        p=p_value(scaled),
     )
 
 
