@@ -92,12 +92,11 @@ def learn_force(
     signals = _signals(explored, recipe)
     interval = _interval(signals)
     records.append(single(signals.encoder, signals.total, signals.setpoint, interval, own))
-    offset = kt.results.get("amplifier_offset")
     known = Known(
         rig.angle_ratio,
         rig.torque_factor,
         rig.nominal_inertia,
-        offset.value if offset is not None else 0.0,
+        kt.result("amplifier_offset", "A").value if "amplifier_offset" in kt.results else 0.0,
     )
     deviating = deviations(records, known.angle_ratio, known.torque_factor)
     kept = math.sqrt(kept_by_mean(records, known.angle_ratio))
