@@ -2,6 +2,8 @@
 
     make coverage
     .venv/bin/python benchmarks/coverage.py [--rigs 40] [--first 1] [--only NAME] [--short] [--list]
+    .venv/bin/python benchmarks/coverage.py --kept FILE      in parts: what FILE has is not run
+    .venv/bin/python benchmarks/coverage.py --kept FILE --rigs 0 --markdown     what FILE holds
 
 Each design of `DESIGNS` is one way to use a command: what the recipe says, and what is drawn for
 each rig (constants, frictions, noises, ripple; errors of arm and gauge from their stated standard
@@ -10,6 +12,9 @@ of Student's t with the result's degrees of freedom, that contain the truth; the
 its 95 % interval (Clopper & Pearson, Biometrika 26, 404, 1934). `refused` counts the rigs for which
 the command states that the data do not carry a result. The short form ends with exit code 1 where
 a result is beyond 5 u, or where so few intervals hold that chance does not explain it.
+
+With `--kept`, each rig is a line of JSON in FILE as soon as it is done. The file knows nothing of
+the code: remove it where the code has changed.
 """
 
 from __future__ import annotations
@@ -19,12 +24,15 @@ if __name__ == "coverage":
     raise ImportError("benchmarks/coverage.py is a script")
 
 import argparse
+import json
 import re
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 from designs import DESIGNS
@@ -76,6 +84,40 @@ class Row:
             f"{self.std:6.2f}{self.far:5}"
         )
 
+    def markdown(self, design: str, tried: int, refused: int) -> str:
+        """Return the row as a line of a table of Markdown."""
+        interval = stats.binomtest(self.held, self.count).proportion_ci()
+        return (
+            f"| {design} | {self.name} | {self.count} | {100 * self.held / self.count:.0f} "
+            f"({100 * interval.low:.0f} to {100 * interval.high:.0f}) | {self.mean:+.2f} | "
+            f"{self.std:.2f} | {self.far} | {refused} of {tried} |"
+        )
+
+
+def print_markdown(name: str, trials: Sequence[Trial]) -> None:
+    """Print the rows of one design as lines of a table of Markdown."""
+    refused = sum(trial.refusal is not None for trial in trials)
+    for row in rows(trials):
+        print(row.markdown(name, len(trials), refused))
+
+
+def kept(path: Path | None) -> dict[str, dict[int, Trial]]:
+    """Return the trials of a file by design and seed."""
+    found: dict[str, dict[int, Trial]] = {}
+    if path is not None and path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            one = json.loads(line)
+            results = {(name, number): tuple(errors) for name, number, errors in one["found"]}
+            trial_ = Trial(one["seed"], results, one["refusal"])
+            found.setdefault(one["design"], {})[trial_.seed] = trial_
+    return found
+
+
+def line_of(design: str, tried: Trial) -> str:
+    """Return a trial as a line of JSON."""
+    found = [[*key, errors] for key, errors in tried.found.items()]
+    return json.dumps(asdict(tried) | {"design": design, "found": found}) + "\n"
+
 
 def print_design(name: str, trials: Sequence[Trial]) -> bool:
     """Print the rows of one design, and why rigs were refused; return whether a row fails."""
@@ -112,6 +154,8 @@ def main() -> None:
         "--short", action="store_true", help="a few rigs; exit code 1 where it fails"
     )
     parser.add_argument("--list", action="store_true", help="name the designs")
+    parser.add_argument("--kept", type=Path, help="file of JSON lines; what it has is not run")
+    parser.add_argument("--markdown", action="store_true", help="print tables of Markdown")
     arguments = parser.parse_args()
     chosen = [n for n, d in enumerate(DESIGNS) if (arguments.only or "") in d.name]
     if arguments.short:
@@ -119,14 +163,26 @@ def main() -> None:
     if arguments.list:
         print("\n".join(DESIGNS[number].name for number in chosen))
         return
-    print(f"{'result':44}{'n':>4}{'holds, % (interval)':>20}{'pull':>5}{'std':>7}{'far':>5}")
-    failed = False
-    with ProcessPoolExecutor(arguments.jobs) as pool:
+    if not arguments.markdown:
+        print(f"{'result':44}{'n':>4}{'holds, % (interval)':>20}{'pull':>5}{'std':>7}{'far':>5}")
+    failed, known = False, kept(arguments.kept)
+    with ExitStack() as stack:
+        pool = stack.enter_context(ProcessPoolExecutor(arguments.jobs))
+        out = stack.enter_context(arguments.kept.open("a")) if arguments.kept else None
         for number in chosen:
-            count = SHORT[DESIGNS[number].name] if arguments.short else arguments.rigs
-            seeds = range(arguments.first, arguments.first + count)
-            tried = pool.map(trial, [number] * len(seeds), seeds)
-            failed |= print_design(DESIGNS[number].name, list(tried))
+            name = DESIGNS[number].name
+            count = SHORT[name] if arguments.short else arguments.rigs
+            done = known.get(name, {})
+            seeds = [s for s in range(arguments.first, arguments.first + count) if s not in done]
+            for tried in pool.map(trial, [number] * len(seeds), seeds):
+                done[tried.seed] = tried
+                if out is not None:
+                    out.write(line_of(name, tried))
+                    out.flush()
+            if arguments.markdown:
+                print_markdown(name, list(done.values()))
+            elif done:
+                failed |= print_design(name, list(done.values()))
     sys.exit(arguments.short and failed)
 
 

@@ -146,11 +146,7 @@ def true_plant(recipe: Recipe) -> dict[str, float]:
     assert recipe.virtual is not None
     motor, tool, rig = recipe.virtual.motor, recipe.virtual.instrument, recipe.rig.instrument
     if recipe.rig.attachment == "pulley":
-        viscous, dt = motor.viscous_friction, recipe.rig.sample_time
-        # The simulator takes viscous friction from the speed before each step: exactly as a rig
-        # of this inertia, under torque held over a step, does.
-        stepped = -viscous * dt / math.log1p(-viscous * dt / motor.inertia)
-        return {"inertia": stepped, "viscous_friction": viscous}
+        return {"inertia": motor.inertia, "viscous_friction": motor.viscous_friction}
     near_side = motor.inertia + tool.wheel_inertia
     # What the motor feels: friction that grows with the tendon's torque adds to that torque.
     grows = tool.tip_friction / math.hypot(tool.tip_friction, tool.load_friction_onset)

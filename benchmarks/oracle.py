@@ -195,6 +195,7 @@ def signals_of(recorded: Recorded) -> Signals:
     place = np.mod((low + width / 2) * (size / (2 * math.pi)), size)
     columns = [np.interp(place, np.arange(size + 1), column) for column in per_angle.T]
     offset, gain, saturation, cogging, modulation = columns
+    lag = 2 * math.pi * amplifier.bandwidth_hz * rig.sample_time
     torque = _drive_torque(
         recorded.channels["current_setpoint"],
         np.stack([offset, gain, saturation]),
@@ -203,7 +204,8 @@ def signals_of(recorded: Recorded) -> Signals:
             [
                 amplifier.gain,
                 amplifier.offset,
-                1 - math.exp(-2 * math.pi * amplifier.bandwidth_hz * rig.sample_time),
+                -math.expm1(-lag),
+                -math.expm1(-lag) / lag,
                 1 - math.exp(-2 * math.pi * amplifier.ripple_corner_hz * rig.sample_time),
                 motor.torque_constant,
                 motor.torque_constant_temperature_coefficient,
@@ -226,18 +228,21 @@ def signals_of(recorded: Recorded) -> Signals:
 @njit(cache=True)
 def _drive_torque(asked: Array, ripples: Array, dt: float, drive: Array, thermal: Array) -> Array:
     """Return the motor's torque (n,) [N m] for the current asked for (n,) [A]."""
-    gain, offset, current_step, ripple_step, constant, coefficient = drive
+    gain, offset, current_step, current_kept, ripple_step, constant, coefficient = drive
     ambient, resistance, to_housing, winding_capacity, to_ambient, housing_capacity = thermal
     torque = np.empty(asked.size)
     current = ripple = square = 0.0
     winding = housing = ambient
     warm = 1.0 + coefficient * (winding - 20.0)
     for k in range(asked.size):
-        current += current_step * (gain * asked[k] + offset - current)
-        square += current * current
-        by_current = ripples[1, k] + abs(current) * ripples[2, k]
-        ripple += ripple_step * (ripples[0, k] + current * by_current - ripple)
-        torque[k] = constant * warm * (current + ripple)
+        target = gain * asked[k] + offset
+        mean = target + current_kept * (current - target)
+        current += current_step * (target - current)
+        square += mean * mean
+        by_current = ripples[1, k] + abs(mean) * ripples[2, k]
+        change = ripple_step * (ripples[0, k] + mean * by_current - ripple)
+        torque[k] = constant * warm * (mean + ripple + change / 2)
+        ripple += change
         if (k + 1) % TICK == 0:
             flow = (winding - housing) / to_housing
             power = resistance * (1.0 + 0.00393 * (winding - 20.0)) * square / TICK

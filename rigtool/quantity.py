@@ -15,6 +15,9 @@ from dataclasses import dataclass, replace
 REFERENCE_DEGC = 20.0
 """Temperature for which a result is stated, degC (ISO 1), a torque constant as well [7.1.1]."""
 
+STANDARD_GRAVITY = 9.80665
+"""Standard acceleration of free fall, m/s2, exact (3rd CGPM, 1901)."""
+
 CURRENT_READING, THERMOMETER = "gain of the current reading", "thermometer"
 """Lines of a budget that cancel where the same instrument is read again."""
 

@@ -141,7 +141,7 @@ import click, sys
 from rigtool.cli import rigtool
 for name in rigtool.list_commands(None):
     assert rigtool.get_command(None, name) is not None
-heavy = {"numpy", "scipy", "h5py", "matplotlib", "numba", "pandas", "pydantic", "GTC"}
+heavy = {"numpy", "scipy", "h5py", "matplotlib", "numba", "pandas", "pydantic"}
 print(sorted(heavy & set(sys.modules)))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

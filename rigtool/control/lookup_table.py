@@ -11,10 +11,22 @@ scipy's RegularGridInterpolator takes two to three times as long, and rounds dif
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from rigtool.numerics.arrays import Array, Mask
+
+
+def blend(flat: Array, cell: Any, count: int, across: Any, along: Any) -> Any:
+    """Interpolate bilinearly in rows of `count` entries, for one cell or for n of them.
+
+    `cell` is the index of its lower left entry, `across` and `along` are fractions of it.
+    """
+    lower, upper = flat[cell], flat[cell + count]
+    lower = lower + across * (flat[cell + 1] - lower)
+    upper = upper + across * (flat[cell + count + 1] - upper)
+    return lower + along * (upper - lower)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,29 +60,26 @@ class LookupTable:
 
     def evaluate(self, position: Array, speed: Array) -> Array:
         """Return the torque, N m, at each set point (n,), clamped to the learned range."""
-        start, count = self.position[0], self._rows.shape[1]
-        if self.period is None:
-            step = (self.position[-1] - start) / (count - 1)
-        else:
-            step = self.period / (count - 1)
-            position = start + (position - start) % self.period
+        (start, step, period), count = self.grid[2], self._rows.shape[1]
+        if period:
+            position = start + (position - start) % period
         # Both coordinates count entries of the table; a cell is named by its lower left entry.
         across = np.clip((position - start) / step, 0.0, count - 1.0)
         along = np.interp(speed, self._speeds, np.arange(float(self._speeds.size)))
         column = np.minimum(across.astype(np.int64), count - 2)
         row = np.minimum(along.astype(np.int64), self._speeds.size - 2)
-        across -= column
-        along -= row
-        cell = row * count + column
-        flat = self._rows.ravel()
-        lower, upper = flat[cell], flat[cell + count]
-        lower += across * (flat[cell + 1] - lower)
-        upper += across * (flat[cell + count + 1] - upper)
-        upper -= lower
-        upper *= along
-        lower += upper
-        torque: Array = lower
+        torque: Array = blend(
+            self._rows.ravel(), row * count + column, count, across - column, along - row
+        )
         return torque
+
+    @property
+    def grid(self) -> tuple[Array, Array, Array]:
+        """Return torque (m, n) N m over speeds (m,) rad/s and positions; start and step of these,
+        rad, and the period, 0 without one."""
+        period, start = self.period or 0.0, self.position[0]
+        span = period or self.position[-1] - start
+        return self._rows, self._speeds, np.array([start, span / (self._rows.shape[1] - 1), period])
 
     def covers(self, position: Array, speed: Array) -> Mask:
         """Return for each set point (n,) whether it lies within the learned range."""

@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
 from rigtool.control.position_loop import TransferFunction, double_integrator
 from rigtool.numerics.arrays import Array, ComplexArray
@@ -113,6 +112,8 @@ def zero_order_hold(a: Array, b: Array, c: Array, sample_time: float) -> Transfe
     In delta = z - 1: x+ - x = (a F) x + (F b) u, where F is the integral of exp(a t) over a sample.
     This form keeps full precision where all poles lie close to z = 1.
     """
+    from scipy import linalg
+
     order = len(b)
     block = np.zeros((2 * order, 2 * order))
     block[:order, :order], block[:order, order:] = a, np.eye(order)

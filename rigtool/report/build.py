@@ -104,7 +104,6 @@ def build_report(runs: Sequence[Run]) -> Report:
     """
     labelled = _labels(runs)
     tables = [table for label, run in labelled for table in force_tables(run, label)]
-    pictures = [picture for label, run in labelled for picture in draw_figures(run, label)]
     origins = tuple(_origin(label, run) for label, run in labelled)
     rigs = tuple(sorted({origin.rig for origin in origins if origin.rig}))
     return Report(
@@ -118,7 +117,7 @@ def build_report(runs: Sequence[Run]) -> Report:
         force_tables=tuple(sorted(tables, key=lambda table: table.title)),
         budgets=tuple(table for label, run in labelled for table in budget_tables(run, label)),
         results=tuple(results_table(run, label) for label, run in labelled if run.results),
-        pictures=tuple(sorted(pictures, key=lambda picture: picture.number)),
+        pictures=tuple(draw_figures(labelled)),
         origins=origins,
     )
 

@@ -29,6 +29,9 @@ _BLOCK = 2**17
 _GAP = 5
 """Times of a usual bin, beyond which nothing was recorded."""
 _MOST_LINES = 12
+ROW = "row"
+"""Axis that numbers the rows of a table, and is no quantity."""
+
 _MOST_MARKS = 100
 
 
@@ -109,8 +112,10 @@ def _draw_table(axes: Axes, table: Table) -> None:
     """Draw the signal along the last axis, one line for each point of the other axes.
 
     Along whole numbers, such as loads, a few points stand alone. No line passes zero speed, where
-    friction changes its sign.
+    friction changes its sign. Rows that have a time are drawn over it.
     """
+    if table.axes == (ROW,) and "time" in table.columns:
+        return _draw_rows(axes, table)
     signal = table.columns[table.signal]
     along = table.axes[-1]
     factor, unit = display_unit(signal.unit, _size(signal.values))
@@ -136,6 +141,23 @@ def _draw_table(axes: Axes, table: Table) -> None:
         axes.legend(fontsize="small")
     _scale(axes, places, along, signal.values)
     axes.set_xlabel(_label(along, axis_unit))
+    axes.set_ylabel(_label(table.signal, unit))
+
+
+def _draw_rows(axes: Axes, table: Table) -> None:
+    """Draw the signal of rows over their time, one line for each recording."""
+    signal = table.columns[table.signal]
+    factor, unit = display_unit(signal.unit, _size(signal.values))
+    own = table["recording"] if "recording" in table.columns else np.zeros(table.shape, dtype=int)
+    numbers = np.unique(own)
+    shown = numbers[_spread(len(numbers))]
+    for number, colour in zip(shown, style.colours(len(shown)), strict=True):
+        rows = own == number
+        places, values = table["time"][rows], factor * signal.values[rows]
+        axes.plot(places, values, lw=1, color=colour, label=f"recording {number}")
+    if len(shown) > 1:
+        axes.legend(fontsize="small")
+    axes.set_xlabel(_label("time", table.columns["time"].unit))
     axes.set_ylabel(_label(table.signal, unit))
 
 

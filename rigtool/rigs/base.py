@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -54,6 +54,15 @@ NEEDS = {
 """Abilities that a command may need beside channels, see `Rig.lacks`."""
 
 
+def model_torque(coefficients: tuple[float, float, float], speed: Any, acceleration: Any) -> Any:
+    """Return the torque of `Feedforward.coefficients`, for one sample or for n of them."""
+    inertia, coulomb, viscous = coefficients
+    torque = inertia * acceleration + viscous * speed
+    if coulomb != 0.0:
+        torque = torque + coulomb * np.tanh(speed)
+    return torque
+
+
 @dataclass(frozen=True)
 class Feedforward:
     """Torque added to the controller's output, computed from the set point [Fig. 31, 33, 36].
@@ -69,10 +78,15 @@ class Feedforward:
     table: LookupTable | None = None
     signal: Array | None = None
 
+    @property
+    def coefficients(self) -> tuple[float, float, float]:
+        """Inertia, Coulomb and viscous friction."""
+        return self.inertia, self.coulomb, self.viscous
+
     def model_torque(self, speed: Array, acceleration: Array) -> Array:
         """Return the torque (n,) of inertia and friction model, N m; rad/s and rad/s2 (n,)."""
-        torque = self.inertia * acceleration + self.viscous * speed
-        return torque + self.coulomb * np.tanh(speed) if self.coulomb else torque
+        torque: Array = model_torque(self.coefficients, speed, acceleration)
+        return torque
 
 
 @dataclass(frozen=True)

@@ -2,17 +2,70 @@
 
 A motion is a description, not an array: it is evaluated block by block, so that an hour at 8 kHz
 needs no more memory than a second. Angles in rad at the motor, speeds in rad/s, times in s.
+
+A path is described by pieces, (k, 9): from BEGIN on, with s the time since then,
+
+    position = c0 + c1 s + c2 s2 + c3 s3 + c4 s4 + c5 s5 + AMPLITUDE sin(OMEGA s)
+
+The simulation evaluates it sample by sample, everything else for arrays of times, both by `follow`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from rigtool.numerics.arrays import Array
+
+BEGIN, AMPLITUDE, OMEGA = 0, 7, 8
+"""Columns of a piece; c0 to c5 are those between."""
+
+
+def follow(piece: Any, since: Any, sine: Any, cosine: Any) -> tuple[Any, Any, Any]:
+    """Return position, speed and acceleration `since` s after a piece began.
+
+    `piece` is (9,) for one time, (9, n) for n times; `sine` and `cosine` are those of OMEGA since.
+    """
+    c0, c1, c2, c3, c4, c5 = piece[1], piece[2], piece[3], piece[4], piece[5], piece[6]
+    amplitude, omega = piece[7], piece[8]
+    position = c0 + since * (c1 + since * (c2 + since * (c3 + since * (c4 + since * c5))))
+    speed = c1 + since * (2 * c2 + since * (3 * c3 + since * (4 * c4 + since * 5 * c5)))
+    acceleration = 2 * c2 + since * (6 * c3 + since * (12 * c4 + since * 20 * c5))
+    return (
+        position + amplitude * sine,
+        speed + amplitude * omega * cosine,
+        acceleration - amplitude * omega * omega * sine,
+    )
+
+
+def _pieces(begin: Array, *coefficients: Any) -> Array:
+    """Return pieces from where they begin (k,) and their coefficients, each (k,) or a number."""
+    pieces = np.zeros((len(begin), 9))
+    pieces[:, BEGIN] = begin
+    for column, values in enumerate(coefficients, start=1):
+        pieces[:, column] = values
+    return pieces
+
+
+class Path:
+    """What is described by `pieces` (k, 9), which begin in rising order, the first at 0 or before;
+    the last one goes on."""
+
+    @cached_property
+    def pieces(self) -> Array:
+        """Return the pieces of the path."""
+        raise NotImplementedError
+
+    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
+        """See `Motion.setpoint`."""
+        number = np.searchsorted(self.pieces[:, BEGIN], time, side="right") - 1
+        piece = self.pieces[np.maximum(number, 0)].T
+        since = time - piece[BEGIN]
+        phase = piece[OMEGA] * since
+        return follow(piece, since, np.sin(phase), np.cos(phase))
 
 
 class Motion(Protocol):
@@ -37,7 +90,7 @@ class Motion(Protocol):
 
 
 @dataclass(frozen=True)
-class SpeedProfile:
+class SpeedProfile(Path):
     """Speed that runs linearly from point to point; sweeps and holds are made of it."""
 
     times: tuple[float, ...]
@@ -50,26 +103,16 @@ class SpeedProfile:
         return self.times[-1]
 
     @cached_property
-    def _pieces(self) -> tuple[Array, Array, Array, Array]:
-        """Return times, speeds, slopes and angles travelled at the beginnings of the pieces."""
+    def pieces(self) -> Array:
+        """Parabolas: the integral of the piecewise linear speed, exactly."""
         times, speeds = np.asarray(self.times), np.asarray(self.speeds)
-        steps = np.diff(times)
-        travelled = np.concatenate([[0.0], np.cumsum(steps * (speeds[1:] + speeds[:-1]) / 2)])
-        return times, speeds, np.diff(speeds) / steps, travelled
-
-    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
-        """Integrate the piecewise linear speed exactly; see `Motion.setpoint`."""
-        times, speeds, slopes, travelled = self._pieces
-        piece = np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(slopes) - 1)
-        elapsed = time - times[piece]
-        acceleration = slopes[piece]
-        speed = speeds[piece] + acceleration * elapsed
-        position = travelled[piece] + (speeds[piece] + acceleration * elapsed / 2) * elapsed
-        return position, speed, acceleration
+        steps, before, after = np.diff(times), speeds[:-1], speeds[1:]
+        travelled = np.concatenate([[0.0], np.cumsum(steps * (after + before) / 2)[:-1]])
+        return _pieces(times[:-1], travelled, before, (after - before) / steps / 2)
 
 
 @dataclass(frozen=True)
-class Triangle:
+class Triangle(Path):
     """To and fro between two positions at constant speed, reversing smoothly [7.2.4.2, 8.1].
 
     Each reversal takes `turn_angle` on either side: the acceleration follows a sine arch, so that
@@ -104,51 +147,43 @@ class Triangle:
         """Starts at the lower end."""
         return self.low
 
-    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
-        """See `Motion.setpoint`."""
-        stroke, turn, v = self.stroke_time, self.turn_time, self.speed
-        number = np.floor(time / stroke)
-        within = time - number * stroke
-        # Falling strokes are rising ones mirrored; a remainder would take a third of the time.
-        sign = 1.0 - 2.0 * (number - 2.0 * np.floor(number / 2.0))
-        # A stroke is symmetric about its middle: count time and travel from there.
-        late = within - stroke / 2
-        straight = stroke / 2 - turn
-        travelled = v * late
-        speed = np.full(len(time), float(v))
-        acceleration = np.zeros(len(time))
-        turning = np.flatnonzero(np.abs(late) > straight)
-        end = np.sign(late[turning])
-        phase = np.pi / turn * (stroke / 2 - np.abs(late[turning]))  # 0 where it stands still
-        sine = np.sin(phase)
-        rest = v * turn / (2 * np.pi) * (phase - sine)  # still to go, or gone since the reversal
-        travelled[turning] = end * ((self.high - self.low) / 2 - rest)
-        speed[turning] = v * (1 - np.cos(phase)) / 2
-        acceleration[turning] = -end * v * np.pi / (2 * turn) * sine
-        middle = (self.high - self.low) / 2
-        return middle + sign * travelled, sign * speed, sign * acceleration
+    @cached_property
+    def pieces(self) -> Array:
+        """Of each stroke three: off, at constant speed, and to rest."""
+        stroke, turn, v, span = self.stroke_time, self.turn_time, self.speed, self.high - self.low
+        omega, half = np.pi / turn, v / 2
+        off = [0.0, 0.0, half, 0, 0, 0, 0, -half / omega, omega]
+        straight = [turn, self.turn_angle, v, 0, 0, 0, 0, 0, 0]
+        rest = [stroke - turn, span - self.turn_angle, half, 0, 0, 0, 0, half / omega, omega]
+        # A falling stroke is a rising one mirrored.
+        fall = [-1.0, -1, -1, -1, -1, -1, -1, 1]
+        pieces = np.tile(np.array([off, straight, rest]), (2 * self.cycles, 1, 1))
+        pieces[:, :, BEGIN] += stroke * np.arange(2 * self.cycles)[:, None]
+        pieces[1::2, :, 1:] *= fall
+        pieces[1::2, :, 1] += span
+        return pieces.reshape(-1, 9)
 
 
 @dataclass(frozen=True)
-class Move:
+class Move(Path):
     """One smooth move over an angle, at rest at both ends (minimum-jerk polynomial)."""
 
     angle: float
     duration: float
     start: ClassVar[None] = None
 
-    def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
-        """See `Motion.setpoint`."""
-        s = np.clip(time / self.duration, 0.0, 1.0)
-        # Products: how a power is rounded depends on the processor.
-        position = self.angle * (s * s * s) * (10 - 15 * s + 6 * (s * s))
-        speed = self.angle / self.duration * 30 * (s * s) * ((1 - s) * (1 - s))
-        acceleration = self.angle / self.duration**2 * 60 * s * (1 - s) * (1 - 2 * s)
-        return position, speed, acceleration
+    @cached_property
+    def pieces(self) -> Array:
+        """The polynomial, and rest."""
+        per_s = 1 / self.duration
+        cube = self.angle * per_s * per_s * per_s
+        moving = (0.0, 0.0, 0.0, 10 * cube, -15 * cube * per_s, 6 * cube * per_s * per_s)
+        ends = ([here, end] for here, end in zip(moving, (self.angle, 0, 0, 0, 0, 0), strict=True))
+        return _pieces(np.array([0.0, self.duration]), *ends)
 
 
 @dataclass(frozen=True)
-class CurrentSteps:
+class CurrentSteps(Path):
     """Open loop: a staircase of currents, each level held for `step_time`."""
 
     levels: tuple[float, ...]
@@ -159,15 +194,20 @@ class CurrentSteps:
         """Length of the staircase, s."""
         return len(self.levels) * self.step_time
 
+    @cached_property
+    def pieces(self) -> Array:
+        """Constant currents, A."""
+        # A level begins exactly at its sample, whatever the rounding of its time.
+        begin = (np.arange(len(self.levels), dtype=np.float64) - 1e-9) * self.step_time
+        return _pieces(begin, np.asarray(self.levels))
+
     def current(self, time: Array) -> Array:
         """Return the current set point at these times, A."""
-        # A level begins exactly at its sample, whatever the rounding of time / step_time.
-        step = np.floor(time / self.step_time + 1e-9).astype(np.int64)
-        return np.asarray(self.levels)[np.clip(step, 0, len(self.levels) - 1)]
+        return self.setpoint(time)[0]
 
 
 @dataclass(frozen=True)
-class CurrentRamp:
+class CurrentRamp(Path):
     """Open loop: current from zero with constant slope up to a limit, A/s and A."""
 
     rate: float
@@ -178,9 +218,14 @@ class CurrentRamp:
         """Time to the limit, s."""
         return abs(self.limit / self.rate)
 
+    @cached_property
+    def pieces(self) -> Array:
+        """One straight line, A."""
+        return _pieces(np.zeros(1), 0.0, self.rate)
+
     def current(self, time: Array) -> Array:
         """Return the current set point at these times, A."""
-        return self.rate * time
+        return self.setpoint(time)[0]
 
 
 OpenLoop = CurrentSteps | CurrentRamp

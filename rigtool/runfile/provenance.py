@@ -26,7 +26,7 @@ from rigtool.errors import RigtoolError
 from rigtool.runfile import schema, tree
 from rigtool.runfile.objects import make_group, make_text
 
-PACKAGES = ("numpy", "scipy", "pandas", "h5py", "numba", "pydantic", "GTC")
+PACKAGES = ("numpy", "scipy", "pandas", "h5py", "numba", "pydantic")
 
 _ENCODER = json.JSONEncoder(sort_keys=True)
 

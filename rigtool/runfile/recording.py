@@ -155,7 +155,9 @@ class Recording:
         """
         if self.size < 2:
             return None
-        interval = float(np.median(np.diff(self.read(schema.TIME, 0, min(self.size, BLOCK)))))
+        intervals = np.sort(np.diff(self.read(schema.TIME, 0, min(self.size, BLOCK))))
+        # `np.median` imports masked arrays, a tenth of the time of `rigtool info`.
+        interval = float(intervals[(len(intervals) - 1) // 2] + intervals[len(intervals) // 2]) / 2
         return 1 / interval if interval > 0 else None
 
     def to_pandas(self, start: int = 0, stop: int | None = None) -> pd.DataFrame:

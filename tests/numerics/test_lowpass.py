@@ -6,7 +6,7 @@ from scipy import signal
 
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.decimation import Decimator
-from rigtool.numerics.lowpass import kept_factor, lowpass
+from rigtool.numerics.lowpass import delayed, kept_factor, lowpass
 
 RATE = 500.0
 
@@ -16,6 +16,19 @@ def test_lowpass_is_scipys_butterworth_run_both_ways():
     noise = rng.standard_normal(2000)
     expected = signal.sosfiltfilt(signal.butter(2, 5.0, fs=RATE, output="sos"), noise, padlen=100)
     np.testing.assert_allclose(lowpass(RATE, noise, 5.0), expected, rtol=0, atol=1e-12)
+
+
+def test_any_length_rate_and_row_agrees_with_scipy():
+    rng = np.random.default_rng(2)
+    for count in (205, 256, 257, 1000):
+        for cutoff in (10.0, 49.0, 240.0):
+            rows = 3.0 + rng.standard_normal((2, count))
+            sections = signal.butter(2, cutoff, fs=RATE, output="sos")
+            expected = signal.sosfilt(sections, rows)
+            np.testing.assert_allclose(delayed(RATE, rows, cutoff), expected, rtol=0, atol=1e-12)
+            padlen = round(RATE / cutoff)
+            expected = signal.sosfiltfilt(sections, rows, padlen=padlen)
+            np.testing.assert_allclose(lowpass(RATE, rows, cutoff), expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("frequency", "gain"), [(0.2, 1.0), (5.0, 0.5), (50.0, 1e-4)])

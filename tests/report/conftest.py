@@ -324,5 +324,16 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw one stand-in for the figures of a run: for tests that are not about figures."""
     monkeypatch.setattr(
         "rigtool.report.build.draw_figures",
-        lambda run, label: [Picture(f"figure-63-{label}", 63, "Fig. 63.", "<svg/>", b"\x89PNG")],
+        lambda runs: [
+            Picture(f"figure-63-{label}", 63, "Fig. 63.", "<svg/>", b"\x89PNG") for label, _ in runs
+        ],
+    )
+
+
+@pytest.fixture
+def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make every figure, and store a stand-in for its picture."""
+    monkeypatch.setattr(
+        "rigtool.report.figures.side_by_side.render",
+        lambda figure: ('<?xml version="1.0"?><svg/>', b"\x89PNG"),
     )

@@ -94,3 +94,19 @@ def test_nothing_is_drawn_where_nothing_was_recorded(tmp_path):
     axes = drawn(tmp_path / "a.h5", {"sweep": signals}, {})
     (area,) = axes.collections
     assert len(area.get_paths()) == 2
+
+
+def test_rows_with_a_time_are_drawn_over_it(tmp_path):
+    columns = {
+        "row": Column(np.arange(5), "1"),
+        "recording": Column(np.array([0, 0, 0, 1, 1]), "1"),
+        "time": Column(np.array([7.0, 7.5, 8.0, 2.0, 2.5]), "s"),
+        "torque": Column(np.array([1e-3, np.nan, 3e-3, 4e-3, 5e-3]), "N m"),
+    }
+    axes = drawn(tmp_path / "a.h5", {}, {"force": Table(("row",), columns, "torque")})
+    assert axes.get_xlabel() == "time [s]"
+    first, second = axes.lines
+    np.testing.assert_array_equal(first.get_xdata(), [7.0, 7.5, 8.0])
+    np.testing.assert_allclose(first.get_ydata(), [1, np.nan, 3], rtol=1e-12)
+    np.testing.assert_array_equal(second.get_xdata(), [2.0, 2.5])
+    np.testing.assert_allclose(second.get_ydata(), [4, 5], rtol=1e-12)

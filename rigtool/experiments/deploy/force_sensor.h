@@ -119,8 +119,8 @@ struct rs_model {
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
     /* ripple of another power-up: experiments/force/power_up.py has the equations */
     rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
-    rs_real row_noise, row_walk, row_reversal, row_contact, row_untouched, row_kept, row_gate,
-        row_decided, row_certain, row_largest, row_refuted;
+    rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
+    rs_real row_begins, row_ends, row_changes, row_least, row_certain, row_largest;
     /* states */
     rs_real sliding, slow, speed_limit, torque_limit, current_limit, cold, warm;
     int32_t lowest, highest; /* counts */
@@ -151,7 +151,9 @@ struct rigtool_sensor {
     rs_real waves[RS_WAVES], row[RS_PARTS], ripples[RS_PARTS];
     rs_real ripple_u[RS_PARTS][RS_PARTS], ripple_d[RS_PARTS], ripple_q[RS_ORDER];
     rs_real plain, plain_variance, other; /* without it; logarithm of the likelihoods' ratio */
-    int row_steps, row_slid, touched, doubted; /* the wave whose doubt grows next */
+    rs_real touched, plain_touched; /* the probability that something touches, with and without it */
+    rs_real level[2], level_variance[2], fast; /* then: by a slow, a fast walk; probability of that */
+    int row_steps, row_slid, doubted; /* the wave whose doubt grows next */
     /* states: counts of the last steps, and for how many steps they were one of two */
     int32_t history[RS_SPEED_STEPS];
     int steps, next, still_up, still_down, limit_left;
@@ -692,44 +694,64 @@ static inline void rs_wave(struct rigtool_sensor *s)
     }
 }
 
-/* Whether a row fits a hypothesis that is not decided against. */
-static inline int rs_fits(const struct rigtool_sensor *s, int ripple, int plain)
+/* The logarithm of the likelihood of a row that has one's or, with a probability, the other's; the
+ * probability then. */
+static inline rs_real rs_weighed(rs_real *probability, rs_real one, rs_real other)
 {
-    return (ripple && s->other > -rs_model.row_decided) || (plain && s->other < rs_model.row_decided);
+    rs_real largest, together;
+    one += RS_MATH(log)(1 - *probability);
+    other += RS_MATH(log)(*probability);
+    largest = one > other ? one : other;
+    together = largest + RS_MATH(log)(rs_exp(one - largest) + rs_exp(other - largest));
+    *probability = rs_exp(other - together < 0 ? other - together : (rs_real)0);
+    return together;
 }
 
-/* Find out from a row whether something touches; the torque begins anew where that changes. */
-static inline void rs_touch(struct rigtool_sensor *s)
+/* The logarithm of the density of an error. */
+static inline rs_real rs_density(rs_real error, rs_real variance)
+{
+    return (rs_real)-0.5 * (error * error / variance + RS_MATH(log)(variance));
+}
+
+/* The logarithm of a row's likelihood where something touches; it is taken in there. */
+static inline rs_real rs_touching(struct rigtool_sensor *s)
 {
     const struct rs_model *m = &rs_model;
-    const rs_real gate = m->row_gate, own = m->row_noise + m->row_untouched;
-    rs_real error = s->row[0], left, plain = s->row[0], by, variance, spread, rest;
-    int goes_on, over, i, j;
-    variance = m->row_noise;
-    spread = m->row_noise + s->ripple_d[0];
-    for (j = 1; j < RS_PARTS; j++) {
-        /* the torque is the first: its column of U has nothing of the others */
-        by = s->row[j];
-        for (i = 1; i < j; i++)
-            by += s->ripple_u[i][j] * s->row[i];
-        error -= s->row[j] * s->ripples[j];
-        variance += rs_square(by) * s->ripple_d[j];
-        spread += rs_square(by + s->ripple_u[0][j]) * s->ripple_d[j];
+    const rs_real value = s->row[0], leap = m->row_contact + m->row_noise;
+    const rs_real leaps = RS_MATH(log)(m->row_changes) + rs_density(value, leap);
+    rs_real likely[2];
+    int i;
+    for (i = 0; i < 2; i++) {
+        rs_real own = s->level_variance[i] + m->row_noise, part;
+        likely[i] = rs_density(value - s->level[i], own);
+        if (leaps > likely[i]) {
+            s->level[i] = 0;
+            s->level_variance[i] = m->row_contact;
+            own = leap;
+            likely[i] = leaps;
+        }
+        part = s->level_variance[i] / own;
+        s->level[i] += part * (value - s->level[i]);
+        s->level_variance[i] *= 1 - part;
     }
-    left = error - s->ripples[0];
-    rest = plain - s->plain;
-    goes_on = rs_fits(s, left * left < gate * spread,
-                      rest * rest < gate * (m->row_noise + s->plain_variance));
-    over = rs_fits(s, error * error < gate * (variance + m->row_untouched),
-                   plain * plain < gate * own);
-    if (goes_on && !(s->touched && over))
-        return;
-    s->touched = !over;
-    s->ripples[0] = s->plain = 0;
-    for (j = 1; j < RS_PARTS; j++)
-        s->ripple_u[0][j] = 0;
-    s->ripple_d[0] = s->plain_variance = s->touched ? m->row_contact : m->row_untouched;
+    return rs_weighed(&s->fast, likely[0], likely[1]);
 }
+
+/* Forget another power-up's ripple: what was taken for it is too large. */
+static inline void rs_begin_anew(struct rigtool_sensor *s)
+{
+    int i, j;
+    for (j = 1; j < RS_PARTS; j++) {
+        s->ripple_d[0] += rs_square(s->ripple_u[0][j]) * s->ripple_d[j];
+        s->ripple_d[j] = rs_model.wave_variance[j - 1];
+        s->ripples[j] = rs_model.wave_mean[j - 1];
+        for (i = 0; i < j; i++)
+            s->ripple_u[i][j] = 0;
+    }
+    if (s->other > 0)
+        s->other = 0;
+}
+
 /* Let the doubt of one wave grow, of each in turn: U D U' + e q e', W. S. Agee, R. H. Turner 1972. */
 static inline void rs_doubt(struct rigtool_sensor *s)
 {
@@ -749,37 +771,29 @@ static inline void rs_doubt(struct rigtool_sensor *s)
     }
 }
 
-/* Take in a row that slides, under both hypotheses. */
-static inline void rs_take(struct rigtool_sensor *s)
+/* The logarithm of a row's likelihood under other ripple; it is taken in there. */
+static inline rs_real rs_by_ripple(struct rigtool_sensor *s, rs_real touching)
 {
     const struct rs_model *m = &rs_model;
-    const rs_real noise = m->row_noise;
-    rs_real error, plain, own, variance, sum;
+    rs_real error = s->row[0] - s->ripples[0], variance = m->row_noise, likely, sum;
     rs_real by[RS_PARTS], part[RS_PARTS], column[RS_PARTS];
     int i, j;
-    rs_doubt(s);
-    rs_touch(s);
-    error = s->row[0] - s->ripples[0];
-    plain = s->row[0] - s->plain;
-    for (j = 1; j < RS_PARTS; j++)
-        error -= s->row[j] * s->ripples[j];
-    s->row[0] = 1;
-    variance = noise;
-    own = s->plain_variance + noise;
     for (j = 0; j < RS_PARTS; j++) {
-        by[j] = s->row[j];
+        by[j] = j ? s->row[j] : (rs_real)1;
+        if (j)
+            error -= s->row[j] * s->ripples[j];
         for (i = 0; i < j; i++)
-            by[j] += s->ripple_u[i][j] * s->row[i];
+            by[j] += s->ripple_u[i][j] * (i ? s->row[i] : (rs_real)1);
         part[j] = s->ripple_d[j] * by[j];
         variance += part[j] * by[j];
     }
-    s->other += (rs_real)0.5 * (plain * plain / own - error * error / variance
-                                + RS_MATH(log)(own / variance));
-    if (s->other > m->row_certain)
-        s->other = m->row_certain;
-    if (s->other < -m->row_certain)
-        s->other = -m->row_certain;
-    sum = noise;
+    likely = rs_weighed(&s->touched, rs_density(error, variance), touching);
+    if (s->touched > 1 - m->row_least)
+        return likely;
+    /* as much noise as lets the row count by the probability that nothing touches */
+    sum = variance / (1 - s->touched);
+    error /= sum;
+    sum -= variance - m->row_noise;
     for (j = 0; j < RS_PARTS; j++) {
         const rs_real gain = -by[j] / sum, whole = sum + part[j] * by[j];
         for (i = 0; i < j; i++) {
@@ -792,15 +806,59 @@ static inline void rs_take(struct rigtool_sensor *s)
         sum = whole;
     }
     for (j = 0; j < RS_PARTS; j++)
-        s->ripples[j] += column[j] * (error / variance);
-    s->plain += s->plain_variance / own * plain;
-    s->plain_variance *= noise / own;
+        s->ripples[j] += column[j] * error;
+    return likely;
+}
+
+/* Take in a row that slides, under both hypotheses. */
+static inline void rs_take(struct rigtool_sensor *s)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real touching = rs_touching(s), likely = rs_by_ripple(s, touching);
+    const rs_real plain = s->row[0] - s->plain, own = s->plain_variance + m->row_noise;
+    rs_real part;
+    int j;
+    s->other += likely - rs_weighed(&s->plain_touched, rs_density(plain, own), touching);
+    part = (1 - s->plain_touched) * s->plain_variance / own;
+    s->plain += part * plain;
+    s->plain_variance *= 1 - part;
+    if (s->other > m->row_certain)
+        s->other = m->row_certain;
+    if (s->other < -m->row_certain)
+        s->other = -m->row_certain;
     for (j = 0; j < RS_WAVES; j += 2) {
         const rs_real *c = &m->wave_mean[j], *beta = &s->ripples[j + 1];
         if (rs_square(beta[0] - c[0]) + rs_square(beta[1] - c[1])
-            > m->row_largest * (c[0] * c[0] + c[1] * c[1]))
-            s->other = m->row_refuted; /* a force that repeats with the angle */
+            > m->row_largest * (c[0] * c[0] + c[1] * c[1])) {
+            rs_begin_anew(s); /* a force that repeats with the angle */
+            break;
+        }
     }
+}
+
+/* Go on to the end of a row. */
+static inline void rs_pass_time(struct rigtool_sensor *s, int slides)
+{
+    const struct rs_model *m = &rs_model;
+    const rs_real kept = slides ? m->row_kept : (rs_real)0;
+    const rs_real fresh = (1 - kept * kept) * m->row_untouched;
+    int i;
+    s->touched += m->row_begins - (m->row_begins + m->row_ends) * s->touched;
+    s->plain_touched += m->row_begins - (m->row_begins + m->row_ends) * s->plain_touched;
+    s->fast += m->row_changes * ((rs_real)0.5 - s->fast);
+    for (i = 0; i < 2; i++) {
+        s->level_variance[i] += m->row_walk[i];
+        if (!slides)
+            s->level_variance[i] += m->row_reversal; /* friction may be off by a stroke's own */
+    }
+    s->ripples[0] *= kept;
+    s->plain *= kept;
+    for (i = 1; i < RS_PARTS; i++)
+        s->ripple_u[0][i] *= kept;
+    s->ripple_d[0] = kept * kept * s->ripple_d[0] + fresh;
+    s->plain_variance = kept * kept * s->plain_variance + fresh;
+    if (slides)
+        rs_doubt(s);
 }
 
 /* Add a step to the row; a whole row is taken in where all of it slides. */
@@ -809,7 +867,6 @@ static inline void rs_row(struct rigtool_sensor *s)
     const struct rs_model *m = &rs_model;
     const rs_real share = (rs_real)1 / RS_ROW_STEPS;
     const rs_real direction = (rs_real)((s->x[RS_SPEED] > 0) - (s->x[RS_SPEED] < 0));
-    rs_real walk = m->row_walk;
     int j;
     s->row[0] += s->x[RS_TORQUE] * share;
     for (j = 0; j < RS_WAVES; j++)
@@ -817,21 +874,8 @@ static inline void rs_row(struct rigtool_sensor *s)
     s->row_slid += s->x[RS_HOUSING] * direction >= m->sliding;
     if (++s->row_steps < RS_ROW_STEPS)
         return;
-    if (s->row_slid < RS_ROW_STEPS)
-        walk += m->row_reversal; /* friction may be off by a stroke's own */
-    if (!s->touched) { /* about zero */
-        const rs_real kept = s->row_slid < RS_ROW_STEPS ? (rs_real)0 : m->row_kept;
-        walk = (1 - kept * kept) * m->row_untouched;
-        s->ripples[0] *= kept;
-        s->plain *= kept;
-        for (j = 1; j < RS_PARTS; j++)
-            s->ripple_u[0][j] *= kept;
-        s->ripple_d[0] *= kept * kept;
-        s->plain_variance *= kept * kept;
-    }
-    s->ripple_d[0] += walk;
-    s->plain_variance += walk;
-    if (s->row_slid == RS_ROW_STEPS && s->other > m->row_refuted)
+    rs_pass_time(s, s->row_slid == RS_ROW_STEPS);
+    if (s->row_slid == RS_ROW_STEPS)
         rs_take(s);
     for (j = 0; j < RS_PARTS; j++)
         s->row[j] = 0;
@@ -996,6 +1040,7 @@ static inline void rs_begin(struct rigtool_sensor *s)
         s->ripple_d[i] = i ? m->wave_variance[i - 1] : m->row_untouched;
     }
     s->plain_variance = m->row_untouched;
+    s->level_variance[0] = s->level_variance[1] = m->row_contact;
     s->still_up = s->still_down = RS_STILL_STEPS;
     rs_ahead(s);
     s->begun = 1;

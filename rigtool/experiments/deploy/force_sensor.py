@@ -172,16 +172,17 @@ def _ripple(instrument: Instrument) -> dict[str, Number]:
         "wave_variance": amplitude**2 / 2,
         "wave_doubt": amplitude**2 / 2 * (power_up.WAVES * row_time / power_up.FORGOTTEN),
         "row_noise": (power_up.NOISE * size) ** 2,
-        "row_walk": (power_up.WALK * size) ** 2 * row_time,
+        "row_walk": (np.array(power_up.WALKS) * size) ** 2 * row_time,
         "row_reversal": (power_up.AFTER_REVERSAL * size) ** 2 * row_time / power_up.ROW_TIME,
         "row_contact": (power_up.CONTACT * size) ** 2,
         "row_untouched": size**2,
         "row_kept": math.exp(-row_time / power_up.MEMORY),
-        "row_gate": power_up.GATE**2,
-        "row_decided": power_up.DECIDED,
+        "row_begins": power_up.BEGINS * row_time,
+        "row_ends": power_up.ENDS * row_time,
+        "row_changes": power_up.CHANGES * row_time,
+        "row_least": power_up.LEAST,
         "row_certain": power_up.CERTAIN,
         "row_largest": power_up.LARGEST**2,
-        "row_refuted": power_up.REFUTED,
     }
 
 

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_signals
+from rigtool.numerics.shapiro_wilk import shapiro_wilk
 
 HYSTERESIS = 0.1
 """Part of the stroke by which the position must pass the middle to count as having passed."""
@@ -178,7 +179,6 @@ def normality(values: ArrayLike) -> Normality:
     `InsufficientDataError` for fewer than 3 readings or readings without any scatter.
     """
     from scipy.special import ndtri
-    from scipy.stats import shapiro
 
     (x,) = require_signals(3, values=values)
     ordered = np.sort(x)
@@ -197,7 +197,7 @@ def normality(values: ArrayLike) -> Normality:
         quantile=quantile,
         probability=probability,
         correlation=float(np.corrcoef(quantile, ordered)[0, 1]),
-        p=float(shapiro(scaled).pvalue),
+        p=shapiro_wilk(scaled)[1],
     )
 
 

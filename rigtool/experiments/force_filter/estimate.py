@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import kalman, passed, smoother
 from rigtool.experiments.force_filter.kalman import Uncertainty
+from rigtool.experiments.force_filter.linear import WIDE
 from rigtool.experiments.force_filter.plant import STATES, TORQUE, Plant, as_record
 from rigtool.numerics.arrays import Array
 
@@ -115,7 +116,7 @@ class Filter:
             self._state = kalman.begin(self._plant, self._uncertainty, start, signals.width)
         size, count = self._size, max(0, (signals.low.size - 1) // self._size)
         self._waiting = _part(signals, count * size, None)
-        kept = smoother.room(count) if keep else None
+        kept = smoother.room(count, size) if keep else None
         low = np.ascontiguousarray(signals.low[size : count * size + 1 : size])
         found = Estimate(np.empty((count, STATES)), np.empty((count, 3)), low, kept)
         if self._state is None or not count:
@@ -203,13 +204,13 @@ class Smoother:
 
     def _backwards(self, ahead: float) -> tuple[Array, Array]:
         """Smooth the waiting steps, and hand out all but at least the last `ahead` of them."""
-        adjoint, information = np.zeros(STATES), np.zeros((STATES, STATES))
+        rows = np.zeros(STATES * WIDE)
         done: deque[tuple[Array, Array]] = deque()
         behind = 0
         for estimate in reversed(self._waiting):
             torque, deviation = estimate.torque.copy(), estimate.deviation.copy()
             assert estimate.kept is not None
-            smoother.backwards(adjoint, information, self._kept, estimate.kept, torque, deviation)
+            smoother.backwards(rows, self._kept, estimate.kept, torque, deviation)
             if behind >= ahead:
                 done.appendleft((torque, deviation))
             behind += len(deviation)

@@ -24,12 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import passed
-from rigtool.experiments.force_filter.combined import four
 from rigtool.experiments.force_filter.interval import truncated
+from rigtool.experiments.force_filter.linear import WIDE, forwards
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     BRISTLE,
     COSINE,
+    FACTORS,
     GRASPER,
     GRASPER_SPEED,
     HOUSING,
@@ -54,20 +55,24 @@ SHORT, LONG = 6e-3, 0.1
 STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
+SPARE = passed.JOINT * WIDE
+"""A row behind the joint covariance, to compute with."""
+
 LEAST_VARIANCE = 1e-3
 """Smallest variance of the angle after an update, relative to before: it stays positive."""
 
 STATE = np.dtype(
     [
         ("mean", "f8", (STATES,)),
-        ("covariance", "f8", (STATES, STATES)),
+        # of the states and of q, in rows of WIDE columns; and q, see `passed`
+        ("covariance", "f8", (passed.JOINT, WIDE)),
+        ("passed", "f8", (passed.ORDER,)),
         ("direction", "f8"),
         # of a step and of a slow change: leaky sum of corrections, time left at its level
         ("step_sum", "f8"),
         ("step_left", "f8"),
         ("slow_sum", "f8"),
         ("slow_left", "f8"),
-        *passed.FIELDS,
     ]
 )
 
@@ -121,7 +126,7 @@ def begin(plant: Plant, uncertainty: Uncertainty, low: float, width: float) -> N
     # a tendon is stretched by what acts on the output: almost, as the tip's friction holds it
     stretch = -0.999 * deviations[GRASPER] * deviations[TORQUE]
     covariance[GRASPER, TORQUE] = covariance[TORQUE, GRASPER] = stretch
-    state["covariance"][0] = covariance
+    state["covariance"][0, :STATES, :STATES] = covariance
     return state
 
 
@@ -132,18 +137,35 @@ def _level(s: Record) -> float:
 
 
 @compiled
-def _propagate(rows: Array, covariance: Array, work: Array) -> None:
-    """Let work (7, 12) = Phi P, and the covariance of the moving states Phi P Phi'."""
-    for i in range(MOVING_STATES):
-        for j in range(0, STATES, 4):
-            a, b, c, d = four(rows[i], covariance, STATES, j)
-            work[i, j], work[i, j + 1], work[i, j + 2], work[i, j + 3] = a, b, c, d
+def _at(i: int, j: int) -> int:
+    """Return where an element of the covariance is."""
+    return i * WIDE + j
+
+
+@compiled
+def _propagate(rows: Array, turned: Array, factors: Array, samples: int, kept: float) -> None:
+    """Multiply the joint covariance by a step's derivative from both sides.
+
+    The rows that move first; then their columns, as rows of the transpose. q has moved before.
+    `kept` is what remains of the noise; `turned` (12 * WIDE,) is overwritten.
+    """
+    for k in range(samples):
+        forwards(rows, WIDE, factors, k)
+    for m in range(STATES):
+        for i in range(MOVING_STATES):
+            turned[_at(m, i)] = rows[_at(i, m)]
+    for k in range(samples):
+        forwards(turned, MOVING_STATES + 1, factors, k)
     for i in range(MOVING_STATES):
         for j in range(i + 1):
-            total = 0.0
-            for m in range(STATES):
-                total += work[i, m] * rows[j, m]
-            covariance[i, j] = covariance[j, i] = total
+            rows[_at(i, j)] = rows[_at(j, i)] = turned[_at(i, j)]
+        rows[_at(i, NOISE)] *= kept
+        for j in range(MOVING_STATES, passed.JOINT):
+            rows[_at(j, i)] = rows[_at(i, j)]
+    for j in range(MOVING_STATES, passed.JOINT):
+        rows[_at(NOISE, j)] *= kept
+        rows[_at(j, NOISE)] = rows[_at(NOISE, j)]
+    rows[_at(NOISE, NOISE)] *= kept
 
 
 @compiled
@@ -154,38 +176,28 @@ def _predict(
     friction_map: Array,
     torque: Array,
     viscous: Array,
+    k: int,
     low_pass: Array,
     rows: Array,
-    work: Array,
+    turned: Array,
+    factors: Array,
+    kept: float,
     least: float,
 ) -> bool:
-    """Advance mean and covariance by one step of len(torque) samples; whether a stroke began.
+    """Advance mean and covariance by step k; whether a stroke began.
 
-    The torque's noise has the level `least`, at least.
+    The torque's noise has the level `least`, at least; `kept` of the friction's noise remains.
     """
-    x, covariance = s.mean, s.covariance
-    span = len(torque) * p.sample_time
-    for i in range(STATES):
-        for j in range(STATES):
-            rows[i, j] = 1.0 if i == j else 0.0
-    spread = u.undecided * math.sqrt(covariance[SPEED, SPEED])
-    outer = u.undecided * math.sqrt(covariance[GRASPER_SPEED, GRASPER_SPEED])
-    for k in range(len(torque)):
-        advance(x, p, friction_map, torque[k], viscous[k], rows, spread, outer)
-    kept = math.exp(-span / u.friction_noise_time)
-    passed.predict(s, low_pass, rows, kept, NOISE, work)
+    x, samples = s.mean, torque.shape[1]
+    span = samples * p.sample_time
+    passed.predict(s.passed, rows, low_pass, x[TORQUE])
+    spread = u.undecided * math.sqrt(rows[_at(SPEED, SPEED)])
+    outer = u.undecided * math.sqrt(rows[_at(GRASPER_SPEED, GRASPER_SPEED)])
+    for i in range(samples):
+        advance(x, p, friction_map, torque[k, i], viscous[k, i], factors, i, spread, outer)
     x[NOISE] *= kept
-    _propagate(rows, covariance, work)
-    for i in range(MOVING_STATES):
-        for j in range(MOVING_STATES, STATES):
-            scale = kept if j == NOISE else 1.0
-            covariance[i, j] = covariance[j, i] = work[i, j] * scale
-    for j in range(MOVING_STATES, STATES):
-        if j != NOISE:
-            covariance[NOISE, j] *= kept
-            covariance[j, NOISE] = covariance[NOISE, j]
-    covariance[NOISE, NOISE] *= kept * kept
-    covariance[NOISE, NOISE] += u.friction_noise**2 * (1.0 - kept * kept)
+    _propagate(rows, turned, factors, samples, kept)
+    rows[_at(NOISE, NOISE)] += u.friction_noise**2 * (1.0 - kept * kept)
     level = max(least, _level(s))
     walk = u.torque_rate
     if level > 1.0:
@@ -194,63 +206,91 @@ def _predict(
         walk = u.slow_torque_rate
     s.step_left -= span
     s.slow_left -= span
-    covariance[TORQUE, TORQUE] += walk * walk * span
-    covariance[ANGLE, ANGLE] += u.angle_rate**2 * span
-    covariance[SPEED, SPEED] += u.speed_rate**2 * span
-    covariance[GRASPER_SPEED, GRASPER_SPEED] += u.speed_rate**2 * span
-    covariance[GRASPER, GRASPER] += u.grasper_rate**2 * span
-    covariance[BRISTLE, BRISTLE] += u.bristle_rate**2 * span
-    covariance[HOUSING, HOUSING] += u.slip_rate**2 * span
-    covariance[TIP, TIP] += u.slip_rate**2 * span
+    rows[_at(TORQUE, TORQUE)] += walk * walk * span
+    rows[_at(ANGLE, ANGLE)] += u.angle_rate**2 * span
+    rows[_at(SPEED, SPEED)] += u.speed_rate**2 * span
+    rows[_at(GRASPER_SPEED, GRASPER_SPEED)] += u.speed_rate**2 * span
+    rows[_at(GRASPER, GRASPER)] += u.grasper_rate**2 * span
+    rows[_at(BRISTLE, BRISTLE)] += u.bristle_rate**2 * span
+    rows[_at(HOUSING, HOUSING)] += u.slip_rate**2 * span
+    rows[_at(TIP, TIP)] += u.slip_rate**2 * span
     if x[HOUSING] * s.direction < -0.5:
         s.direction = -s.direction
         for i in (SINE, COSINE, LOAD):
             deviation = u.load_stroke if i == LOAD else u.stroke
             x[i] = 0.0
-            for j in range(STATES):
-                covariance[i, j] = covariance[j, i] = 0.0
-            for j in range(passed.ORDER):
-                s.shared_covariance[i, j] = 0.0
-            covariance[i, i] = deviation * deviation
+            for j in range(passed.JOINT):
+                rows[_at(i, j)] = rows[_at(j, i)] = 0.0
+            rows[_at(i, i)] = deviation * deviation
         return True
     return False
 
 
 @compiled
+def _remove(rows: Array, gain: Array, scale: float) -> None:
+    """Take scale^2 gain gain' off the joint covariance."""
+    # written out, so that a processor does all rows of eight columns at once
+    g0, g1, g2, g3 = scale * gain[0], scale * gain[1], scale * gain[2], scale * gain[3]
+    g4, g5, g6, g7 = scale * gain[4], scale * gain[5], scale * gain[6], scale * gain[7]
+    g8, g9, g10, g11 = scale * gain[8], scale * gain[9], scale * gain[10], scale * gain[11]
+    g12, g13 = scale * gain[12], scale * gain[13]
+    for j in range(WIDE):
+        rows[SPARE + j] = scale * gain[j]
+    for j in range(WIDE):
+        g = rows[SPARE + j]
+        rows[j] -= g0 * g
+        rows[WIDE + j] -= g1 * g
+        rows[2 * WIDE + j] -= g2 * g
+        rows[3 * WIDE + j] -= g3 * g
+        rows[4 * WIDE + j] -= g4 * g
+        rows[5 * WIDE + j] -= g5 * g
+        rows[6 * WIDE + j] -= g6 * g
+        rows[7 * WIDE + j] -= g7 * g
+        rows[8 * WIDE + j] -= g8 * g
+        rows[9 * WIDE + j] -= g9 * g
+        rows[10 * WIDE + j] -= g10 * g
+        rows[11 * WIDE + j] -= g11 * g
+        rows[12 * WIDE + j] -= g12 * g
+        rows[13 * WIDE + j] -= g13 * g
+
+
+@compiled
 def _update(
-    s: Record, u: Record, low: float, width: float, span: float, gain: Array
+    s: Record,
+    u: Record,
+    rows: Array,
+    low: float,
+    width: float,
+    span: float,
+    memory: tuple[float, float],
+    gain: Array,
 ) -> tuple[float, float, float]:
-    """Take in that the angle lies in a count; return correction, weight and prior variance."""
-    x, covariance = s.mean, s.covariance
-    variance = covariance[ANGLE, ANGLE] + (u.edge * width) ** 2
+    """Take in that the angle lies in a count; return correction, weight and prior variance.
+
+    `gain` (WIDE,) receives the gain of states and q; of the sums of corrections `memory` remains.
+    """
+    x = s.mean
+    variance = rows[_at(ANGLE, ANGLE)] + (u.edge * width) ** 2
     deviation = math.sqrt(variance)
     mean, left = truncated((low - x[ANGLE]) / deviation, (low + width - x[ANGLE]) / deviation)
     left = max(left, LEAST_VARIANCE)
+    weight, shift = 1.0 - left, mean * deviation
+    for i in range(WIDE):
+        gain[i] = rows[_at(ANGLE, i)] / variance
     for i in range(STATES):
-        gain[i] = covariance[i, ANGLE] / variance
-    weight = 1.0 - left
-    passed.update(s, gain, mean * deviation, variance * weight, variance)
-    for i in range(STATES):
-        x[i] += gain[i] * mean * deviation
-        for j in range(i + 1):
-            covariance[i, j] -= gain[i] * gain[j] * variance * weight
-            covariance[j, i] = covariance[i, j]
+        x[i] += gain[i] * shift
+    for i in range(passed.ORDER):
+        s.passed[i] += gain[STATES + i] * shift
+    _remove(rows, gain, math.sqrt(variance * max(weight, 0.0)))
     for i in (BRISTLE, HOUSING, TIP):
         x[i] = min(max(x[i], -1.0), 1.0)
-    s.step_sum = math.exp(-span / SHORT) * s.step_sum + mean * span
-    s.slow_sum = math.exp(-span / LONG) * s.slow_sum + mean * span
+    s.step_sum = memory[0] * s.step_sum + mean * span
+    s.slow_sum = memory[1] * s.slow_sum + mean * span
     if abs(s.step_sum) > STEP_THRESHOLD:
         s.step_left = u.busy_time
     if abs(s.slow_sum) > SLOW_THRESHOLD:
         s.slow_left = u.busy_time
     return mean / deviation, weight, variance
-
-
-@compiled
-def _copy(source: Array, target: Array) -> None:
-    """Copy states (12,); numba takes seconds to compile an assignment of arrays."""
-    for i in range(STATES):
-        target[i] = source[i]
 
 
 @compiled
@@ -277,24 +317,47 @@ def run(
     `smoother.room` makes room for.
     """
     s, p, u = state[0], plant[0], uncertainty[0]
-    rows, work = np.empty((STATES, STATES)), np.empty((MOVING_STATES, STATES))
-    column, row = np.empty(STATES), np.empty(STATES)
-    span = torque.shape[1] * p.sample_time
+    samples = torque.shape[1]
+    rows, turned = np.zeros(SPARE + WIDE), np.zeros(STATES * WIDE)
+    gain, shared, factors = np.empty(WIDE), np.empty(STATES), np.empty((samples, FACTORS))
+    span = samples * p.sample_time
+    memory = math.exp(-span / SHORT), math.exp(-span / LONG)
+    kept = math.exp(-span / u.friction_noise_time)
+    for i in range(passed.JOINT):
+        for j in range(WIDE):
+            rows[_at(i, j)] = s.covariance[i, j]
     for k in range(torque.shape[0]):
         began = _predict(
-            s, p, u, friction_map, torque[k], viscous[k], low_pass, rows, work, least[k]
+            s,
+            p,
+            u,
+            friction_map,
+            torque,
+            viscous,
+            k,
+            low_pass,
+            rows,
+            turned,
+            factors,
+            kept,
+            least[k],
         )
-        moved, informed, before = _update(s, u, low[k], width, span, column)
-        _copy(s.mean, means[k])
-        mean, spread = passed.output(s, low_pass, row)
+        moved, informed, before = _update(s, u, rows, low[k], width, span, memory, gain)
+        for i in range(STATES):
+            means[k, i] = s.mean[i]
+        mean, spread = passed.output(s.mean, s.passed, rows, low_pass, shared, 0)
         outputs[k, 0], outputs[k, 1] = mean, math.sqrt(max(spread, 0.0))
         outputs[k, 2] = _level(s)
         if steps is not None:
-            derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
-            for i in range(MOVING_STATES):
-                _copy(rows[i], derivative[k, i])
+            derivative, fresh, correction, weight, variance, gains, torque_row, passed_row = steps
+            for i in range(samples):
+                for j in range(FACTORS):
+                    derivative[k * samples + i, j] = factors[i, j]
             fresh[k] = began
             correction[k], weight[k], variance[k] = moved, informed, before
-            _copy(column, gain[k])
-            _copy(s.covariance[TORQUE], torque_row[k])
-            _copy(row, passed_row[k])
+            for i in range(STATES):
+                gains[k, i], torque_row[k, i] = gain[i], rows[_at(TORQUE, i)]
+                passed_row[k, i] = shared[i]
+    for i in range(passed.JOINT):
+        for j in range(WIDE):
+            s.covariance[i, j] = rows[_at(i, j)]

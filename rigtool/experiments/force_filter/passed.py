@@ -10,24 +10,21 @@ y has a mean and a deviation of its own. Measurements show q through x alone; no
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
-from rigtool.experiments.force_filter.plant import ANGLE, MOVING_STATES, STATES, TORQUE
+from rigtool.experiments.force_filter.linear import WIDE, M
+from rigtool.experiments.force_filter.plant import STATES, TORQUE
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-Record = Any
-
 ORDER = 2
 
-FIELDS = [
-    ("passed", "f8", (ORDER,)),
-    ("passed_covariance", "f8", (ORDER, ORDER)),
-    ("shared_covariance", "f8", (STATES, ORDER)),
-]
-"""Fields of the filter's state: mean and covariance of q, and covariance of x and q."""
+JOINT = STATES + ORDER
+"""States and q together: rows of their covariance, of which each has `WIDE` columns."""
+
+Q = STATES * WIDE
+"""Where the rows of q begin."""
 
 
 def section(bandwidth_hz: float, step_time: float) -> Array:
@@ -44,71 +41,36 @@ def delay(bandwidth_hz: float) -> float:
 
 
 @compiled
-def predict(
-    s: Record, low_pass: Array, derivative: Array, kept: float, noise: int, work: Array
-) -> None:
-    """Advance q and its covariances by a step, before x: `derivative` (7, 12) of x by itself.
-
-    `kept` is what remains of state `noise`; the other states behind the moving ones stay. `work`
-    (2, 12) is overwritten.
-    """
-    q, own, shared, x, p = s.passed, s.passed_covariance, s.shared_covariance, s.mean, s.covariance
-    for i in range(ORDER):
-        for n in range(STATES):
-            work[i, n] = p[n, TORQUE] * low_pass[i, ORDER]
-            for j in range(ORDER):
-                work[i, n] += shared[n, j] * low_pass[i, j]
-    first, second, cross, other = own[0, 0], own[1, 1], own[0, 1], shared[TORQUE]
-    for i in range(ORDER):
-        for j in range(i + 1):
-            a, b, c = low_pass[i]
-            d, e, f = low_pass[j]
-            total = a * first * d + (a * e + b * d) * cross + b * second * e
-            total += (a * f + c * d) * other[0] + (b * f + c * e) * other[1]
-            own[i, j] = own[j, i] = total + c * f * p[TORQUE, TORQUE]
-    before, after = q[0], q[1]
-    for i in range(ORDER):
-        q[i] = low_pass[i, 0] * before + low_pass[i, 1] * after + low_pass[i, ORDER] * x[TORQUE]
-    for i in range(ORDER):
-        for n in range(MOVING_STATES):
-            total = 0.0
-            for m in range(STATES):
-                total += derivative[n, m] * work[i, m]
-            shared[n, i] = total
-        for n in range(MOVING_STATES, STATES):
-            shared[n, i] = work[i, n] * (kept if n == noise else 1.0)
-
-
-@compiled
-def update(s: Record, gain: Array, shift: float, removed: float, variance: float) -> None:
-    """Update with a correction of the filter, before x: its gain (12,), the angle's shift, and
-    `removed`, by which the angle's variance fell from `variance`."""
-    q, own, shared = s.passed, s.passed_covariance, s.shared_covariance
-    for i in range(ORDER):
-        own_gain = shared[ANGLE, i] / variance
-        q[i] += own_gain * shift
-        for j in range(i + 1):
-            own[i, j] -= own_gain * shared[ANGLE, j] / variance * removed
-            own[j, i] = own[i, j]
-    for i in range(ORDER):
-        own_gain = shared[ANGLE, i] / variance
-        for n in range(STATES):
-            shared[n, i] -= gain[n] * own_gain * removed
-
-
-@compiled
-def output(s: Record, low_pass: Array, row: Array) -> tuple[float, float]:
-    """Return mean and variance of y; `row` (12,) receives its covariance with x."""
-    c, d = low_pass[ORDER], low_pass[ORDER, ORDER]
-    mean = d * s.mean[TORQUE]
-    variance = d * d * s.covariance[TORQUE, TORQUE]
+def predict(q: Array, rows: Array, low_pass: Array, torque: float) -> None:
+    """Advance q (2,), and its rows and columns of the joint covariance (14 * WIDE,), by a step,
+    before x; `torque` N m is what the filter finds."""
+    a, b, c = low_pass[0, 0], low_pass[0, 1], low_pass[0, ORDER]
+    d, e, f = low_pass[1, 0], low_pass[1, 1], low_pass[1, ORDER]
+    q[0], q[1] = a * q[0] + b * q[1] + c * torque, d * q[0] + e * q[1] + f * torque
+    for j in range(WIDE):
+        first, second, third = rows[Q + j], rows[Q + WIDE + j], rows[M + j]
+        rows[Q + j] = a * first + b * second + c * third
+        rows[Q + WIDE + j] = d * first + e * second + f * third
+    for i in (Q, Q + WIDE):
+        first, second, third = rows[i + STATES], rows[i + STATES + 1], rows[i + TORQUE]
+        rows[i + STATES] = a * first + b * second + c * third
+        rows[i + STATES + 1] = d * first + e * second + f * third
+    rows[Q + STATES + 1] = rows[Q + WIDE + STATES]
     for n in range(STATES):
-        row[n] = d * s.covariance[n, TORQUE]
-    for i in range(ORDER):
-        mean += c[i] * s.passed[i]
-        variance += 2.0 * d * c[i] * s.shared_covariance[TORQUE, i]
-        for j in range(ORDER):
-            variance += c[i] * s.passed_covariance[i, j] * c[j]
-        for n in range(STATES):
-            row[n] += c[i] * s.shared_covariance[n, i]
+        rows[n * WIDE + STATES], rows[n * WIDE + STATES + 1] = rows[Q + n], rows[Q + WIDE + n]
+
+
+@compiled
+def output(
+    x: Array, q: Array, rows: Array, low_pass: Array, shared: Array, first: int
+) -> tuple[float, float]:
+    """Return mean and variance of y; `shared` receives from `first` on its covariance with x."""
+    a, b, d = low_pass[ORDER, 0], low_pass[ORDER, 1], low_pass[ORDER, ORDER]
+    for n in range(STATES):
+        shared[first + n] = a * rows[Q + n] + b * rows[Q + WIDE + n] + d * rows[M + n]
+    mean = a * q[0] + b * q[1] + d * x[TORQUE]
+    variance = d * shared[first + TORQUE]
+    for i in (STATES, STATES + 1):
+        weight = a if i == STATES else b
+        variance += weight * (a * rows[Q + i] + b * rows[Q + WIDE + i] + d * rows[M + i])
     return mean, variance

@@ -40,6 +40,9 @@ STATES = 12
 MOVING_STATES = 7
 """The first states change within a sample; the others only from step to step."""
 
+FACTORS = 25
+"""Numbers by which a sample multiplies small changes of the states: `linear`."""
+
 
 @dataclass(frozen=True)
 class Plant:
@@ -152,99 +155,64 @@ def _housing(p: Record, friction_map: Array, x: Array, h: float, twist: float) -
 
 
 @compiled
-def _carry(
-    rows: Array,
-    dt: float,
-    speed: tuple[float, ...],
-    outer: tuple[float, ...],
-    bend: tuple[float, ...],
-) -> None:
-    """Advance the derivatives of the moving states by those of each sample's equations.
-
-    `speed` are those of the rotor's new speed by the first six states, `outer` those of the
-    grasper's by angle, speed, a, v and t, `bend` those of each bristle by itself and its speed.
-    """
-    w0, w1, w2, w3, w4, w5 = speed
-    v0, v1, v2, v3, v4 = outer
-    z_by_z, z_by_w, h_by_h, h_by_w, t_by_t, t_by_v = bend
-    for j in range(STATES):  # in a form that a processor does for several columns at once
-        angle, w, z, h = rows[ANGLE, j], rows[SPEED, j], rows[BRISTLE, j], rows[HOUSING, j]
-        a, v, t = rows[GRASPER, j], rows[GRASPER_SPEED, j], rows[TIP, j]
-        new_w = w0 * angle + w1 * w + w2 * z + w3 * h + w4 * a + w5 * v
-        new_v = v0 * angle + v1 * w + v2 * a + v3 * v + v4 * t
-        rows[ANGLE, j], rows[SPEED, j] = angle + dt * new_w, new_w
-        rows[GRASPER, j], rows[GRASPER_SPEED, j] = a + dt * new_v, new_v
-        rows[BRISTLE, j] = z_by_z * z + z_by_w * w
-        rows[HOUSING, j] = h_by_h * h + h_by_w * w
-        rows[TIP, j] = t_by_t * t + t_by_v * v
-
-
-@compiled
 def advance(
     x: Array,
     p: Record,
     friction_map: Array,
     torque: float,
     viscous: float,
-    rows: Array | None,
+    factors: Array | None,
+    k: int,
     spread: float,
     grasper_spread: float,
 ) -> None:
     """Advance the states x (12,) by one sample under a drive torque [N m].
 
-    `rows` (12, 12), where it is not None, is the derivative of x by the states of an earlier time,
-    in the last rows the identity's, and is carried along; speeds within their spread [rad/s] of
-    zero have no certain direction.
+    `factors`, where it is not None, receives as row k the `FACTORS` by which the sample
+    multiplies small changes of x (`linear`); speeds within their spread [rad/s] of zero have no
+    certain direction.
     """
-    dt, r, g = p.sample_time, p.angle_ratio, p.torque_factor
+    dt, r, per_factor = p.sample_time, p.angle_ratio, 1.0 / p.torque_factor
     bare = p.grasper_inertia <= 0.0
+    e, f = dt / p.inertia, 0.0 if bare else dt / p.grasper_inertia
+    pull, drag = (0.0, 0.0) if bare else (p.stiffness, p.damping)
+    rotor_pull, rotor_drag = pull / r, drag / r
     w, v, a, old = x[SPEED], x[GRASPER_SPEED], x[GRASPER], x[BRISTLE]
     z, z_by_z, z_by_w = _bend(old, w, dt, p.presliding_angle, spread)
     h, h_by_h, h_by_w = _bend(x[HOUSING], w, dt, p.housing_presliding_angle, spread)
     t, t_by_t, t_by_v = _bend(x[TIP], v, dt, p.tip_presliding_angle, grasper_spread)
-    twist = x[TORQUE] if bare else p.stiffness * (x[ANGLE] / r - a) + p.damping * (w / r - v)
+    twist = x[TORQUE] if bare else pull * (x[ANGLE] / r - a) + drag * (w / r - v)
     bearings, by_z, by_old, by_w = _bearings(p, w, old, z, x[NOISE], viscous)
     housing, by_h, by_twist, by_a, by_load = _housing(p, friction_map, x, h, twist)
     sine, cosine = h * math.sin(a), h * math.cos(a)
-    net = torque - bearings - twist / g - housing - p.housing_viscous * w
+    net = torque - bearings - twist * per_factor - housing - p.housing_viscous * w
     outer = twist - p.tip_friction * t - x[TORQUE]
     x[BRISTLE], x[HOUSING], x[TIP] = z, h, t
-    x[SPEED] += dt * net / p.inertia
+    x[SPEED] += e * net
     x[ANGLE] += dt * x[SPEED]
     if bare:
         x[GRASPER_SPEED], x[GRASPER] = x[SPEED] / r, x[ANGLE] / r
     else:
-        x[GRASPER_SPEED] += dt * outer / p.grasper_inertia
+        x[GRASPER_SPEED] += f * outer
         x[GRASPER] += dt * x[GRASPER_SPEED]
-    if rows is None:
+    if factors is None:
         return
-    by_twist += 1.0 / g
+    by_twist += per_factor
     by_w += p.housing_viscous + by_z * z_by_w + by_h * h_by_w
-    pull, drag = (0.0, 0.0) if bare else (p.stiffness, p.damping)
-    e, f = dt / p.inertia, 0.0 if bare else dt / p.grasper_inertia
-    speeds = (
-        -e * by_twist * pull / r,
-        1.0 - e * (by_w + by_twist * drag / r),
-        -e * (by_z * z_by_z + by_old),
-        -e * by_h * h_by_h,
-        e * (by_twist * pull - by_a),
-        e * by_twist * drag,
-    )
-    outer_speeds = (
-        f * pull / r,
-        f * drag / r,
-        -f * pull,
-        1.0 - f * (drag + p.tip_friction * t_by_v),
-        -f * p.tip_friction * t_by_t,
-    )
-    bends = (z_by_z, z_by_w, h_by_h, h_by_w, t_by_t, t_by_v)
-    _carry(rows, dt, speeds, outer_speeds, bends)
-    last = (sine, cosine, by_load, z, by_twist if bare else 0.0)
-    for j in range(MOVING_STATES, STATES):
-        rows[SPEED, j] -= e * last[j - MOVING_STATES]
-        rows[ANGLE, j] -= dt * e * last[j - MOVING_STATES]
-    rows[GRASPER_SPEED, TORQUE] -= f
-    rows[GRASPER, TORQUE] -= dt * f
-    if bare:
-        for j in range(STATES):
-            rows[GRASPER_SPEED, j], rows[GRASPER, j] = rows[SPEED, j] / r, rows[ANGLE, j] / r
+    factors[k, 0] = -e * by_twist * rotor_pull
+    factors[k, 1] = 1.0 - e * (by_w + by_twist * rotor_drag)
+    factors[k, 2] = -e * (by_z * z_by_z + by_old)
+    factors[k, 3] = -e * by_h * h_by_h
+    factors[k, 4] = e * (by_twist * pull - by_a)
+    factors[k, 5] = e * by_twist * drag
+    factors[k, 6], factors[k, 7] = -e * sine, -e * cosine
+    factors[k, 8], factors[k, 9] = -e * by_load, -e * z
+    factors[k, 10] = -e * by_twist if bare else 0.0
+    factors[k, 11], factors[k, 12] = f * rotor_pull, f * rotor_drag
+    factors[k, 13] = -f * pull
+    factors[k, 14] = 1.0 - f * (drag + p.tip_friction * t_by_v)
+    factors[k, 15], factors[k, 16] = -f * p.tip_friction * t_by_t, -f
+    factors[k, 17], factors[k, 18] = z_by_z, z_by_w
+    factors[k, 19], factors[k, 20] = h_by_h, h_by_w
+    factors[k, 21], factors[k, 22] = t_by_t, t_by_v
+    factors[k, 23], factors[k, 24] = dt, 1.0 / r if bare else 0.0

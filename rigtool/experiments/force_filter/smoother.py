@@ -15,94 +15,78 @@ import math
 
 import numpy as np
 
-from rigtool.experiments.force_filter.combined import four
-from rigtool.experiments.force_filter.plant import (
-    ANGLE,
-    LOAD,
-    MOVING_STATES,
-    NOISE,
-    SINE,
-    STATES,
-)
+from rigtool.experiments.force_filter.linear import THETA, WIDE, C, L, N, S
+from rigtool.experiments.force_filter.linear import backwards as multiply_back
+from rigtool.experiments.force_filter.plant import ANGLE, FACTORS, STATES
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
+ADJOINT = STATES
+"""Column of the adjoint, behind those of L."""
 
-def room(count: int) -> tuple[Array, ...]:
-    """Return arrays for the data that the filter keeps of `count` steps.
 
-    Derivative of the moving states (count, 7, 12), where a stroke began (count,), correction s d /
-    s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update, (count,) each, its gain
-    (count, 12), and the covariance of the torque, and of the torque behind the low-pass, with the
-    states (count, 12).
+def room(count: int, samples: int) -> tuple[Array, ...]:
+    """Return arrays for the data that the filter keeps of `count` steps of some `samples`.
+
+    Factors of the samples (count * samples, FACTORS), see `linear`; where a stroke began (count,),
+    correction s d / s^2 [1/rad], weight 1 - rho and prior variance s^2 [rad2] of the update,
+    (count,) each, its gain (count, 12), and the covariance of the torque, and of the torque behind
+    the low-pass, with the states (count, 12).
     """
     numbers = [np.empty(count) for _ in range(4)]
     rows = [np.empty((count, STATES)) for _ in range(3)]
-    return (np.empty((count, MOVING_STATES, STATES)), *numbers, *rows)
+    return (np.empty((count * samples, FACTORS)), *numbers, *rows)
 
 
 @compiled
-def _times(symmetric: Array, vector: Array, product: Array) -> None:
-    """Let product (12,) be a symmetric matrix (12, 12) times a vector (12,)."""
-    for j in range(0, STATES, 4):
-        a, b, c, d = four(vector, symmetric, STATES, j)
+def _times(symmetric: Array, weights: Array, k: int, product: Array) -> None:
+    """Let product (12,) be a symmetric matrix (12 * WIDE,) times row k of the weights (m, 12)."""
+    for j in range(0, STATES, 4):  # a processor does four columns at once
+        a = b = c = d = 0.0
+        for m in range(STATES):
+            weight, place = weights[k, m], m * WIDE + j
+            a += weight * symmetric[place]
+            b += weight * symmetric[place + 1]
+            c += weight * symmetric[place + 2]
+            d += weight * symmetric[place + 3]
         product[j], product[j + 1], product[j + 2], product[j + 3] = a, b, c, d
 
 
 @compiled
 def _before_update(
-    adjoint: Array,
-    information: Array,
-    gain: Array,
-    correction: float,
-    g: float,
-    s2: float,
-    column: Array,
+    rows: Array, gain: Array, k: int, correction: float, g: float, s2: float, column: Array
 ) -> None:
     # (I - g K H)' L (I - g K H): only row and column of the angle change
-    _times(information, gain, column)
+    _times(rows, gain, k, column)
     total = square = 0.0
     for i in range(STATES):
-        total += gain[i] * adjoint[i]
-        square += gain[i] * column[i]
-    adjoint[ANGLE] -= g * total + correction
+        total += gain[k, i] * rows[i * WIDE + ADJOINT]
+        square += gain[k, i] * column[i]
+    rows[THETA + ADJOINT] -= g * total + correction
     for i in range(STATES):
         if i != ANGLE:
-            information[i, ANGLE] -= g * column[i]
-            information[ANGLE, i] = information[i, ANGLE]
-    information[ANGLE, ANGLE] += g * (g * square - 2.0 * column[ANGLE]) + g / s2
+            rows[i * WIDE + ANGLE] -= g * column[i]
+            rows[THETA + i] = rows[i * WIDE + ANGLE]
+    rows[THETA + ANGLE] += g * (g * square - 2.0 * column[ANGLE]) + g / s2
 
 
 @compiled
 def _before_prediction(
-    adjoint: Array, information: Array, derivative: Array, diagonal: Array, work: Array
+    rows: Array, factors: Array, k: int, samples: int, kept: float, drawn: float, columns: int
 ) -> None:
-    """`diagonal` (12,) is that of the last rows of Phi, zero where they are those of `derivative`;
-    the last row of `work` (13, 12) is for the adjoint."""
-    for i in range(STATES + 1):
-        row = information[i] if i < STATES else adjoint
-        for j in range(0, STATES, 4):
-            a, b, c, d = four(row, derivative, MOVING_STATES, j)
-            work[i, j] = a + row[j] * diagonal[j]
-            work[i, j + 1] = b + row[j + 1] * diagonal[j + 1]
-            work[i, j + 2] = c + row[j + 2] * diagonal[j + 2]
-            work[i, j + 3] = d + row[j + 3] * diagonal[j + 3]
-    for i in range(STATES):
-        adjoint[i] = work[STATES, i]
-        for j in range(0, i + 1, 4):
-            a, b, c, d = four(derivative[:, i], work, MOVING_STATES, j)
-            information[i, j] = a + diagonal[i] * work[i, j]
-            information[i, j + 1] = b + diagonal[i] * work[i, j + 1]
-            information[i, j + 2] = c + diagonal[i] * work[i, j + 2]
-            information[i, j + 3] = d + diagonal[i] * work[i, j + 3]
-        for j in range(i):
-            information[j, i] = information[i, j]
+    """Multiply by the transpose of a step's derivative; `drawn` is 0 where a stroke began."""
+    for j in range(columns):
+        rows[N + j] *= kept
+        rows[S + j] *= drawn
+        rows[C + j] *= drawn
+        rows[L + j] *= drawn
+    for i in range(samples):
+        multiply_back(rows, columns, factors, (k + 1) * samples - 1 - i)
 
 
 @compiled
 def backwards(
-    adjoint: Array,
-    information: Array,
+    rows: Array,
     kept: float,
     steps: tuple[Array, ...],
     torque: Array,
@@ -111,25 +95,32 @@ def backwards(
     """Smooth m steps; `torque` (m,) and `deviation` (m,) of the torque behind the low-pass hold the
     filter's and receive the smoothed.
 
-    `adjoint` (12,) and `information` (12, 12) are those after the last step, zero at the end of a
-    recording, and are changed into those before the first. `kept` is what a step leaves of
-    friction noise.
+    `rows` (12 * WIDE,) are those of the information L, with the adjoint as their column `ADJOINT`,
+    after the last step, zero at the end of a recording, and are changed into those before the
+    first. `kept` is what a step leaves of friction noise.
     """
-    derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
-    work, column = np.empty((STATES + 1, STATES)), np.empty(STATES)
-    diagonal = np.zeros(STATES)
+    factors, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
+    column, samples = np.empty(STATES), factors.shape[0] // max(len(torque), 1)
+    here, there = rows.copy(), np.zeros_like(rows)
     for k in range(len(torque) - 1, -1, -1):
-        row = passed_row[k]
-        _times(information, row, column)
+        _times(here, passed_row, k, column)
         shift = reduction = 0.0
         for i in range(STATES):
-            shift += torque_row[k, i] * adjoint[i]
-            reduction += row[i] * column[i]
+            shift += torque_row[k, i] * here[i * WIDE + ADJOINT]
+            reduction += passed_row[k, i] * column[i]
         torque[k] -= shift
         deviation[k] = math.sqrt(max(deviation[k] ** 2 - reduction, 0.0))
-        for i in range(MOVING_STATES, STATES):
-            drawn = fresh[k] > 0.5 and SINE <= i <= LOAD
-            diagonal[i] = 0.0 if drawn else kept if i == NOISE else 1.0
-        correct = correction[k], weight[k], variance[k]
-        _before_update(adjoint, information, gain[k], *correct, column)
-        _before_prediction(adjoint, information, derivative[k], diagonal, work)
+        _before_update(here, gain, k, correction[k], weight[k], variance[k], column)
+        drawn = 0.0 if fresh[k] > 0.5 else 1.0
+        _before_prediction(here, factors, k, samples, kept, drawn, STATES + 1)
+        for i in range(STATES):
+            for j in range(STATES):
+                there[i * WIDE + j] = here[j * WIDE + i]
+            there[i * WIDE + ADJOINT] = here[i * WIDE + ADJOINT]
+        _before_prediction(there, factors, k, samples, kept, drawn, STATES)
+        for i in range(STATES):
+            for j in range(i):
+                there[i * WIDE + j] = there[j * WIDE + i]
+        here, there = there, here
+    for i in range(len(rows)):
+        rows[i] = here[i]

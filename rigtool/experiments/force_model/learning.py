@@ -19,7 +19,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import constants
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
@@ -36,6 +35,7 @@ from rigtool.experiments.force_model.model import (
 from rigtool.experiments.force_model.paths import bristle
 from rigtool.experiments.force_model.records import SLOWEST, Record
 from rigtool.numerics.arrays import Array
+from rigtool.quantity import STANDARD_GRAVITY
 
 NAMES = tuple(f.name for f in fields(Shape) if f.name not in ("bearing_length", "housing_length"))
 """Parameters of a shape that sliding determines."""
@@ -201,7 +201,7 @@ def _start(sizes: Sizes, known: Known, count: float, stretch: float) -> Shape:
         stribeck_speed=2 * SLOWEST * count,
         ripple_time=0.03,
         stiffness=stiffness,
-        damping=2 * DAMPING_RATIO * math.sqrt(stiffness * load * LOAD_ARM / constants.g),
+        damping=2 * DAMPING_RATIO * math.sqrt(stiffness * load * LOAD_ARM / STANDARD_GRAVITY),
         tip_friction=0.1 * sizes.friction,
         grasper_inertia=stiffness / (2 * math.pi * GRASPER_HZ) ** 2,
         load_onset=load / 64,

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import constants
 
 from rigtool.experiments.controller_torque import CHANNELS as LOOP_CHANNELS
 from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
@@ -26,6 +25,7 @@ from rigtool.experiments.force_model.records import Condition, Record, repeated,
 from rigtool.experiments.force_model.rest import SETTLING, Exploration, learn_rest
 from rigtool.experiments.force_model.steps import Grid, Sampler
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
+from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Recording, Run
@@ -224,7 +224,7 @@ def _condition(recipe: Recipe, kt: Run, temperature: float, force: float) -> Con
     return Condition(
         torque_per_ampere_at(kt, temperature).value,
         force * rig.load_arm,
-        force * rig.load_arm**2 / constants.g,
+        force * rig.load_arm**2 / STANDARD_GRAVITY,
         2 * math.pi / rig.encoder_counts,
     )
 

@@ -9,15 +9,17 @@ the learning, beta = 0, or another: c + beta then has the learned amplitudes A w
 
     beta ~ N(-c, A^2 / 2).
 
-A force that repeats with the angle looks like ripple. It refutes the second hypothesis once an
-order of c + beta is more than `LARGEST` times A; a weaker one is taken for ripple, up to that.
+A weak force that repeats with the angle looks like ripple. Once an order of c + beta is more than
+`LARGEST` times A it is none, and the second hypothesis begins anew.
 
 Under each hypothesis a Kalman filter reads M^ row by row. Where nothing touches, M is what strokes
 deviate by: about zero, and drawn anew by a reversal. So the mean of the ripple along the part of a
-turn that a motion uses shows, too. Where a row does not fit, a contact begins, and M is a random
-walk from anywhere, until a row fits that nothing touches. The likelihoods of both weigh them; given
-is the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation
-with Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
+turn that a motion uses shows, too. Where something touches, M^ is a random walk that may leap, and
+shows no ripple. Contacts begin and end at a rate, and a row counts by the probability that nothing
+touches (probabilistic data association: Y. Bar-Shalom, E. Tse, Automatica 11(5) 451-460, 1975), so
+that a weak contact is not taken for ripple. The likelihoods of both hypotheses weigh them; given is
+the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
+Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
 """
 
 from __future__ import annotations
@@ -38,29 +40,26 @@ from rigtool.numerics.compiled import compiled
 ROW_TIME = 20e-3
 """Time of a row, s: friction's own noise hardly changes within it."""
 
-NOISE, WALK, AFTER_REVERSAL, CONTACT = 0.7, 2.0, 1.5, 100.0
-"""In deviations of a stroke: noise of a row, random walk of M per square root of a second, and what
-M may change by over a reversal and where a contact begins."""
+NOISE, WALKS, AFTER_REVERSAL, CONTACT = 0.7, (1.5, 6.0), 1.5, 100.0
+"""In deviations of a stroke: noise of a row, slow and fast random walk of M under a contact per
+square root of a second, and what M may change by over a reversal and where it leaps."""
+
+BEGINS, ENDS, CHANGES = 0.2, 0.7, 2.0
+"""Rates at which contacts begin, end, and leap or change their walk, 1/s."""
+
+LEAST = 1e-6
+"""Probability that nothing touches, below which a row does not count."""
 
 MEMORY, FORGOTTEN = 2.0, 60.0
 """Of M where nothing touches, s: about that of a stroke. And the time of sliding in which the doubt
 of the ripple grows by what it was at first: strokes pay back what others deviate by, a weak contact
 may be taken for ripple, and rows are not as independent as the equations have it."""
 
-GATE = 3.0
-"""Standard deviations from which on a row does not fit."""
-
-DECIDED = 10.0
-"""Logarithm of the likelihoods' ratio beyond which rows need not fit the less likely one."""
-
 CERTAIN = 50.0
 """Largest logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
 
 LARGEST = 3.0
 """Largest ratio of an order's amplitude at another power-up to the learned one."""
-
-REFUTED = -1.5 * CERTAIN
-"""Logarithm of the ratio that stays once the ripple is larger than any power-up makes it."""
 
 PARAMETERS = np.dtype([(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size")])
 
@@ -75,11 +74,16 @@ STATE = np.dtype(
         ("slid", "f8"),
         ("mean", "f8", (WAVES + 1,)),
         ("covariance", "f8", (WAVES + 1, WAVES + 1)),
-        ("touched", "f8"),  # 1 from a contact's begin to its end
-        # without other ripple: torque and its variance; logarithm of the likelihoods' ratio
+        ("touched", "f8"),  # the probability that something touches
+        # without other ripple; logarithm of the likelihoods' ratio
         ("plain", "f8"),
         ("plain_variance", "f8"),
+        ("plain_touched", "f8"),
         ("other", "f8"),
+        # where something touches: M by a slow and a fast walk, and the probability of the fast one
+        ("level", "f8", (2,)),
+        ("level_variance", "f8", (2,)),
+        ("fast", "f8"),
         ("learned", "f8", (WAVES,)),
         # variance of what a power-up draws; the wave whose doubt grows next
         ("drawn", "f8", (WAVES,)),
@@ -114,6 +118,7 @@ class PowerUp:
         variances = np.append(amplitude**2 / 2, (factor * size) ** 2)
         self._state["covariance"][0] = np.diag(variances)
         self._state["plain_variance"] = variances[-1]
+        self._state["level_variance"] = (CONTACT * factor * size) ** 2
         self._low_pass = passed.section(bandwidth_hz, step_time)
 
     @property
@@ -183,24 +188,31 @@ def _follow(
     Where `sliding` is given, it learns, and ripple passes the low-pass.
     """
     s, p = state[0], parameters[0]
+    waves = s.waves
     for k in range(angle.shape[0]):
-        for j in range(WAVES):
-            phase = (j // 2 + 1) * angle[k]
-            s.waves[j] += p.lag * ((math.sin(phase) if j % 2 else math.cos(phase)) - s.waves[j])
+        sine, cosine = math.sin(angle[k]), math.cos(angle[k])
+        high, wide = sine, cosine  # of the orders, each from the one before
+        for j in range(0, WAVES, 2):
+            waves[j] += p.lag * (wide - waves[j])
+            waves[j + 1] += p.lag * (high - waves[j + 1])
+            high, wide = high * cosine + wide * sine, wide * cosine - high * sine
         if sliding.shape[0]:
             for j in range(WAVES):
-                s.row[j] += p.factor * s.waves[j] / p.steps
+                s.row[j] += p.factor * waves[j] / p.steps
             s.row[WAVES] += torque[k] / p.steps
             s.slid += 1.0 if sliding[k] else 0.0
             s.filled += 1.0
             if s.filled >= p.steps:
                 _read(s, p)
         weight = 1.0 / (1.0 + math.exp(-s.other))
-        mean, variance = 0.0, (p.gain * torque[k]) ** 2
+        mean, variance = 0.0, 0.0
         for i in range(WAVES):
-            mean += p.factor * s.waves[i] * s.mean[i]
-            for j in range(WAVES):
-                variance += p.factor**2 * s.waves[i] * s.waves[j] * s.covariance[i, j]
+            mean += p.factor * waves[i] * s.mean[i]
+            total = 0.5 * s.covariance[i, i] * waves[i]
+            for j in range(i):
+                total += s.covariance[i, j] * waves[j]
+            variance += 2.0 * waves[i] * total
+        variance = p.factor**2 * variance + (p.gain * torque[k]) ** 2
         found[0, k] = weight * mean
         found[1, k] = weight * variance + weight * (1.0 - weight) * mean * mean
         found[2, k] = weight * mean / p.factor
@@ -216,91 +228,118 @@ def _follow(
 @compiled
 def _read(s: Record, p: Record) -> None:
     """Take in a row, and begin the next one."""
-    _pass_time(s, p)
-    if s.slid >= p.steps and s.other > REFUTED:
-        one = int(s.doubted)  # in turn
-        s.covariance[one, one] += s.drawn[one] * WAVES * p.time / FORGOTTEN
-        s.doubted = (one + 1) % WAVES
-        _touch(s, p)
-        noise = (NOISE * p.size) ** 2
-        gain = np.empty(WAVES + 1)
-        error, variance = s.row[WAVES], noise
-        plain, own = s.row[WAVES] - s.plain, s.plain_variance + noise
-        s.row[WAVES] = 1.0
-        for i in range(WAVES + 1):
-            error -= s.row[i] * s.mean[i]
-            gain[i] = 0.0
-            for j in range(WAVES + 1):
-                gain[i] += s.covariance[i, j] * s.row[j]
-            variance += s.row[i] * gain[i]
-        s.other += 0.5 * (plain**2 / own + math.log(own) - error**2 / variance - math.log(variance))
-        s.other = min(max(s.other, -CERTAIN), CERTAIN)
-        for i in range(WAVES + 1):
-            s.mean[i] += gain[i] * error / variance
-            for j in range(WAVES + 1):
-                s.covariance[i, j] -= gain[i] * gain[j] / variance
-        s.plain += s.plain_variance / own * plain
-        s.plain_variance *= 1.0 - s.plain_variance / own
+    slides = s.slid >= p.steps
+    _pass_time(s, p, slides)
+    if slides:
+        touching = _touching(s, p)
+        likely = _by_ripple(s, p, touching)
+        plain, variance = s.row[WAVES] - s.plain, s.plain_variance + (NOISE * p.size) ** 2
+        free = -0.5 * (plain**2 / variance + math.log(variance))
+        without, s.plain_touched = _weighed(s.plain_touched, free, touching)
+        part = (1.0 - s.plain_touched) * s.plain_variance / variance
+        s.plain += part * plain
+        s.plain_variance *= 1.0 - part
+        s.other = min(max(s.other + likely - without, -CERTAIN), CERTAIN)
         for i in range(0, WAVES, 2):
             first, second = s.mean[i] + s.learned[i], s.mean[i + 1] + s.learned[i + 1]
             square = s.learned[i] ** 2 + s.learned[i + 1] ** 2
             if first * first + second * second > LARGEST**2 * square:
-                s.other = REFUTED
+                _begin_anew(s)
+                break
     for i in range(WAVES + 1):
         s.row[i] = 0.0
     s.filled = s.slid = 0.0
 
 
 @compiled
-def _pass_time(s: Record, p: Record) -> None:
-    """Let M go on to the end of a row."""
-    if s.touched:
-        walk = (WALK * p.size) ** 2 * p.time
-        if s.slid < p.steps:  # part of the row is no sliding: friction may be off by a stroke's own
-            walk += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
-        s.covariance[WAVES, WAVES] += walk
-        s.plain_variance += walk
-        return
-    kept = math.exp(-p.time / MEMORY) if s.slid >= p.steps else 0.0
-    fresh = (1.0 - kept * kept) * p.size**2
+def _pass_time(s: Record, p: Record, slides: bool) -> None:
+    """Go on to the end of a row."""
+    begins, ends = BEGINS * p.time, ENDS * p.time
+    s.touched += begins - (begins + ends) * s.touched
+    s.plain_touched += begins - (begins + ends) * s.plain_touched
+    s.fast += CHANGES * p.time * (0.5 - s.fast)
+    for i in range(2):
+        s.level_variance[i] += (WALKS[i] * p.size) ** 2 * p.time
+        if not slides:  # part of the row is no sliding: friction may be off by a stroke's own
+            s.level_variance[i] += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
+    kept = math.exp(-p.time / MEMORY) if slides else 0.0
     s.mean[WAVES] *= kept
     s.plain *= kept
     for i in range(WAVES):
         s.covariance[i, WAVES] *= kept
         s.covariance[WAVES, i] *= kept
+    fresh = (1.0 - kept * kept) * p.size**2
     s.covariance[WAVES, WAVES] = kept * kept * s.covariance[WAVES, WAVES] + fresh
     s.plain_variance = kept * kept * s.plain_variance + fresh
+    if slides:
+        one = int(s.doubted)  # in turn
+        s.covariance[one, one] += s.drawn[one] * WAVES * p.time / FORGOTTEN
+        s.doubted = (one + 1) % WAVES
 
 
 @compiled
-def _touch(s: Record, p: Record) -> None:
-    """Find out from a row whether something touches; M begins anew where that changes."""
-    untouched, noise, gate = p.size**2, (NOISE * p.size) ** 2, GATE**2
-    error, variance, shared = s.row[WAVES], noise, 0.0
-    for i in range(WAVES):
+def _touching(s: Record, p: Record) -> float:
+    """Return the logarithm of a row's likelihood where something touches, and take it in there."""
+    noise, anew = (NOISE * p.size) ** 2, (CONTACT * p.size) ** 2
+    value, leap = s.row[WAVES], anew + noise
+    leaps = math.log(CHANGES * p.time) - 0.5 * (value**2 / leap + math.log(leap))
+    slow = fast = 0.0
+    for i in range(2):
+        own = s.level_variance[i] + noise
+        likely = -0.5 * ((value - s.level[i]) ** 2 / own + math.log(own))
+        if leaps > likely:
+            s.level[i], s.level_variance[i] = 0.0, anew
+            own, likely = leap, leaps
+        part = s.level_variance[i] / own
+        s.level[i] += part * (value - s.level[i])
+        s.level_variance[i] *= 1.0 - part
+        slow, fast = fast, likely
+    together, s.fast = _weighed(s.fast, slow, fast)
+    return together
+
+
+@compiled
+def _weighed(probability: float, one: float, other: float) -> tuple[float, float]:
+    """Return the logarithm of the likelihood of a row that has `one`'s or, with a probability, the
+    `other`'s, and the probability then."""
+    one += math.log(1.0 - probability)
+    other += math.log(probability)
+    largest = max(one, other)
+    together = largest + math.log(math.exp(one - largest) + math.exp(other - largest))
+    return together, math.exp(other - together)
+
+
+@compiled
+def _by_ripple(s: Record, p: Record, touching: float) -> float:
+    """Return the logarithm of a row's likelihood under other ripple, and take it in there."""
+    gain = np.empty(WAVES + 1)
+    value, s.row[WAVES] = s.row[WAVES], 1.0
+    error, variance = value, (NOISE * p.size) ** 2
+    for i in range(WAVES + 1):
         error -= s.row[i] * s.mean[i]
-        shared += s.row[i] * s.covariance[i, WAVES]
-        for j in range(WAVES):
-            variance += s.row[i] * s.covariance[i, j] * s.row[j]
-    left, spread = error - s.mean[WAVES], variance + 2.0 * shared + s.covariance[WAVES, WAVES]
-    plain, own = s.row[WAVES], noise + untouched
-    goes_on = _fits(
-        s.other,
-        left**2 < gate * spread,
-        (plain - s.plain) ** 2 < gate * (noise + s.plain_variance),
-    )
-    over = _fits(s.other, error**2 < gate * (variance + untouched), plain**2 < gate * own)
-    if goes_on and not (s.touched and over):
-        return
-    s.touched = 0.0 if over else 1.0
-    s.mean[WAVES] = s.plain = 0.0
-    for i in range(WAVES):
-        s.covariance[i, WAVES] = s.covariance[WAVES, i] = 0.0
-    s.plain_variance = (CONTACT * p.size) ** 2 if s.touched else untouched
-    s.covariance[WAVES, WAVES] = s.plain_variance
+        gain[i] = 0.0
+        for j in range(WAVES + 1):
+            gain[i] += s.covariance[i, j] * s.row[j]
+        variance += s.row[i] * gain[i]
+    free = -0.5 * (error**2 / variance + math.log(variance))
+    likely, s.touched = _weighed(s.touched, free, touching)
+    part = (1.0 - s.touched) / variance
+    s.row[WAVES] = value
+    if s.touched > 1.0 - LEAST:
+        return likely
+    for i in range(WAVES + 1):
+        s.mean[i] += part * gain[i] * error
+        for j in range(WAVES + 1):
+            s.covariance[i, j] -= part * gain[i] * gain[j]
+    return likely
 
 
 @compiled
-def _fits(other: float, ripple: bool, plain: bool) -> bool:
-    """Return whether a row fits a hypothesis that is not decided against."""
-    return (ripple and other > -DECIDED) or (plain and other < DECIDED)
+def _begin_anew(s: Record) -> None:
+    """Forget another power-up's ripple: what was taken for it is too large."""
+    s.other = min(s.other, 0.0)
+    for i in range(WAVES):
+        s.mean[i] = -s.learned[i]
+        for j in range(WAVES + 1):
+            s.covariance[i, j] = s.covariance[j, i] = 0.0
+        s.covariance[i, i] = s.drawn[i]

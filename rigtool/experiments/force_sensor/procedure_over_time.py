@@ -25,6 +25,12 @@ from rigtool.experiments.force_sensor.procedure_reading import (
     read_recording,
 )
 from rigtool.experiments.force_sensor.results_over_time import Recorded, force_outcome
+from rigtool.experiments.force_sensor.unknown_friction import (
+    DOUBTED,
+    FEWEST_PASSES,
+    REFUSED,
+    unknown_friction,
+)
 from rigtool.experiments.learning.stored_table import feedforward_from, require_rig
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
@@ -35,6 +41,9 @@ from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
 OF_THE_LOOP = ("position_setpoint", "feedforward_current", "table_current")
 """Channels that are recorded besides where rigtool moves the rig."""
+
+HAND = 0.5
+"""Part of the friction from which on a torque that drives an observed rig is that of a hand."""
 
 
 # -- measuring
@@ -114,7 +123,46 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
             f"{run.path}: no recording has {SHORTEST:g} s without a gap: record for longer"
         )
     _require_values(read, recorded, reach)
-    return force_outcome(read, recipe, reach, model.scales[0], model.limits)
+    observed = not all(r.has("position_setpoint") for r in recorded)
+    read, notes = _of_this_instrument(read, model, tables, observed=observed)
+    outcome = force_outcome(read, recipe, reach, model.scales[0], model.limits)
+    return replace(outcome, notes=(*outcome.notes, *notes))
+
+
+def _of_this_instrument(
+    read: Sequence[Recorded], model: ForceModel, tables: Run, *, observed: bool
+) -> tuple[list[Recorded], list[str]]:
+    """Return the recordings with u widened where the tables do not hold the friction, and notes.
+
+    Where a rig was `observed`, a hand may have moved it. Raises `InsufficientDataError` where the
+    friction is that of another instrument.
+    """
+    plant = model.plant(1.0)
+    friction = plant.torque_factor * (plant.coulomb + plant.housing_friction)
+    forms = zip(*(part.passes for r in read for part in r.parts), strict=True)
+    both = [unknown_friction(form, HAND * friction if observed else None) for form in forms]
+    found = max(filter(None, both), key=lambda one: one.size, default=None)
+    if found is None:
+        return list(read), [
+            f"whether {tables.path} is of this instrument was not checked: that needs the same "
+            f"angles {FEWEST_PASSES} times in both directions, with nothing touching in most"
+        ]
+    size, limit = found.size * 1e3, f"{tables.path} does not hold"
+    if found.typical > REFUSED:
+        raise InsufficientDataError(
+            f"every motion is opposed in both directions by {size:.3g} mN m of friction that "
+            f"{limit}, {found.typical:.2g} times u, {REFUSED:g} times at most is taken into u: the "
+            "tables are of another instrument or mounting, the encoder was zeroed elsewhere, or a "
+            "load opposes all motion alike; learn again with ilc-learn --implementation D"
+        )
+    if found.over_u <= DOUBTED:
+        return list(read), []
+    wider = [replace(r, parts=tuple(p.widened(found.widening) for p in r.parts)) for r in read]
+    return wider, [
+        f"friction of {size:.3g} mN m opposes motion in both directions and {limit}: "
+        f"u is wider by {found.widening * 1e3:.3g} mN m; the encoder was zeroed elsewhere, or the "
+        "instrument has changed: learn again"
+    ]
 
 
 def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], reach: Reach) -> None:

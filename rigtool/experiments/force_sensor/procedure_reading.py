@@ -32,6 +32,7 @@ from rigtool.experiments.force_sensor.results_over_time import (
     steps_of_a_row,
 )
 from rigtool.experiments.force_sensor.sensor import Instrument, Sensed, Sensor
+from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
@@ -248,21 +249,23 @@ class _Stretch:
         if self._steps * step_time < SHORTEST:
             return []
         self.seconds = self._steps * step_time
-        contacts = self._contacts()
+        contacts, angle = self._contacts(), self._found["angle"][: self._steps : every].copy()
         time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
-        torque, u = self._whole()
+        torque, u, ripple = self._whole()
         reference = self._taken("reference") if referred else None
         rate, bandwidth = 1 / step_time, self._instrument.bandwidth_hz
         torque, states = lowpass(rate, torque, bandwidth), self._taken("states")
-        inside = states != State.OUTSIDE
+        inside, rows = states != State.OUTSIDE, slice(None, None, every)
+        sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
+        at = step_time * every, angle, sliding, self._instrument.reach.angle
         return [
             Reading(
                 self._name,
                 step_time * every,
                 time,
-                torque[::every].copy(),
+                torque[rows].copy(),
                 u,
-                states[::every].astype(np.int32),
+                states[rows].astype(np.int32),
                 self._taken("causal"),
                 self._taken("causal_u"),
                 self._taken("causal_states")[::every].astype(np.int32),
@@ -272,6 +275,7 @@ class _Stretch:
                 contacts,
                 every,
                 response=None if reference is None else Spectra.of(torque, reference, inside, rate),
+                passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
             )
         ]
 
@@ -289,8 +293,9 @@ class _Stretch:
         tested = trial(torque, deviation, states, step_time, doubt)
         return tuple(contacts(tested, self._instrument.model.limits))
 
-    def _whole(self) -> tuple[Array, Array]:
-        """Return the torque (m,) less what this power-up's ripple adds, and u of its rows, N m."""
+    def _whole(self) -> tuple[Array, Array, Array]:
+        """Return the torque (m,) less what this power-up's ripple adds; u and that ripple of its
+        rows. All N m."""
         instrument, every = self._instrument, self._every
         torque: Array = self._taken("torque")
         ripple, variance, _ = self._sensor.power_up.whole(self._taken("angle"), torque)
@@ -300,7 +305,8 @@ class _Stretch:
         deviation = np.sqrt(deviation**2 + variance[::every])
         kinds = self._taken("kinds")[::every]
         scales = instrument.model.scales[0]
-        return torque, standard_uncertainty(scales, deviation, torque[::every], kinds)
+        u = standard_uncertainty(scales, deviation, torque[::every], kinds)
+        return torque, u, ripple[::every]
 
 
 FOUND = {

@@ -21,6 +21,7 @@ from rigtool.experiments.force_filter.accuracy import (
 from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
 from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
 from rigtool.experiments.force_sensor.response import Spectra, bandwidth
+from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
@@ -38,7 +39,8 @@ class Reading:
     N m where it was recorded, low-passed as each. `limited` counts the samples whose current was at
     its limit; `contacts` are in steps, `every` of which are a row. With `dead_bands`, the torque of
     the states REVERSED and STILL is the middle of a dead band, its u that of a rectangular
-    distribution (GUM 4.3.7)."""
+    distribution (GUM 4.3.7). `passes` show whether the tables are of this
+    instrument: of the torque, and of what it was before another power-up's ripple was taken off."""
 
     name: str
     step_time: float
@@ -56,6 +58,7 @@ class Reading:
     every: int = 1
     dead_bands: bool = False
     response: Spectra | None = None
+    passes: tuple[Passes, ...] = ()
 
     @property
     def hidden(self) -> Mask:
@@ -68,6 +71,10 @@ class Reading:
         """Half of the 95 % interval, or of the dead band (m,), N m."""
         half: Array = np.where(self.hidden, math.sqrt(3), COVERAGE_FACTOR) * self.u
         return half
+
+    def widened(self, by: float) -> Reading:
+        """Return the reading with another uncertainty, N m, besides its own."""
+        return replace(self, u=np.hypot(self.u, by), causal_u=np.hypot(self.causal_u, by))
 
     @classmethod
     def joined(cls, parts: Sequence[Reading]) -> Reading:

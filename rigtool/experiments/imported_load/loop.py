@@ -55,9 +55,9 @@ class Loop:
 
     def limit(self, confidence: float) -> float:
         """Return the T beyond which a recording is not one of those learned."""
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
-        return float(t.ppf((1 + confidence) / 2, max(self.recordings - 1, 1)))
+        return float(stdtrit(max(self.recordings - 1, 1), (1 + confidence) / 2))
 
 
 def learn_loop(place: Array, rising: Mask, torque: Array, recording: NDArray) -> Loop:

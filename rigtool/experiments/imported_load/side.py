@@ -227,10 +227,10 @@ class Fit:
         degrees of freedom stands for the normal distribution. No level counts on fewer errors than
         the levels show on average.
         """
-        from scipy.stats import t
+        from scipy.special import stdtrit
 
         repeats = len(np.unique(self.rows.recording))
-        wider = float(t.ppf((1 + COVERAGE) / 2, repeats - 1)) / COVERAGE_FACTOR
+        wider = float(stdtrit(repeats - 1, (1 + COVERAGE) / 2)) / COVERAGE_FACTOR
         rows = []
         for level in np.unique(self.level):
             own = self.level == level

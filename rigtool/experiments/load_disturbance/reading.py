@@ -24,7 +24,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import constants
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.learning import INDEPENDENT, Learned, measured, slopes
@@ -32,7 +31,7 @@ from rigtool.experiments.force_model.model import Prediction, State, functions
 from rigtool.experiments.force_model.records import Record, lowpassed_rows
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_mean, steady_us
-from rigtool.quantity import Quantity, combined, error_line
+from rigtool.quantity import STANDARD_GRAVITY, Quantity, combined, error_line
 
 STEP = 0.01
 """Change of the load for a derivative, relative, or as part of the largest learned load."""
@@ -99,7 +98,7 @@ class _Explained:
 
     @staticmethod
     def of(model: Learned, record: Record, moment: float = 0.0, arm: float = 0.0) -> _Explained:
-        own = replace(record, moment=moment, load_inertia=moment * arm / constants.g)
+        own = replace(record, moment=moment, load_inertia=moment * arm / STANDARD_GRAVITY)
         state = State.of(model.shape, model.known, own)
         values = functions(model.terms, state)
         predicted = Prediction(model.terms, model.coefficient, values, model.shape, state)
@@ -112,7 +111,7 @@ class _Explained:
 
     def under(self, moment: float, arm: float) -> Array:
         """Return what is expected under another load (rows,), N m at the motor."""
-        state = self.state.under(moment, moment * arm / constants.g)
+        state = self.state.under(moment, moment * arm / STANDARD_GRAVITY)
         return self.record.rows(self.predicted.along(state))
 
     def design(self) -> Array:

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.plant.multisine import LineNumbers
@@ -95,7 +95,7 @@ def coverage_radius(u: Array, dof: float) -> Array:
 
     |error|^2/(2 u^2) follows F(2, dof) (Hotelling).
     """
-    radius: Array = u * math.sqrt(2 * float(stats.f.ppf(COVERAGE, 2, dof)))
+    radius: Array = u * math.sqrt(2 * float(special.fdtri(2, dof, COVERAGE)))
     return radius
 
 

@@ -157,7 +157,7 @@ def _response_table(found: IdentifiedPlant) -> Table:
             "used": Column(fit.used.astype(np.int32), "1", "1 where the fit rests on the line"),
         },
         "magnitude",
-        "frequency response of the plant, torque to angle (Fig. 35)",
+        "frequency response of the plant, torque to angle",
     )
 
 
@@ -182,7 +182,7 @@ def _fit_table(found: IdentifiedPlant, frequency: Array) -> Table:
             ),
         },
         "magnitude",
-        "fitted response of the plant (Fig. 39)",
+        "fitted response of the plant",
     )
 
 

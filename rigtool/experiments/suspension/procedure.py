@@ -82,7 +82,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
                     "line": Column(curve.deflection, "m", "straight line through all readings"),
                 },
                 "deflection",
-                "Deflection of the leaf springs against force (Fig. 70)",
+                "Deflection of the leaf springs against force",
             ),
             "eccentric_torque": _torque_table(springs, curve.stiffness, speeds),
         },
@@ -181,7 +181,7 @@ def _torque_table(springs: MotorSuspension, stiffness: float, speeds: Sequence[f
             "inertia": Column(np.stack([t[1] for t in torques]), "N m", "of the moving mass"),
         },
         "inertia",
-        "Torque of eccentric pulleys (Fig. 75)",
+        "Torque of eccentric pulleys",
     )
 
 

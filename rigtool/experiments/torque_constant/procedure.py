@@ -171,7 +171,7 @@ def _tables(found: Calibration) -> dict[str, Table]:
                 "dof": dof_column(found.dof),
             },
             signal="torque_constant",
-            description="Torque constant against temperature (Fig. 20)",
+            description="Torque constant against temperature",
         ),
         "linearity": Table(
             ("current_setpoint",),

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -258,60 +257,62 @@ def _stated_ripple(fit: _Fit) -> Quantity | None:
     return fit.ripple
 
 
-class _Law:
-    """k(T) as an uncertain number: scatter of the fit and the components common to all points.
+@dataclass(frozen=True)
+class _Uncertain:
+    """A number and its derivatives (n,) by the inputs of `_Law`."""
 
-    A thermometer that is off by d shows T + d at the temperature T.
+    value: float
+    derivatives: Array
+
+    def over(self, other: _Uncertain) -> _Uncertain:
+        """Return the ratio of two numbers of the same inputs."""
+        ratio = self.value / other.value
+        return _Uncertain(ratio, (self.derivatives - ratio * other.derivatives) / other.value)
+
+
+class _Law:
+    """k(T) = g (k0 + b (T - T0)) with its derivatives by each input, all independent.
+
+    The inputs are the factors of g, common to all points, k0, b and T0: a thermometer that is off
+    by d shows T + d at the temperature T.
     """
 
     def __init__(self, fit: _Fit, common: dict[str, Quantity], thermometer_u: float) -> None:
-        import GTC
-
-        self._inputs: list[tuple[Any, Quantity]] = []
-
-        def uncertain(name: str, one: Quantity) -> Any:
-            number = GTC.ureal(one.value, one.u, one.dof or math.inf, label=name)
-            self._inputs.append((number, one))
-            return number
-
-        self._scale = GTC.constant(1.0)
-        for name, one in common.items():
-            self._scale = self._scale * (uncertain(name, one) / one.value)
-        self._value = uncertain("staircases", Quantity(fit.value, "N m/A", *fit.value_u))
-        self._slope, self._zero = GTC.constant(0.0), GTC.constant(fit.temperature)
+        self._fit = fit
+        self._inputs = common | {"staircases": Quantity(fit.value, "N m/A", *fit.value_u)}
+        self._relative = np.array([1 / one.value for one in common.values()])
         if fit.slope_known:
-            slope = Quantity(fit.slope, "N m/(A K)", *fit.slope_u)
-            trend = Quantity(0.0, "N m/(A K)", fit.trend_u)
-            self._slope = uncertain("slope of the staircases", slope)
-            self._slope += uncertain("friction and resolution in the slope", trend)
-            self._zero = self._zero - uncertain(THERMOMETER, Quantity(0.0, "K", thermometer_u))
+            self._inputs |= {
+                "slope of the staircases": Quantity(fit.slope, "N m/(A K)", *fit.slope_u),
+                "friction and resolution in the slope": Quantity(0.0, "N m/(A K)", fit.trend_u),
+                THERMOMETER: Quantity(0.0, "K", thermometer_u),
+            }
 
-    def at(self, temperature: float) -> Any:
-        """Return k at a temperature in degC, N m/A, as an uncertain number."""
-        return self._scale * (self._value + self._slope * (temperature - self._zero))
+    def at(self, temperature: float) -> _Uncertain:
+        """Return k at a temperature in degC, N m/A."""
+        rise = temperature - self._fit.temperature if self._fit.slope_known else 0.0
+        k = self._fit.value + self._fit.slope * rise
+        own = [1.0, rise, rise, self._fit.slope] if self._fit.slope_known else [1.0]
+        return _Uncertain(k, np.append(k * self._relative, own))
 
-    def coefficient(self) -> Any:
-        """Return b / k(20 degC), 1/K; the scale of all points cancels."""
-        return self._slope * self._scale / self.at(REFERENCE_DEGC)
+    def coefficient(self) -> _Uncertain:
+        """Return b / k(20 degC), 1/K; the factors that are common to all points cancel."""
+        slope = np.append(self._fit.slope * self._relative, [0.0, 1.0, 1.0, 0.0])
+        return _Uncertain(self._fit.slope, slope).over(self.at(REFERENCE_DEGC))
 
-    def stated(self, number: Any, unit: str) -> Quantity:
-        """Return an uncertain number with its budget."""
-        import GTC
+    def stated(self, found: _Uncertain, unit: str) -> Quantity:
+        """Return a number with its budget."""
+        each = zip(self._inputs.items(), found.derivatives.tolist(), strict=True)
+        lines = [input_line(name, one, derivative) for (name, one), derivative in each if one.u]
+        return combined(found.value, unit, lines)
 
-        lines = [
-            input_line(found.label, one, GTC.reporting.sensitivity(number, found))
-            for found, one in self._inputs
-            if one.u
-        ]
-        return combined(float(GTC.value(number)), unit, lines)
-
-    def constant_error(self, mean: Any, range_degc: tuple[float, float]) -> Quantity:
+    def constant_error(self, mean: _Uncertain, range_degc: tuple[float, float]) -> Quantity:
         """Return the largest relative error of one value, at an end of the range [7.1.1]."""
-        import GTC
-
-        errors = [mean / self.at(end) - 1 for end in range_degc]
-        worst = max(errors, key=lambda error: abs(GTC.value(error)))
-        return self.stated(worst if GTC.value(worst) >= 0 else -worst, "1")
+        ratios = [mean.over(self.at(end)) for end in range_degc]
+        worst = max(ratios, key=lambda ratio: abs(ratio.value - 1))
+        sign = 1 if worst.value >= 1 else -1
+        error = _Uncertain(sign * (worst.value - 1), sign * worst.derivatives)
+        return self.stated(error, "1")
 
 
 def _points(slopes: Slopes, fit: _Fit) -> tuple[Array, Array, Array]:

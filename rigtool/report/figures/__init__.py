@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,10 +20,15 @@ from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLO
     sweep,
 )
 from rigtool.report.figures.plots import HEADLINE, PLOTS
+from rigtool.report.figures.side_by_side import render_all
 from rigtool.report.published import is_of_thesis
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
+
+
+AT_ONCE = 40
+"""Figures in memory at a time."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +42,21 @@ class Picture:
     png: bytes
 
 
-def draw_figures(run: Run, label: str) -> Iterator[Picture]:
-    """Draw every figure whose tables the run holds; `label` distinguishes this run from others."""
-    for number, plot in sorted(PLOTS.items()):
-        if plot.fits(run):
-            with style.styled():
-                svg, png = style.render(plot.draw(run))
-            figure = f"Fig. {number}. " if number < HEADLINE and is_of_thesis(run.rig) else ""
-            title = f"{figure}{plot.title} ({label})"
-            yield Picture(f"figure-{number}-{label}", number, title, svg, png)
+def draw_figures(runs: Sequence[tuple[str, Run]]) -> list[Picture]:
+    """Draw every figure whose tables the runs hold, by number; each run has a label."""
+    found = [
+        (number, plot, label, run)
+        for number, plot in sorted(PLOTS.items())
+        for label, run in runs
+        if plot.fits(run)
+    ]
+    drawn, pictures = [], []
+    with style.styled():
+        for first in range(0, len(found), AT_ONCE):
+            some = found[first : first + AT_ONCE]
+            drawn += render_all([plot.draw(run) for _, plot, _, run in some])
+    for (number, plot, label, run), (svg, png) in zip(found, drawn, strict=True):
+        figure = f"Fig. {number}. " if number < HEADLINE and is_of_thesis(run.rig) else ""
+        title = f"{figure}{plot.title} ({label})"
+        pictures.append(Picture(f"figure-{number}-{label}", number, title, svg, png))
+    return pictures

@@ -14,11 +14,11 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from scipy import constants
 
 from rigtool.errors import HardwareError
 from rigtool.interrupts import held
 from rigtool.numerics.arrays import Array
+from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import Recipe
 from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
 from rigtool.rigs.motion import Observe, OpenLoop
@@ -378,7 +378,9 @@ def describe_load(load: Load, attachment: str) -> str:
     parts = []
     if load.force:
         where = "the grasper" if attachment == "instrument" else "the cord on the pulley"
-        parts.append(f"hang {load.force:g} N ({load.force / constants.g * 1e3:.1f} g) on {where}")
+        parts.append(
+            f"hang {load.force:g} N ({load.force / STANDARD_GRAVITY * 1e3:.1f} g) on {where}"
+        )
     if load.torque:
         parts.append(f"load the shaft with {load.torque * 1e3:g} mN m (weight on a cord)")
     if load.radial_force:

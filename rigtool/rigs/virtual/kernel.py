@@ -5,10 +5,14 @@
 
 Friction is a bristle model: each contact has a deflection z in -1..1 with x0 dz/dt = w - |w| z and
 the torque level*z, after Dahl (1968) and Canudas de Wit et al., IEEE TAC 40(3) 419-425, 1995; the
-level follows Stribeck. Pre-sliding, breakaway and reversal come from it. Integration is
-semi-implicit Euler at the sample time of the loop; the bristles implicit, which keeps them stable
-at any speed; the tendon exact for torques held over a step (`tendon`). SI units; temperatures in
-degC.
+level follows Stribeck. Pre-sliding, breakaway and reversal come from it.
+
+Steps are those of the leapfrog method (Hairer, Lubich and Wanner, Geometric Numerical Integration,
+2006, section I.1): speeds belong to the samples, angles to the middle between them, so that springs
+act as they stand in the middle of a step; the encoder is read at the samples. Current and ripple
+act with their means over a step. What opposes the shaft's speed in proportion is exact for
+torques held over a step (`mobility`); the bristles are implicit, which keeps them stable at any
+speed; the tendon is exact (`tendon`). SI units; temperatures in degC.
 
 Contacts at the output (grasper, or pulley without an instrument) enter its equation of motion:
 
@@ -16,7 +20,8 @@ Contacts at the output (grasper, or pulley without an instrument) enter its equa
 
 with the recipe's hanging load L, a force F, hung masses of weight W r and inertia I (the load's
 included), tissue (k, c from th0 on, never pulling) and the grip of a hand (kh, ch) that is at thh.
-M is the torque on the output, `reference_torque`. Springs and dampers are implicit, thus stable.
+M is the torque on the output, `reference_torque`. These springs and dampers are implicit, thus
+stable however stiff they are: a spring damps as k dt more than it does.
 """
 
 from __future__ import annotations
@@ -27,8 +32,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.control.lookup_table import blend
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
+from rigtool.rigs.base import model_torque
+from rigtool.rigs.motion import BEGIN, OMEGA, follow
 
 Record = Any  # the one element of a STATE or PARAMETERS array, with its fields as attributes
 
@@ -61,6 +69,8 @@ STATE = np.dtype(
     ]
     # random numbers of each direction's last stroke: (negative, positive) x (sine, cosine, load)
     + [("drawn", "f8", (2, 3))]
+    # set point of the last sample
+    + [("setpoint", "f8")]
 )
 
 PARAMETERS = np.dtype(
@@ -86,6 +96,7 @@ PARAMETERS = np.dtype(
             "gain",
             "offset",
             "current_step",
+            "current_kept",
             "ripple_step",
             "distortion",
             "distortion_period",
@@ -136,16 +147,59 @@ OFFSET_RIPPLE, GAIN_RIPPLE, SATURATION_RIPPLE, COGGING, VISCOUS_MODULATION = ran
 
 # Columns of the contacts at the output, and of each tissue
 FORCE_TORQUE, WEIGHT_MOMENT, HAND_ANGLE, HAND_SPEED = range(4)
-BEGIN, END, TISSUE_ANGLE, TISSUE_STIFFNESS, TISSUE_DAMPING = range(5)
+TISSUE_BEGIN, TISSUE_END, TISSUE_ANGLE, TISSUE_STIFFNESS, TISSUE_DAMPING = range(5)
 
 # Columns of the returned array
-ENCODER, CURRENT_SETPOINT, CURRENT, ARM_TORQUE, TEMPERATURE = range(5)
+(
+    ENCODER,
+    CURRENT_SETPOINT,
+    CURRENT,
+    ARM_TORQUE,
+    TEMPERATURE,
+    POSITION_SETPOINT,
+    FEEDFORWARD_CURRENT,
+    TABLE_CURRENT,
+    SIGNAL_CURRENT,
+    REFERENCE_TORQUE,
+) = COLUMNS = range(10)
+
+_follow, _model_torque, _blend = compiled(follow), compiled(model_torque), compiled(blend)
 
 
 @compiled
-def _bristle(z: float, speed: float, dt: float, presliding_angle: float) -> float:
-    """Deflection of a bristle one step later, implicit in z."""
-    return (z + speed * dt / presliding_angle) / (1.0 + abs(speed) * dt / presliding_angle)
+def _table_torque(
+    rows: Array, speeds: Array, positions: Array, position: float, speed: float
+) -> float:
+    """Return what `LookupTable.evaluate` returns, for one sample; the arrays are its `grid`."""
+    start, step, period = positions
+    count = rows.shape[1]
+    if period > 0.0:
+        position = start + (position - start) % period
+    across = min(max((position - start) / step, 0.0), count - 1.0)
+    column = min(int(across), count - 2)
+    row = 0
+    while row < speeds.shape[0] - 2 and speed >= speeds[row + 1]:
+        row += 1
+    along = (speed - speeds[row]) / (speeds[row + 1] - speeds[row])
+    along = min(max(along, 0.0), 1.0)
+    return _blend(rows.ravel(), row * count + column, count, across - column, along)
+
+
+@compiled
+def _bristle(z: float, speed: float, per_speed: float) -> float:
+    """Deflection of a bristle one step later, implicit in z; `per_speed` is dt/x0."""
+    return (z + speed * per_speed) / (1.0 + abs(speed) * per_speed)
+
+
+@compiled
+def mobility(inertia: float, drag: float, dt: float) -> float:
+    """Return m with which w + dt m (T - f w) is the speed one step later under a torque T.
+
+    `drag` f [N m s/rad] opposes the speed w. Exactly it is (1 - exp(-x))/(J x) with x = f dt/J:
+    its series 1/(J (1 + x/2 + x2/12)) is 1.4e-3 x^4 off, and stable at any x.
+    """
+    half = drag * dt / 2.0
+    return 3.0 * inertia / (3.0 * inertia * (inertia + half) + half * half)
 
 
 @compiled
@@ -208,7 +262,7 @@ def _touched(
     for j in range(tissues.shape[0]):
         tissue = tissues[j]
         depth = angle - tissue[TISSUE_ANGLE]
-        if tissue[BEGIN] <= time < tissue[END] and depth > 0.0:
+        if tissue[TISSUE_BEGIN] <= time < tissue[TISSUE_END] and depth > 0.0:
             push += tissue[TISSUE_STIFFNESS] * depth
             yielding += tissue[TISSUE_DAMPING] + p.dt * tissue[TISSUE_STIFFNESS]
     free = speed + p.dt * (driving - outside - grip) / total
@@ -231,8 +285,13 @@ def run(
     sections: Array,
     section_state: Array,
     closed_loop: bool,
-    setpoint: Array,
-    feedforward: Array,
+    pieces: Array,
+    first: int,
+    n: int,
+    origin: float,
+    model: tuple[float, float, float],
+    table: tuple[Array, Array, Array],
+    signal: Array,
     normals: Array,
     stroke_normals: Array,
     stop_angle: float,
@@ -240,24 +299,23 @@ def run(
     out: Array,
     touch: Array | None,
     tissues: Array,
-    touch_time: float,
-    reference: Array,
 ) -> int:
-    """Simulate `len(setpoint)` samples and return how many were done.
+    """Simulate up to `n` samples and return how many were done.
 
-    `setpoint` is the position set point [rad] in closed loop, the current [A] in open loop;
-    `feedforward` [A] is added in closed loop. `out` (n // record_every, 5) receives means.
+    `pieces` (k, 9) describe the set point (`motion.Path`): in closed loop the position [rad] from
+    `origin`, in open loop the current [A]; sample `first` of the motion comes first. In closed loop
+    the torques [N m] of `model`, `table` (`Feedforward.coefficients`, `LookupTable.grid`; no rows:
+    none) and `signal` (m,), which repeats, are added. `out` (n // record_every, 10) receives
+    means.
     `touch` (n, 4) holds the contacts at each sample, `tissues` (k, 5) those that the output runs
-    into, `touch_time` [s] the time of the first sample on the clock of both; `reference`
-    (n // record_every,) receives the torque on the output [N m]. Without `touch` (None) there are
-    no contacts, and they are not part of the compiled step.
+    into. Without `touch` (None) there are no contacts, and they are not part of the compiled step.
     """
     p = parameters[0]
     s = state[0]
-    n = setpoint.shape[0]
-    count = 2.0 * math.pi / p.encoder_counts
+    per_count = p.encoder_counts / (2.0 * math.pi)
+    count = 1.0 / per_count
     map_size = rotor_map.shape[0] - 1
-    map_scale = map_size / (2.0 * math.pi)
+    per_turn = 1.0 / (2.0 * math.pi)
     dt = p.dt
     clamped = p.clamped > 0.5
     instrument = p.instrument > 0.5
@@ -265,37 +323,69 @@ def run(
     torque_constant = p.torque_constant * (
         1.0 + p.torque_constant_coefficient * (s.winding_degc - 20.0)
     )
-    sums = np.zeros(4)
+    per_torque = 1.0 / p.assumed_torque_constant
+    per_stribeck_velocity = 1.0 / p.stribeck_velocity
+    per_speed = dt / p.presliding_angle
+    damping = p.presliding_damping / p.presliding_angle
+    mean = 1.0 / record_every
+    encoders = asked_sum = current_sum = arm_sum = outside_sum = 0.0
+    position_sum = model_sum = table_sum = signal_sum = 0.0
     square_current = 0.0
-    strokes = 0
-    outside_sum = 0.0
+    strokes = piece = counted = 0
+    model_current = table_current = signal_current = 0.0
+    tabled = closed_loop and table[0].shape[0] > 0
+    signalled = closed_loop and signal.shape[0] > 0
+    step = first % max(signal.shape[0], 1)
     angle, speed, bristle = s.angle, s.speed, s.bristle
     current, ripple = s.current, s.ripple
     grasper_angle, grasper_speed = s.grasper_angle, s.grasper_speed
+    setpoint = angle
     done = n
     for k in range(n):
-        encoder = math.floor(angle / count)
+        # Set point
+        time = (first + k + 0.5) * dt
+        while piece + 1 < pieces.shape[0] and time >= pieces[piece + 1, BEGIN]:
+            piece += 1
+        since = time - pieces[piece, BEGIN]
+        sine, cosine = 0.0, 1.0
+        if pieces[piece, OMEGA] != 0.0:
+            phase = pieces[piece, OMEGA] * since
+            sine, cosine = math.sin(phase), math.cos(phase)
+        wanted, wanted_speed, acceleration = _follow(pieces[piece], since, sine, cosine)
+        encoder = np.floor((angle - dt / 2.0 * speed) * per_count)
         # Controller
         if closed_loop:
-            u = setpoint[k] - encoder * count
+            setpoint = wanted + origin
+            model_current = _model_torque(model, wanted_speed, acceleration) * per_torque
+            if tabled:
+                table_current = per_torque * _table_torque(
+                    table[0], table[1], table[2], setpoint, wanted_speed
+                )
+            if signalled:
+                signal_current = signal[step] * per_torque
+                step += 1
+                if step == signal.shape[0]:
+                    step = 0
+            u = setpoint - encoder * count
             for j in range(sections.shape[0]):
                 y = sections[j, 0] * u + section_state[j, 0]
                 section_state[j, 0] = sections[j, 1] * u - sections[j, 4] * y + section_state[j, 1]
                 section_state[j, 1] = sections[j, 2] * u - sections[j, 5] * y
                 u = y
-            asked = u / p.assumed_torque_constant + feedforward[k]
+            asked = u * per_torque + (model_current + table_current + signal_current)
         else:
-            asked = setpoint[k]
+            asked = wanted
         asked = min(max(asked, -p.current_limit), p.current_limit)
         # Amplifier
         target = p.gain * asked + p.offset
         if p.distortion > 0.0:
             target += p.distortion * math.sin(2.0 * math.pi * target / p.distortion_period)
+        mean_current = target + p.current_kept * (current - target)
         current += p.current_step * (target - current)
-        square_current += current * current
+        square_current += mean_current * mean_current
         # Functions of the rotor's angle
-        place = angle * map_scale
-        place -= math.floor(place / map_size) * map_size
+        place = angle * per_turn
+        place = (place - np.floor(place)) * map_size
         cell = min(int(place), map_size - 1)
         part = place - cell
         low, high = rotor_map[cell], rotor_map[cell + 1]
@@ -304,41 +394,44 @@ def run(
         saturation_ripple = low[2] + part * (high[2] - low[2])
         cogging = low[3] + part * (high[3] - low[3])
         modulation = low[4] + part * (high[4] - low[4])
-        raw = offset_ripple + current * (gain_ripple + abs(current) * saturation_ripple)
+        raw = offset_ripple + mean_current * (gain_ripple + abs(mean_current) * saturation_ripple)
+        mean_ripple = ripple + p.ripple_step * (raw - ripple) / 2.0
         ripple += p.ripple_step * (raw - ripple)
-        # Bearings
-        before = bristle
-        bristle = _bristle(bristle, speed, dt, p.presliding_angle)
+        # Bearings; `drag` is all that opposes the speed in proportion
+        kept = 1.0 / (1.0 + abs(speed) * per_speed)
+        bristling = damping * (1.0 - bristle * math.copysign(1.0, speed)) * kept
+        bristle = (bristle + speed * per_speed) * kept
         level = p.coulomb
-        ratio = speed / p.stribeck_velocity
+        ratio = speed * per_stribeck_velocity
         if abs(ratio) < 5.0:
             level += (p.static - p.coulomb) * math.exp(-ratio * ratio)
-        friction = (
-            level * (1.0 + p.asymmetry * bristle) * bristle
-            + s.friction_noise * bristle
-            + level * p.presliding_damping * (bristle - before) / dt
-            + p.viscous * (1.0 + modulation) * speed
-        )
-        torque = torque_constant * (current + ripple) + cogging - friction
+        drag = level * bristling + p.viscous * (1.0 + modulation)
+        friction = level * (1.0 + p.asymmetry * bristle) * bristle + s.friction_noise * bristle
+        torque = torque_constant * (mean_current + mean_ripple) + cogging - friction
         if touch is None or instrument:
             torque -= p.load_torque
-        arm_torque = 0.0
+        spring = 0.0
         if clamped:
-            arm_torque = p.arm_stiffness * (angle - p.clamp_angle) + p.arm_damping * speed
-            torque -= arm_torque
+            spring = p.arm_stiffness * (angle - p.clamp_angle)
+            torque -= spring
+            drag += p.arm_damping
+        if instrument:
+            drag += p.housing_viscous
+        torque -= drag * speed
+        yielding = mobility(p.inertia, drag, dt)
         if instrument:
             # Tendon, grasper and the friction on both sides of the tendon
             twist = p.stiffness * (angle / p.angle_ratio - grasper_angle) + p.damping * (
                 speed / p.angle_ratio - grasper_speed
             )
             sine, cosine = math.sin(grasper_angle), math.cos(grasper_angle)
-            place = grasper_angle * map_scale
-            place -= math.floor(place / map_size) * map_size
+            place = grasper_angle * per_turn
+            place = (place - np.floor(place)) * map_size
             cell = min(int(place), map_size - 1)
             shape = friction_map[cell] + (place - cell) * (
                 friction_map[cell + 1] - friction_map[cell]
             )
-            s.housing_bristle = _bristle(s.housing_bristle, speed, dt, p.housing_presliding_angle)
+            s.housing_bristle = _bristle(s.housing_bristle, speed, dt / p.housing_presliding_angle)
             z = s.housing_bristle
             if z * s.direction < -0.5:
                 s.direction = -s.direction
@@ -352,8 +445,8 @@ def run(
                 + s.stroke_cosine * cosine
                 + s.drift
             )
-            torque -= level * z + p.housing_viscous * speed
-            s.tip_bristle = _bristle(s.tip_bristle, grasper_speed, dt, p.tip_presliding_angle)
+            torque -= level * z
+            s.tip_bristle = _bristle(s.tip_bristle, grasper_speed, dt / p.tip_presliding_angle)
             tip = p.tip_friction * s.tip_bristle
             if touch is None:
                 s.contact = 0.0
@@ -361,7 +454,7 @@ def run(
             carried = (
                 p.tendon_angle * (angle / p.angle_ratio - grasper_angle)
                 + p.tendon_speed * (speed / p.angle_ratio - grasper_speed)
-                + p.tendon_share * (torque / (p.angle_ratio * p.inertia) + held / p.grasper_inertia)
+                + p.tendon_share * (torque * yielding / p.angle_ratio + held / p.grasper_inertia)
             )
             torque -= carried / p.torque_factor
             if touch is None:
@@ -371,7 +464,7 @@ def run(
                     p,
                     touch[k],
                     tissues,
-                    touch_time + k * dt,
+                    time,
                     grasper_angle,
                     grasper_speed,
                     sine,
@@ -382,37 +475,51 @@ def run(
                 outside_sum += outside
             grasper_angle += dt * grasper_speed
         # Motion
+        before = speed
         if touch is None or instrument:
-            speed += dt * torque / p.inertia
+            speed += dt * yielding * torque
         else:
             speed, outside, _ = _touched(
                 p,
                 touch[k],
                 tissues,
-                touch_time + k * dt,
+                time,
                 angle,
                 speed,
                 1.0,
                 torque,
                 p.load_torque,
-                p.inertia,
+                1.0 / yielding,
             )
             outside_sum += outside
         angle += dt * speed
         # Record and keep the slow clock
-        sums[0] += encoder
-        sums[1] += asked
-        sums[2] += current
-        sums[3] += arm_torque
-        if (k + 1) % record_every == 0:
-            row = (k + 1) // record_every - 1
-            for j in range(4):
-                out[row, j] = sums[j] / record_every
-                sums[j] = 0.0
-            out[row, TEMPERATURE] = s.housing_degc
-            if touch is not None:
-                reference[row] = outside_sum / record_every
-                outside_sum = 0.0
+        encoders += encoder
+        asked_sum += asked
+        current_sum += mean_current
+        if closed_loop:
+            position_sum += setpoint
+            model_sum += model_current
+            table_sum += table_current
+            signal_sum += signal_current
+        if clamped:
+            arm_sum += spring + p.arm_damping * (before + speed) / 2.0
+        counted += 1
+        if counted == record_every:
+            counted = 0
+            row = out[k // record_every]
+            row[ENCODER] = encoders * mean
+            row[CURRENT_SETPOINT] = asked_sum * mean
+            row[CURRENT] = current_sum * mean
+            row[ARM_TORQUE] = arm_sum * mean
+            row[TEMPERATURE] = s.housing_degc
+            row[POSITION_SETPOINT] = position_sum * mean if closed_loop else start
+            row[FEEDFORWARD_CURRENT] = model_sum * mean
+            row[TABLE_CURRENT] = table_sum * mean
+            row[SIGNAL_CURRENT] = signal_sum * mean
+            row[REFERENCE_TORQUE] = outside_sum * mean
+            encoders = asked_sum = current_sum = arm_sum = outside_sum = 0.0
+            position_sum = model_sum = table_sum = signal_sum = 0.0
         if (k + 1) % TICK == 0:
             _tick(s, p, square_current / TICK, normals, k // TICK)
             square_current = 0.0
@@ -425,4 +532,5 @@ def run(
     s.angle, s.speed, s.bristle = angle, speed, bristle
     s.current, s.ripple = current, ripple
     s.grasper_angle, s.grasper_speed = grasper_angle, grasper_speed
+    s.setpoint = setpoint
     return done

@@ -17,7 +17,7 @@ from rigtool.recipe import Recipe
 from rigtool.recipe.rig import RigDescription
 from rigtool.recipe.virtual import Virtual
 from rigtool.rigs.base import Block, Feedforward, Load, Rig, Task
-from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Motion, Move, Observe, OpenLoop
+from rigtool.rigs.motion import CurrentSteps, Motion, Move, Observe, OpenLoop, Path
 from rigtool.rigs.virtual import contacts, hand, kernel
 from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
@@ -36,6 +36,7 @@ CONTACTS, HAND = 0xC047AC7, 0x4A4D
 GRAVITY = 9.81
 """Acceleration of the simulated weights, m/s2: it enters their inertia, and so every digit of
 earlier runs."""
+NO_TABLE = (np.zeros((0, 0)), np.zeros(0), np.zeros(3))
 SOAK_TIME = 600.0
 MOVE_SPEED = 2.0
 SETTLE_TIME = 0.5
@@ -79,7 +80,8 @@ class VirtualRig(Rig):
     def position(self) -> float:
         """Angle shown by the encoder, rad."""
         count = 2 * math.pi / self._rig.encoder_counts
-        return math.floor(self._state["angle"][0] / count) * count
+        angle, speed = (float(self._state[name][0]) for name in ("angle", "speed"))
+        return math.floor((angle - self._rig.sample_time / 2 * speed) / count) * count
 
     @property
     def temperature(self) -> float:
@@ -194,15 +196,16 @@ class VirtualRig(Rig):
             parameters["grip_stiffness"] = self._virtual.hand.stiffness
             parameters["grip_damping"] = self._virtual.hand.damping
         outside = self._outside(task, grip, [*stream, CONTACTS])
+        needs_time = outside is not None or not isinstance(motion, Path)
+        ff = task.feedforward
+        signal = np.zeros(0) if ff.signal is None else np.ascontiguousarray(ff.signal, np.float64)
         total = round(motion.duration / dt)
         block = kernel.TICK * every * max(1, BLOCK // (kernel.TICK * every))
         for first in range(0, total, block):
-            steps = np.arange(first, min(first + block, total))
-            time = (steps.astype(np.float64) + 0.5) * dt
-            signals = self._setpoints(motion, task, time, origin)
-            signals["signal_current"] = self._signal(task, steps)
-            out = np.zeros((len(time) // every, 5))
-            reference = np.zeros(len(out))
+            count = min(block, total - first)
+            steps = np.arange(first, first + count if needs_time else first, dtype=np.float64)
+            time = (steps + 0.5) * dt
+            out = np.zeros((count // every, len(kernel.COLUMNS)))
             done = kernel.run(
                 parameters,
                 self._state,
@@ -211,19 +214,20 @@ class VirtualRig(Rig):
                 self._sections,
                 self._section_state,
                 closed_loop,
-                signals["loop_input"],
-                signals["feedforward_current"]
-                + signals["table_current"]
-                + signals["signal_current"],
-                rng.standard_normal((len(time) // kernel.TICK + 1, 2)),
+                motion.pieces if isinstance(motion, Path) else _by_samples(motion, time),
+                first,
+                count,
+                origin,
+                ff.coefficients,
+                NO_TABLE if ff.table is None else ff.table.grid,
+                signal,
+                rng.standard_normal((count // kernel.TICK + 1, 2)),
                 rng.standard_normal((512, 3)),
                 task.stop_angle or 0.0,
                 every,
                 out,
                 None if outside is None else outside.at(time),
                 np.zeros((0, 5)) if outside is None else outside.tissues(),
-                float(time[0]),
-                reference,
             )
             moving = [self._state[0][name] for name in ("angle", "grasper_angle", "winding_degc")]
             if not np.isfinite(moving).all():
@@ -232,13 +236,13 @@ class VirtualRig(Rig):
                     "values are beyond any rig; compare them with recipes/briaire-2006.toml"
                 )
             if closed_loop:
-                self._setpoint = float(signals["position_setpoint"][-1])
-            recorded = self._recorded(signals, out, done, every, task.load, rng)
+                self._setpoint = float(self._state["setpoint"][0])
+            recorded = self._recorded(out[: done // every], every, task.load, rng)
             if task.touched:
-                recorded["reference_torque"] = reference[: done // every]
+                recorded["reference_torque"] = out[: done // every, kernel.REFERENCE_TORQUE]
             yield recorded
             self._time += done * dt
-            if done < len(time):
+            if done < count:
                 return
 
     def _outside(self, task: Task, grip: Motion | None, seed: list[int]) -> Outside | None:
@@ -254,71 +258,21 @@ class VirtualRig(Rig):
             held = Grip(grip, here if grip.start is None else grip.start, ratio)
         return Outside(touches, self._rig.load_arm, held)
 
-    def _setpoints(
-        self, motion: Motion | OpenLoop, task: Task, time: Array, origin: float
-    ) -> dict[str, Array]:
-        """Evaluate the set points and feed-forward of this block, each (n,)."""
-        zero = np.broadcast_to(0.0, len(time))
-        if isinstance(motion, CurrentSteps | CurrentRamp):
-            return {
-                "time": time - time[0],
-                "loop_input": motion.current(time),
-                "position_setpoint": np.full(len(time), float(self._state["angle"][0])),
-                "feedforward_current": zero,
-                "table_current": zero,
-            }
-        position, speed, acceleration = motion.setpoint(time)
-        position = position + origin
-        ff = task.feedforward
-        table = zero if ff.table is None else ff.table.evaluate(position, speed)
-        return {
-            "time": time - time[0],
-            "loop_input": position,
-            "position_setpoint": position,
-            "feedforward_current": ff.model_torque(speed, acceleration)
-            / self._assumed_torque_constant,
-            "table_current": table / self._assumed_torque_constant,
-        }
-
-    def _signal(self, task: Task, steps: NDArray[np.int64]) -> Array:
-        """Return the current of the task's own signal at these samples of it, (n,)."""
-        signal = task.feedforward.signal
-        if signal is None or isinstance(task.motion, OpenLoop):
-            return np.broadcast_to(0.0, len(steps))
-        current: Array = signal[steps % len(signal)] / self._assumed_torque_constant
-        return current
-
-    def _recorded(
-        self,
-        signals: dict[str, Array],
-        out: Array,
-        done: int,
-        every: int,
-        load: Load,
-        rng: np.random.Generator,
-    ) -> Block:
-        """Average the set points as the kernel averaged the rest, and add the sensors' noise."""
-        rows, share = done // every, np.full(every, 1 / every)
-        out = out[:rows]
-
-        def mean(name: str) -> Array:
-            values: Array = signals[name][: rows * every]
-            if not values.strides[0]:  # one value throughout
-                return np.broadcast_to(values[:1], rows)
-            return values if every == 1 else values.reshape(rows, every) @ share
-
-        sensors = self._virtual.sensors
+    def _recorded(self, out: Array, every: int, load: Load, rng: np.random.Generator) -> Block:
+        """Return the channels of the means in `out` (n, 10), with the sensors' noise."""
+        rows, sensors = len(out), self._virtual.sensors
         average = 1 / math.sqrt(every)
+        middle = np.arange(rows, dtype=np.float64) * every + (every - 1) / 2
         block = {
-            "time": self._time + mean("time"),
-            "position_setpoint": mean("position_setpoint"),
+            "time": self._time + middle * self._rig.sample_time,
+            "position_setpoint": out[:, kernel.POSITION_SETPOINT],
             "encoder": out[:, kernel.ENCODER],
             "current_setpoint": out[:, kernel.CURRENT_SETPOINT],
             "current": sensors.current_gain * out[:, kernel.CURRENT]
             + sensors.current_noise * average * rng.standard_normal(rows),
-            "feedforward_current": mean("feedforward_current"),
-            "table_current": mean("table_current"),
-            "signal_current": mean("signal_current"),
+            "feedforward_current": out[:, kernel.FEEDFORWARD_CURRENT],
+            "table_current": out[:, kernel.TABLE_CURRENT],
+            "signal_current": out[:, kernel.SIGNAL_CURRENT],
             "temperature": out[:, kernel.TEMPERATURE]
             + sensors.temperature_offset
             + sensors.temperature_noise * rng.standard_normal(rows),
@@ -358,6 +312,7 @@ class VirtualRig(Rig):
         tendon_angle, tendon_speed, tendon_share = step_terms(
             v.instrument.stiffness, v.instrument.damping, mobility + 1 / grasper_inertia, dt
         )
+        lag = 2 * math.pi * amplifier.bandwidth_hz * dt
         noise_decay = math.exp(-tick / motor.friction_noise_time)
         drift_decay = math.exp(-tick / v.instrument.drift_time)
         radial = motor.radial_friction * load.radial_force * (1 + v.misstated.weights)
@@ -380,7 +335,8 @@ class VirtualRig(Rig):
             "noise_gain": motor.friction_noise * math.sqrt(1 - noise_decay**2),
             "gain": amplifier.gain,
             "offset": amplifier.offset,
-            "current_step": 1 - math.exp(-2 * math.pi * amplifier.bandwidth_hz * dt),
+            "current_step": -math.expm1(-lag),
+            "current_kept": -math.expm1(-lag) / lag,
             "ripple_step": 1 - math.exp(-2 * math.pi * amplifier.ripple_corner_hz * dt),
             "distortion": amplifier.distortion,
             "distortion_period": amplifier.distortion_period,
@@ -424,6 +380,19 @@ class VirtualRig(Rig):
         for name, value in values.items():
             p[name] = value
         return p
+
+
+def _by_samples(motion: Motion, time: Array) -> Array:
+    """Return a piece for each of these times (n,), with the motion's set point at it."""
+    pieces = np.zeros((len(time), 9))
+    position, speed, acceleration = motion.setpoint(time)
+    pieces[:, 0], pieces[:, 1], pieces[:, 2], pieces[:, 3] = (
+        time,
+        position,
+        speed,
+        acceleration / 2,
+    )
+    return pieces
 
 
 def _true_rig(stated: RigDescription, virtual: Virtual) -> RigDescription:

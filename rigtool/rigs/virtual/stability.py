@@ -1,16 +1,15 @@
-"""Whether the steps of the simulation are small enough for its springs, dampers and heat flows.
+"""Whether the steps of the simulation are small enough for its springs and heat flows.
 
 Speeds are stepped by what positions and speeds were, positions by the new speeds (semi-implicit
 Euler, Hairer, Lubich and Wanner, Geometric Numerical Integration, 2006, section I.1.2):
 
     v' = v - h M^-1 (K x + D v),   x' = x + h v'
 
-with the tendon's terms of `tendon`, which are exact by themselves: only where its oscillation turns
-by two radians a sample or more, h^2 k / m >= 4, do samples no longer show it.
+with the tendon's terms of `tendon` and the shaft's mobility (`kernel.mobility`), which follow their
+dampers exactly: no damper is too strong. A spring k between masses whose reciprocal sum is 1/m is
+stable where its oscillation turns by less than two radians a sample, and samples still show it:
 
-A spring k between masses whose reciprocal sum is 1/m, with a damper c, is stable where
-
-    h^2 k / m + 2 h c / m < 4
+    h^2 k / m < 4
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 
 from rigtool.errors import RecipeError
 from rigtool.numerics.arrays import Array
-from rigtool.rigs.virtual.kernel import TICK
+from rigtool.rigs.virtual.kernel import TICK, mobility
 
 ROUNDING = 1e-6
 """By which the largest eigenvalue of a free, stable motion may differ from 1."""
@@ -33,22 +32,20 @@ def require_stable(p: Any) -> None:
     if p["instrument"]:
         tendon = 1 / float(p["angle_ratio"] * p["torque_factor"] * p["inertia"])
         tendon += 1 / float(p["grasper_inertia"])
-        _require_spring("virtual.instrument", p["stiffness"], 0.0, tendon, h)
+        _require_spring("virtual.instrument", p["stiffness"], tendon, h)
     if p["clamped"]:
-        arm = 1 / float(p["inertia"])
-        _require_spring("virtual.arm", p["arm_stiffness"], p["arm_damping"], arm, h)
-    _require_steps(_moving(p, h), "viscous friction and damping", h)
+        _require_spring("virtual.arm", p["arm_stiffness"], 1 / float(p["inertia"]), h)
+    _require_steps(_moving(p, h), "the springs of arm and instrument", h)
     _require_steps(_heat(p, h * TICK), "thermal resistances and capacities", h)
 
 
-def _require_spring(name: str, k: float, c: float, mobility: float, h: float) -> None:
-    if h**2 * k * mobility + 2 * h * c * mobility < 4:
+def _require_spring(name: str, k: float, mobility: float, h: float) -> None:
+    highest = 4 / (mobility * h**2)
+    if k < highest:
         return
-    highest = max(0.0, (4 / mobility - 2 * h * c) / h**2)
     raise RecipeError(
-        f"{name}.stiffness {k:g} N m/rad{f' with damping {c:g} N m s/rad' if c else ''} is beyond "
-        f"what can be simulated at rig.sample_time {h:g} s with these inertias, {highest:.3g} "
-        "N m/rad: lower it, or sample faster"
+        f"{name}.stiffness {k:g} N m/rad is beyond what can be simulated at rig.sample_time {h:g} "
+        f"s with these inertias, {highest:.3g} N m/rad: lower it, or sample faster"
     )
 
 
@@ -64,12 +61,13 @@ def _require_steps(step: Array, what: str, h: float) -> None:
 def _moving(p: Any, h: float) -> Array:
     """Return the step of shaft and grasper, (4, 4), for (angles, speeds)."""
     ratio = np.array([1 / float(p["angle_ratio"]), -1.0])  # angle over the tendon
-    inertia, factor = float(p["inertia"]), float(p["torque_factor"])
+    factor = float(p["torque_factor"])
     stiffness, damping = np.zeros((2, 2)), np.zeros((2, 2))
     damping[0, 0] = p["viscous"] + (p["housing_viscous"] if p["instrument"] else 0.0)
     if p["clamped"]:
         stiffness[0, 0] = p["arm_stiffness"]
         damping[0, 0] += p["arm_damping"]
+    inertia = 1 / mobility(float(p["inertia"]), damping[0, 0], h)
     if p["instrument"]:
         share = float(p["tendon_share"]) * ratio[0] / inertia
         sides = np.array([1 / factor, -1.0])[:, None]  # on the shaft, on the grasper

@@ -55,6 +55,9 @@ FEWEST_TIMES = 3
 OTHER_UNIT = 30.0
 """Ratio of the times' period and that of the header that rows taken out do not explain."""
 
+_NAMES = (";", "time;", "Time;")
+"""Beginnings of the line that names the channels."""
+
 _HEADER_LINES = 60
 _HEADED = re.compile(r"^\"?Index:[;,\t]\"?0x", re.MULTILINE)
 _KEY = re.compile(r"^\"?[A-Z][A-Za-z. ]+:\"?([;,\t])", re.MULTILINE)
@@ -85,6 +88,7 @@ def read_epos(path: Path, mapping: Mapping, skip_bad: bool) -> tuple[Raw, Mappin
     lines, notes = _as_exported(split_lines(decode(read_bytes(path)), mapping.file.comment))
     header = _header(path, lines)
     names_at = len(header)
+    _require_one(path, lines, names_at)
     names = ["time", *(name.strip() for name in lines.text[names_at].split(";")[1:])]
     units = [unit.strip() for unit in lines.text[names_at + 1].split(";")]
     if len(names) != len(units):
@@ -163,7 +167,7 @@ def _header(path: Path, lines: Lines) -> dict[tuple[int, str], list[str]]:
     for at, (number, line) in enumerate(zip(lines.number, lines.text, strict=True)):
         if at + 1 >= len(lines.text) or at >= _HEADER_LINES:
             break
-        if line.startswith((";", "time;", "Time;")):
+        if line.startswith(_NAMES):
             return header
         key, *values = line.split(";")
         header[number, key.rstrip(":")] = values
@@ -171,6 +175,23 @@ def _header(path: Path, lines: Lines) -> dict[tuple[int, str], list[str]]:
         f"{path}: is an export of EPOS Studio without names and units of its channels: it was cut "
         "short; export it again"
     )
+
+
+def _require_one(path: Path, lines: Lines, names_at: int) -> None:
+    """Raise `RunFileError` where another recording follows the first."""
+    begin = None  # of lines of a header
+    for at in range(names_at + 1, len(lines.text)):
+        line = lines.text[at]
+        if _KEY.match(line):
+            begin = at if begin is None else begin
+        elif begin is None or not line.startswith(_NAMES):
+            begin = None
+        else:
+            raise RunFileError(
+                f"{path}, line {lines.number[begin]}: another recording begins here, and a file "
+                "holds one: save each in a file of its own, from its header to its last sample, "
+                "and import the folder"
+            )
 
 
 def _field(header: dict[tuple[int, str], list[str]], key: str) -> tuple[int, list[str]]:

@@ -52,7 +52,7 @@ def simulated(seconds, seed=1, acting=pulses):
         drive[k] = 2.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
         x[TORQUE] = torque[k]
         x[NOISE] = kept * x[NOISE] + 0.1e-3 * np.sqrt(1 - kept**2) * rng.standard_normal()
-        advance(x, record, PLANT.friction_map, drive[k], 5e-5, None, 0.0, 0.0)
+        advance(x, record, PLANT.friction_map, drive[k], 5e-5, None, 0, 0.0, 0.0)
     signals = Signals(drive, np.full(count, 5e-5), low, WIDTH)
     return signals, torque[STEP - 1 :: STEP][: (count - 1) // STEP], wanted
 

@@ -7,18 +7,13 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from rigtool.experiments.force_filter import passed
-from rigtool.experiments.force_filter.kalman import STATE
-from rigtool.experiments.force_filter.plant import (
-    ANGLE,
-    MOVING_STATES,
-    NOISE,
-    STATES,
-    TORQUE,
-)
+from rigtool.experiments.force_filter.kalman import _propagate, _remove
+from rigtool.experiments.force_filter.linear import WIDE, forwards
+from rigtool.experiments.force_filter.passed import JOINT
+from rigtool.experiments.force_filter.plant import ANGLE, FACTORS, NOISE, STATES, TORQUE
 
-ALL = STATES + passed.ORDER
 KEPT = 0.97
-Q = slice(STATES, ALL)
+Q = slice(STATES, JOINT)
 
 
 def test_the_section_is_the_low_pass_of_scipy():
@@ -41,61 +36,47 @@ def test_the_delay_is_what_separates_it_from_a_low_pass_without_phase_shift():
     np.testing.assert_allclose(late[shift:][500:1500], same[500:1500], rtol=0, atol=5e-3)
 
 
-def whole(state):
-    """Mean (14,) and covariance (14, 14) of x and q together."""
-    covariance = np.zeros((ALL, ALL))
-    covariance[:STATES, :STATES] = state["covariance"][0]
-    covariance[:STATES, Q] = state["shared_covariance"][0]
-    covariance[Q, :STATES] = state["shared_covariance"][0].T
-    covariance[Q, Q] = state["passed_covariance"][0]
-    return np.concatenate([state["mean"][0], state["passed"][0]]), covariance
-
-
-def put(state, mean, covariance):
-    state["mean"], state["passed"] = mean[:STATES], mean[Q]
-    state["covariance"], state["passed_covariance"] = covariance[:STATES, :STATES], covariance[Q, Q]
-    state["shared_covariance"] = covariance[:STATES, Q]
-
-
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 50.0))
 def test_it_is_one_kalman_filter_over_all_states(seed, bandwidth_hz):
     rng = np.random.default_rng(seed)
-    root = rng.normal(size=(ALL, ALL))
-    mean, covariance = rng.normal(size=ALL), root @ root.T
+    root = rng.normal(size=(JOINT, JOINT))
+    mean, covariance = rng.normal(size=JOINT), root @ root.T
     section = passed.section(bandwidth_hz, 1e-3)
-    state = np.zeros(1, dtype=STATE)
-    put(state, mean, covariance)
-    rows = np.zeros((STATES, STATES))
-    rows[:MOVING_STATES] = rng.normal(size=(MOVING_STATES, STATES))
+    rows = np.zeros((JOINT + 1, WIDE))
+    rows[:JOINT, :JOINT] = covariance
 
     # y of the states as they are
-    row = np.empty(STATES)
-    value, variance = passed.output(state[0], section, row)
-    weights = np.zeros(ALL)
+    shared = np.empty(STATES)
+    value, variance = passed.output(mean[:STATES], mean[Q], rows.ravel(), section, shared, 0)
+    weights = np.zeros(JOINT)
     weights[Q], weights[TORQUE] = section[-1, :-1], section[-1, -1]
     assert value == pytest.approx(weights @ mean, rel=1e-9, abs=1e-9)
     assert variance == pytest.approx(weights @ covariance @ weights, rel=1e-9)
-    np.testing.assert_allclose(row, (covariance @ weights)[:STATES], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(shared, (covariance @ weights)[:STATES], rtol=1e-9, atol=1e-9)
 
-    # a step: x moves by `rows`, q by the low-pass
-    step = np.zeros((ALL, ALL))
-    step[:MOVING_STATES, :STATES] = rows[:MOVING_STATES]
-    step[np.arange(MOVING_STATES, STATES), np.arange(MOVING_STATES, STATES)] = 1
-    step[NOISE, NOISE] = KEPT
+    # a step of three samples: x moves by them, q by the low-pass
+    factors = rng.normal(size=(3, FACTORS))
+    factors[:, -1] = 0.0
+    moved = np.eye(STATES, WIDE).ravel()
+    for k in range(3):
+        forwards(moved, STATES, factors, k)
+    step = np.zeros((JOINT, JOINT))
+    step[:STATES, :STATES] = moved.reshape(STATES, WIDE)[:, :STATES]
+    step[NOISE] *= KEPT
     step[Q, Q], step[Q, TORQUE] = section[:-1, :-1], section[:-1, -1]
-    passed.predict(state[0], section, rows, KEPT, NOISE, np.empty((2, STATES)))
-    mean, covariance = step @ mean, step @ covariance @ step.T
-    found, after = whole(state)
-    scale = np.abs(covariance).max()
-    np.testing.assert_allclose(found[Q], mean[Q], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(after[Q], covariance[Q], rtol=1e-9, atol=1e-12 * scale)
+    flat, q = rows.ravel(), mean[Q].copy()
+    passed.predict(q, flat, section, mean[TORQUE])
+    _propagate(flat, np.zeros(STATES * WIDE), factors, 3, KEPT)
+    np.testing.assert_allclose(q, (step @ mean)[Q], rtol=1e-9, atol=1e-9)
+    expected = step @ covariance @ step.T
+    scale = np.sqrt(np.diag(expected))
+    found = rows[:JOINT, :JOINT]
+    np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=1e-9 * scale.max())
+    np.testing.assert_array_equal(found, found.T)
 
     # an update by the angle, whose variance falls by a share
-    put(state, mean, covariance)
-    variance, share, shift = covariance[ANGLE, ANGLE], 0.6, 0.3
-    gain = covariance[:, ANGLE] / variance
-    passed.update(state[0], gain[:STATES].copy(), shift, variance * share, variance)
-    found, after = whole(state)
-    expected = covariance - np.outer(gain, gain) * variance * share
-    np.testing.assert_allclose(found[Q], (mean + gain * shift)[Q], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(after[Q], expected[Q], rtol=1e-9, atol=1e-11 * scale)
+    variance, share = found[ANGLE, ANGLE], 0.6
+    gain = rows[ANGLE] / variance
+    expected = found - np.outer(gain, gain)[:JOINT, :JOINT] * variance * share
+    _remove(flat, gain, np.sqrt(variance * share))
+    np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=1e-9 * scale.max())

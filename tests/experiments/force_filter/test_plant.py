@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from rigtool.experiments.force_filter.linear import WIDE, backwards, forwards
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     BRISTLE,
+    FACTORS,
     GRASPER,
     GRASPER_SPEED,
     HOUSING,
@@ -29,10 +31,20 @@ from tests.experiments.force_filter.plants import PLANT
 EYE = np.eye(STATES)
 
 
+def flat(matrix):
+    """Return a matrix (12, n) as the equations take it, (12 * WIDE,)."""
+    rows = np.zeros((STATES, WIDE))
+    rows[:, : matrix.shape[1]] = matrix
+    return rows.ravel()
+
+
 def step(plant, x, torque=0.0, viscous=0.0, count=1, rows=None):
     record = as_record(plant)[0]
+    factors = None if rows is None else np.empty((1, FACTORS))
     for _ in range(count):
-        advance(x, record, plant.friction_map, torque, viscous, rows, 0.0, 0.0)
+        advance(x, record, plant.friction_map, torque, viscous, factors, 0, 0.0, 0.0)
+        if rows is not None:
+            forwards(rows, STATES, factors, 0)
     return x
 
 
@@ -107,8 +119,9 @@ def test_derivatives_are_those_of_small_differences(free, x):
     x = np.array(x)
     if not free:
         x[GRASPER] = x[ANGLE] / 0.85 + x[GRASPER] * 0.05  # the tendon is not stretched by turns
-    rows = EYE.copy()
+    rows = flat(EYE)
     step(plant, x.copy(), 0.01, 5e-5, count=3, rows=rows)
+    rows = rows.reshape(STATES, WIDE)[:, :STATES]
     scale = np.array([1e-3, 0.1, 0.1, 0.1, 1e-3, 0.1, 0.1, 1e-3, 1e-3, 0.1, 1e-3, 1e-2])
     for j in range(STATES):
         h = 1e-5 * scale[j] * EYE[j]
@@ -117,6 +130,23 @@ def test_derivatives_are_those_of_small_differences(free, x):
         # relative to what the state moves by when each other state moves by its scale
         tolerance = 2e-3 * np.abs(rows * scale).max(axis=1) / scale[j]
         assert (np.abs(rows[:, j] - slope) <= tolerance).all(), j
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.85]), st.integers(1, WIDE))
+def test_backwards_is_the_transpose_of_forwards(seed, shaft, columns):
+    rng = np.random.default_rng(seed)
+    factors = rng.normal(size=(2, FACTORS))
+    factors[:, -1] = shaft
+    there, back = rng.normal(size=(2, STATES, WIDE))
+    forth, other = there.ravel().copy(), back.ravel().copy()
+    forwards(forth, columns, factors, 1)
+    backwards(other, columns, factors, 1)
+    forth, other = forth.reshape(STATES, WIDE), other.reshape(STATES, WIDE)
+    np.testing.assert_array_equal(forth[:, columns:], there[:, columns:])
+    np.testing.assert_array_equal(other[:, columns:], back[:, columns:])
+    used = slice(columns)
+    products = back[:, used].T @ forth[:, used], other[:, used].T @ there[:, used]
+    np.testing.assert_allclose(*products, rtol=1e-9, atol=1e-9)
 
 
 def test_without_an_instrument_torque_acts_on_the_shaft():

@@ -2,42 +2,43 @@
 
 import numpy as np
 
-from rigtool.experiments.force_filter.plant import (
-    ANGLE,
-    MOVING_STATES,
-    NOISE,
-    STATES,
-    TORQUE,
-)
+from rigtool.experiments.force_filter.linear import WIDE, forwards
+from rigtool.experiments.force_filter.plant import ANGLE, FACTORS, NOISE, STATES, TORQUE
 from rigtool.experiments.force_filter.smoother import backwards, room
 
 KEPT = 0.9
+SAMPLES = 2
 
 
 def linear_system(rng, count, fresh_at):
-    """Return transition matrices, process covariances, start, and measurements of the angle."""
+    """Return factors, transition matrices with process covariances, start, and measured angles."""
     transitions = []
+    factors = 0.4 * rng.standard_normal((count * SAMPLES, FACTORS))
+    factors[:, -1] = 0.0
     for k in range(count):
-        phi = np.eye(STATES)
-        phi[:MOVING_STATES] += 0.2 * rng.standard_normal((MOVING_STATES, STATES))
-        phi[NOISE, NOISE] = KEPT
+        rows = np.eye(STATES, WIDE).ravel()
+        for sample in range(SAMPLES):
+            forwards(rows, STATES, factors, k * SAMPLES + sample)
+        phi = rows.reshape(STATES, WIDE)[:, :STATES].copy()
+        phi[NOISE] *= KEPT
         noise = np.diag(rng.uniform(0.1, 0.5, STATES))
         if k == fresh_at:
             phi[7:10] = 0.0
             noise[7:10] *= 3.0
         transitions.append((phi, noise))
     root = rng.standard_normal((STATES, STATES))
-    return transitions, root @ root.T, rng.standard_normal(count)
+    return factors, transitions, root @ root.T, rng.standard_normal(count)
 
 
 def test_smoothed_torque_is_the_conditional_mean():
     rng = np.random.default_rng(4)
     count, spread = 12, 0.3
-    transitions, start, measured = linear_system(rng, count, fresh_at=5)
+    factors, transitions, start, measured = linear_system(rng, count, fresh_at=5)
     # forwards, keeping what the smoother needs
     mean, covariance = np.zeros(STATES), start.copy()
-    steps = room(count)
-    derivative, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
+    steps = room(count, SAMPLES)
+    kept, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
+    kept[:] = factors
     torque, deviation = np.empty(count), np.empty(count)
     for k, (phi, noise) in enumerate(transitions):
         mean, covariance = phi @ mean, phi @ covariance @ phi.T + noise
@@ -45,18 +46,18 @@ def test_smoothed_torque_is_the_conditional_mean():
         left = spread**2 / (s2 + spread**2)
         column = covariance[:, ANGLE] / s2
         residual = measured[k] - mean[ANGLE]
-        derivative[k], fresh[k] = phi[:MOVING_STATES], k == 5
+        fresh[k] = k == 5
         correction[k], weight[k], variance[k] = (1 - left) * residual / s2, 1 - left, s2
         gain[k] = column
         mean = mean + column * (1 - left) * residual
         covariance = covariance - np.outer(column, column) * s2 * (1 - left)
         torque_row[k] = passed_row[k] = covariance[TORQUE]
         torque[k], deviation[k] = mean[TORQUE], np.sqrt(covariance[TORQUE, TORQUE])
-    adjoint, information = np.zeros(STATES), np.zeros((STATES, STATES))
-    half = count // 2  # in two pieces, as a long recording is
-    late, early = (tuple(a[half:] for a in steps), tuple(a[:half] for a in steps))
-    backwards(adjoint, information, KEPT, late, torque[half:], deviation[half:])
-    backwards(adjoint, information, KEPT, early, torque[:half], deviation[:half])
+    rows, half = np.zeros(STATES * WIDE), count // 2  # in two pieces, as a long recording is
+    late = (factors[half * SAMPLES :], *(a[half:] for a in steps[1:]))
+    early = (factors[: half * SAMPLES], *(a[:half] for a in steps[1:]))
+    backwards(rows, KEPT, late, torque[half:], deviation[half:])
+    backwards(rows, KEPT, early, torque[:half], deviation[:half])
     expected, spreads = conditional(transitions, start, measured, spread)
     np.testing.assert_allclose(torque, expected, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(deviation, spreads, rtol=1e-8)

@@ -67,7 +67,7 @@ def explored(truth, seconds=7.0, seed=4, period=0.9):
         integral += error * STEP
         drive[k] = 1.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
         x[NOISE] = kept * x[NOISE] + 0.1e-3 * np.sqrt(1 - kept**2) * rng.standard_normal()
-        advance(x, record, plant.friction_map, drive[k], 8e-5, None, 0.0, 0.0)
+        advance(x, record, plant.friction_map, drive[k], 8e-5, None, 0, 0.0, 0.0)
     return Exploration(encoder, drive / CONSTANT, STEP, CONSTANT, COUNT)
 
 

@@ -143,3 +143,15 @@ def test_a_force_that_repeats_with_the_angle_is_no_ripple(stiffness):
     # before that, no more is taken for ripple than a power-up may draw
     largest = 3 * FACTOR * sum(np.hypot(LEARNED[n, 0], LEARNED[n, 1]) for n in (1, 2))
     assert np.abs(found).max() < 1.5 * largest
+
+
+@pytest.mark.parametrize("largest", [2.5e-3, 4e-3, 9e-3])
+def test_weak_contacts_that_grow_slowly_are_no_ripple(largest):
+    time, angle, states = motion()
+    grows = np.maximum(time % 5.0 - 2.0, 0.0) / 3.0
+    states[:, TORQUE] = largest * grows + noise(time, states)
+    power_up = PowerUp(model(), STEP, BANDWIDTH)
+    found, variance, _ = power_up.add(angle, states)
+    assert power_up.probability < 0.01
+    assert np.sqrt(np.mean(found**2)) < 0.5 * STROKE
+    assert np.mean(np.abs(found) < 1.96 * np.sqrt(variance)) > 0.95

@@ -1,6 +1,7 @@
 """Force over time on the virtual rig: learned, moved, observed, and read from stored runs."""
 
 import math
+import re
 from itertools import pairwise
 
 import numpy as np
@@ -181,12 +182,16 @@ def test_rows_as_they_come_are_those_of_the_stored_run(rig, strokes, live, edges
     for name, column in (
         ("time", "time"),
         ("torque", "causal_torque"),
-        ("u", "causal_u"),
         ("state", "causal_state"),
     ):
         size = len(found[name])  # the last 8 ms may wait for more
         assert 0 <= len(table[column]) - size <= 2
         np.testing.assert_array_equal(found[name], table[column][:size])
+    (widened,) = [note for note in strokes.notes if "u is wider" in note]
+    (by,) = re.findall(r"u is wider by ([\d.e-]+) mN m", widened)
+    known = np.isfinite(table["causal_u"][:size])
+    more = table["causal_u"][:size][known] ** 2 - found["u"][known] ** 2
+    np.testing.assert_allclose(np.sqrt(more), float(by) * 1e-3, rtol=1e-2)
     np.testing.assert_allclose(found["high"] - found["low"], 3.92 * found["u"], rtol=1e-9)
 
 
@@ -256,3 +261,11 @@ def test_samples_that_are_too_coarse_give_no_force_as_it_comes(rig, change):
         pytest.raises(RecipeError, match="2000 Hz at least"),
     ):
         LiveForce(recipe, kt=kt, tables=tables)
+
+
+def test_tables_of_another_instrument_are_refused(rig):
+    other = ("measure_force.speed_rev_per_s=0.5", "virtual.instrument.tip_friction=6e-3")
+    with pytest.raises(
+        InsufficientDataError, match=r"another instrument or mounting.* learn again"
+    ):
+        rig(8.0, *other, name="other.h5")

@@ -150,7 +150,7 @@ def test_another_filter_is_told_from_the_one_that_was_recorded(learned, folder, 
 def test_friction_that_is_fed_forward_is_not_learned(compensated):
     path, outcome = compensated
     left = outcome.tables["lookup"]["torque"][:, 200:-200]
-    assert np.sqrt(np.mean(left**2)) < 0.15e-3
+    assert np.sqrt(np.mean(left**2)) < 0.2e-3  # the scatter of one cycle
     np.testing.assert_allclose(left.mean(axis=1), 0, rtol=0, atol=0.02e-3)
     with open_run(path) as stored:
         used = feedforward_from(stored, 1e-5)

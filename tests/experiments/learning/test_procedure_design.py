@@ -81,7 +81,8 @@ def test_the_model_of_two_masses_is_taken_over(instrument):
     found = design_filters(load_recipe(RECIPE)[0], instrument)
     response = found.learning.measured
     off = np.abs(response.ratio(response.frequency) - 1)
-    assert off.max() < 0.1
+    lag = 2 * np.pi * response.frequency / (2 * np.pi * 1500)  # the amplifier's, no plant's
+    assert (off - lag).max() < 0.05
     assert len(response.loop.plant.den_delta) == 5
     assert found.results()["convergence_bound"].value < 0.2
 

@@ -203,6 +203,7 @@ def test_heat_of_the_winding_and_the_loop_are_taken_off_the_amplitudes(folder):
     sets = (
         "virtual.motor.cogging=[{ order = 4, amplitude = 1e-3 }]",
         f"virtual.motor.torque_constant_temperature_coefficient={slope}",
+        "virtual.amplifier.bandwidth_hz=20000",  # T is that of the recipe's loop, without its lag
         "virtual.thermal.winding_capacity=15",
         "virtual.thermal.winding_to_housing=1.5",
         "fft_ripple.torques=[0.16]",

@@ -1,7 +1,9 @@
 """Torque constant from staircases simulated from physics, beside a file of bad input."""
 
+import math
 from dataclasses import replace
 
+import GTC
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -47,6 +49,50 @@ def test_friction_hysteresis_is_reported_and_its_transition_found(thesis):
     middle = len(thesis.slopes.level) // 2
     assert_allclose(thesis.slopes.falling[middle], 2e-3, rtol=0.03)
     assert_allclose(thesis.slopes.rising[middle], -2e-3, rtol=0.03)
+
+
+def test_derivatives_are_those_of_gtc():
+    """k(T) = g (k0 + b (T - T0)) written out with GTC's uncertain numbers."""
+    bench = Bench()
+    signals = bench.record()
+    plateaus = find_plateaus(**signals, arm_length=bench.arm_length, settle_time=bench.settle_time)
+    ends, wrong = (20.0, 45.0), {"gauge_linearity": 1e-3, "current_reading_relative_u": 2e-3}
+    settings = {**ARM, **wrong, "thermometer_u": 0.5, "reference_range_degc": ends}
+    found = calibrate(plateaus, arm_length=bench.arm_length, **settings)
+
+    inputs = {line.name: line for line in found.constant_error.budget + found.mean.budget}
+    numbers = {
+        name: GTC.ureal(line.value, line.u, line.dof or math.inf, label=name)
+        for name, line in inputs.items()
+    }
+    every = dict(numbers)
+    own = ("staircases", "slope of the staircases", "friction and resolution in the slope")
+    value, slope, trend = (numbers.pop(name) for name in own)
+    off = numbers.pop("thermometer")
+    gain = GTC.constant(1.0)
+    for number in numbers.values():
+        gain = gain * number / GTC.value(number)
+    zero = 20.0 - (found.torque_constant.value - value.x) / slope.x - off
+
+    def at(temperature):
+        return gain * (value + (slope + trend) * (temperature - zero))
+
+    mean = at(np.mean(ends))
+    worst = max((mean / at(end) - 1 for end in ends), key=lambda error: abs(error.x))
+    expected = {
+        "torque_constant": at(20.0),
+        "coefficient": (slope + trend) * gain / at(20.0),
+        "mean": mean,
+        "constant_error": worst if worst.x > 0 else -worst,
+    }
+    for name, number in expected.items():
+        result = getattr(found, name)
+        assert result.value == pytest.approx(number.x, rel=1e-9)
+        assert result.u == pytest.approx(number.u, rel=1e-9)
+        assert result.dof == pytest.approx(number.df, rel=1e-6)
+        for line in result.budget:
+            derivative = GTC.reporting.sensitivity(number, every[line.name])
+            assert line.sensitivity == pytest.approx(derivative, rel=1e-9), (name, line.name)
 
 
 def test_stated_uncertainty_holds_what_is_common_to_all_points(thesis):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rigtool.control.lookup_table import LookupTable
 from rigtool.control.position_loop import controller_sections
 from rigtool.errors import RecipeError
 from rigtool.recipe import load_recipe, parse_recipe
@@ -42,6 +43,8 @@ IDEAL = [
     "virtual.instrument.load_stroke_noise=0",
 ]
 KT = 0.0458
+FINE = "rig.encoder_counts=4000000000"
+STEPS = pytest.mark.parametrize("sample_time", [125e-6, 1e-3])
 
 
 def rig_with(*overrides, stream="test"):
@@ -83,30 +86,24 @@ def test_clamped_arm_swings_as_an_integrator_says():
     assert got["force"][-1] == pytest.approx(KT / recipe.rig.arm.length, rel=1e-3)
 
 
-def test_closed_loop_follows_the_linear_model():
-    # The step response without friction, against python-control on the same loop.
-    rig, recipe = rig_with("rig.encoder_counts=40000000")
-    step = 0.01
-    rig.move_by(0.0)
+@STEPS
+def test_closed_loop_follows_the_linear_model(sample_time):
+    # The step response without Coulomb friction, against python-control on the same loop.
+    rig, recipe = rig_with(
+        f"rig.sample_time={sample_time}", "virtual.motor.viscous_friction=1e-3", FINE
+    )
+    step, r, motor = 0.01, recipe.rig, recipe.virtual.motor
     got = perform(rig, Task(SpeedProfile((0, 1e-3, 0.3), (0, step / 0.2, step / 0.2))))
-    r = recipe.rig
-    sections = controller_sections(**r.loop_design)
-    dt = r.sample_time
-    loop = control.tf([dt**2 / recipe.virtual.motor.inertia, 0], [1, -2, 1], dt)
-    alpha = 1 - np.exp(-2 * np.pi * recipe.virtual.amplifier.bandwidth_hz * dt)
-    loop = loop * control.tf([alpha, 0], [1, alpha - 1], dt)  # the current loop
-    for section in sections:
-        loop = loop * control.tf(list(section[:3]), list(section[3:]), dt)
-    # the encoder is read before the torque of the same sample moves the rotor
-    closed = control.feedback(loop * control.tf([1], [1, 0], dt), 1)
-    time = np.arange(len(got["encoder"])) * dt
-    start = got["position_setpoint"][0] - step / 0.2 * (0.5 * dt) ** 2 / 2e-3
-    expected = control.forced_response(
-        closed, T=time, inputs=got["position_setpoint"] - start
-    ).outputs
-    measured = got["encoder"] * 2 * np.pi / 40000000 - start
-    # The recorded count is that of the sample's start: one step of delay less than the output.
-    np.testing.assert_allclose(measured, expected, rtol=0, atol=2e-3 * np.ptp(measured))
+    lag = 1 / (2 * np.pi * recipe.virtual.amplifier.bandwidth_hz)
+    plant = control.tf([1], [lag, 1]) * control.tf([1], [motor.inertia, 1e-3, 0])
+    loop = control.sample_system(plant, sample_time, "zoh")
+    for section in controller_sections(**r.loop_design):
+        loop = loop * control.tf(list(section[:3]), list(section[3:]), sample_time)
+    setpoint, measured = got["position_setpoint"], got["encoder"] * 2 * np.pi / 4e9
+    time = np.arange(len(measured)) * sample_time
+    closed = control.feedback(loop, 1)
+    expected = control.forced_response(closed, T=time, inputs=setpoint).outputs
+    np.testing.assert_allclose(measured, expected, rtol=0, atol=1e-4 * np.ptp(measured))
 
 
 def test_constant_speed_needs_coulomb_and_viscous_torque():
@@ -119,6 +116,36 @@ def test_constant_speed_needs_coulomb_and_viscous_torque():
         got = perform(rig, Task(SpeedProfile((0, 0.2, 2.0), (0, speed, speed)), record_every=80))
         torque = KT * got["current_setpoint"][len(got["time"]) // 2 :].mean()
         assert torque == pytest.approx(np.sign(speed) * 2.3e-3 + 5.33e-5 * speed, rel=2e-3)
+
+
+@STEPS
+@pytest.mark.parametrize("viscous", [5.33e-5, 5e-3])
+def test_inertia_and_viscous_friction_are_those_of_the_recipe(sample_time, viscous):
+    rig, recipe = rig_with(
+        f"rig.sample_time={sample_time}", f"virtual.motor.viscous_friction={viscous}", FINE
+    )
+    got = perform(rig, Task(CurrentSteps((1.0, 0.0), 0.25)))
+    angle = got["encoder"] * 2 * np.pi / 4e9
+    free = np.diff(angle[len(angle) // 2 + 10 :]) / sample_time
+    decay = -np.log(free[1:] @ free[:-1] / (free[:-1] @ free[:-1])) / sample_time
+    # What the torque has done: it turned the rotor against its friction, and the rest is momentum.
+    last = free[-1] * (1 - np.tanh(decay * sample_time / 2))  # at the end of its step
+    inertia = KT * 0.25 / (decay * (angle[-1] - angle[0]) + last)
+    assert inertia == pytest.approx(recipe.virtual.motor.inertia, rel=1e-4)
+    assert decay * inertia == pytest.approx(viscous, rel=1e-4)
+
+
+@STEPS
+def test_the_clamped_arm_dies_out_as_its_damper_says(sample_time):
+    rig, recipe = rig_with(f"rig.sample_time={sample_time}", FINE)
+    rig.clamp(0.0)
+    got = perform(rig, Task(CurrentSteps((1.0, 0.0), 0.02), load=Load(clamped=True)))
+    force = got["force"][round(0.022 / sample_time) :]
+    past = np.stack([force[1:-1], force[:-2]], axis=1)
+    rest = np.linalg.lstsq(past, force[2:], rcond=None)[0]
+    inertia = recipe.virtual.arm.inertia + recipe.virtual.motor.inertia
+    damping = -np.log(-rest[1]) / sample_time * inertia
+    assert damping == pytest.approx(recipe.virtual.arm.damping, rel=2e-4)
 
 
 @pytest.mark.parametrize(("radial", "expected"), [(0.0, 4e-3), (22.0, 4e-3 + 22 * 4.77e-5)])
@@ -221,6 +248,34 @@ def test_recording_fewer_samples_gives_their_means():
         means = fine[name].reshape(-1, 8).mean(axis=1)
         np.testing.assert_allclose(coarse[name], means, rtol=1e-9, atol=1e-12, err_msg=name)
     assert np.all(np.mod(fine["encoder"], 1) == 0)
+
+
+@pytest.mark.parametrize("period", [None, 2 * np.pi])
+def test_set_points_in_the_simulation_are_those_for_arrays_of_times(period):
+    rng = np.random.default_rng(20061)
+    angles, low = np.linspace(0.0, 2 * np.pi, 50, endpoint=False), np.array([0.0, 1.0, 2.0])
+    speeds = np.array([-6.0, -2.0, 2.0, 4.0])
+    table = LookupTable(angles, speeds, rng.normal(size=(4, 50)) * 1e-3, low, low * low / 4, period)
+    signal = rng.normal(size=777) * 1e-3
+    feedforward = Feedforward(1.5e-5, 2e-3, 5e-5, table, signal)
+    rig, recipe = rig_with()
+    for motion in (
+        SpeedProfile((0, 0.4, 2.0, 2.5), (0, -5, -1, 3)),
+        Triangle(-1.0, 9.0, 5.0, 0.3, 2),
+    ):
+        origin = rig.position if motion.start is None else motion.start
+        got = perform(rig, Task(motion, feedforward))
+        time = (np.arange(len(got["time"])) + 0.5) * recipe.rig.sample_time
+        position, speed, acceleration = motion.setpoint(time)
+        position = position + origin
+        expected = {
+            "position_setpoint": position,
+            "feedforward_current": feedforward.model_torque(speed, acceleration) / KT,
+            "table_current": table.evaluate(position, speed) / KT,
+            "signal_current": np.resize(signal, len(time)) / KT,
+        }
+        for name, values in expected.items():
+            np.testing.assert_allclose(got[name], values, rtol=0, atol=1e-12, err_msg=name)
 
 
 def test_a_virtual_rig_needs_its_parameters():

@@ -40,7 +40,6 @@ def test_the_bound_is_where_samples_still_show_the_oscillation():
     ("override", "what"),
     [
         ("virtual.arm.stiffness=1e7", "virtual.arm.stiffness 1e\\+07 N m/rad"),
-        ("virtual.motor.viscous_friction=10", "viscous friction and damping"),
         ("virtual.thermal.winding_capacity=1e-4", "thermal resistances and capacities"),
     ],
 )

@@ -55,6 +55,14 @@ def test_the_header_says_what_is_there(tmp_path):
     assert signals["bus_voltage"][4] == 23.5
 
 
+@pytest.mark.parametrize("skip", [False, True])
+def test_a_file_with_two_recordings_states_where_the_second_begins(tmp_path, skip):
+    two = write(tmp_path / "two.csv", HEAD, [*ROWS, *HEAD.splitlines(), *ROWS])
+    with pytest.raises(RunFileError, match=r"line 17: another recording begins here.* its own"):
+        take(two, skip_bad=skip)
+    assert not two.with_suffix(".h5").exists()
+
+
 def test_the_rated_torque_turns_percent_into_torque(tmp_path):
     units, signals, run = take(write(tmp_path / "n2.csv"), RATED)
     assert units["torque"] == "N m"

@@ -13,26 +13,28 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from scipy import constants
-
 from rigtool.errors import HardwareError
+from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.rigs.serial.line import QUIET, DamagedReply, Line, LineTimeout
 
 T = TypeVar("T")
+
+POUND_FORCE = 0.45359237 * STANDARD_GRAVITY
+"""N, exact."""
 
 FORCES = {
     "n": 1.0,
     "mn": 1e-3,
     "kn": 1e3,
-    "gf": 1e-3 * constants.g,
-    "kgf": constants.g,
-    "ozf": constants.pound_force / 16,
-    "lbf": constants.pound_force,
+    "gf": 1e-3 * STANDARD_GRAVITY,
+    "kgf": STANDARD_GRAVITY,
+    "ozf": POUND_FORCE / 16,
+    "lbf": POUND_FORCE,
     # scales show the mass that weighs as much
-    "g": 1e-3 * constants.g,
-    "kg": constants.g,
-    "oz": constants.pound_force / 16,
-    "lb": constants.pound_force,
+    "g": 1e-3 * STANDARD_GRAVITY,
+    "kg": STANDARD_GRAVITY,
+    "oz": POUND_FORCE / 16,
+    "lb": POUND_FORCE,
 }
 """N in a unit of force; capitals differ from maker to maker (lbF, kgF)."""
 

@@ -1,0 +1,139 @@
+"""Friction that the tables do not hold, found in the recording itself.
+
+A force from outside has one sign at one angle in both directions of motion, or acts in some of the
+passes only. Friction that the tables do not hold, that of another instrument, or by angle where
+the encoder was zeroed elsewhere, opposes every pass in both directions; where they hold too much,
+it drives every pass. With the torque m_d of the passes in direction d in which nothing touches, in
+each cell of the angle
+
+    h = sign(m_+) min(|m_+|, |m_-|)  where m_+ m_- < 0, else 0,    H = root of the mean h^2
+
+m_d is the median of the passes within `NEAR` u of the one whose magnitude is their lower quartile.
+Where these are less than `ALIKE` of the passes, something touches nearly always.
+Where H shows that the tables are of another instrument, all of m_d up to 2 H may be their error:
+
+    w^2 = mean over cells and directions of min(|m_d|, 2 H)^2,    u^2 + w^2 instead of u^2
+
+A load that opposes every motion alike, such as a damper, cannot be distinguished from friction.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rigtool.numerics.arrays import Array, Mask
+
+CELLS = 24
+"""Parts of the learned angle."""
+
+FEWEST_PASSES, FEWEST_CELLS = 4, 3
+"""Passes in each direction below which a cell is not compared; cells below which nothing is."""
+
+QUARTILE, NEAR, ALIKE = 0.25, 3.0, 0.4
+"""Which of the passes is taken for one that nothing touches; how far others like it are, in u; and
+which part of all they must be: else the cell shows nothing."""
+
+SPEED_TIME = 0.055
+"""Time over which the direction is found, s."""
+
+DOUBTED, REFUSED = 1 / 3, 2.0
+"""H over u from which on u is widened; median of |h| over u from which on nothing is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Passes:
+    """Passes through the angle without a reversal: signs of the `direction` (p,), mean `torque` in
+    each cell and its `u`, N m, (p, CELLS); NaN where a pass is not."""
+
+    direction: Array
+    torque: Array
+    u: Array
+
+    @classmethod
+    def of(
+        cls,
+        step_time: float,
+        angle: Array,
+        sliding: Mask,
+        reach: tuple[float, float],
+        torque: Array,
+        u: Array,
+    ) -> Passes:
+        """Return those of rows (m,) every `step_time` s: angle rad, torque and u N m.
+
+        `sliding` (m,) marks rows with a value at which the rotor slides, `reach` rad is the learned
+        range of angles.
+        """
+        half = max(1, round(SPEED_TIME / step_time / 2))
+        rows = np.arange(len(angle))
+        before, after = np.maximum(rows - half, 0), np.minimum(rows + half, len(angle) - 1)
+        way = np.where(sliding, np.sign(angle[after] - angle[before]), 0.0)
+        edges = np.flatnonzero(np.diff(way, prepend=0.0, append=0.0))
+        low, high = reach
+        cell = np.clip((angle - low) / (high - low) * CELLS, 0, CELLS - 1).astype(np.intp)
+        signs, found = [], []
+        for first, last in itertools.pairwise(edges):
+            if way[first]:
+                own = cell[first:last]
+                count = np.bincount(own, minlength=CELLS)
+                values = (torque[first:last], u[first:last])
+                sums = [np.bincount(own, value, minlength=CELLS) for value in values]
+                signs.append(way[first])
+                found.append(np.where(count > 0, sums, np.nan) / np.maximum(count, 1))
+        both = np.array(found).reshape(-1, 2, CELLS)
+        return cls(np.array(signs), both[:, 0], both[:, 1])
+
+
+@dataclass(frozen=True)
+class UnknownFriction:
+    """H `size` and w `widening`, N m; H over u, and the median of |h| over u, `typical`."""
+
+    size: float
+    widening: float
+    over_u: float
+    typical: float
+
+
+def unknown_friction(parts: Sequence[Passes], hand: float | None = None) -> UnknownFriction | None:
+    """Return what the passes of stretches show; None where too few cells have both directions.
+
+    Torque that drives a pass with more than `hand` N m is a hand that moves the rig, not friction.
+    """
+    direction = np.concatenate([part.direction for part in parts])
+    torque, u = (np.vstack([getattr(part, name) for part in parts]) for name in ("torque", "u"))
+    if hand is not None:
+        torque = np.where(direction[:, None] * torque >= -hand, torque, np.nan)
+    found = []
+    for own, doubt in zip(torque.T, u.T, strict=True):
+        known = np.isfinite(own)
+        sides = [own[known & (direction == sign)] for sign in (1.0, -1.0)]
+        if min(map(len, sides)) >= FEWEST_PASSES:
+            size = float(np.median(doubt[known]))
+            found.append((*(_untouched(side, size) for side in sides), size))
+    found = [row for row in found if np.isfinite(row).all()]
+    if len(found) < FEWEST_CELLS:
+        return None
+    up, down, size = np.array(found).T
+    least = np.sign(up) * np.minimum(np.abs(up), np.abs(down))
+    # friction of an instrument changes along many cells, a load may touch at one
+    next_to = np.pad(np.where(up * down < 0, least, 0.0), 1, mode="edge")
+    opposing = np.median([next_to[:-2], next_to[1:-1], next_to[2:]], axis=0)
+    whole, usual = float(np.sqrt(np.mean(opposing**2))), float(np.median(size))
+    wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), 2 * whole) ** 2)))
+    typical = float(np.median(np.abs(opposing) / size))
+    return UnknownFriction(whole, wide, whole / usual, typical)
+
+
+def _untouched(torque: Array, u: float) -> float:
+    """Return the torque N m of the passes (p,) of one direction that nothing touches, or NaN."""
+    by_size = torque[np.argsort(np.abs(torque))]
+    middle = by_size[int(QUARTILE * (len(torque) - 1))]
+    for _ in range(3):
+        alike = np.abs(torque - middle) <= NEAR * u
+        middle = np.median(torque[alike])
+    return float(middle) if alike.mean() >= ALIKE else math.nan

@@ -1,0 +1,92 @@
+"""Friction that the tables do not hold is found in the motion; forces from outside are not it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rigtool.experiments.force_sensor.unknown_friction import (
+    CELLS,
+    DOUBTED,
+    REFUSED,
+    Passes,
+    unknown_friction,
+)
+
+U, PASSES = 0.4e-3, 12
+
+
+def strokes(rng, friction=0.0, load=lambda direction, cell: 0.0, touched=0.0):
+    """Return passes to and fro: their own friction, some that others touch, and a load."""
+    direction = np.tile([1.0, -1.0], PASSES)
+    torque = rng.normal(0, 0.25e-3, (len(direction), 1)) + direction[:, None] * friction
+    cells = np.arange(CELLS)
+    torque = torque + np.array([[load(d, c) for c in cells] for d in direction])
+    order = np.tile(rng.permuted(np.tile(np.arange(PASSES)[:, None], 2), axis=0).ravel(), 1)
+    touching = order < touched * PASSES
+    torque += np.where(touching[:, None], rng.choice([-30e-3, 30e-3], (len(direction), 1)), 0.0)
+    return Passes(direction, torque, np.full_like(torque, U))
+
+
+@given(
+    seed=st.integers(0, 2**31),
+    friction=st.floats(1e-3, 5e-3),
+    sign=st.sampled_from([-1, 1]),
+    touched=st.floats(0.0, 0.5),
+)
+def test_friction_in_both_directions_is_found_whatever_touches(seed, friction, sign, touched):
+    passes = strokes(np.random.default_rng(seed), sign * friction, touched=touched)
+    found = unknown_friction([passes])
+    assert found.size == pytest.approx(friction, abs=0.35e-3)
+    assert found.size <= found.widening <= 2 * found.size
+    assert found.over_u > DOUBTED
+    assert found.typical * U == pytest.approx(friction, abs=0.35e-3)
+
+
+LOADS = {
+    "grasping while closing": lambda direction, cell: 20e-3 * (direction > 0),
+    "grasping both ways": lambda direction, cell: 20e-3,
+    "tissue": lambda direction, cell: 1e-3 * max(cell - 8, 0),
+    "touching both ways at one place": lambda direction, cell: 10e-3 * direction * (cell == 7),
+}
+
+
+@pytest.mark.parametrize("load", LOADS.values(), ids=LOADS)
+@given(seed=st.integers(0, 2**31), touched=st.floats(0.0, 0.3))
+def test_forces_from_outside_are_no_friction(load, seed, touched):
+    found = unknown_friction([strokes(np.random.default_rng(seed), load=load, touched=touched)])
+    if found is not None:  # else too few passes are alike
+        assert found.over_u < 0.6
+        assert found.typical < 0.6
+        assert found.widening < U
+
+
+def test_a_hand_that_moves_the_rig_is_no_friction():
+    passes = strokes(np.random.default_rng(1), -16e-3)
+    assert unknown_friction([passes]).typical > REFUSED
+    assert unknown_friction([passes], hand=8e-3) is None
+    assert unknown_friction([strokes(np.random.default_rng(1), 16e-3)], hand=8e-3) is not None
+
+
+def test_passes_end_at_reversals_and_where_there_is_no_value():
+    angle = np.concatenate([np.linspace(0, 1, 500), np.linspace(1, 0, 500)])
+    torque = np.concatenate([np.full(500, 2e-3), np.full(500, -1e-3)])
+    sliding = np.ones(1000, dtype=bool)
+    sliding[[*range(20), *range(240, 260), *range(490, 520)]] = False
+    passes = Passes.of(5e-3, angle, sliding, (0.0, 1.0), torque, np.full(1000, U))
+    assert passes.direction.tolist() == [1.0, 1.0, -1.0]
+    for row, value, cells in zip(passes.torque, (2e-3, 2e-3, -1e-3), (12, 11, 23), strict=True):
+        known = np.isfinite(row)
+        assert abs(known.sum() - cells) <= 1
+        np.testing.assert_allclose(row[known], value, rtol=1e-9)
+    assert unknown_friction([passes]) is None
+
+
+def test_stretches_count_together():
+    passes = strokes(np.random.default_rng(2), 2e-3)
+    parts = [
+        Passes(passes.direction[rows], passes.torque[rows], passes.u[rows])
+        for rows in (slice(0, 6), slice(6, None))
+    ]
+    assert unknown_friction(parts) == unknown_friction([passes])
+    assert unknown_friction(parts[:1]) is None
