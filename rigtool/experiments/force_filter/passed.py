@@ -17,6 +17,7 @@ from rigtool.experiments.force_filter.linear import WIDE, M
 from rigtool.experiments.force_filter.plant import STATES, TORQUE
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
+from rigtool.numerics.recursion import butterworth
 
 ORDER = 2
 
@@ -29,10 +30,9 @@ Q = STATES * WIDE
 
 def section(bandwidth_hz: float, step_time: float) -> Array:
     """Return A, B over C, D of the low-pass, (3, 3), for steps of `step_time` s."""
-    from scipy.signal import butter, tf2ss
-
-    a, b, c, d = tf2ss(*butter(ORDER, bandwidth_hz, fs=1 / step_time))
-    return np.block([[a, b], [c, d]])
+    low_pass = butterworth(1 / step_time, bandwidth_hz)
+    change, feed = low_pass.state_space()
+    return np.block([[change, feed[:, None]], [np.array([1.0, 0.0, low_pass.b0])]])
 
 
 def delay(bandwidth_hz: float) -> float:

@@ -97,7 +97,7 @@ def moved(wanted, contact, seed=1):
         x[NOISE] = kept * x[NOISE] + noise[k]
         cogging = np.interp(x[ANGLE] % (2 * math.pi), TURN, ROTOR[:, 0])
         current[k] = (torque + cogging) / constant
-        advance(x, record, plant.friction_map, torque, 5e-5, None, 0.0, 0.0)
+        advance(x, record, plant.friction_map, torque, 5e-5, None, 0, 0.0, 0.0)
     return np.stack([encoder, current, np.full(len(wanted), WARM)])
 
 
