@@ -9,8 +9,9 @@ has friction h whose state m follows the way that the current goes (P. R. Dahl, 
     dm = (sign(di) - m) |di| / s
 
 A turning shaft has friction by its speed w instead; where the speed is not recorded and the current
-has both signs, the shaft may turn with its torque, and friction d follows the current. (1) is fitted to means: of each plateau, which
-counts as one observation, or of equal parts of a ramp, whose residuals are correlated in time.
+has both signs, the shaft may turn with its torque, and friction d follows the current. (1) is
+fitted to means: of each plateau, which counts as one observation, or of equal parts of a ramp,
+whose residuals are correlated in time.
 
 Friction, curvature q, c, and a drift of the sensor's zero over the recording have prior sizes,
 typical of motors and sensors (`FRICTION` and so on). These sizes limit what the data do not
