@@ -126,8 +126,8 @@ def many(folder: Path, count: int = 1000, repeats: int = 2) -> dict[str, float]:
     For comparison, that of a program in which h5py alone reads all that is in the same files.
     """
     with open_run(KT) as kt, open_run(FIXTURES / "friction.h5") as friction:
-        staircases = _cut(kt, "staircase", folder, count)
-        holds = _cut(friction, "holds", folder, count)
+        staircases = cut(kt, "staircase", folder, count)
+        holds = cut(friction, "holds", folder, count)
     few, found = count // 5, {}
     quietly = ["--overwrite", "-q"]
     for name, program, paths, before, after in (
@@ -151,7 +151,7 @@ def many(folder: Path, count: int = 1000, repeats: int = 2) -> dict[str, float]:
     return found
 
 
-def _cut(run: Run, name: str, folder: Path, count: int) -> list[str]:
+def cut(run: Run, name: str, folder: Path, count: int) -> list[str]:
     """Write small files, each with one part of a recording and with noise of its own."""
     recording = run.recording(name)
     whole = {channel.name: recording.read(channel.name) for channel in recording.channels}

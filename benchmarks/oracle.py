@@ -35,7 +35,7 @@ from rigtool.recipe.virtual import Hand, Mass, Pulse, Ramp, Sine, Tissue
 from rigtool.rigs import Feedforward, Task, open_rig
 from rigtool.rigs.motion import Motion, Triangle
 from rigtool.rigs.virtual import hand
-from rigtool.rigs.virtual.kernel import TICK
+from rigtool.rigs.virtual.layout import TICK
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
 
 Array = NDArray[np.float64]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import keyword
 import os
@@ -149,11 +150,17 @@ def rigtool() -> None:
     """
 
 
+GARBAGE = 20_000
+"""New objects after which Python looks for cycles of garbage: by default 700, which took a
+twentieth of the start of a command, as imports make many objects and no garbage."""
+
+
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code; errors become messages on stderr."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     output = Output(json="--json" in arguments)
     _keep_memory_of_blocks()
+    gc.set_threshold(GARBAGE)
     try:
         _require_text(arguments)
         with handled():

@@ -62,10 +62,13 @@ class Path:
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """See `Motion.setpoint`."""
         number = np.searchsorted(self.pieces[:, BEGIN], time, side="right") - 1
-        piece = self.pieces[np.maximum(number, 0)].T
+        piece = self.pieces.T.take(np.maximum(number, 0), axis=1)
         since = time - piece[BEGIN]
-        phase = piece[OMEGA] * since
-        return follow(piece, since, np.sin(phase), np.cos(phase))
+        sine, cosine = np.zeros(len(time)), np.ones(len(time))
+        arch = np.flatnonzero(piece[AMPLITUDE])
+        phase = piece[OMEGA, arch] * since[arch]
+        sine[arch], cosine[arch] = np.sin(phase), np.cos(phase)
+        return follow(piece, since, sine, cosine)
 
 
 class Motion(Protocol):

@@ -26,7 +26,7 @@ def test_numba_is_imported_with_the_first_call():
         "import sys\n"
         "import rigtool.experiments.force_filter.kalman\n"
         "from rigtool.rigs.virtual.kernel import _bristle\n"
-        "print('numba' in sys.modules, _bristle(0.5, 0.0, 1e-4, 1e-3), 'numba' in sys.modules)"
+        "print('numba' in sys.modules, _bristle(0.5, 0.0, 0.1), 'numba' in sys.modules)"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert found.stdout == "False 0.5 True\n", found.stderr

@@ -190,7 +190,7 @@ class Smoother:
     def __init__(self, uncertainty: Uncertainty, step_time: float) -> None:
         self._kept = math.exp(-step_time / uncertainty.friction_noise_time)
         self._block, self._ahead = BLOCK / step_time, AHEAD / step_time
-        self._waiting: deque[Estimate] = deque()
+        self._waiting: deque[tuple[Array, Array, tuple[Array, ...]]] = deque()
         self._count = 0
 
     def add(self, estimate: Estimate) -> tuple[Array, Array]:
@@ -199,7 +199,9 @@ class Smoother:
         As many as are followed by enough; often none.
         """
         if len(estimate.deviation):
-            self._waiting.append(estimate)
+            assert estimate.kept is not None
+            own = estimate.torque.copy(), estimate.deviation.copy(), estimate.kept
+            self._waiting.append(own)
             self._count += len(estimate.deviation)
         if self._count < self._block + self._ahead:
             return np.empty(0), np.empty(0)
@@ -214,10 +216,9 @@ class Smoother:
         rows = np.zeros(STATES * WIDE)
         done: deque[tuple[Array, Array]] = deque()
         behind = 0
-        for estimate in reversed(self._waiting):
-            torque, deviation = estimate.torque.copy(), estimate.deviation.copy()
-            assert estimate.kept is not None
-            smoother.backwards(rows, self._kept, estimate.kept, torque, deviation)
+        for causal, spread, kept in reversed(self._waiting):
+            torque, deviation = causal.copy(), spread.copy()
+            smoother.backwards(rows, self._kept, kept, torque, deviation)
             if behind >= ahead:
                 done.appendleft((torque, deviation))
             behind += len(deviation)

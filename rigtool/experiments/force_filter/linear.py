@@ -52,7 +52,7 @@ def _read(factors: Array, k: int) -> tuple[float, ...]:
 
 @compiled
 def forwards(rows: Array, columns: int, factors: Array, k: int) -> None:
-    """Advance the first `columns` of a matrix (12 * WIDE,) by sample k of `factors`
+    """Advance the first `columns` of a flat matrix (n,), 12 rows of `WIDE`, by sample k of `factors`
     (samples, `FACTORS`)."""
     found = _read(factors, k)
     w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10 = found[:11]

@@ -17,6 +17,7 @@ from rigtool.experiments.force_filter.linear import WIDE, M
 from rigtool.experiments.force_filter.plant import STATES, TORQUE
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
+from rigtool.numerics.recursion import butterworth
 
 ORDER = 2
 
@@ -29,10 +30,9 @@ Q = STATES * WIDE
 
 def section(corner_hz: float, step_time: float) -> Array:
     """Return A, B over C, D of the low-pass, (3, 3), for steps of `step_time` s."""
-    from scipy.signal import butter, tf2ss
-
-    a, b, c, d = tf2ss(*butter(ORDER, corner_hz, fs=1 / step_time))
-    return np.block([[a, b], [c, d]])
+    low_pass = butterworth(1 / step_time, corner_hz)
+    change, feed = low_pass.state_space()
+    return np.block([[change, feed[:, None]], [np.array([1.0, 0.0, low_pass.b0])]])
 
 
 def delay(corner_hz: float) -> float:
@@ -64,7 +64,7 @@ def predict(q: Array, rows: Array, low_pass: Array, torque: float) -> None:
 def output(
     x: Array, q: Array, rows: Array, low_pass: Array, shared: Array, first: int
 ) -> tuple[float, float]:
-    """Return mean and variance of y; `shared` receives from `first` on its covariance with x."""
+    """Return mean and variance of y; `shared` (n,) receives its covariance with x from `first` on."""
     a, b, d = low_pass[ORDER, 0], low_pass[ORDER, 1], low_pass[ORDER, ORDER]
     for n in range(STATES):
         shared[first + n] = a * rows[Q + n] + b * rows[Q + WIDE + n] + d * rows[M + n]

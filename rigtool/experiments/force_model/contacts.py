@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter.motion_states import State, States
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
+from rigtool.numerics.recursion import Biquad, filtered
 
 Single = NDArray[np.float32]
 
@@ -79,7 +80,7 @@ class Trial:
     torque: Single
     jump: Single
     level: Single
-    motion: NDArray[np.int32]
+    motion: NDArray[np.int8]
     step_time: float
 
 
@@ -103,16 +104,16 @@ def trial(
 
     `doubt` N m is the standard deviation of what was taken off its torque.
     """
-    from scipy.signal import lfilter
-
     kept = math.exp(-step_time / LAG)
-    smooth: Single = np.asarray(lfilter([1 - kept], [1, -kept], torque), dtype=np.float32)
+    low_pass = Biquad(1 - kept, 0.0, 0.0, -kept, 0.0)
+    smooth: Single = filtered(low_pass, torque).astype(np.float32)
     window = round(WINDOW / step_time)
     jump: Single = np.zeros(len(smooth), dtype=np.float32)
     jump[window:] = smooth[window:] - smooth[: len(smooth) - window]
     whole = np.hypot(deviation, doubt)
-    jump *= deviation / whole
-    motion = np.full(len(smooth), Motion.STEADY, dtype=np.int32)
+    jump *= deviation
+    jump /= whole
+    motion = np.full(len(smooth), Motion.STEADY, dtype=np.int8)
     motion[_lately(states == State.REVERSED, round(AFTER / step_time))] = Motion.REVERSED
     motion[states == State.STILL] = Motion.STILL
     motion[_lately(states == State.OUTSIDE, window)] = -1
@@ -123,10 +124,13 @@ def trial(
 
 def _lately(there: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
     """Return where something was there within the last steps, (m,)."""
-    number = np.arange(len(there), dtype=np.int32)
-    last = np.maximum.accumulate(np.where(there, number, np.int32(-steps - 1)))
-    found: NDArray[np.bool_] = number - last <= steps
-    return found
+    from scipy.ndimage import maximum_filter1d
+
+    size = steps + 1
+    behind = steps - size // 2
+    found = maximum_filter1d(there.view(np.uint8), size, mode="constant", origin=behind)
+    lately: NDArray[np.bool_] = found.view(np.bool_)
+    return lately
 
 
 def thresholds(untouched: Sequence[Trial], rate: float = FALSE_ALARMS) -> Array:
@@ -176,7 +180,7 @@ def _contacts(
     torque: Single,
     jump: Single,
     level: Single,
-    motion: NDArray[np.int32],
+    motion: NDArray[np.int8],
     limits: Array,
     window: int,
     longest: int,

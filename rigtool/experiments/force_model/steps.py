@@ -59,8 +59,12 @@ class Grid:
     def means(self, signal: Array) -> Array:
         """Return a recorded signal (n,) at the samples of the filter (k,)."""
         size = len(signal) // self.averaged
-        means: Array = signal[: size * self.averaged].reshape(size, self.averaged).mean(axis=1)
-        return np.repeat(means, self.divided)
+        parts = signal[: size * self.averaged].reshape(size, self.averaged)
+        means = parts[:, 0].copy()
+        for part in range(1, self.averaged):  # a sum of columns: faster than one of each row
+            means += parts[:, part]
+        means /= self.averaged
+        return means if self.divided == 1 else np.repeat(means, self.divided)
 
     def counts(self, encoder: Array) -> Array:
         """Return the count that the angle is in at the begin of each sample of the filter (k,)."""

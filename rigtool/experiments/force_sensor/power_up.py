@@ -25,6 +25,7 @@ Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple m
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,9 +142,13 @@ class PowerUp:
 
         `angle` (m,) rad as before, `torque` (m,) N m from the whole recording.
         """
-        again = self._state.copy()
-        again["waves"] = 0.0
-        return self._followed(again, angle, torque, np.zeros(0, np.bool_))
+        return self.again()(angle, torque)
+
+    def again(self) -> Callable[[Array, Array], tuple[Array, Array, Array]]:
+        """Return `whole` for a recording that is given piece by piece."""
+        state = self._state.copy()
+        state["waves"] = 0.0
+        return lambda angle, torque: self._followed(state, angle, torque, np.zeros(0, np.bool_))
 
     def _followed(
         self, state: NDArray[np.void], angle: Array, torque: Array, sliding: NDArray[np.bool_]

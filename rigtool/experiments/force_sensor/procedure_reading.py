@@ -37,6 +37,7 @@ from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.lowpass import delayed, lowpass
+from rigtool.numerics.memory import give_back
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
@@ -171,7 +172,7 @@ class Stretch:
             self._untouched = instrument.filter(instrument.model.untouched)
         self._later: list[Future[None]] = []
         self._judge = instrument.judge(causal=False)
-        self._waiting: Moments | None = None  # of which some, in front, give states alone
+        self._waiting: list[Moments] = []  # of which some, in front, give states alone
         self._in_front = 0
         self._room = math.ceil(size * instrument.interval / step_time) + 1
         self._found: dict[str, NDArray[Any]] = {}
@@ -188,14 +189,14 @@ class Stretch:
         rows = slice(-self._steps % self._every, None, self._every)
         self._steps += len(sensed.states)
         angle = estimate.low + self._instrument.count / 2
-        self._keep("angle", angle)
+        self._keep("angle", np.remainder(angle, 2 * math.pi))
+        self._keep("passed", angle[rows])
         self._keep("causal", sensed.torque[rows])
         self._keep("causal_u", sensed.u[rows])
         self._keep("causal_states", sensed.states)
         for reference in sensed.others:
             self._keep("reference", reference)
-        before = self._waiting
-        self._waiting = sensed.moments if before is None else before.joined(before, sensed.moments)
+        self._waiting.append(sensed.moments)
         self._later = [self._workers.submit(self._smooth, sensed, last)]
         if self._untouched is not None:
             self._later.append(self._workers.submit(self._test, self._untouched, sensed))
@@ -232,10 +233,9 @@ class Stretch:
         """Keep smoothed steps, and give them their states."""
         if not len(torque):
             return
-        assert self._waiting is not None
-        judge, first = self._judge, self._in_front
+        judge, first, waiting = self._judge, self._in_front, Moments.joined(*self._waiting)
         end = first + len(torque)
-        part = self._waiting.part(0, end + judge.span)
+        part = waiting.part(0, end + judge.span)
         own = part.torque.copy()
         own[first:end] = torque
         states = judge.states(replace(part, torque=own))
@@ -244,7 +244,7 @@ class Stretch:
         self._keep("states", states[first:end])
         self._keep("kinds", judge.kinds(states, part)[first:end])
         self._in_front = min(end, judge.span)
-        self._waiting = self._waiting.part(end - self._in_front)
+        self._waiting = [waiting.part(end - self._in_front)]
 
     def reading(self) -> list[Reading]:
         """Return the rows of what was read, once the stretch is over; nothing where it is too
@@ -252,19 +252,22 @@ class Stretch:
         referred = "reference" in self._found
         self.add(np.empty((4 if referred else 3, 0)), last=True)
         self._settle()
+        give_back()
         step_time, every = self._instrument.grid.step_time, self._every
         if self._steps * step_time < SHORTEST:
             return []
         self.seconds = self._steps * step_time
-        contacts, angle = self._contacts(), self._found["angle"][: self._steps : every].copy()
+        contacts = self._contacts()
+        give_back()
         time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
         torque, u, ripple = self._whole()
+        give_back()
         reference = self._taken("reference") if referred else None
         rate, corner_hz = 1 / step_time, self._instrument.corner_hz
         torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
         inside, rows = states != State.OUTSIDE, slice(None, None, every)
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
-        at = step_time * every, angle, sliding, self._instrument.reach.angle
+        at = step_time * every, self._taken("passed"), sliding, self._instrument.reach.angle
         return [
             Reading(
                 self._name,
@@ -306,19 +309,24 @@ class Stretch:
         """Return the torque (m,) less what this power-up's ripple adds; u and that ripple of its
         rows. All N m."""
         instrument, every = self._instrument, self._every
-        torque: Array = self._taken("torque")
-        ripple, variance, _ = self._sensor.power_up.whole(self._taken("angle"), torque)
-        torque -= ripple
+        torque, angle = self._taken("torque"), self._taken("angle")
+        again, added, variances = self._sensor.power_up.again(), [], []
+        for first in range(0, len(torque), PIECE):
+            part = slice(first, first + PIECE)
+            ripple, variance, _ = again(angle[part].astype(np.float64), torque[part])
+            torque[part] -= ripple
+            added.append(ripple[-first % every :: every])
+            variances.append(variance[-first % every :: every])
         corner_hz, step_time = instrument.corner_hz, instrument.grid.step_time
         deviation = without_delay(self._taken("u"), corner_hz, step_time)
         ahead = weight_ahead(1 / step_time, len(deviation), corner_hz)
         ahead *= self._sensor.last_deviation
         deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
-        deviation = np.sqrt(deviation[::every] ** 2 + variance[::every])
+        deviation = np.sqrt(deviation[::every].astype(float) ** 2 + np.concatenate(variances))
         kinds = self._taken("kinds")[::every]
         scales = instrument.model.scales[0]
         u = standard_uncertainty(scales, deviation, torque[::every], kinds)
-        return torque, u, ripple[::every]
+        return torque, u, np.concatenate(added)
 
 
 def held_lowpass(rate: float, values: Array, corner_hz: float) -> Array:
@@ -337,16 +345,19 @@ def weight_ahead(rate: float, size: int, corner_hz: float) -> Array:
 
 FOUND = {
     "torque": np.float64,
-    "u": np.float64,
+    "u": np.float32,
     "states": np.int8,
     "kinds": np.int8,
     "causal": np.float64,
     "causal_u": np.float64,
     "causal_states": np.int8,
     "reference": np.float64,
-    "angle": np.float64,
+    "angle": np.float32,
+    "passed": np.float64,
     "untouched": np.float32,
     "untouched_u": np.float32,
     "doubt": np.float32,
 }
-"""At each step, but for the causal torque and its u, which are kept at the table's rows."""
+"""At each step, but for the causal torque, its u and the angle that was passed, which are kept at
+the table's rows. What is in single precision is known to 1e-7 of itself, the angle, of which only
+the place in a turn is kept, to 1e-6 rad: both move u by less than 1e-6 of it."""

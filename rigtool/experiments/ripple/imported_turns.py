@@ -74,6 +74,9 @@ WEAKEST = 0.3
 """Smallest singular value of the fitted functions, 1 where angles are evenly spread: samples that
 meet the same angles in each turn do not resolve orders above half their number."""
 
+BLOCK = 2**20
+"""Numbers of a design that are in memory at a time."""
+
 
 @dataclass(frozen=True, eq=False)
 class Turns:
@@ -237,11 +240,11 @@ def _fit_orders(
         fits = min(rows, MOST_FITS, count // (SAMPLES_PER_NUMBER * (2 * orders + 1)))
         edges = np.searchsorted(np.abs(turns - turns[0]), np.arange(1, fits) * (rows / fits))
         parts = np.split(np.arange(count), edges)
-        design = _series(2 * np.pi * turns, orders)
-        squares = [design[part].T @ design[part] / len(part) for part in parts]
+        both = np.column_stack([torque, deviation])
+        squares, sums = zip(
+            *(_moments(turns[part], both[part], orders) for part in parts), strict=True
+        )
         if min(np.linalg.eigvalsh(square)[0] for square in squares) >= WEAKEST**2:
-            both = np.column_stack([torque, deviation])
-            sums = [design[part].T @ both[part] / len(part) for part in parts]
             width = np.repeat(np.sinc(np.arange(orders + 1) / positions), 2)[1:]
             found = np.linalg.solve(np.array(squares), np.array(sums))
             torques, deviations = np.moveaxis((_series(cells, orders) * width) @ found, -1, 0)
@@ -250,6 +253,18 @@ def _fit_orders(
     raise InsufficientDataError(
         f"{count} samples in {rows} turns, at equal angles in each, resolve no order: sample faster"
     )
+
+
+def _moments(turns: Array, values: Array, orders: int) -> tuple[Array, Array]:
+    """Return means of the series' products with itself (p, p) and with values (n, 2), (p, 2)."""
+    size = 2 * orders + 1
+    square, with_values = np.zeros((size, size)), np.zeros((size, 2))
+    block = max(BLOCK // size, 1)
+    for first in range(0, len(turns), block):
+        design = _series(2 * np.pi * turns[first : first + block], orders)
+        square += design.T @ design
+        with_values += design.T @ values[first : first + block]
+    return square / len(turns), with_values / len(turns)
 
 
 def _series(angle: Array, orders: int) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from rigtool.numerics.arrays import Array
 from rigtool.recipe.virtual import AnyContact, Eased, Mass, Ramp, Sine, Tissue
 from rigtool.rigs.motion import Motion
-from rigtool.rigs.virtual.kernel import FORCE_TORQUE, HAND_ANGLE, HAND_SPEED, WEIGHT_MOMENT
+from rigtool.rigs.virtual.layout import FORCE_TORQUE, HAND_ANGLE, HAND_SPEED, WEIGHT_MOMENT
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from rigtool.recipe.rig import RigDescription
 from rigtool.recipe.virtual import Virtual
 from rigtool.rigs.base import Block, Feedforward, Load, Rig, Task
 from rigtool.rigs.motion import CurrentSteps, Motion, Move, Observe, OpenLoop, Path
-from rigtool.rigs.virtual import contacts, hand, kernel
+from rigtool.rigs.virtual import contacts, hand, kernel, layout
 from rigtool.rigs.virtual.contacts import Grip, Outside
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
 from rigtool.rigs.virtual.stability import require_stable
@@ -69,7 +69,7 @@ class VirtualRig(Rig):
         self._setpoint: float | None = None  # of the closed loop, rad; None while it is open
         self._rotor_map = rotor_map(self._virtual, self._virtual.amplifier, self._power_cycle)
         self._friction_map = friction_map(self._virtual)
-        self._state = np.zeros(1, dtype=kernel.STATE)
+        self._state = np.zeros(1, dtype=layout.STATE)
         self._state["direction"] = 1.0
         ambient = self._virtual.thermal.ambient_degc
         self._state["winding_degc"] = self._state["housing_degc"] = ambient
@@ -200,12 +200,12 @@ class VirtualRig(Rig):
         ff = task.feedforward
         signal = np.zeros(0) if ff.signal is None else np.ascontiguousarray(ff.signal, np.float64)
         total = round(motion.duration / dt)
-        block = kernel.TICK * every * max(1, BLOCK // (kernel.TICK * every))
+        block = layout.TICK * every * max(1, BLOCK // (layout.TICK * every))
         for first in range(0, total, block):
             count = min(block, total - first)
             steps = np.arange(first, first + count if needs_time else first, dtype=np.float64)
             time = (steps + 0.5) * dt
-            out = np.zeros((count // every, len(kernel.COLUMNS)))
+            out = np.zeros((count // every, len(layout.COLUMNS)))
             done = kernel.run(
                 parameters,
                 self._state,
@@ -221,7 +221,7 @@ class VirtualRig(Rig):
                 ff.coefficients,
                 NO_TABLE if ff.table is None else ff.table.grid,
                 signal,
-                rng.standard_normal((count // kernel.TICK + 1, 2)),
+                rng.standard_normal((count // layout.TICK + 1, 2)),
                 rng.standard_normal((512, 3)),
                 task.stop_angle or 0.0,
                 every,
@@ -239,7 +239,7 @@ class VirtualRig(Rig):
                 self._setpoint = float(self._state["setpoint"][0])
             recorded = self._recorded(out[: done // every], every, task.load, rng)
             if task.touched:
-                recorded["reference_torque"] = out[: done // every, kernel.REFERENCE_TORQUE]
+                recorded["reference_torque"] = out[: done // every, layout.REFERENCE_TORQUE]
             yield recorded
             self._time += done * dt
             if done < count:
@@ -265,15 +265,15 @@ class VirtualRig(Rig):
         middle = np.arange(rows, dtype=np.float64) * every + (every - 1) / 2
         block = {
             "time": self._time + middle * self._rig.sample_time,
-            "position_setpoint": out[:, kernel.POSITION_SETPOINT],
-            "encoder": out[:, kernel.ENCODER],
-            "current_setpoint": out[:, kernel.CURRENT_SETPOINT],
-            "current": sensors.current_gain * out[:, kernel.CURRENT]
+            "position_setpoint": out[:, layout.POSITION_SETPOINT],
+            "encoder": out[:, layout.ENCODER],
+            "current_setpoint": out[:, layout.CURRENT_SETPOINT],
+            "current": sensors.current_gain * out[:, layout.CURRENT]
             + sensors.current_noise * average * rng.standard_normal(rows),
-            "feedforward_current": out[:, kernel.FEEDFORWARD_CURRENT],
-            "table_current": out[:, kernel.TABLE_CURRENT],
-            "signal_current": out[:, kernel.SIGNAL_CURRENT],
-            "temperature": out[:, kernel.TEMPERATURE]
+            "feedforward_current": out[:, layout.FEEDFORWARD_CURRENT],
+            "table_current": out[:, layout.TABLE_CURRENT],
+            "signal_current": out[:, layout.SIGNAL_CURRENT],
+            "temperature": out[:, layout.TEMPERATURE]
             + sensors.temperature_offset
             + sensors.temperature_noise * rng.standard_normal(rows),
         }
@@ -283,7 +283,7 @@ class VirtualRig(Rig):
             pull = load.radial_force * (1 + self._virtual.misstated.weights)
             block["deflection"] = np.full(rows, pull / spring + error)
         if load.clamped:
-            force = out[:, kernel.ARM_TORQUE] / self._rig.arm.length
+            force = out[:, layout.ARM_TORQUE] / self._rig.arm.length
             force = force * (sensors.force_gain + sensors.force_linearity * force)
             force = force + sensors.force_noise * rng.standard_normal(rows)
             if sensors.force_resolution > 0:
@@ -296,9 +296,9 @@ class VirtualRig(Rig):
         """Collect the kernel's parameters for a task under this load."""
         v, rig = self._virtual, self._rig
         motor, amplifier, thermal = v.motor, v.amplifier, v.thermal
-        dt, tick = rig.sample_time, rig.sample_time * kernel.TICK
+        dt, tick = rig.sample_time, rig.sample_time * layout.TICK
         instrument = rig.attachment == "instrument"
-        p = np.zeros(1, dtype=kernel.PARAMETERS)
+        p = np.zeros(1, dtype=layout.PARAMETERS)
         force = load.force * (1 + v.misstated.weights)
         mass = force / GRAVITY
         hanging = 0.0 if instrument else force * rig.pulley_radius

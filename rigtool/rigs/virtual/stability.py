@@ -20,7 +20,8 @@ import numpy as np
 
 from rigtool.errors import RecipeError
 from rigtool.numerics.arrays import Array
-from rigtool.rigs.virtual.kernel import TICK, mobility
+from rigtool.rigs.virtual.kernel import mobility
+from rigtool.rigs.virtual.layout import TICK
 
 ROUNDING = 1e-6
 """By which the largest eigenvalue of a free, stable motion may differ from 1."""

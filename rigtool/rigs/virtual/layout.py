@@ -1,0 +1,128 @@
+"""What the compiled step takes and returns: fields of its records, columns of its arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+TICK = 16
+"""Samples between updates of slow states: temperatures, friction noise, drift."""
+
+STATE = np.dtype(
+    [
+        (name, "f8")
+        for name in (
+            "angle",
+            "speed",
+            "bristle",
+            "current",
+            "ripple",
+            "friction_noise",
+            "winding_degc",
+            "housing_degc",
+            "grasper_angle",
+            "grasper_speed",
+            "housing_bristle",
+            "tip_bristle",
+            "drift",
+            "direction",
+            "stroke_sine",
+            "stroke_cosine",
+            "stroke_load",
+            "contact",
+        )
+    ]
+    # random numbers of each direction's last stroke: (negative, positive) x (sine, cosine, load)
+    + [("drawn", "f8", (2, 3))]
+    # set point of the last sample
+    + [("setpoint", "f8")]
+)
+
+PARAMETERS = np.dtype(
+    [
+        (name, "f8")
+        for name in (
+            "dt",
+            "encoder_counts",
+            "assumed_torque_constant",
+            "current_limit",
+            "inertia",
+            "torque_constant",
+            "torque_constant_coefficient",
+            "coulomb",
+            "static",
+            "stribeck_velocity",
+            "viscous",
+            "asymmetry",
+            "presliding_angle",
+            "presliding_damping",
+            "noise_decay",
+            "noise_gain",
+            "gain",
+            "offset",
+            "current_step",
+            "current_kept",
+            "ripple_step",
+            "distortion",
+            "distortion_period",
+            "resistance",
+            "winding_to_housing",
+            "winding_capacity",
+            "housing_to_ambient",
+            "housing_capacity",
+            "ambient_degc",
+            "load_torque",
+            "clamped",
+            "clamp_angle",
+            "arm_stiffness",
+            "arm_damping",
+            "instrument",
+            "angle_ratio",
+            "torque_factor",
+            "stiffness",
+            "damping",
+            "tendon_angle",
+            "tendon_speed",
+            "tendon_share",
+            "grasper_inertia",
+            "load_moment",
+            "housing_friction",
+            "housing_asymmetry",
+            "housing_viscous",
+            "housing_presliding_angle",
+            "tip_friction",
+            "tip_presliding_angle",
+            "load_friction",
+            "load_friction_onset",
+            "stroke_noise",
+            "stroke_payback",
+            "load_stroke_noise",
+            "drift_decay",
+            "drift_gain",
+            "load_inertia",
+            "inertia_per_weight",
+            "grip_stiffness",
+            "grip_damping",
+        )
+    ]
+)
+
+# Columns of the map by rotor angle, and of the map by grasper angle
+OFFSET_RIPPLE, GAIN_RIPPLE, SATURATION_RIPPLE, COGGING, VISCOUS_MODULATION = range(5)
+
+# Columns of the contacts at the output, and of each tissue
+FORCE_TORQUE, WEIGHT_MOMENT, HAND_ANGLE, HAND_SPEED = range(4)
+TISSUE_BEGIN, TISSUE_END, TISSUE_ANGLE, TISSUE_STIFFNESS, TISSUE_DAMPING = range(5)
+
+# Columns of the returned array
+(
+    ENCODER,
+    CURRENT_SETPOINT,
+    CURRENT,
+    ARM_TORQUE,
+    TEMPERATURE,
+    POSITION_SETPOINT,
+    FEEDFORWARD_CURRENT,
+    TABLE_CURRENT,
+    SIGNAL_CURRENT,
+    REFERENCE_TORQUE,
+) = COLUMNS = range(10)
