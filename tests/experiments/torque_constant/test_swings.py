@@ -97,3 +97,14 @@ def test_noise_of_courses_is_taken_off_and_swings_are_kept():
     error = np.sqrt(np.mean((found - rows) ** 2))
     assert error < 0.4 * 0.01
     assert_allclose(left, error, rtol=0.5)
+
+
+def test_the_rate_of_the_course_holds_torque_and_swing():
+    # Staircases of one set point whose torque and swing differ by a factor: the rate is the course.
+    one, factor = swinging(0.8), np.linspace(0.97, 1.03, 12)
+    torque = np.array([[0.0, 1.0, 2.0, 1.0, 0.0]]) * factor[:, None]
+    course = one.course * factor[:, None, None]
+    setpoint = np.tile(one.setpoint, (12, 1))
+    found = mean_courses(setpoint, torque, course, np.ones(torque.shape), noise=1e-9)
+    assert_allclose(found.torque_rate, one.torque, rtol=0, atol=1e-9)
+    assert_allclose(found.course_rate, one.course, rtol=0, atol=1e-6)

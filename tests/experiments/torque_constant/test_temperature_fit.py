@@ -372,3 +372,13 @@ def test_mean_over_turn_does_not_care_where_the_turn_begins(shift, noise):
     here, there = mean_over_turn(angle, value), mean_over_turn(angle + shift, value)
     assert_allclose(there.value, here.value, atol=1e-12)
     assert_allclose(there.u, here.u, rtol=1e-9)
+
+
+def test_an_error_of_the_thermometer_moves_the_constant_along_its_slope(thesis):
+    bench = Bench()
+    signals = bench.record()
+    plateaus = find_plateaus(**signals, arm_length=bench.arm_length, settle_time=bench.settle_time)
+    found = calibrate(plateaus, arm_length=bench.arm_length, thermometer_u=2.0, **ARM)
+    assert found.coefficient.value < 0
+    shift = 2.0 * abs(found.coefficient.value)
+    assert_allclose(found.components["thermometer"], shift, rtol=0.05)
