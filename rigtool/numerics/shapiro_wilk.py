@@ -53,9 +53,10 @@ def p_value(ordered: Array) -> float:
 
 def _weights(count: int) -> Array:
     """Return the weights of ordered readings (n,), of norm 1."""
-    from scipy.special import ndtri
+    from statistics import NormalDist
 
-    medians: Array = ndtri((np.arange(1.0, count + 1) - 0.375) / (count + 0.25))
+    places = ((np.arange(1.0, count + 1) - 0.375) / (count + 0.25)).tolist()
+    medians = np.array([NormalDist().inv_cdf(place) for place in places])
     if count == 3:
         return np.array([-math.sqrt(0.5), 0.0, math.sqrt(0.5)])
     square, u = float(medians @ medians), 1 / math.sqrt(count)

@@ -178,7 +178,7 @@ def normality(values: ArrayLike) -> Normality:
     (n + 0.365), m_n = 0.5**(1/n), m_1 = 1 - m_n. Test of Shapiro and Wilk. Raises
     `InsufficientDataError` for fewer than 3 readings or readings without any scatter.
     """
-    from scipy.special import ndtri
+    from statistics import NormalDist
 
     (x,) = require_signals(3, values=values)
     ordered = np.sort(x)
@@ -189,7 +189,7 @@ def normality(values: ArrayLike) -> Normality:
     probability: Array = (np.arange(1.0, x.size + 1) - 0.3175) / (x.size + 0.365)
     probability[-1] = 0.5 ** (1 / x.size)
     probability[0] = 1 - probability[-1]
-    quantile = ndtri(probability)
+    quantile = np.array([NormalDist().inv_cdf(p) for p in probability.tolist()])
     # Shapiro-Wilk knows no scale; numbers near one keep its sums well conditioned.
     scaled = (ordered - ordered.mean()) / ordered.std()
     return Normality(
