@@ -10,6 +10,7 @@
 # make attack         kills, signals, damaged files, changed recipes, properties; SECONDS=600 SEED=20061
 # make docs           the documentation as a site, in build/docs
 # make bench          speed and memory of what users wait for
+# make accuracy       force over time and contacts against what acted, on virtual rigs that are learned
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
 # make coverage-short a few minutes of it, with an exit code
 # make fixtures       the runs in tests/fixtures, stored anew
@@ -37,7 +38,7 @@ RUNS := $(addprefix $(BUILD)/,kt.h5 friction.h5 ripple.h5 \
 # Without byte code on disk every command compiles its modules anew: a start takes twice as long.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench coverage coverage-short attack release-check clean help
+.PHONY: pages real-data tables corrected over-time thesis test test-lowest docs fixtures bench accuracy coverage coverage-short attack release-check clean help
 .DELETE_ON_ERROR:
 
 # The longest chains first: with two jobs both cores have work until the report.
@@ -217,6 +218,10 @@ fixtures: $(INSTALLED)
 
 bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench.py
+
+accuracy: $(INSTALLED)
+	$(BIN)/python benchmarks/learned.py --tables $(BUILD)/learned
+	$(BIN)/python benchmarks/contacts.py --tables $(BUILD)/learned
 
 coverage: $(INSTALLED)
 	$(BIN)/python benchmarks/coverage.py

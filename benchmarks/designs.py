@@ -18,6 +18,7 @@ from drawn_rigs import (
     moving_far,
     near,
     turning_far,
+    wrong,
 )
 
 from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
@@ -334,5 +335,34 @@ def loaded() -> Iterator[Design]:
         )
 
 
-DESIGNS = (*calibrate_kt(), *turning(), *loaded())
+def compare_errors(outcome: Outcome, recipe: Recipe) -> Compared:
+    """Compare the errors of Table 8 or 9 with none: what both torques have in common cancels."""
+    columns = outcome.tables["loads"].columns
+    names = ("applied_force", "error_torque", "error_torque_u")
+    for force, error, u in zip(*(columns[n].values[1:] for n in names), strict=True):
+        if math.isfinite(error):
+            yield f"error at {force:g} N", Quantity(float(error), "N m", float(u)), 0.0
+
+
+def true_on_a_wrong_bench(recipe: Recipe) -> dict[str, float]:
+    """Return the constants of this rig for an ampere that is one."""
+    every = true_constants(recipe)
+    names = ("torque_constant", "torque_constant_temperature_coefficient", "torque_constant_mean")
+    return {name: every[name] for name in names}
+
+
+def wrong_bench() -> Iterator[Design]:
+    """Yield designs in which the bench is wrong in all that the recipe has a line for."""
+    small = grid(8, 20, 35, 50)
+    yield Design(
+        "calibrate-kt, wrong bench", also(wrong, small), KT, by_name(true_on_a_wrong_bench)
+    )
+    plain = {k: v for k, v in LEARN.items() if "loads" not in k} | {"ilc_learn.implementation": "C"}
+    bare = Step(ILC_LEARN, plain | PULLEY, {"kt": KT})
+    settings = PULLEY | {"measure_force.cycles": 20}
+    step = Step(MEASURE_FORCE, settings, {"kt": KT, "tables": bare})
+    yield Design("measure-force, pulley, wrong bench", wrong, step, compare_errors)
+
+
+DESIGNS = (*calibrate_kt(), *turning(), *loaded(), *wrong_bench())
 """A function a command or two, joined here."""

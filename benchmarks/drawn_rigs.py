@@ -141,6 +141,35 @@ def turning_far(rng: np.random.Generator) -> Settings:
     return drawn
 
 
+def wrong(rng: np.random.Generator) -> Settings:
+    """Draw a rig whose bench is wrong wherever it can be, as far as the recipe states."""
+    drawn = moving(rng)
+    length, linearity, degc, reading = 2e-3, 2e-3, 1.0, 3e-3
+    weights, radius, grasper, ratio = 2e-3, 0.05e-3, 0.1e-3, 5e-3
+    span = 4.0 * float(str(drawn["virtual.motor.torque_constant"])) / 0.540
+    normal = rng.standard_normal
+    return drawn | {
+        "rig.arm.length_u": length,
+        "rig.arm.gauge_linearity": linearity,
+        "rig.thermometer_u": degc,
+        "rig.current_reading_relative_u": reading,
+        "rig.weights_relative_u": weights,
+        "rig.pulley_radius_u": radius,
+        "rig.instrument.grasper_length_u": grasper,
+        "rig.instrument.angle_ratio_relative_u": ratio,
+        "virtual.misstated.arm_length": length / 0.540 * normal(),
+        "virtual.misstated.weights": weights * normal(),
+        "virtual.misstated.pulley_radius": radius / 0.014 * normal(),
+        "virtual.misstated.grasper_length": grasper / 0.020 * normal(),
+        "virtual.misstated.angle_ratio": ratio * normal(),
+        "virtual.sensors.force_gain": 1 + 3e-4 * normal(),
+        "virtual.sensors.force_linearity": rng.uniform(-1, 1) * linearity / span,
+        "virtual.sensors.force_resolution": spread(rng, 1e-4, 5e-3),
+        "virtual.sensors.current_gain": 1 + reading * normal(),
+        "virtual.sensors.temperature_offset": degc * normal(),
+    }
+
+
 def also(draw: Draw, settings: Settings) -> Draw:
     """Return a way to draw with some settings fixed."""
     return lambda rng: draw(rng) | settings

@@ -17,9 +17,8 @@ from __future__ import annotations
 import argparse
 import math
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +33,6 @@ from oracle import (
     Key,
     Recorded,
     Score,
-    lowpassed,
     motion_states,
     plant_of,
     record,
@@ -44,34 +42,36 @@ from oracle import (
 )
 
 from rigtool.experiments.force_filter.accuracy import JUDGED
-from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
-from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Judge, Moments, Reach
-from rigtool.experiments.force_filter.plant import HOUSING, SPEED
+from rigtool.experiments.force_filter.estimate import PIECE
+from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.intervals import standard_uncertainty
-from rigtool.experiments.force_model.procedure_learning import ANYWHERE
 from rigtool.experiments.force_model.stored import model_from
-from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
+from rigtool.experiments.force_sensor.procedure_reading import Stretch
+from rigtool.experiments.force_sensor.results_over_time import Reading
+from rigtool.experiments.force_sensor.sensor import Instrument
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.recipe import load_recipe
+from rigtool.recipe.commands import ForceMotion
 from rigtool.recipe.virtual import Sine
 from rigtool.runfile import open_run
 
 Array = NDArray[np.float64]
 
 WARM = "15 K warmer"
-FORMS = ("smoothed", "causal")
 SINE_HZ, SINE_TIME = 10.0, 30.0
 CONTACTS["sine"] = (
     Sine(
         kind="sine", rate_per_min=15, duration=(2.0, 3.0), force=(0.25, 1.5), frequency_hz=SINE_HZ
     ),
 )
+Known = tuple[float, float]
+"""Torque constant at 0 degC, N m/A, and its change per kelvin."""
+
 LARGEST, LOADS = 60e-3, (0.0, 0.01, 0.05, 0.2, 1.0)
 """Largest torque that is learned, N m, and edges of bands of it."""
 COMPARED = (
@@ -88,9 +88,9 @@ COMPARED = (
 """Parameters of a plant that are learned as such."""
 
 
-def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, float, Reach]:
-    """Calibrate and learn a rig, but for runs in the folder; return its model, N m/A at the
-    temperature of its use, and a reach without limits."""
+def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, Reach, Known]:
+    """Calibrate and learn a rig, but for runs in the folder; return its model, how far it was
+    learned, and the torque constant."""
     sets = () if rig == WARM else RIGS[rig]
     kt, tables = folder / "kt.h5", folder / "tables.h5"
     implementation = "ilc_learn.implementation=D"
@@ -108,65 +108,75 @@ def learned(rig: str, seed: int, folder: Path) -> tuple[ForceModel, float, Reach
     recipe, _ = load_recipe(RECIPE, list(RIGS[rig]))
     assert recipe.virtual is not None
     with open_run(tables) as stored, open_run(kt) as calibration:
-        model = model_from(stored, recipe)
-        degc = recipe.virtual.thermal.ambient_degc  # what a thermometer on the motor shows
-        slow = reach_of(stored, calibration, recipe).slow
-        constant = torque_per_ampere_at(calibration, degc).value
-        return model, constant, replace(ANYWHERE, slow=slow)
+        model, reach = model_from(stored, recipe), reach_of(stored, calibration, recipe)
+        cold = torque_per_ampere_at(calibration, 0.0).value
+        slope = torque_per_ampere_at(calibration, 1.0).value - cold
+        return model, reach, (cold, slope)
 
 
-def signals_with(model: ForceModel, recorded: Recorded, torque_constant: float) -> Signals:
-    """Return the filter's input where a model holds."""
+def instrument_of(
+    recorded: Recorded,
+    model: ForceModel,
+    reach: Reach,
+    torque_constant: tuple[float, float],
+    band: float = 10.0,
+) -> Instrument:
+    """Return the sensor as `measure-force` makes it, for a bandwidth, Hz."""
     rig = recorded.recipe.rig
-    width = 2 * math.pi / rig.encoder_counts
-    low = recorded.channels["encoder"] * width
-    torque, viscous = model.drive.torque(
-        low + width / 2, recorded.channels["current_setpoint"], torque_constant, rig.sample_time
+    count = 2 * math.pi / rig.encoder_counts
+    motion = ForceMotion(bandwidth_hz=band)
+    return Instrument(
+        model,
+        reach,
+        rig.sample_time,
+        count,
+        torque_constant,
+        rig.current_limit,
+        motion.corner_hz,
     )
-    return Signals(torque, viscous, low, width)
+
+
+def samples_of(recorded: Recorded) -> Array:
+    """Return what the sensor takes (3, n): encoder, current, temperature."""
+    names = ("encoder", "current_setpoint", "temperature")
+    return np.array([recorded.channels[name] for name in names], dtype=np.float64)
 
 
 def learned_scores(
-    recorded: Recorded, motion: str, model: ForceModel, torque_constant: float, reach: Reach
+    recorded: Recorded, motion: str, model: ForceModel, known: Known, reach: Reach
 ) -> dict[Key, Score]:
     """Compare the estimate of a learned model with what truly acted."""
-    signals, dt = signals_with(model, recorded, torque_constant), recorded.recipe.rig.sample_time
-    states, found, rate = motion_states(recorded), {}, 1 / (STEP * dt)
+    states, found = motion_states(recorded), {}
     for band in BANDS:
-        for form, (estimate, u, own) in read(model, signals, band, dt, reach).items():
-            truth = lowpassed(recorded.truth, band, rate, form == "smoothed")
+        one = read(instrument_of(recorded, model, reach, known, band), recorded)
+        rows = slice(None, None, one.every)
+        truth = recorded.truth[rows]
+        size = min(len(truth), len(one.time))
+        for form, estimate, u, own, reference in (
+            ("smoothed", one.torque, one.u, one.states, one.reference),
+            ("causal", one.causal, one.causal_u, one.causal_states, one.causal_reference),
+        ):
+            assert reference is not None
+            error = np.abs(estimate - reference)[:size]
             for state, chosen in states.items():
-                error = np.abs(estimate - truth)[chosen]
-                found[motion, form, band, state] = score(error, u[chosen])
-            for cell, chosen in _cells(recorded.truth, own).items():
-                error = np.abs(estimate - truth)[chosen & states["all"]]
-                found[motion, form, band, cell] = score(error, u[chosen & states["all"]])
+                among = chosen[rows][:size]
+                found[motion, form, band, state] = score(error[among], u[:size][among])
+            for cell, chosen in _cells(truth[:size], own[:size]).items():
+                among = chosen & states["all"][rows][:size]
+                found[motion, form, band, cell] = score(error[among], u[:size][among])
     return found
 
 
-def read(
-    model: ForceModel, signals: Signals, band: float, dt: float, reach: Reach = ANYWHERE
-) -> dict[str, tuple[Array, Array, Array]]:
-    """Return torque behind a low-pass, its u and its states, of both forms, as `measure-force`."""
-    step_time = STEP * dt
-    filtered = model.plant(dt), model.uncertainty, STEP, band
-    causal = Filter(*filtered).add(signals)
-    torque, deviation = smoothed(*filtered, signals)
-    power_up = PowerUp(model, step_time, band)
-    ripple, variance, _ = power_up.add(causal.low + signals.width / 2, causal.states)
-    later, later_variance, _ = power_up.whole(causal.low + signals.width / 2, torque)
-    moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
-    judge = Judge(reach, signals.width, step_time)
-    moments = Moments(causal.low, *moving, torque, zeros, zeros)
-    kinds = judge.kinds(states := judge.states(moments), moments)
-    own = (
-        (lowpassed(torque - later, band, 1 / step_time, True), deviation**2 + later_variance),
-        (causal.passed - ripple, causal.deviation**2 + variance),
-    )
-    return {
-        form: (found, standard_uncertainty(scales, np.sqrt(square), found, kinds), states)
-        for form, scales, (found, square) in zip(FORMS, model.scales, own, strict=True)
-    }
+def read(instrument: Instrument, recorded: Recorded) -> Reading:
+    """Return the torque over a recording, as `measure-force` reads it."""
+    samples = np.vstack([samples_of(recorded), recorded.channels["reference_torque"]])
+    piece = PIECE * STEP
+    with ThreadPoolExecutor(1) as workers:
+        stretch = Stretch("", instrument, 0.0, samples.shape[1], workers)
+        for first in range(0, samples.shape[1], piece):
+            stretch.add(samples[:, first : first + piece])
+        (found,) = stretch.reading()
+    return found
 
 
 def _cells(truth: Array, states: Array) -> dict[str, Array]:
@@ -179,17 +189,19 @@ def _cells(truth: Array, states: Array) -> dict[str, Array]:
     }
 
 
-def amplitude(recorded: Recorded, model: ForceModel, torque_constant: float) -> dict[str, float]:
+def amplitude(
+    recorded: Recorded, model: ForceModel, known: Known, reach: Reach
+) -> dict[str, float]:
     """Return the amplitude that is read of a sine of `SINE_HZ`, over the true one."""
-    signals, dt = signals_with(model, recorded, torque_constant), recorded.recipe.rig.sample_time
-    rate, span = 1 / (STEP * dt), round(1 / (STEP * dt))
-    wave = np.exp(-2j * np.pi * SINE_HZ * np.arange(recorded.truth.size) / rate)
+    one = read(instrument_of(recorded, model, reach, known, SINE_HZ), recorded)
+    truth = recorded.truth[:: one.every]
+    size, rate = min(len(truth), len(one.time)), 1 / one.step_time
+    span = round(rate)
+    wave, count = np.exp(-2j * np.pi * SINE_HZ * np.arange(size) / rate), size // span
     found = {}
-    for form, (estimate, _, _) in read(model, signals, SINE_HZ, dt).items():
-        truth = lowpassed(recorded.truth, SINE_HZ, rate, form == "smoothed")
-        count = truth.size // span
+    for form, estimate in (("smoothed", one.torque), ("causal", one.causal)):
         own, true = (
-            (values * wave)[: count * span].reshape(count, span).mean(axis=1)
+            (values[:size] * wave)[: count * span].reshape(count, span).mean(axis=1)
             for values in (estimate, truth)
         )
         acts = np.abs(true) > 0.5 * np.abs(true).max()
@@ -201,7 +213,7 @@ Found = tuple[str, dict[str, float], dict[Key, Score], dict[Key, Score]]
 """Rig, learned parameters over true ones, scores of what was learned and of the oracle."""
 
 
-def learned_in(store: Path | None, rig: str, seed: int) -> tuple[ForceModel, float, Reach]:
+def learned_in(store: Path | None, rig: str, seed: int) -> tuple[ForceModel, Reach, Known]:
     """Return `learned` from a store by rig and seed, which it keeps, or from nothing."""
     if store is None:
         with tempfile.TemporaryDirectory() as folder:
@@ -211,18 +223,20 @@ def learned_in(store: Path | None, rig: str, seed: int) -> tuple[ForceModel, flo
     return learned(rig, seed, own)
 
 
-def measured(rig: str, seed: int, duration: float, power_cycle: int, store: Path | None) -> Found:
+def measured(
+    rig: str, seed: int, duration: float, power_cycle: int, contacts: str, store: Path | None
+) -> Found:
     """Learn one rig, move it, and score both estimators."""
-    model, torque_constant, reach = learned_in(store, rig, seed)
+    model, reach, known = learned_in(store, rig, seed)
     own: dict[Key, Score] = {}
     oracle: dict[Key, Score] = {}
     for motion in MOTIONS:
-        recorded = record(rig, seed, motion, duration, power_cycle=power_cycle)
-        own.update(learned_scores(recorded, motion, model, torque_constant, reach))
+        recorded = record(rig, seed, motion, duration, contacts, power_cycle)
+        own.update(learned_scores(recorded, motion, model, known, reach))
         oracle.update(scores(recorded, motion))
     over = _over_truth(model, recorded)
     swung = record(rig, seed, "strokes", SINE_TIME, "sine")
-    for form, value in amplitude(swung, model, torque_constant).items():
+    for form, value in amplitude(swung, model, known, reach).items():
         over[f"sine of {SINE_HZ:g} Hz, {form}"] = value
     for kind, name in [*((state, NAMES[state]) for state in JUDGED), (CREEPING, "creeping")]:
         factor, share = model.scales[0][kind].tolist()
@@ -259,13 +273,16 @@ def print_table(found: list[Found]) -> None:
             line = f"  {motion:8} {form:9}{band:3.0f} Hz  {state:45}{_cell(own):>14}"
             if key in mine[0][3]:
                 oracle = sum_of([one[3][key] for one in mine])
-                line += f"{_cell(oracle):>14}{math.sqrt(own.squares / oracle.squares):7.2f}"
+                line += f"{_cell(oracle):>14}{_rmse(own) / _rmse(oracle):7.2f}"
             print(line, flush=True)
 
 
+def _rmse(one: Score) -> float:
+    return math.sqrt(one.squares / one.count)
+
+
 def _cell(one: Score) -> str:
-    rmse = 1e3 * math.sqrt(one.squares / one.count)
-    return f"{rmse:.2f} ({100 * one.covered / one.count:.0f})"
+    return f"{1e3 * _rmse(one):.2f} ({100 * one.covered / one.count:.0f})"
 
 
 def main() -> None:
@@ -277,10 +294,11 @@ def main() -> None:
     parser.add_argument("--rig", choices=RIGS, action="append")
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--power-cycle", type=int, default=0, help="of the amplifier; learned at 0")
+    parser.add_argument("--contacts", choices=CONTACTS, default="pulses")
     parser.add_argument("--tables", type=Path, help="folder that keeps what was learned")
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    how = arguments.duration, arguments.power_cycle, arguments.tables
+    how = arguments.duration, arguments.power_cycle, arguments.contacts, arguments.tables
     work = [(rig, seed, *how) for rig in arguments.rig or RIGS for seed in seeds]
     with ProcessPoolExecutor(arguments.jobs) as pool:
         print_table(list(pool.map(measured, *zip(*work, strict=True))))

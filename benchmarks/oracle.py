@@ -30,6 +30,7 @@ from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.plant import Plant, dahl
 from rigtool.recipe import Recipe, load_recipe
+from rigtool.recipe.commands import ForceMotion
 from rigtool.recipe.virtual import Hand, Mass, Pulse, Ramp, Sine, Tissue
 from rigtool.rigs import Feedforward, Task, open_rig
 from rigtool.rigs.motion import Motion, Triangle
@@ -50,6 +51,10 @@ RIGS = {
 MOTIONS = ("strokes", "free")
 CONTACTS = {
     "pulses": (Pulse(kind="pulse", rate_per_min=14, duration=(0.3, 3.0), force=(0.05, 2.5)),),
+    "weak": (
+        Pulse(kind="pulse", rate_per_min=10, duration=(0.3, 3.0), force=(0.03, 0.6)),
+        Ramp(kind="ramp", rate_per_min=6, duration=(0.5, 4.0), force=(0.03, 0.6)),
+    ),
     "mixed": (
         Pulse(kind="pulse", rate_per_min=3, duration=(0.3, 3.0), force=(-1.0, 1.5)),
         Ramp(kind="ramp", rate_per_min=3, duration=(0.5, 4.0), force=(0.1, 1.5)),
@@ -74,6 +79,7 @@ CONTACTS = {
 STEP = 8
 """Samples in a step of the filter: 1 ms."""
 BANDS = (5.0, 10.0)
+"""Bandwidths, Hz: amplitudes are right up to them, and the low-pass has its corner above."""
 MARGIN = 2.0
 """Left out at both ends of a recording, s."""
 LOADED = 4e-3
@@ -117,7 +123,13 @@ def record(
         touched=True,
     )
     blocks = list(open_rig(recipe, recipe.rig.torque_constant, f"oracle {motion}").perform(task))
-    names = ("encoder", "current_setpoint", "position_setpoint", "reference_torque")
+    names = (
+        "encoder",
+        "current_setpoint",
+        "position_setpoint",
+        "reference_torque",
+        "temperature",
+    )
     return Recorded(recipe, {n: np.concatenate([block[n] for block in blocks]) for n in names})
 
 
@@ -265,8 +277,9 @@ def both_forms(
     plant: Plant, uncertainty: Uncertainty, signals: Signals, band_hz: float
 ) -> dict[str, tuple[Array, Array]]:
     """Return torque behind a low-pass and its standard deviation by causal and smoothed filter."""
-    causal = Filter(plant, uncertainty, STEP, band_hz).add(signals)
-    torque, deviation = smoothed(plant, uncertainty, STEP, band_hz, signals)
+    corner_hz = ForceMotion(bandwidth_hz=band_hz).corner_hz
+    causal = Filter(plant, uncertainty, STEP, corner_hz).add(signals)
+    torque, deviation = smoothed(plant, uncertainty, STEP, corner_hz, signals)
     rate = 1 / (STEP * plant.sample_time)
     return {
         "causal": (causal.passed, causal.deviation),
@@ -312,7 +325,8 @@ def _bristle(path: Array, presliding_angle: float) -> Array:
 
 def lowpassed(torque: Array, band_hz: float, rate_hz: float, zero_phase: bool) -> Array:
     """Return a torque (m,) after the low-pass that a bandwidth stands for."""
-    sections = butter(2, band_hz, fs=rate_hz, output="sos")
+    corner_hz = ForceMotion(bandwidth_hz=band_hz).corner_hz
+    sections = butter(2, corner_hz, fs=rate_hz, output="sos")
     found: Array = (sosfiltfilt if zero_phase else sosfilt)(sections, torque)
     return found
 

@@ -41,7 +41,11 @@ def _receive(number: int, frame: FrameType | None) -> None:
 
 
 def _raise(number: int) -> NoReturn:
-    raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+    raise _exception(number)
+
+
+def _exception(number: int) -> BaseException:
+    return KeyboardInterrupt() if number == signal.SIGINT else Terminated()
 
 
 @contextmanager
@@ -62,6 +66,17 @@ def handled() -> Iterator[None]:
                 signal.signal(number, _receive)
         sys.unraisablehook = _without_interrupts
         yield
+    except Exception as error:
+        # A compiled function that notices a signal on its way out makes another error of it.
+        if _State.waiting is None:
+            raise
+        raised = _exception(_State.waiting)
+        behind: BaseException | None = error
+        while behind is not None:
+            for note in getattr(behind, "__notes__", ()):
+                raised.add_note(note)
+            behind = behind.__cause__
+        raise raised from error
     finally:
         sys.unraisablehook = hook
         for number, handler in before.items():

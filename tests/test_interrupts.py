@@ -101,3 +101,21 @@ def test_ignored_signals_stay_ignored_and_handlers_come_back():
         assert sys.unraisablehook is hook
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize(("number", "error"), KINDS)
+@pytest.mark.parametrize("noted", ["interrupt", "other"])
+def test_an_interrupt_that_became_another_error_is_an_interrupt(number, error, noted):
+    def leave():
+        try:
+            send(number)
+        except BaseException as interrupt:  # as a compiled function does on its way out, or click
+            other = SystemError("returned a result with an exception set")
+            {"interrupt": interrupt, "other": other}[noted].add_note("samples are kept")
+            raise other from interrupt
+
+    with pytest.raises(error) as caught, handled():
+        leave()
+    assert caught.value.__notes__ == ["samples are kept"]
+    with pytest.raises(SystemError), handled():  # without a signal it stays what it is
+        raise SystemError

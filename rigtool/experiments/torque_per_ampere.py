@@ -25,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rigtool.errors import RunFileError
 from rigtool.experiments.imported import is_linear, known
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import (
@@ -39,6 +40,7 @@ from rigtool.quantity import (
     without,
 )
 from rigtool.runfile import Recording, Run
+from rigtool.runfile.schema import LARGEST
 
 ENDS = 1024
 """Samples at either end of a recording that show its temperatures, which change slowly."""
@@ -56,7 +58,7 @@ def torque_per_ampere(
     is no calibration.
     """
     kt.require_command("calibrate-kt")
-    mean = without(kt.result("torque_constant_mean"), CURRENT_READING)
+    mean = without(_constant(kt, "torque_constant_mean"), CURRENT_READING)
     gain = Quantity(1.0, "1", 0.0) if of_measured_current else _gain(kt)
     away = max(_known_error(kt), abs(_furthest(kt, recordings)[1]))
     value = mean.value * gain.value
@@ -77,7 +79,7 @@ def torque_per_ampere_at(kt: Run, temperature_degc: float) -> Quantity:
     mean = torque_per_ampere(kt)
     if not all(name in kt.results for name in names):
         return mean
-    constant, slope, gain = kt.result(names[0]), kt.result(names[1]), _gain(kt)
+    constant, slope, gain = _constant(kt, names[0]), kt.result(names[1], "1/K"), _gain(kt)
     for cancels in (CURRENT_READING, THERMOMETER):
         constant = without(constant, cancels)
     warmer = temperature_degc - REFERENCE_DEGC
@@ -90,6 +92,17 @@ def torque_per_ampere_at(kt: Run, temperature_degc: float) -> Quantity:
     return combined(constant.value * factor * gain.value, constant.unit, lines)
 
 
+def _constant(kt: Run, name: str, unit: str = "N m/A") -> Quantity:
+    """Return a result that other numbers are divided by; `RunFileError` where it is zero."""
+    found = kt.result(name, unit)
+    if not abs(found.value) >= 1 / LARGEST:
+        raise RunFileError(
+            f"{kt.path}: {name} is {found.value:g} {unit}, which no torque can be read with: "
+            "calibrate again"
+        )
+    return found
+
+
 def _gain(kt: Run) -> Quantity:
     """Return the gain of the amplifier; an error of the reading is in the constant, too, inversely.
 
@@ -97,7 +110,7 @@ def _gain(kt: Run) -> Quantity:
     """
     if "amplifier_gain" not in kt.results:  # imported: a drive's current follows its set point
         return Quantity(1.0, "1", 0.0)
-    return without(kt.result("amplifier_gain"), CURRENT_READING)
+    return without(_constant(kt, "amplifier_gain", "1"), CURRENT_READING)
 
 
 def with_constant(quantity: Quantity, constant: Quantity) -> Quantity:
@@ -114,8 +127,8 @@ def with_constant(quantity: Quantity, constant: Quantity) -> Quantity:
 
 def _known_error(kt: Run) -> float:
     """Return the largest relative error of the mean constant over its range of temperatures."""
-    error = kt.results.get("torque_constant_constant_error")
-    return 0.0 if error is None else error.value
+    name = "torque_constant_constant_error"
+    return kt.result(name, "1").value if name in kt.results else 0.0
 
 
 def temperature_at_ends(recording: Recording) -> tuple[float, float]:
@@ -143,9 +156,9 @@ def _furthest(kt: Run, recordings: Sequence[Recording]) -> tuple[float, float]:
     degc = np.concatenate([*ends, np.empty(0)], dtype=np.float64)
     if not degc.size or not all(name in kt.results for name in names):
         return math.nan, 0.0
-    constant, slope = (kt.result(name).value for name in names)
+    constant, slope = _constant(kt, names[0]).value, kt.result(names[1], "1/K").value
     there = constant * (1 + slope * (degc - REFERENCE_DEGC))
-    away = there / kt.result("torque_constant_mean").value - 1
+    away = there / _constant(kt, "torque_constant_mean").value - 1
     worst = int(np.abs(away).argmax())
     return float(degc[worst]), float(away[worst])
 

@@ -165,6 +165,12 @@ class Signal(Section):
         return self
 
 
+MAX_CONDITIONS = 100
+"""Of a mapping: each pattern may take 0.2 s."""
+
+MAX_PATTERN = 1000
+"""Characters of a pattern, which is for the name of a file."""
+
 MAX_REPEATS = 3
 """Repeats in a pattern: n of them may take the length of a file's name to the power n + 1."""
 
@@ -173,6 +179,8 @@ _ATOM = re.compile(r"\\.|\[\^?\]?(?:\\.|[^\]\\])*\]", re.DOTALL)
 
 def require_quick(pattern: str) -> None:
     """Raise ValueError for a regular expression that may backtrack without end."""
+    if len(pattern) > MAX_PATTERN:
+        raise ValueError(f"pattern has {len(pattern)} characters, at most {MAX_PATTERN} are read")
     plain = _ATOM.sub("x", pattern)
     if re.search(r"\)[*+{]", plain):
         raise ValueError("pattern repeats a group, which may take for ever: repeat a character")
@@ -214,11 +222,11 @@ class Condition(Section):
 
     @staticmethod
     def _require_one_group(pattern: str) -> None:
+        require_quick(pattern)
         try:
             groups = re.compile(pattern).groups
         except re.error as error:
             raise ValueError(f"pattern is no regular expression: {error}") from None
-        require_quick(pattern)
         if groups != 1:
             raise ValueError(f"pattern needs one pair of parentheses, has {groups}")
 
@@ -267,7 +275,7 @@ class Mapping(Section):
     rig: ImportedRig
     file: FileLayout = FileLayout()
     signals: dict[str, Signal] = Field(default_factory=dict)
-    conditions: tuple[Condition, ...] = ()
+    conditions: tuple[Condition, ...] = Field((), max_length=MAX_CONDITIONS)
     map: Map | None = None
 
     @model_validator(mode="after")

@@ -115,7 +115,7 @@ def _where(name: str, path: tuple[str, ...], lines: dict[tuple[str, ...], int]) 
     return f"{name}:{lines[path]}" if path in lines else name
 
 
-_TABLE = re.compile(r"^\s*\[\[?\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
+_TABLE = re.compile(r"^\s*\[\[?([^\]]+)\]\]?\s*(#.*)?$")
 _KEY = re.compile(r"^\s*([A-Za-z0-9_.\-\"']+)\s*=")
 
 

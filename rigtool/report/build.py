@@ -17,6 +17,7 @@ from rigtool.report.formats import ReportTable
 from rigtool.report.published import is_of_thesis
 from rigtool.report.requirements import requirements_table
 from rigtool.report.tables import attachment_of, budget_tables, force_tables, results_table
+from rigtool.runfile.opened import guard
 from rigtool.runfile.provenance import file_sha256
 
 if TYPE_CHECKING:
@@ -103,7 +104,10 @@ def build_report(runs: Sequence[Run]) -> Report:
     Raises `UsageError` for a file given twice and `RunFileError` for a run with incomplete tables.
     """
     labelled = _labels(runs)
-    tables = [table for label, run in labelled for table in force_tables(run, label)]
+    tables: list[ReportTable] = []
+    for label, run in labelled:
+        with guard(run.path, "a table of loads"):
+            tables += force_tables(run, label)
     origins = tuple(_origin(label, run) for label, run in labelled)
     rigs = tuple(sorted({origin.rig for origin in origins if origin.rig}))
     return Report(

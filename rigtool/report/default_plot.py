@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import os
 from pathlib import Path
@@ -17,6 +18,7 @@ from rigtool.escapes import figure as figure_text
 from rigtool.quantity import display_unit
 from rigtool.report.figures import PLOTS, style
 from rigtool.runfile import Recording, Run, Table
+from rigtool.runfile.opened import guard
 from rigtool.runfile.outputs import replacing, require_output
 
 if TYPE_CHECKING:
@@ -49,10 +51,11 @@ def write_plot(
         raise UsageError(f"{output}: cannot be drawn, use one of {', '.join(FORMATS)}")
     output = require_output(output, overwrite=overwrite, inputs=[run.path])
     shown = chosen_name(run, name)
-    with style.styled():
-        figure = draw_plot(run, shown)
-        with replacing(output) as new:
-            figure.savefig(new, format=kind[1:])
+    picture = io.BytesIO()
+    with style.styled(), guard(run.path, f"what {shown} shows"):
+        draw_plot(run, shown).savefig(picture, format=kind[1:])
+    with replacing(output) as new:
+        new.write_bytes(picture.getvalue())
     return shown
 
 

@@ -37,11 +37,17 @@ def require_output(
     """Return the file to write, links followed; nothing is changed yet.
 
     Raises `UsageError` where the folder is missing or cannot be written, where `path` is a folder,
-    a device or one of the `inputs`, and where it exists, unless `overwrite`.
+    a device, a link to itself or one of the `inputs`, and where it exists, unless `overwrite`.
     """
-    found = Path(os.path.realpath(path))
-    if not found.parent.is_dir():
+    try:
+        found = Path(os.path.realpath(path))
+        known = found.parent.is_dir()
+    except OSError as error:  # a path that is too long, or a working directory that was removed
+        raise UsageError(f"{path}: {error.strerror}: choose another folder") from None
+    if not known:
         raise UsageError(f"{path}: the folder {found.parent} does not exist: create it first")
+    if found.is_symlink():
+        raise UsageError(f"{path}: is a link that leads to itself: give another name")
     if len(os.fsencode(found.name)) > MAX_NAME:
         raise UsageError(
             f"{path}: its name has {len(os.fsencode(found.name))} bytes, at most {MAX_NAME} leave "

@@ -15,6 +15,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
+
 from rigtool.errors import RigtoolError, RunFileError
 from rigtool.quantity import Component, Quantity
 from rigtool.runfile import provenance, schema, tree
@@ -93,23 +95,52 @@ class Run:
         """Return the recordings whose name begins so and that hold samples, in file order."""
         return [r for n, r in self.recordings.items() if n.startswith(prefix) and r.size]
 
-    def table(self, name: str) -> Table:
-        """Return a table; raises `RunFileError` where it is missing."""
-        if name not in self.tables:
+    def table(self, name: str, *axes: str, **units: str) -> Table:
+        """Return a table. Where axes are named, it is over these; columns that are named hold
+        numbers in this unit. Raises `RunFileError` for anything else.
+        """
+        found = self.tables.get(name)
+        if found is None:
             raise RunFileError(
                 f"{self.path}: has no table {name!r}, only {', '.join(self.tables) or 'none'}; "
                 f"run {self.command} again with this version"
             )
-        return self.tables[name]
+        if axes and found.axes != axes:
+            raise self._unusable(f"table {name} is over {found.axes}", f"over {axes}")
+        for column, unit in units.items():
+            if column not in found.axes and found[column].shape != found.shape:
+                what = f"column {column} of table {name} has shape {found[column].shape}"
+                raise self._unusable(what, found.shape)
+            if not all(found.shape) or not np.all(np.abs(found[column]) <= schema.LARGEST):
+                limit = f"numbers up to {schema.LARGEST:g} everywhere"
+                raise self._unusable(f"column {column} of table {name} lacks numbers", limit)
+            if (stored := found.columns[column].unit) != unit:
+                raise self._unusable(f"column {column} of table {name} is in {stored!r}", unit)
+        return found
 
-    def result(self, name: str) -> Quantity:
-        """Return a result; raises `RunFileError` where it is missing."""
-        if name not in self.results:
+    def result(self, name: str, unit: str | None = None) -> Quantity:
+        """Return a result, to compute with it where its `unit` is given.
+
+        Raises `RunFileError` where it is missing, in another unit, or no number.
+        """
+        found = self.results.get(name)
+        if found is None:
             raise RunFileError(
                 f"{self.path}: has no result {name!r}, only {', '.join(self.results) or 'none'}; "
                 f"run {self.command} again with this version"
             )
-        return self.results[name]
+        if unit is not None and found.unit != unit:
+            raise self._unusable(f"result {name} is in {found.unit!r}", unit)
+        if unit is not None and not max(abs(found.value), found.u or 0.0) <= schema.LARGEST:
+            limit = f"numbers up to {schema.LARGEST:g}"
+            raise self._unusable(f"result {name} is {found.value:g} with u {found.u}", limit)
+        return found
+
+    def _unusable(self, what: str, needed: object) -> RunFileError:
+        return RunFileError(
+            f"{self.path}: {what}; {needed} is needed: give a run that {self.command} wrote on a "
+            "rotary axis, or make it anew"
+        )
 
     def summary(self) -> list[str]:
         """Return the lines of `rigtool info`: origin, results, recordings, tables and notes."""

@@ -76,6 +76,10 @@ MAX_TEXT_BYTES = 2**26
 MAX_COMPRESSION = 1100
 """Deflate cannot shrink by more than 1032; a dataset that claims more is not in the file."""
 
+LARGEST = 1e30
+"""Largest result or entry of a table that a command computes with, in SI units: far beyond any rig,
+and its powers stay numbers."""
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
 
 

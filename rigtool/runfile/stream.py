@@ -66,13 +66,17 @@ class Stream:
             set_attribute(file[self.path][name], "sha256", digest.hexdigest())
 
     def write(self, count: int) -> None:
-        """Hand the first `count` of the waiting samples to HDF5."""
+        """Hand the first `count` of the waiting samples to HDF5.
+
+        What fails between two channels leaves all samples waiting: they can be written again.
+        """
         group = self._file[self.path]
         joined = {name: np.concatenate(parts) for name, parts in self._pending.items()}
         for name, values in joined.items():
             dataset = group[name]
             dataset.resize((self.written + count,))
             dataset[self.written :] = values[:count]
+        for name, values in joined.items():
             self._digests[name].update(values[:count].tobytes())
             self._pending[name] = [values[count:].copy()]
         self.waiting -= count

@@ -166,7 +166,7 @@ class RunWriter:
         if self._recorded is not None:
             return self._recorded.recording(name)
         stream = self._streams[name]
-        with storage_errors(self.path):
+        with storage_errors(self.path), held():
             self._complete(stream)
             self._sync()
             file = self._file
@@ -306,11 +306,12 @@ class RunWriter:
     def _close_streams(self) -> None:
         if self._file is None:
             return
-        for stream in self._streams.values():
-            self._complete(stream)
-        self._sync(force=True)
-        file, self._file = self._file, None
-        file.close()
+        with held():
+            for stream in self._streams.values():
+                self._complete(stream)
+            self._sync(force=True)
+            file, self._file = self._file, None
+            file.close()
 
     def _abandon(self) -> str:
         """Close everything after an error; return a note on the remains.

@@ -27,6 +27,7 @@ from tests.attack.bench import (
     measuring,
     said,
 )
+from tests.attack.edited import edited
 from tests.attack.trial import Trial, at, content, run
 
 Kind = Callable[[Bench], Trial]
@@ -381,6 +382,7 @@ KINDS: dict[str, Kind] = {
     "signals": interrupt,
     "damaged files": damaged,
     "malicious files": malicious,
+    "edited tables": edited,
     "recipes": recipe,
     "settings": setting,
     "imports": imported,

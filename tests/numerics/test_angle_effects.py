@@ -50,3 +50,12 @@ def test_intervals_hold_the_mean_over_the_turn(count):
         u = np.sqrt(found.covariance[0, 0])
         held += abs(found.parameters[0] - 1.0) < u * stats.t.ppf(0.975, found.dof[0])
     assert held >= stats.binom.ppf(1e-3, 40, 0.95)
+
+
+def test_the_deviation_is_as_uncertain_as_its_amplitude():
+    # N values with noise s: an amplitude has u = s sqrt(2 / N), the deviation s / sqrt(N).
+    angle = 2 * np.pi * np.arange(24) / 24
+    noise = 0.01 * np.random.default_rng(2).standard_normal(24)
+    value = 5.0 + 0.3 * np.cos(angle + 1) + noise
+    found = fit_angle_effects(np.ones((24, 1)), value, np.full(24, 0.01), angle)
+    assert_allclose(found.deviation_u, 0.01 / np.sqrt(24), rtol=0.5)

@@ -4,8 +4,8 @@ import pytest
 
 from rigtool.errors import RecipeError
 from rigtool.recipe import load_recipe
-from rigtool.recipe.load import MAX_BYTES, parse_toml
-from rigtool.recipe.mapping import require_quick
+from rigtool.recipe.load import MAX_BYTES, parse_recipe, parse_toml
+from rigtool.recipe.mapping import parse_mapping, require_quick
 
 BOMBS = {
     "nested lists": ("x = " + "[" * 100_000, "nested"),
@@ -40,7 +40,16 @@ def test_settings(override):
 
 
 @pytest.mark.parametrize(
-    "pattern", ["^((?:a+)+)$", "(a|a)*b", "(.*){9}", ".*.*.*.*(x)", "a?a?a?a?(a)", r"(\d+)+"]
+    "pattern",
+    [
+        "(?x)(a)#" + "[" * 200_000,
+        "^((?:a+)+)$",
+        "(a|a)*b",
+        "(.*){9}",
+        ".*.*.*.*(x)",
+        "a?a?a?a?(a)",
+        r"(\d+)+",
+    ],
 )
 def test_patterns_that_backtrack(pattern):
     with pytest.raises(ValueError, match="pattern"):
@@ -52,3 +61,17 @@ def test_patterns_that_backtrack(pattern):
 )
 def test_patterns_that_do_not(pattern):
     require_quick(pattern)
+
+
+def test_names_of_tables_are_read_once():
+    # Mistakes name their lines: finding these must not take the square of a line's length.
+    text = 'recipe = 1\n[rig]\n["' + " " * 200_000 + '"]\na = 1\n'
+    with pytest.raises(RecipeError, match="mistakes in the recipe"):
+        parse_recipe(text)
+
+
+def test_many_conditions():
+    condition = '[[conditions]]\nname = "a"\npattern = "(a*)a*a*b"\n'
+    text = "mapping = 1\n[signals]\ntime = { column = 1 }\n" + 101 * condition
+    with pytest.raises(RecipeError, match="takes 100 values at most"):
+        parse_mapping(text)

@@ -308,3 +308,61 @@ def test_a_recipe_of_another_version_names_the_file(copy):
     change(copy, lambda file: file["entry/provenance/recipe_resolved"].__setitem__((), "{}"))
     with open_run(copy) as run, pytest.raises(RunFileError, match=f"{copy}.*recipe"):
         _ = run.recipe
+
+
+FIXTURES = Path(__file__).parents[1] / "fixtures"
+EDITS = {
+    "another unit": lambda t: t["position"].attrs.__setitem__("units", np.bytes_("count")),
+    "no unit": lambda t: t["position"].attrs.__setitem__("units", np.bytes_("")),
+    "no numbers": lambda t: t["torque"].__setitem__(..., np.nan),
+    "one that is none": lambda t: t["torque"].__setitem__((1, 2), np.inf),
+    "beyond any rig": lambda t: t["torque"].__setitem__((0, 0), 1e300),
+    "fewer axes": lambda t: replace_column(t, "torque", t["torque"][:, 0]),
+    "no column": lambda t: t.__delitem__("torque"),
+    "other axes": lambda t: t.attrs.__setitem__("axes", np.array([b"position", b"speed"])),
+    "text": lambda t: replace_column(t, "torque", np.bytes_("text")),
+}
+
+
+def replace_column(table: h5py.Group, name: str, values: object) -> None:
+    attributes = dict(table[name].attrs)
+    del table[name]
+    table[name] = values
+    table[name].attrs.update(attributes)
+
+
+@pytest.mark.parametrize("edit", EDITS)
+def test_a_table_that_a_command_computes_with(tmp_path, edit):
+    path = Path(shutil.copy(FIXTURES / "turning.h5", tmp_path / "t.h5"))
+    change(path, lambda file: EDITS[edit](file["entry/tables/lookup"]))
+    with pytest.raises(RunFileError, match=r"anew|again|damaged") as caught, open_run(path) as run:
+        run.table("lookup", "speed", "position", speed="rad/s", position="rad", torque="N m")
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["f4", "i4", "u1"])
+def test_numbers_of_any_stored_type_are_numbers(tmp_path, kind):
+    path, ones = Path(shutil.copy(FIXTURES / "turning.h5", tmp_path / "t.h5")), np.ones((4, 2000))
+    change(path, lambda f: replace_column(f["entry/tables/lookup"], "u", ones.astype(kind)))
+    with open_run(path) as run:
+        assert run.table("lookup", "speed", "position", u="N m")["u"].sum() == 8000
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda r: r.attrs.__setitem__("units", np.bytes_("mN m/A")),
+        lambda r: r.__setitem__((), np.nan),
+        lambda r: r.__setitem__((), -np.inf),
+        lambda r: r.__setitem__((), 1e300),
+        lambda r: r.attrs.__setitem__("standard_uncertainty", np.inf),
+        lambda r: r.attrs.__setitem__("standard_uncertainty", 1e300),
+    ],
+)
+def test_a_result_that_a_command_computes_with(tmp_path, edit):
+    path = Path(shutil.copy(FIXTURES / "kt.h5", tmp_path / "kt.h5"))
+    change(path, lambda file: edit(file["entry/results/torque_constant_mean"]))
+    with open_run(path) as run:
+        run.result("torque_constant_mean")  # shown as it is
+        with pytest.raises(RunFileError, match=r"torque_constant_mean is .* anew"):
+            run.result("torque_constant_mean", "N m/A")

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RigtoolError, UsageError
-from rigtool.interrupts import handled
+from rigtool.interrupts import Terminated, handled
 from rigtool.quantity import Quantity
 from rigtool.runfile import RunWriter, open_run
-from rigtool.runfile.outputs import own_name
+from rigtool.runfile.outputs import own_name, require_output
 from rigtool.runfile.recovery import recover
 from tests.runfile.whole_run import SPECS, samples, write
 
@@ -90,6 +90,36 @@ def test_failing_later_keeps_every_sample_and_says_so(tmp_path, after):
     with h5py.File(f"{path}.part", "r") as file:
         for name, values in signals["sweep"].items():
             np.testing.assert_array_equal(file[f"entry/recordings/sweep/{name}"], values)
+
+
+@pytest.mark.parametrize("by", ["recording", "recorded"])
+@pytest.mark.parametrize("channel", range(4))
+@pytest.mark.parametrize("how", ["signal", "error"])
+def test_what_interrupts_the_last_chunk_costs_no_sample(tmp_path, monkeypatch, by, channel, how):
+    path, signals = tmp_path / "run.h5", samples(10_000)["sweep"]
+    real, written = h5py.Dataset.__setitem__, []
+
+    def interrupted(dataset, place, values):
+        written.append(dataset.name)
+        if len(written) == channel + 1:
+            if how == "error":
+                raise MemoryError
+            signal.raise_signal(signal.SIGTERM)
+        real(dataset, place, values)
+
+    def record() -> None:
+        with handled(), writer(path, recordings=SPECS[:1]) as out:
+            out.append("sweep", signals)
+            monkeypatch.setattr(h5py.Dataset, "__setitem__", interrupted)
+            getattr(out, by)(*(["sweep"] if by == "recording" else []))
+
+    with pytest.raises(Terminated if how == "signal" else MemoryError):
+        record()
+    monkeypatch.undo()
+    assert recover(f"{path}.part").samples == {"sweep": 10_000}
+    with open_run(path) as run:
+        for name, values in signals.items():
+            np.testing.assert_array_equal(run.recording("sweep").read_stored(name), values)
 
 
 def test_a_part_of_an_earlier_run_is_not_lost(tmp_path):
@@ -347,3 +377,21 @@ def test_a_disk_with_just_enough_room(tmp_path):
     assert (done.returncode, done.stdout) == (0, "")
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
     assert 800_000 < path.stat().st_size < 10_000_000
+
+
+@pytest.mark.parametrize("name", ["loop", "d/" * 2100 + "x.h5"])
+def test_an_output_that_leads_nowhere(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    with pytest.raises(UsageError, match=r"leads to itself|name too long"):
+        require_output(name, overwrite=True)
+    assert Path("loop").is_symlink()
+
+
+def test_an_output_in_a_folder_that_was_removed(tmp_path, monkeypatch):
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    with pytest.raises(UsageError, match="choose another folder"):
+        require_output("run.h5", overwrite=False)

@@ -206,7 +206,7 @@ def _states(instrument: Instrument) -> dict[str, Number]:
 
 def _reading(instrument: Instrument, coverage_factor: float) -> dict[str, Number]:
     return {
-        "low_pass": passed.section(instrument.bandwidth_hz, instrument.grid.step_time),
+        "low_pass": passed.section(instrument.corner_hz, instrument.grid.step_time),
         "scales": instrument.model.scales[1],
         "coverage": coverage_factor,
     }

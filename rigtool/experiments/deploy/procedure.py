@@ -151,10 +151,10 @@ def _ripple_remark(tables: Run, speed: float) -> str:
     """
     if WAVEFORMS not in tables.tables:
         return "the table was not tried while it was learned: its effect on ripple is not known"
-    tried = tables.table(WAVEFORMS).columns
-    distance = np.abs(np.abs(tried["speed"].values) - abs(speed))
+    tried = tables.tables[WAVEFORMS]
+    distance = np.abs(np.abs(tried["speed"]) - abs(speed))
     next_to = distance == distance.min()
-    before, after = (_ripple(tried[name].values[next_to]) for name in ("before", "residual"))
+    before, after = (_ripple(tried[name][next_to]) for name in ("before", "residual"))
     change = f"from {before * 1e3:.3g} to {after * 1e3:.3g} mN m (rms, mean of directions)"
     if after >= before:
         raise InsufficientDataError(

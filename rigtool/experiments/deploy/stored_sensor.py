@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.deploy.force_sensor import sensor_header
+from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import Reach
 from rigtool.experiments.force_model.stored import model_from
@@ -48,13 +49,14 @@ def sensor(tables: Run, kt: Run | None) -> tuple[str, tuple[str, ...], list[Path
 
 
 def _about(recipe: Recipe, reach: Reach) -> tuple[str, ...]:
-    rig, (low, high) = recipe.rig, reach.angle
+    rig, motion, (low, high) = recipe.rig, recipe.measure_force.motion, reach.angle
     cold, warm = reach.temperature_degc
     return (
         f"Call it once in each sample of the loop, every {rig.sample_time:g} s; the encoder has "
         f"{rig.encoder_counts:g} counts a turn.",
-        f"Low-pass at {recipe.measure_force.motion.bandwidth_hz:g} Hz; force at the tip is torque "
-        f"over {rig.load_arm:g} m.",
+        f"Amplitudes are right within 5 % up to {motion.bandwidth_hz:g} Hz: low-pass at "
+        f"{motion.corner_hz:g} Hz, {1e3 * passed.delay(motion.corner_hz):.2g} ms late.",
+        f"Force at the tip is torque over {rig.load_arm:g} m.",
         f"No value outside {low:.4g} to {high:.4g} rad of the motor, {reach.speed:.4g} rad/s, "
         f"{reach.torque * 1e3:.4g} mN m and {cold:g} to {warm:g} degC.",
     )

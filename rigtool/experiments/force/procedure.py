@@ -207,8 +207,8 @@ def _constant_at_one_angle(mean: Quantity, kt: Run) -> Quantity:
     it differ by `torque_constant_ripple` (relative, one standard deviation).
     """
     lines = inherited(mean, 1.0, "torque constant")
-    ripple = kt.results.get("torque_constant_ripple")
-    if ripple is not None:
+    if "torque_constant_ripple" in kt.results:
+        ripple = kt.result("torque_constant_ripple", "1")
         name = "torque constant at one rotor angle"
         lines.append(Component(name, 1.0, "1", ripple.value, ripple.dof, mean.value))
     return combined(mean.value, mean.unit, lines)
@@ -235,7 +235,7 @@ def _table_u(tables: Run, recipe: Recipe) -> float:
     At the rising row whose speed is closest to that of the measurement.
     """
     settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
-    lookup = tables.table("lookup")
+    lookup = tables.table("lookup", "speed", "position", u="N m")
     speed = 2 * math.pi * settings.speed_rev_per_s * ratio
     row = int(np.argmin(np.abs(lookup["speed"] - speed)))
     angle = math.radians(settings.measure_angle) * ratio

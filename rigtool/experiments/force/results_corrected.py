@@ -290,15 +290,16 @@ class Drift:
 def temperature_drift(unloaded: Sequence[Recording], kt: Run, tables: Run) -> Drift:
     """Return the drift from the learned loads to recordings without load."""
     now = float(np.mean([np.mean(recording.read("temperature")) for recording in unloaded]))
-    warmer = now - tables.result("learned_temperature").value
-    slope = kt.results.get("torque_constant_temperature_coefficient")
+    warmer = now - tables.result("learned_temperature", "degC").value
+    name = "torque_constant_temperature_coefficient"
     text = f"the motor is {warmer:+.2g} K from where loads were learned"
-    if slope is None:
+    if name not in kt.results:
         return Drift(
             0.0,
             f"{text}; {kt.path.name} states no temperature coefficient, so nothing is corrected "
             "for it",
         )
+    slope = kt.result(name, "1/K")
     percent = 100 * warmer * slope.value
     return Drift(
         abs(warmer) * (slope.u or 0.0), f"{text}; its constant is corrected by {percent:+.2g} %"

@@ -85,16 +85,23 @@ class Estimate:
 class Filter:
     """The causal estimate; samples are added as they come, in blocks of any length.
 
-    Torque behind the low-pass and its deviation are for a `bandwidth_hz` Hz.
+    Torque behind the low-pass and its deviation are for a corner of `corner_hz` Hz.
     """
 
     def __init__(
-        self, plant: Plant, uncertainty: Uncertainty, step_samples: int, bandwidth_hz: float
+        self, plant: Plant, uncertainty: Uncertainty, step_samples: int, corner_hz: float
     ) -> None:
         self._plant, self._uncertainty, self._size = plant, uncertainty, step_samples
-        self._low_pass = passed.section(bandwidth_hz, step_samples * plant.sample_time)
+        self._low_pass = passed.section(corner_hz, step_samples * plant.sample_time)
         self._waiting: Signals | None = None
         self._state: NDArray[np.void] | None = None
+
+    @property
+    def last_deviation(self) -> float:
+        """Standard deviation of the torque after the last step, before the low-pass, N m."""
+        if self._state is None:
+            return 0.0
+        return float(np.sqrt(self._state["covariance"][0, TORQUE, TORQUE]))
 
     def add(
         self,
@@ -144,9 +151,9 @@ class Again:
     """The filter once more, `BEFORE` behind, for the smoother; samples are added as they come."""
 
     def __init__(
-        self, plant: Plant, uncertainty: Uncertainty, step_samples: int, bandwidth_hz: float
+        self, plant: Plant, uncertainty: Uncertainty, step_samples: int, corner_hz: float
     ) -> None:
-        self._filter = Filter(plant, uncertainty, step_samples, bandwidth_hz)
+        self._filter = Filter(plant, uncertainty, step_samples, corner_hz)
         self._size = step_samples
         self._behind = max(1, round(BEFORE / (step_samples * plant.sample_time)))
         self._signals: Signals | None = None
@@ -228,7 +235,7 @@ def smoothed(
     plant: Plant,
     uncertainty: Uncertainty,
     step_samples: int,
-    bandwidth_hz: float,
+    corner_hz: float,
     signals: Signals,
 ) -> tuple[Array, Array]:
     """Return torque after each step, and the deviation that a low-pass without phase shift leaves
@@ -238,8 +245,8 @@ def smoothed(
     """
     if signals.low.size <= step_samples:
         raise ValueError(f"{signals.low.size} samples are less than a step of {step_samples}")
-    causal = Filter(plant, uncertainty, step_samples, bandwidth_hz)
-    again = Again(plant, uncertainty, step_samples, bandwidth_hz)
+    causal = Filter(plant, uncertainty, step_samples, corner_hz)
+    again = Again(plant, uncertainty, step_samples, corner_hz)
     step_time = step_samples * plant.sample_time
     later = Smoother(uncertainty, step_time)
     found = []
@@ -249,15 +256,15 @@ def smoothed(
         found.append(later.add(again.add(piece, causal.add(piece), last=last)))
     found.append(later.finish())
     torque, deviation = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return torque, without_delay(deviation, bandwidth_hz, step_time)
+    return torque, without_delay(deviation, corner_hz, step_time)
 
 
-def without_delay(deviation: Array, bandwidth_hz: float, step_time: float) -> Array:
+def without_delay(deviation: Array, corner_hz: float, step_time: float) -> Array:
     """Return the deviation behind a low-pass without phase shift, (m,) N m.
 
-    It is that of the causal low-pass of the same bandwidth, by its delay later.
+    It is that of the causal low-pass of the same corner, by its delay later.
     """
-    late = min(round(passed.delay(bandwidth_hz) / step_time), len(deviation) - 1)
+    late = min(round(passed.delay(corner_hz) / step_time), len(deviation) - 1)
     return np.append(deviation[late:], np.full(late, deviation[-1]))
 
 

@@ -28,16 +28,16 @@ Q = STATES * WIDE
 """Where the rows of q begin."""
 
 
-def section(bandwidth_hz: float, step_time: float) -> Array:
+def section(corner_hz: float, step_time: float) -> Array:
     """Return A, B over C, D of the low-pass, (3, 3), for steps of `step_time` s."""
-    low_pass = butterworth(1 / step_time, bandwidth_hz)
+    low_pass = butterworth(1 / step_time, corner_hz)
     change, feed = low_pass.state_space()
     return np.block([[change, feed[:, None]], [np.array([1.0, 0.0, low_pass.b0])]])
 
 
-def delay(bandwidth_hz: float) -> float:
+def delay(corner_hz: float) -> float:
     """Return by how much y is late at low frequencies, s."""
-    return math.sqrt(2) / (2 * math.pi * bandwidth_hz)
+    return math.sqrt(2) / (2 * math.pi * corner_hz)
 
 
 @compiled
@@ -64,7 +64,7 @@ def predict(q: Array, rows: Array, low_pass: Array, torque: float) -> None:
 def output(
     x: Array, q: Array, rows: Array, low_pass: Array, shared: Array, first: int
 ) -> tuple[float, float]:
-    """Return mean and variance of y; `shared` receives from `first` on its covariance with x."""
+    """Return mean and variance of y; `shared` (n,) receives, from `first`, that of y and x."""
     a, b, d = low_pass[ORDER, 0], low_pass[ORDER, 1], low_pass[ORDER, ORDER]
     for n in range(STATES):
         shared[first + n] = a * rows[Q + n] + b * rows[Q + WIDE + n] + d * rows[M + n]

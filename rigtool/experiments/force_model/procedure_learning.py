@@ -92,12 +92,11 @@ def learn_force(
     signals = _signals(explored, recipe)
     interval = _interval(signals)
     records.append(single(signals.encoder, signals.total, signals.setpoint, interval, own))
-    offset = kt.results.get("amplifier_offset")
     known = Known(
         rig.angle_ratio,
         rig.torque_factor,
         rig.nominal_inertia,
-        offset.value if offset is not None else 0.0,
+        kt.result("amplifier_offset", "A").value if "amplifier_offset" in kt.results else 0.0,
     )
     deviating = deviations(records, known.angle_ratio, known.torque_factor)
     kept = math.sqrt(kept_by_mean(records, known.angle_ratio))
@@ -144,10 +143,10 @@ def _input(own: LoopSignals, under: Condition, model: ForceModel) -> Signals:
 def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel) -> Trial:
     """Return the tests for contacts along a recording in which nothing touches."""
     own, under = _known(recording, recipe, kt)
-    grid, bandwidth = Grid.of(_interval(own)), recipe.measure_force.motion.bandwidth_hz
+    grid, corner_hz = Grid.of(_interval(own)), recipe.measure_force.motion.corner_hz
     signals, plant = _input(own, under, model), model.plant(grid.sample_time)
     causal, untouched = (
-        Filter(plant, u, grid.step_samples, bandwidth).add(signals)
+        Filter(plant, u, grid.step_samples, corner_hz).add(signals)
         for u in (model.uncertainty, model.untouched)
     )
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(causal.low))
@@ -166,9 +165,9 @@ def _errors(
     from scipy.signal import butter, sosfilt, sosfiltfilt
 
     own, under = _known(recording, recipe, kt)
-    grid, bandwidth = Grid.of(_interval(own)), recipe.measure_force.motion.bandwidth_hz
+    grid, corner_hz = Grid.of(_interval(own)), recipe.measure_force.motion.corner_hz
     signals = _input(own, under, model)
-    filtered = model.plant(grid.sample_time), model.uncertainty, grid.step_samples, bandwidth
+    filtered = model.plant(grid.sample_time), model.uncertainty, grid.step_samples, corner_hz
     causal = Filter(*filtered).add(signals)
     torque, deviation = smoothed(*filtered, signals)
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
@@ -182,7 +181,7 @@ def _errors(
     acting += under.load_inertia * np.gradient(speed, record.interval)
     time = (1 + np.arange(len(torque))) * grid.step_time
     truth = np.interp(time, (0.5 + np.arange(len(acting))) * record.interval, acting)
-    sections = butter(2, bandwidth, fs=1 / grid.step_time, output="sos")
+    sections = butter(2, corner_hz, fs=1 / grid.step_time, output="sos")
     later = sosfiltfilt(sections, torque - truth)
     at_once = causal.passed - sosfilt(sections, truth)
     margin, every = round(SETTLING / grid.step_time), max(1, round(APART / grid.step_time))

@@ -40,7 +40,7 @@ SHOWN_KINDS = (
 )
 """Terms that rest determines, besides lengths."""
 
-BANDWIDTH_HZ = 10.0
+CORNER_HZ = 10.0
 SETTLING = 1.0
 """Settling time of the filter at its begin, s."""
 
@@ -123,7 +123,7 @@ class RestProblem:
         self._signals_of = _Inputs(exploration)
         self.step_samples = max(1, round(step_time / self._signals_of.sample_time))
         rate = 1 / (self.step_samples * self._signals_of.sample_time)
-        self._sections = butter(2, BANDWIDTH_HZ, fs=rate, output="sos")
+        self._sections = butter(2, CORNER_HZ, fs=rate, output="sos")
         self._first, self._apart = round(SETTLING * rate), max(1, round(rate / ROWS_HZ))
         named = [NAMES.index(name) for name in SHOWN_SHAPE]
         listed = [
@@ -158,7 +158,7 @@ class RestProblem:
         if not plant_is_sound(plant):
             return np.full(self.errors(self.start).size, np.inf)
         signals = self._signals_of.under(model)
-        passed = Filter(plant, self.uncertainty, self.step_samples, BANDWIDTH_HZ).add(signals)
+        passed = Filter(plant, self.uncertainty, self.step_samples, CORNER_HZ).add(signals)
         found: Array = sosfilt(self._sections, passed.torque)[self._first :: self._apart]
         return found
 

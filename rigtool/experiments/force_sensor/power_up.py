@@ -101,7 +101,7 @@ class PowerUp:
     variance, N m and N2 m2, and what it takes off the drive torque, N m, not low-passed.
     """
 
-    def __init__(self, model: ForceModel, step_time: float, bandwidth_hz: float) -> None:
+    def __init__(self, model: ForceModel, step_time: float, corner_hz: float) -> None:
         # ripple that grows with the current is in the variance alone
         own, gain = learned_ripple(model)
         amplitude = np.repeat(np.hypot(own[::2], own[1::2]), 2)
@@ -120,7 +120,7 @@ class PowerUp:
         self._state["covariance"][0] = np.diag(variances)
         self._state["plain_variance"] = variances[-1]
         self._state["level_variance"] = (CONTACT * factor * size) ** 2
-        self._low_pass = passed.section(bandwidth_hz, step_time)
+        self._low_pass = passed.section(corner_hz, step_time)
 
     @property
     def probability(self) -> float:

@@ -178,6 +178,12 @@ def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], rea
             f"calibrated from {low:g} to {high:g} degC: no torque has a value; calibrate with "
             "calibrate_kt.temperatures_degc about these, and learn again, or measure within"
         )
+    limited = sum(part.limited for r in read for part in r.parts)
+    if 2 * limited > sum(r.size for r in recorded):
+        raise InsufficientDataError(
+            f"{limited} samples have a current at its limit, rig.current_limit: no torque has a "
+            "value; move slower, or against less"
+        )
     raise InsufficientDataError(
         f"no sample lies within what was learned, {reach.angle[0]:.4g} to {reach.angle[1]:.4g} rad "
         f"of the motor, up to {reach.speed:.4g} rad/s and {reach.torque * 1e3:.4g} mN m, with a "
@@ -189,8 +195,10 @@ def model_and_reach(tables: Run, kt: Run, recipe: Recipe) -> tuple[ForceModel, R
     """Return the model in these tables, and how far it was learned; checks that all belongs
     together."""
     require_calibration(kt, recipe)
+    tables.require_command("ilc-learn")
+    model = model_from(tables, recipe)
     require_rig(tables, recipe)
-    return model_from(tables, recipe), reach_of(tables, kt, recipe)
+    return model, reach_of(tables, kt, recipe)
 
 
 def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:

@@ -64,8 +64,15 @@ def instrument_of(
     cold = torque_per_ampere_at(kt, 0.0).value
     slope = torque_per_ampere_at(kt, 1.0).value - cold
     count = 2 * math.pi / rig.encoder_counts
-    bandwidth = recipe.measure_force.motion.bandwidth_hz
-    return Instrument(model, reach, interval, count, (cold, slope), rig.current_limit, bandwidth)
+    return Instrument(
+        model,
+        reach,
+        interval,
+        count,
+        (cold, slope),
+        rig.current_limit,
+        recipe.measure_force.motion.corner_hz,
+    )
 
 
 def instrument_for(
@@ -90,14 +97,14 @@ def read_recording(
     parts: list[Reading] = []
     breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(2) as workers:
-        stretch: _Stretch | None = None
+        stretch: Stretch | None = None
         for block, begins in unbroken_blocks(recording, instrument):
             if begins:
                 breaks += 1
                 parts += [] if stretch is None else stretch.reading()
                 read += 0.0 if stretch is None else stretch.seconds
                 began, left = float(block[0, 0]), recording.size - done
-                stretch = _Stretch(recording.name, instrument, began, left, workers)
+                stretch = Stretch(recording.name, instrument, began, left, workers)
             done += block.shape[1]
             assert stretch is not None
             stretch.add(block[1:])
@@ -142,7 +149,7 @@ def unbroken_blocks(recording: Recording, instrument: Instrument) -> Iterator[tu
         before = time[-1:] if good[-1] else np.zeros(0)
 
 
-class _Stretch:
+class Stretch:
     """Samples without a gap: causal at once, smoothed as soon as enough has followed.
 
     `workers` smooth, and run the filter that contacts are found with, while the next samples are
@@ -156,7 +163,7 @@ class _Stretch:
         step_time = instrument.grid.step_time
         self._name, self._instrument, self._workers = name, instrument, workers
         self._began = began - instrument.interval / 2
-        self._every = steps_of_a_row(step_time, instrument.bandwidth_hz)
+        self._every = steps_of_a_row(step_time, instrument.corner_hz)
         self._sensor = Sensor(instrument)
         self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
@@ -256,8 +263,8 @@ class _Stretch:
         torque, u, ripple = self._whole()
         give_back()
         reference = self._taken("reference") if referred else None
-        rate, bandwidth = 1 / step_time, self._instrument.bandwidth_hz
-        torque, states = lowpass(rate, torque, bandwidth), self._taken("states")
+        rate, corner_hz = 1 / step_time, self._instrument.corner_hz
+        torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
         inside, rows = states != State.OUTSIDE, slice(None, None, every)
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
         at = step_time * every, self._taken("passed"), sliding, self._instrument.reach.angle
@@ -272,9 +279,11 @@ class _Stretch:
                 self._taken("causal"),
                 self._taken("causal_u"),
                 self._taken("causal_states")[::every].astype(np.int32),
-                None if reference is None else lowpass(rate, reference, bandwidth)[::every].copy(),
+                None
+                if reference is None
+                else held_lowpass(rate, reference, corner_hz)[::every].copy(),
                 self._limited,
-                None if reference is None else delayed(rate, reference, bandwidth)[::every].copy(),
+                None if reference is None else delayed(rate, reference, corner_hz)[::every].copy(),
                 contacts,
                 every,
                 response=None if reference is None else Spectra.of(torque, reference, inside, rate),
@@ -308,13 +317,30 @@ class _Stretch:
             torque[part] -= ripple
             added.append(ripple[-first % every :: every])
             variances.append(variance[-first % every :: every])
-        bandwidth, step_time = instrument.bandwidth_hz, instrument.grid.step_time
-        deviation = without_delay(self._taken("u"), bandwidth, step_time)[::every].astype(float)
-        deviation = np.sqrt(deviation**2 + np.concatenate(variances))
+        corner_hz, step_time = instrument.corner_hz, instrument.grid.step_time
+        deviation = without_delay(self._taken("u"), corner_hz, step_time)
+        ahead = weight_ahead(1 / step_time, len(deviation), corner_hz)
+        ahead *= self._sensor.last_deviation
+        deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
+        deviation = np.sqrt(deviation[::every].astype(float) ** 2 + np.concatenate(variances))
         kinds = self._taken("kinds")[::every]
         scales = instrument.model.scales[0]
         u = standard_uncertainty(scales, deviation, torque[::every], kinds)
         return torque, u, np.concatenate(added)
+
+
+def held_lowpass(rate: float, values: Array, corner_hz: float) -> Array:
+    """Filter a torque (n,) of a rate, Hz, without phase shift, as if it stayed at its ends' values:
+    that is what a random walk is expected to do."""
+    length = round(rate / corner_hz)
+    found: Array = lowpass(rate, np.pad(values, length, mode="edge"), corner_hz)
+    return found[length:-length]
+
+
+def weight_ahead(rate: float, size: int, corner_hz: float) -> Array:
+    """Return how much of `held_lowpass` of `size` values is the last one held, at the last (n,)."""
+    length = min(size, round(rate / corner_hz))
+    return held_lowpass(rate, np.repeat([0.0, 1.0], 4 * length), corner_hz)[3 * length : 4 * length]
 
 
 FOUND = {

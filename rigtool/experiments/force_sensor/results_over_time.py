@@ -28,8 +28,8 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
 
-ROWS = 20
-"""Rows of the table in a period of the low-pass."""
+ROWS = 20 / 3
+"""Rows of the table in a period of the low-pass's corner: 20 in one of the bandwidth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +91,9 @@ class Reading:
         return replace(first, **together, limited=sum(part.limited for part in parts))
 
 
-def steps_of_a_row(step_time: float, bandwidth_hz: float) -> int:
+def steps_of_a_row(step_time: float, corner_hz: float) -> int:
     """Return how many steps of `step_time` s are a row of the table."""
-    return max(1, int((1 / step_time) / (ROWS * bandwidth_hz)))
+    return max(1, int((1 / step_time) / (ROWS * corner_hz) * (1 + 1e-6)))
 
 
 SIGNALS = (
@@ -126,13 +126,13 @@ def force_outcome(
     `scales` (kinds, 2) are those of the smoothed torque (`intervals`), `limits` (3, 2) the
     thresholds by which contacts were looked for.
     """
-    cutoff_hz = recipe.measure_force.motion.bandwidth_hz
+    corner_hz = recipe.measure_force.motion.corner_hz
     parts = [(number, part) for number, r in enumerate(recordings) for part in r.parts]
     rows = [part for _, part in parts]
     results, tables = over_time_tables(
         rows,
         reach.torque,
-        cutoff_hz,
+        corner_hz,
         recipe.rig.load_arm,
         numbers=[number for number, _ in parts],
         lost=sum(r.lost for r in recordings),
@@ -149,13 +149,13 @@ def force_outcome(
 def over_time_tables(
     rows: Sequence[Reading],
     largest: float,
-    bandwidth_hz: float,
+    corner_hz: float,
     load_arm: float | None = None,
     *,
     numbers: Sequence[int] | None = None,
     lost: float = 0.0,
 ) -> tuple[dict[str, Quantity], dict[str, Table]]:
-    """Return results and tables of stretches, low-passed at `bandwidth_hz`, with uncertainties.
+    """Return results and tables of stretches, low-passed at `corner_hz`, with uncertainties.
 
     `largest` N m is the largest torque that was learned; the force at the tip needs a `load_arm` m.
     `numbers` are those of the recordings that the stretches belong to, one each by default; `lost`
@@ -167,7 +167,7 @@ def over_time_tables(
     )
     known = whole.states != State.OUTSIDE
     results = _results(whole, known, sum(len(r.time) * r.step_time for r in rows), lost)
-    tables = {"force": _table(rows, whole, known, number, bandwidth_hz, load_arm)}
+    tables = {"force": _table(rows, whole, known, number, corner_hz, load_arm)}
     judged = [row for row in rows if row.reference is not None]
     if judged:
         found, tables["force_accuracy"] = _judged(Reading.joined(judged), largest)
@@ -182,10 +182,16 @@ def _results(
     results = {"valid_share": Quantity(share, "1", reason="counted")}
     if known.any():
         torque, u = whole.torque[known], whole.u[known]
-        peak = int(np.argmax(np.abs(torque)))
+        peak = _peak(torque, u)
         results["peak_torque"] = Quantity(float(torque[peak]), "N m", float(u[peak]))
         results["mean_torque"] = Quantity(float(torque.mean()), "N m", float(u.mean()))
     return results
+
+
+def _peak(torque: Array, u: Array) -> int:
+    """Return the row with the largest magnitude that the torque surely has, by its 95 % interval:
+    the largest torque alone may be that of a row of large u, such as the last ones."""
+    return int(np.argmax(np.abs(torque) - COVERAGE_FACTOR * u))
 
 
 def _table(
@@ -193,7 +199,7 @@ def _table(
     whole: Reading,
     known: NDArray[np.bool_],
     number: NDArray[np.intp],
-    bandwidth_hz: float,
+    corner_hz: float,
     load_arm: float | None,
 ) -> Table:
     def valid(values: Array, where: NDArray[np.bool_] = known) -> Array:
@@ -230,7 +236,7 @@ def _table(
         columns,
         "torque",
         "torque on the output over time, positive where it resists positive motion, low-passed at "
-        f"{bandwidth_hz:g} Hz",
+        f"{corner_hz:g} Hz",
     )
 
 
@@ -309,7 +315,7 @@ def _events(parts: Sequence[tuple[int, Reading]]) -> dict[str, Table]:
             torque, u = row.torque[span][known[span]], row.u[span][known[span]]
             if not len(torque):
                 continue
-            peak = int(np.argmax(np.abs(torque)))
+            peak = _peak(torque, u)
             times = row.time[0] + step_time * np.array([contact.begin, contact.found, contact.end])
             found.append((number, *times, torque[peak], u[peak], torque.mean(), u.mean()))
     if not found:
@@ -326,7 +332,7 @@ def _events(parts: Sequence[tuple[int, Reading]]) -> dict[str, Table]:
             numbers[3], "s", "bench clock, where the torque falls below half of its mean"
         ),
         "end_u": Column(u_time, "s", "standard uncertainty of end"),
-        "peak": Column(numbers[4], "N m", "torque of largest magnitude"),
+        "peak": Column(numbers[4], "N m", "torque whose interval is farthest from zero"),
         "peak_u": Column(numbers[5], "N m", "standard uncertainty of peak"),
         "mean": Column(numbers[6], "N m", "mean torque from start to end"),
         "mean_u": Column(numbers[7], "N m", "standard uncertainty of mean"),
@@ -365,7 +371,9 @@ def _notes(
         f"a share of the torque: {factors}",
     ]
     if (outside := 1 - known.mean()) > 0:
-        notes.append(f"no value in {outside:.1%} of the time: outside what was learned")
+        limit = any(part.limited for r in recordings for part in r.parts)
+        why = ", or about a current at its limit" if limit else ""
+        notes.append(f"no value in {outside:.1%} of the time: outside what was learned{why}")
     if breaks := sum(r.breaks for r in recordings):
         lost = sum(r.lost for r in recordings)
         notes.append(

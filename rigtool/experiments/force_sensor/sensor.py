@@ -33,7 +33,7 @@ class Instrument:
 
     `interval` s is from one recorded sample to the next, `count` rad that of the encoder,
     `torque_constant` N m/A at 0 degC and its change per kelvin, `current_limit` in A;
-    `bandwidth_hz` is that of the low-pass.
+    `corner_hz` is that of the low-pass.
     """
 
     model: ForceModel
@@ -42,7 +42,7 @@ class Instrument:
     count: float
     torque_constant: tuple[float, float]
     current_limit: float
-    bandwidth_hz: float
+    corner_hz: float
 
     @property
     def grid(self) -> Grid:
@@ -58,13 +58,13 @@ class Instrument:
         """Return the filter for samples that begin without a gap."""
         grid = self.grid
         plant = self.model.plant(grid.sample_time)
-        return Filter(plant, uncertainty, grid.step_samples, self.bandwidth_hz)
+        return Filter(plant, uncertainty, grid.step_samples, self.corner_hz)
 
     def again(self) -> Again:
         """Return the filter whose steps are smoothed, for the same samples."""
         grid = self.grid
         plant, u = self.model.plant(grid.sample_time), self.model.uncertainty
-        return Again(plant, u, grid.step_samples, self.bandwidth_hz)
+        return Again(plant, u, grid.step_samples, self.corner_hz)
 
     def judge(self, *, causal: bool) -> Judge:
         """Return the judge of states."""
@@ -106,7 +106,7 @@ class Sensor:
         self._sampler = Sampler(grid, instrument.count, model.drive, CONTEXT if context else 0)
         self._stepper = Stepper(grid.step_samples)
         self._filter = instrument.filter(model.uncertainty)
-        self.power_up = PowerUp(model, grid.step_time, instrument.bandwidth_hz)
+        self.power_up = PowerUp(model, grid.step_time, instrument.corner_hz)
         self._judge = instrument.judge(causal=True)
         self._before: Moments | None = None
 
@@ -139,6 +139,11 @@ class Sensor:
         u = standard_uncertainty(self._instrument.model.scales[1], deviation, torque, kinds)
         doubt = np.sqrt(variance)
         return Sensed(estimate, torque, u, moments, states, found[2:], signals, less, doubt)
+
+    @property
+    def last_deviation(self) -> float:
+        """Standard deviation of the torque after the last step, before the low-pass, N m."""
+        return self._filter.last_deviation
 
     def _states(self, moments: Moments) -> tuple[States, States]:
         """Return states and kinds of these steps, that follow from the steps before them, too."""

@@ -126,7 +126,7 @@ def _other(run: Run, unit: str) -> _Curve:
         raise UsageError(
             f"{run.path} holds {stored}, this curve {unit}: analyse both with --kt, or both without"
         )
-    return _curve(run.table(HOLDS))
+    return _curve(run.table(HOLDS, "speed", torque=unit, u=unit))
 
 
 def _minus(curve: _Curve, other: _Curve) -> _Curve:

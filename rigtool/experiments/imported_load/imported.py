@@ -101,9 +101,10 @@ def _results(learned: Learned) -> dict[str, Quantity]:
 def _notes(learned: Learned, recordings: int) -> list[str]:
     model = learned.model
     scales, levels = model.scales, len(np.unique(learned.validation.level))
+    largest = float(np.abs(learned.validation.torque).max())  # the scale may be that of a prior
     notes = [
         f"learned from {recordings} recordings at {levels} load levels, up to "
-        f"{scales.torque * 1e3:.4g} mN m, position {scales.low:.4g} to {scales.high:.4g} rad",
+        f"{largest * 1e3:.4g} mN m, position {scales.low:.4g} to {scales.high:.4g} rad",
         "u is widened by the errors at levels and speeds that were left out, most by "
         f"{max(side.factors.max() for side in model.sides):.3g}; slower and faster than learned "
         "there is no value",

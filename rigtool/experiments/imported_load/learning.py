@@ -44,6 +44,10 @@ FOLDS = 10
 APART = 0.02
 """Part of the highest load by which levels differ, at least."""
 
+ONE_LEVEL = 0.1
+"""Part of the highest load within which recordings are repeats of one load, whatever gaps they
+have: differences of that size do not show how effort grows with load."""
+
 APART_SPEED = 0.1
 """Part of the highest speed by which speeds differ, at least."""
 
@@ -93,9 +97,12 @@ class Learned:
 def level_numbers(values: Sequence[float], apart: float = APART) -> list[int]:
     """Return the number of each recording's level, by its mean torque or speed, smallest first.
 
-    Levels are apart by more than a quarter of the widest gap, and by `apart` of the highest.
+    Levels are apart by more than a quarter of the widest gap, and by `apart` of the highest; within
+    `ONE_LEVEL` of the highest all are one.
     """
     sizes = np.abs(np.asarray(values, dtype=np.float64))
+    if np.ptp(sizes) <= ONE_LEVEL * float(sizes.max(initial=0.0)):
+        return [0] * len(sizes)
     order = np.argsort(sizes, kind="stable")
     gaps = np.diff(sizes[order])
     widest = float(gaps.max()) if len(gaps) else 0.0
@@ -181,11 +188,21 @@ def _fit(rows: Rows, folds: Numbers, levels: int, pace: Numbers, prior: Side | N
         raise InsufficientDataError(
             "only one load moves in one of the directions: record all loads to and fro"
         )
-    ways = [level if levels > 2 else rows.recording % FOLDS]
+    ways = [rows.recording % FOLDS]
+    if levels > 2:
+        ways = [level, _turns(folds)[rows.recording]]
     if pace.max() > 1:  # speeds beyond the others are outside: those at the ends stay
         ways.append(np.where((paces == 0) | (paces == pace.max()), -1, paces))
     names = groups_for(tuple(rows.functions), levels) if prior is None else prior.groups
     return Fit.of(rows, names, level, ways, prior)
+
+
+def _turns(level: Numbers) -> Numbers:
+    """Return which recordings (r,) are left out together: one of each level at most, and of other
+    speeds where levels were recorded at the same speeds in turn."""
+    rank = np.array([np.sum(level[:n] == own) for n, own in enumerate(level)])
+    turns: Numbers = (rank + level) % min(FOLDS, int(rank.max()) + 1)
+    return turns
 
 
 def _scales_as(prior: LoadModel, scales: Scales) -> Scales:

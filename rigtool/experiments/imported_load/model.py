@@ -23,7 +23,7 @@ from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State, States
 from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
 from rigtool.experiments.imported_load.loop import Loop
-from rigtool.experiments.imported_load.region import Region, reached
+from rigtool.experiments.imported_load.region import Region, of_known_strokes, reached
 from rigtool.numerics.arrays import Array, Mask
 
 SIGNS = (1, -1)
@@ -151,7 +151,9 @@ class LoadModel:
         still = np.abs(path.speed) < self.scales.standstill
         hidden = still | (share < FLAT)
         place = self.place(path)
-        known = self.region.holds(place, speed, torque) & path.regular & ~hidden
+        moving = path.regular & reached(place) & ~hidden
+        known = self.region.holds(place, speed, torque) & moving
+        known = of_known_strokes(known, moving, np.where(still, 0.0, np.sign(speed)))
         states = np.where(self.direction * speed >= 0, State.AGAINST, State.WITH)
         states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]
         low, high = self._dead_band(effort, path, hidden)

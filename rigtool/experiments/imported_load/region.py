@@ -26,6 +26,11 @@ MARGIN, NARROW = 0.75, 0.25
 level when that was left out, and where not. The second is for scatter, not for other loads."""
 
 
+MOSTLY = 0.5
+"""Part of a stroke that must be inside: a heavier load passes the learned ones while it comes, and
+scatter alone takes some of its samples among them."""
+
+
 @dataclass(frozen=True, eq=False)
 class Region:
     """Lowest and highest magnitude of speed, and torque, in each cell of the stroke: (2, CELLS)
@@ -53,6 +58,17 @@ class Region:
 def reached(place: Array) -> Mask:
     """Return which places (n,) are on the learned stroke."""
     found: Mask = (place >= -SLACK) & (place <= 1 + SLACK)
+    return found
+
+
+def of_known_strokes(known: Mask, moving: Mask, direction: Array) -> Mask:
+    """Return which of the `known` rows (n,) belong to strokes of which most is known.
+
+    `moving` (n,) marks rows that count, `direction` (n,) changes from one stroke to the next.
+    """
+    stroke = np.cumsum(np.diff(direction, prepend=direction[:1]) != 0)
+    inside, every = (np.bincount(stroke, rows) for rows in (known & moving, moving))
+    found: Mask = known & (inside >= MOSTLY * every)[stroke]
     return found
 
 

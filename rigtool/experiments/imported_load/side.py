@@ -226,19 +226,29 @@ class Fit:
         widest counts. Recordings repeat the measurement: by their number r, Student's t with r - 1
         degrees of freedom stands for the normal distribution. No level counts on fewer errors than
         the levels show on average.
+
+        The lowest and the highest level stand twice: outermost as they were left out, for torques
+        beyond them; then by the other ways, as none of the torques within is beyond the others.
         """
         from scipy.special import stdtrit
 
+        loads_left_out = 1 if np.array_equal(self.folds[0], self.level) else 0
         repeats = len(np.unique(self.rows.recording))
         wider = float(stdtrit(repeats - 1, (1 + COVERAGE) / 2)) / COVERAGE_FACTOR
         rows = []
         for level in np.unique(self.level):
             own = self.level == level
             parts = [ratio[own & np.isfinite(ratio)] for ratio in ratios]
-            asked = [float(np.quantile(part, COVERAGE)) for part in parts if part.size]
-            rows.append((float(self.rows.torque[own].mean()), wider * max(asked) / COVERAGE_FACTOR))
-        levels, factors = np.array(sorted(rows)).T
-        return levels, np.maximum(factors, factors.mean())
+            asked = [float(np.quantile(part, COVERAGE)) if part.size else 0.0 for part in parts]
+            widest = max(asked), max(asked[loads_left_out:])
+            factors = np.multiply(wider / COVERAGE_FACTOR, widest)
+            rows.append((float(self.rows.torque[own].mean()), *factors))
+        levels, left_out, learned = np.array(sorted(rows)).T
+        within = left_out.copy()
+        within[[0, -1]] = learned[[0, -1]]
+        within = np.maximum(within, within.mean())
+        ends = np.maximum(left_out[[0, -1]], within[[0, -1]])
+        return np.pad(levels, 1, mode="edge"), np.concatenate([ends[:1], within, ends[1:]])
 
 
 @dataclass(frozen=True, eq=False)

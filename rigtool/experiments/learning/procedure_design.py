@@ -118,7 +118,7 @@ def design_filters(recipe: Recipe, plant: Run | None = None) -> FilterDesign:
     loop = nominal if measured is None else measured.loop
     if not loop.stable:
         kind = "nominal" if measured is None else "measured"
-        inertia = rig.nominal_inertia if plant is None else plant.result("inertia").value
+        inertia = rig.nominal_inertia if plant is None else plant.result("inertia", "kg m2").value
         raise InsufficientDataError(
             f"the position loop is unstable with the {kind} inertia {inertia:.4g} "
             "kg m2: change [rig.controller]"
@@ -162,15 +162,22 @@ def measured_loop(plant: Run, recipe: Recipe, controller: TransferFunction) -> M
     plant.require_command("identify-plant")
     _require_same_rig(plant, recipe)
     rigid = "inertia_motor_side" not in plant.results
-    inertia = plant.result("inertia").value
+    inertia = plant.result("inertia", "kg m2").value
     model = PlantModel(
         inertia,
-        plant.result("viscous_friction").value,
-        None if rigid else plant.result("inertia_motor_side").value / inertia,
-        0.0 if rigid else plant.result("antiresonance_frequency").value,
-        0.0 if rigid else plant.result("antiresonance_damping").value,
+        plant.result("viscous_friction", "N m s/rad").value,
+        None if rigid else plant.result("inertia_motor_side", "kg m2").value / inertia,
+        0.0 if rigid else plant.result("antiresonance_frequency", "Hz").value,
+        0.0 if rigid else plant.result("antiresonance_damping", "1").value,
     )
-    table = plant.table("frequency_response")
+    table = plant.table(
+        "frequency_response",
+        "frequency",
+        frequency="Hz",
+        magnitude="rad/(N m)",
+        phase="rad",
+        radius="rad/(N m)",
+    )
     used = table["used"] == 1
     magnitude = table["magnitude"][used]
     response = magnitude * np.exp(1j * table["phase"][used])

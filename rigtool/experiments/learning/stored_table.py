@@ -86,9 +86,15 @@ def friction_results(friction: Run | None) -> dict[str, Quantity]:
         return {}
     friction.require_command("stribeck")
     return {
-        COULOMB: friction.result("coulomb_friction"),
-        VISCOUS: friction.result("viscous_friction"),
+        COULOMB: friction.result("coulomb_friction", "N m"),
+        VISCOUS: friction.result("viscous_friction", "N m s/rad"),
     }
+
+
+def friction_beside(run: Run) -> dict[str, Quantity]:
+    """Return the friction that is stored beside the table of a run of `ilc-learn`."""
+    units = {COULOMB: "N m", VISCOUS: "N m s/rad"}
+    return {name: run.result(name, unit) for name, unit in units.items() if name in run.results}
 
 
 def lookup_table_from(run: Run) -> LookupTable:
@@ -117,7 +123,8 @@ def stored_table_from(run: Run) -> LookupTable:
             f"{run.path}: was learned by time, along one move, and holds no table by position: "
             "learn with another --implementation"
         )
-    lookup, amplitude = run.table("lookup"), run.table("amplitude")
+    lookup = run.table("lookup", "speed", "position", speed="rad/s", position="rad")
+    amplitude = run.table("amplitude", "low_speed", low_speed="rad/s", amplitude="1")
     try:
         return LookupTable(
             position=lookup["position"],
@@ -125,7 +132,7 @@ def stored_table_from(run: Run) -> LookupTable:
             torque=lookup[lookup.signal],
             low_speed=amplitude["low_speed"],
             amplitude=amplitude["amplitude"],
-            period=run.results[PERIOD].value if PERIOD in run.results else None,
+            period=run.result(PERIOD, "rad").value if PERIOD in run.results else None,
         )
     except (KeyError, ValueError) as error:
         raise RunFileError(
@@ -144,7 +151,7 @@ def learned_table_from(run: Run) -> LearnedTable:
         u=np.asarray(stored["u"], dtype=np.float64),
         quantity=stored.signal,
         unit=signal.unit,
-        friction={n: run.results[n] for n in (COULOMB, VISCOUS) if n in run.results},
+        friction=friction_beside(run),
         band_hz=band_hz,
         band_speed=band_speed,
         origin=origin_of(run),
@@ -174,7 +181,7 @@ def _band(run: Run) -> tuple[float | None, float | None]:
         return None, None
     if LEARNING_CUTOFF in run.results:
         one = 2 * math.pi * min(settings.turning.speeds_rev_per_s)
-        return run.results[LEARNING_CUTOFF].value, one
+        return run.result(LEARNING_CUTOFF, "Hz").value, one
     return settings.robustness_hz, None
 
 
@@ -195,7 +202,7 @@ def feedforward_from(run: Run, inertia: float) -> Feedforward:
 
     `inertia` is the nominal one on the motor shaft, kg m2.
     """
-    return feedforward(inertia, run.results, lookup_table_from(run))
+    return feedforward(inertia, friction_beside(run), lookup_table_from(run))
 
 
 def require_same_rig(tables: Run, recipe: Recipe) -> None:

@@ -30,7 +30,7 @@ from rigtool.experiments.force_model.learning import INDEPENDENT, Learned, measu
 from rigtool.experiments.force_model.model import Prediction, State, functions
 from rigtool.experiments.force_model.records import Record, lowpassed_rows
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.steady_mean import steady_mean, steady_us
+from rigtool.numerics.steady_mean import steady_mean, steady_us, weights
 from rigtool.quantity import STANDARD_GRAVITY, Quantity, combined, error_line
 
 STEP = 0.01
@@ -225,6 +225,16 @@ def _find(
     shown_at = _read(narrow, point)
     rms = float(np.sqrt(np.mean(left**2)))
     independent = max(1.0, used.sum() / INDEPENDENT)
+    fitted = np.linalg.qr(np.vstack([slope[used], own]).T)[0]
+
+    def noise(record: Record) -> float:
+        return scatter_of_mean(_at(record.torques, loaded.count)[:, used], fitted)
+
+    # What cycles scatter is in their readings, and is no error of the model; but it hides one of
+    # the size of its own chance deviation.
+    scattered = noise(loaded) + sum(map(noise, pair.unloaded)) / len(pair.unloaded) ** 2
+    hidden = scattered * math.sqrt(2 / independent)
+    misfit = math.sqrt(max(rms**2 - scattered, 0.0) + hidden)
     return _Found(
         moment=moment,
         weight=weight,
@@ -233,8 +243,18 @@ def _find(
         at_angle=moment + shown_at[:-1] / shown_at[-1],
         model_u=math.sqrt(max(0.0, float(by @ model.covariance @ by))),
         rms=rms,
-        misfit_u=rms * float(np.linalg.norm(weight)) * math.sqrt(used.sum() / independent),
+        misfit_u=misfit * float(np.linalg.norm(weight)) * math.sqrt(used.sum() / independent),
     )
+
+
+def scatter_of_mean(torques: Array, fitted: Array) -> float:
+    """Return the mean variance of the rows of a mean cycle that its cycles (m, rows) show, N m2.
+
+    What they have along the orthonormal columns `fitted` (rows, k) is taken off, as a fit does.
+    """
+    off = torques - (torques @ fitted) @ fitted.T
+    shares = weights(len(off))
+    return float(np.mean(np.var(off, axis=0, ddof=1)) * (shares @ shares))
 
 
 def _step(moment: float, largest: float) -> float:

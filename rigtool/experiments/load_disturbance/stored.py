@@ -16,6 +16,7 @@ from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
 
 DISTURBANCE, LOAD_FRICTION = "disturbance", "load_friction"
+AXES = ("speed", "position", "load")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +40,10 @@ def disturbance_from(run: Run, recipe: Recipe) -> Disturbance:
             f"{run.path}: holds no model of what a load does, so no load can be corrected: learn "
             "with --implementation D, or measure with --correction none"
         )
-    speeds = sorted({abs(float(speed)) for speed in run.table(DISTURBANCE)["speed"]})
-    torque = run.result("learned_torque").value
+    speeds = sorted(
+        {abs(float(speed)) for speed in run.table(DISTURBANCE, *AXES, speed="rad/s")["speed"]}
+    )
+    torque = run.result("learned_torque", "N m").value
     return Disturbance(model_from(run, recipe).learned, torque, tuple(speeds))
 
 
@@ -51,7 +54,7 @@ def grid_tables(grid: Grid, recipe: Recipe) -> dict[str, Table]:
 
     def table(values: Array, u: Array, what: str, about: str) -> Table:
         return Table(
-            ("speed", "position", "load"),
+            AXES,
             {
                 "speed": Column(grid.signed[-len(values) :], "rad/s", "of the motor shaft"),
                 "position": position,
@@ -102,8 +105,8 @@ def rising_load(tables: Run, recipe: Recipe, model: Learned, load: Array) -> Ris
     speed = 2 * math.pi * settings.speed_rev_per_s * ratio
 
     def at(name: str, column: str) -> Array:
-        table = tables.table(name)
-        axes = [table[axis] for axis in table.axes]
+        table = tables.table(name, *AXES, speed="rad/s", position="rad", load="N m", torque="N m")
+        axes = [table[axis] for axis in AXES]
         points = np.stack([np.full_like(load, speed), np.full_like(load, position * ratio), load])
         inside = [np.clip(p, axis[0], axis[-1]) for p, axis in zip(points, axes, strict=True)]
         found: Array = interpn(axes, table[column], np.stack(inside, axis=-1))

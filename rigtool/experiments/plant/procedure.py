@@ -29,7 +29,7 @@ from rigtool.experiments.plant.results import IdentifiedPlant, plant_outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import Quantity, combined, error_line
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
@@ -97,10 +97,20 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
 
 
 def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
-    """Return the torque for each ampere at the recording's temperature; None without --kt."""
+    """Return the torque for each ampere at the recording's temperature; None without --kt.
+
+    The winding is warmer than the housing by what its current heats it. By how much the constant
+    is lower then is a line of the budget: how long the current must flow for it is hardly known.
+    """
     if kt is None:
         return None
-    return torque_per_ampere_at(kt, float(recording.read("temperature").mean()))
+    constant = torque_per_ampere_at(kt, float(recording.read("temperature").mean()))
+    if "winding_heat_loss" not in kt.results:
+        return constant
+    square = float(np.mean(recording.read("signal_current").astype(np.float64) ** 2))
+    loss = constant.value * kt.result("winding_heat_loss").value * square
+    heat = error_line("heat of the winding", loss, constant.unit)
+    return combined(constant.value, constant.unit, [*constant.budget, heat])
 
 
 def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -> list[Experiment]:

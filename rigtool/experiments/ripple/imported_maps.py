@@ -49,7 +49,7 @@ class Maps:
 def read_maps(runs: Sequence[Run]) -> Maps:
     """Read maps around the turn; `UsageError` for maps of several signals, `InsufficientDataError`
     for maps without enough angles."""
-    tables = [run.table(MAP) for run in runs]
+    tables = [run.table(MAP, "position", position="rad") for run in runs]
     signals = {(table.signal, table.columns[table.signal].unit) for table in tables}
     if len(signals) > 1:
         found = ", ".join(f"{name} [{unit}]" for name, unit in sorted(signals))

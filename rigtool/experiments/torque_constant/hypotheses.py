@@ -46,8 +46,12 @@ LARGEST_FRICTION = 0.25
 PARAMETERS = 7
 """Linear parameters of a mean staircase."""
 
-COARSE, FINE = (20, 8, 7), (7, 5, 5)
-"""Values of s, tau and lag over all of their range, and in each finer grid."""
+LOWEST_EXPONENT, HIGHEST_EXPONENT = 0.5, 2.0
+"""Range of the exponent of the law of friction: below 1 for brittle contacts, which slide after a
+finite way, above 1 for ductile ones (Dahl 1968; AIAA J. 14(12) 1675-1682, 1976)."""
+
+COARSE, FINE = (16, 6, 3, 5), (7, 4, 5, 4)
+"""Values of s, tau, exponent and lag over all of their range, and in each finer grid."""
 
 FINER_GRIDS = 3
 """Grids that each cover the best of the one before."""
@@ -106,7 +110,7 @@ def weigh_hypotheses(stairs: Stairs, coefficient: float, trend: Array) -> Hypoth
 
 @dataclass(frozen=True)
 class _Tried:
-    """Hypotheses (n,), at places (n, 2 or 3) of a grid, and what they leave.
+    """Hypotheses (n,), at places (n, 3 or 4) of a grid, and what they leave.
 
     `volume` (n,) is the part of the grid that each represents, `square` (n,) is Q, `slope` (n, 2)
     the mean of the torque constants and their change with temperature.
@@ -168,13 +172,13 @@ def _search(means: _Means, lag: tuple[float, float] | None, finer: int) -> _Trie
 
 
 def _ranges(stairs: Stairs, lag: tuple[float, float] | None) -> tuple[Array, Array]:
-    """Return bounds of the logarithms of s, tau and the lag, if there is one."""
+    """Return bounds of the logarithms of s, tau, the exponent and the lag, if there is one."""
     courses = stairs.courses
     span = float(np.ptp(courses.torque[0]))
     step = span * float(np.median(np.abs(np.diff(courses.setpoint[0]))))
     step /= float(np.ptp(courses.setpoint[0]))
-    low = [step / 4, SHORTEST_TIME_CONSTANT]
-    high = [LONGEST_TRANSITION * span, LONGEST_TIME_CONSTANT]
+    low = [step / 4, SHORTEST_TIME_CONSTANT, LOWEST_EXPONENT]
+    high = [LONGEST_TRANSITION * span, LONGEST_TIME_CONSTANT, HIGHEST_EXPONENT]
     if lag is not None:
         low.append(lag[0])
         high.append(lag[1])
@@ -217,29 +221,34 @@ class _Means:
             return [straight_path(courses)]
         return list(paths(courses, courses.torque, courses.course, some))
 
-    def _friction(self, transition: Array, way: Array) -> tuple[Array, Array]:
-        a, b = friction_state(way, transition[:, None, None])
+    def _friction(self, transition: Array, exponent: float, way: Array) -> tuple[Array, Array]:
+        a, b = friction_state(way, transition, exponent)
         return -a * self._weight, -b * self._weight  # (s, g, p)
 
     def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array]:
         """Return all hypotheses of a grid, their Q (n,) and slopes (n, 2): mean and trend."""
-        transition, tau = np.exp(axes[0]), np.exp(axes[1])
+        transition, tau, exponents = (np.exp(axis) for axis in axes[:3])
         lags: list[float | None] = [None]
-        if len(axes) > 2:
-            lags = list(np.exp(axes[2]).tolist())
+        if len(axes) > 3:
+            lags = list(np.exp(axes[3]).tolist())
         ways = self._ways(lags)
         thermal = [self._thermal(value) for value in tau.tolist()]
-        shape = (len(transition), len(tau), len(ways))
+        shape = (len(transition), len(tau), len(exponents), len(ways))
         square, slope = np.empty(shape), np.empty((*shape, 2))
         free = np.empty(shape, dtype=np.bool_)
-        for n, way in enumerate(ways):
-            columns = self._friction(transition, way)
+        for e, n in product(range(len(exponents)), range(len(ways))):
+            columns = self._friction(transition, float(exponents[e]), ways[n])
             for k, (current, lost) in enumerate(thermal):
                 result = self._fit(current, lost, columns)
-                square[:, k, n], slope[:, k, n], free[:, k, n] = result
+                square[:, k, e, n], slope[:, k, e, n], free[:, k, e, n] = result
         commons = [
-            Common(None if free[i, k, n] else float(transition[i]), lags[n], float(tau[k]))
-            for i, k, n in product(*map(range, shape))
+            Common(
+                None if free[i, k, e, n] else float(transition[i]),
+                float(exponents[e]),
+                lags[n],
+                float(tau[k]),
+            )
+            for i, k, e, n in product(*map(range, shape))
         ]
         return commons, square.ravel(), slope.reshape(-1, 2)
 
@@ -304,7 +313,7 @@ class _Means:
         columns = [current, self._weight, self._step, lost, current * np.abs(current)]
         if common.transition is not None:
             (way,) = self._ways([common.lag])
-            friction = self._friction(np.array([common.transition]), way)
+            friction = self._friction(np.array([common.transition]), common.exponent, way)
             columns += [column[0] for column in friction]
         q, _ = np.linalg.qr(np.stack(columns, axis=2))
         torque = self._torque[..., 0]

@@ -12,8 +12,8 @@ from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_constant.imported import analyse_imported
 from rigtool.experiments.torque_constant.staircase import Plateaus, find_plateaus
+from rigtool.experiments.torque_constant.staircase_fit import SAME_TEMPERATURE
 from rigtool.experiments.torque_constant.temperature_fit import (
-    SAME_TEMPERATURE,
     Calibration,
     calibrate,
 )
@@ -155,6 +155,9 @@ def _results(found: Calibration, recipe: Recipe) -> dict[str, Quantity]:
             linearity.deviation, "A", linearity.deviation_u, linearity.deviation_dof
         ),
         "hysteresis_torque": hysteresis,
+        "winding_heat_loss": Quantity(
+            slopes.steady_heating, "1/A2", slopes.steady_heating_u, slopes.heating_dof
+        ),
     }
     return {name: quantity for name, quantity in results.items() if quantity is not None}
 

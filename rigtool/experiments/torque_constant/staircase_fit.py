@@ -32,6 +32,12 @@ MISFIT_LIMIT = 5e-3
 SLOPE_LIMIT = 0.25
 """Largest relative change of a straight line's slope by friction and heat."""
 
+SAME_TEMPERATURE = 2.0
+"""Range of staircases that count as one temperature, K."""
+
+LARGE_FRICTION = 0.03
+"""Friction, relative to the span of the torque, that may change a slope by `SLOPE_LIMIT`."""
+
 PHASES = 12
 """Places of the gauge's zero within one of its steps that are tried."""
 
@@ -46,13 +52,14 @@ class Slopes:
     `slope` (m,) in N m/A, `u` (m,) its standard uncertainty from scatter with `dof`; `temperature`
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
-    `heating_u` its standard uncertainty with `heating_dof`; `friction_u` the relative standard
+    `heating_u` its standard uncertainty with `heating_dof`; `steady_heating` 1/A2 is what a current
+    lowers the constant by that flows for long, times its square; `friction_u` the relative standard
     uncertainty from the model of friction with `friction_dof`, `friction_share` the
     relative part by which friction changes a straight line's slope; `resolution_u` that from the
     resolution of the gauge; `trend_u` in N m/(A K) is what both give a change with temperature.
-    `transition` is s of (1) in N m (None where no
-    friction shows), `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in
-    N m: torque minus the straight line, mean over staircases; `hysteresis` in N m: falling minus
+    `transition` is s of (1) in N m (None where no friction shows), `exponent` that of its law,
+    `time_constant` tau in s. `level` (l,) in A, `rising` and `falling` (l,) in N m: torque minus
+    the straight line, mean over staircases; `hysteresis` in N m: falling minus
     rising in the middle of the span, `hysteresis_u` its standard uncertainty with `hysteresis_dof`.
     """
 
@@ -64,12 +71,15 @@ class Slopes:
     heating: float
     heating_u: float
     heating_dof: float
+    steady_heating: float
+    steady_heating_u: float
     friction_u: float
     friction_dof: float
     friction_share: float
     resolution_u: float
     trend_u: float
     transition: float | None
+    exponent: float
     time_constant: float
     level: Array
     rising: Array
@@ -79,11 +89,11 @@ class Slopes:
     hysteresis_dof: int
 
 
-def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
+def fit_staircases(plateaus: Plateaus) -> Slopes:
     """Fit (1) to all staircases together and return each one's slope.
 
-    `coefficient` is c of (1) in 1/K, as far as it is known. Raises `InsufficientDataError` where a
-    staircase does not rise and fall, or where torque does not follow current.
+    Raises `InsufficientDataError` where a staircase does not rise and fall, or where torque does
+    not follow current.
     """
     _require_resolution(plateaus)
     stairs = arrange(plateaus)
@@ -91,6 +101,7 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
     rise = rise - rise.mean()
     trend = rise / max(float(rise @ rise), 1e-300)
     average = np.full(len(rise), 1 / len(rise))
+    coefficient = _about(stairs)
     hypotheses = weigh_hypotheses(stairs, coefficient, trend)
     stairs = hypotheses.stairs
     solution = _solve(stairs, hypotheses.best, coefficient, rise)
@@ -110,12 +121,15 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
         heating=solution.heating,
         heating_u=solution.heating_u,
         heating_dof=solution.heating_dof,
+        steady_heating=solution.loss * hypotheses.best.time_constant,
+        steady_heating_u=solution.loss_u * hypotheses.best.time_constant,
         friction_u=math.hypot(u, hypotheses.spread) / constant,
         friction_dof=dof,
         friction_share=share,
         resolution_u=_rounding(stairs, solution, average) / constant,
         trend_u=math.hypot(trend_u, hypotheses.drift, _rounding(stairs, solution, trend)),
         transition=hypotheses.best.transition,
+        exponent=hypotheses.best.exponent,
         time_constant=hypotheses.best.time_constant,
         level=level,
         rising=rising,
@@ -124,6 +138,18 @@ def fit_staircases(plateaus: Plateaus, coefficient: float = 0.0) -> Slopes:
         hysteresis_u=hysteresis_u,
         hysteresis_dof=hysteresis_dof,
     )
+
+
+def _about(stairs: Stairs) -> float:
+    """Return c of (1), 1/K, by a straight line through each staircase: the drift within one is
+    small."""
+    degc = mean_of(stairs.temperature, stairs.weight)
+    if np.ptp(degc) <= SAME_TEMPERATURE:
+        return 0.0
+    off = (stairs.current - mean_of(stairs.current, stairs.weight)[:, None]) * stairs.weight
+    lines = np.sum(off * stairs.torque, axis=1) / np.sum(off**2, axis=1)
+    slope, middle = np.polyfit(degc - degc.mean(), lines, 1).tolist()
+    return float(slope / middle)
 
 
 @dataclass(frozen=True)
@@ -137,6 +163,8 @@ class _Solution:
     heating: float
     heating_u: float
     heating_dof: float
+    loss: float
+    loss_u: float
     fit: _LeastSquares
     off_line: Array
 
@@ -171,6 +199,8 @@ def _solve(stairs: Stairs, common: Common, coefficient: float, rise: Array) -> _
         heating=loss * share,
         heating_u=loss_u * share,
         heating_dof=loss_dof,
+        loss=loss,
+        loss_u=loss_u,
         fit=fit,
         off_line=stairs.torque - current * fit.own[:, :1] - stairs.weight * fit.own[:, 1:2],
     )
@@ -306,7 +336,7 @@ def _require_straight(stairs: Stairs, solution: _Solution) -> None:
         raise InsufficientDataError(
             f"torque follows current by {straight:.3g} N m/A on the whole, but by "
             f"{np.mean(solution.slope):.3g} N m/A once friction and heat are taken out; they may "
-            f"change it by {SLOPE_LIMIT:.0%}: {_too_much(stairs)}"
+            f"change it by {SLOPE_LIMIT:.0%}: {_too_much(stairs, solution)}"
         )
     residual = solution.fit.residual
     current, level = _levels(stairs)
@@ -323,7 +353,7 @@ def _require_straight(stairs: Stairs, solution: _Solution) -> None:
         )
 
 
-def _too_much(stairs: Stairs) -> str:
+def _too_much(stairs: Stairs, solution: _Solution) -> str:
     """Return why friction and heat may seem to change a slope by too much, and the remedy."""
     span = float(np.ptp(stairs.torque))
     if stairs.resolution * CLEAR_STEPS > span:
@@ -331,6 +361,12 @@ def _too_much(stairs: Stairs) -> str:
             f"the gauge reads in steps of {stairs.resolution * 1e3:.3g} mN m at the arm, too "
             f"coarse to separate friction from torque in a staircase of {span * 1e3:.3g} mN m; "
             "take a finer gauge, a longer arm or a higher current_max"
+        )
+    friction = _hysteresis(stairs, solution.off_line)[0] / 2
+    if friction > LARGE_FRICTION * span:
+        return (
+            f"friction of the shaft shows {friction * 1e3:.3g} mN m in a staircase of "
+            f"{span * 1e3:.3g} mN m, too much to be taken out; raise current_max"
         )
     return (
         "torque is not linear in current; look for an end stop or a saturated gauge, or raise "

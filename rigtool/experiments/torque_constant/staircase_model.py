@@ -60,11 +60,12 @@ class Stairs:
 class Common:
     """Parameters that all staircases share.
 
-    `transition` is s in N m, None without friction; `lag` that of the arm's swings, s, None where
-    friction follows straight steps; `time_constant` is tau, s.
+    `transition` is s in N m, None without friction; `exponent` that of its law; `lag` that of the
+    arm's swings, s, None where friction follows straight steps; `time_constant` is tau, s.
     """
 
     transition: float | None
+    exponent: float
     lag: float | None
     time_constant: float
 
@@ -161,5 +162,5 @@ def friction_columns(stairs: Stairs, common: Common) -> tuple[Array, ...]:
         swings = straight_path(courses)[:, courses.kind]
     else:
         (swings,) = paths(courses, *courses.of_each(), [common.lag])
-    a, b = friction_state(swings, common.transition)
+    (a,), (b,) = friction_state(swings, np.array([common.transition]), common.exponent)
     return -a * stairs.weight, -b * stairs.weight

@@ -1,7 +1,8 @@
 """Path of an arm that swings after each step of a staircase, and friction along that path.
 
-Friction follows dz = (+-1 - z) |dx| / s along every swing of the arm, to and fro (P. R. Dahl 1968),
-so that z depends on how far the arm overshoots. The gauge shows the swings with the arm's damping,
+Friction follows dz = +-|1 -+ z|^i |dx| / s along every swing of the arm, to and fro (P. R. Dahl,
+1968), so that z depends on how far the arm overshoots. The gauge shows the swings with the damping
+of the arm,
 
     torque = x + lag dx/dt                                                              (1)
 
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.compiled import compiled
 
 TURNS = 12
 """Largest number of turns of the arm that count after one step."""
@@ -193,20 +195,36 @@ def straight_path(courses: Courses) -> Array:
     return swing
 
 
-def friction_state(swings: Array, transition: Array | float) -> tuple[Array, Array]:
-    """Return a and b of the friction's state z = a + b z0, (m, p) each.
+def friction_state(swings: Array, transition: Array, exponent: float) -> tuple[Array, Array]:
+    """Return a and b of the friction's state z = a + b z0, (s, m, p) each.
 
-    `swings` (n, m, p) and `transition` are in N m; for several transitions (s, 1, 1), a and b are
-    (s, m, p).
+    `swings` (n, m, p) and `transition` (s,) are in N m. Where the exponent is not 1, b is the
+    derivative at z0 = 0.
     """
-    shape = np.broadcast_shapes(swings.shape[1:], np.shape(transition))
-    gained, kept = np.zeros(shape), np.ones(shape)
-    for swing in swings[np.any(swings != 0, axis=(1, 2))]:
-        decay = np.exp(-np.abs(swing) / transition)
-        gained = np.sign(swing) + (gained - np.sign(swing)) * decay
-        kept = kept * decay
-    a, b = np.zeros(shape), np.ones(shape)
-    for j in range(1, shape[-1]):
-        a[..., j] = gained[..., j] + kept[..., j] * a[..., j - 1]
-        b[..., j] = kept[..., j] * b[..., j - 1]
+    a = np.zeros((len(transition), *swings.shape[1:]))
+    b = np.ones_like(a)
+    _along(swings, transition, exponent, a, b)
     return a, b
+
+
+@compiled
+def _along(swings: Array, transition: Array, exponent: float, a: Array, b: Array) -> None:
+    less = 1.0 - exponent
+    for i in range(a.shape[0]):
+        for m in range(a.shape[1]):
+            state, kept = 0.0, 1.0
+            for j in range(1, a.shape[2]):
+                for n in range(swings.shape[0]):
+                    way = swings[n, m, j] / transition[i]
+                    if way == 0.0:
+                        continue
+                    side = math.copysign(1.0, way)
+                    left = 1.0 - side * state  # d left/dx = -left^exponent
+                    if exponent == 1.0:
+                        factor = math.exp(-abs(way))
+                        state, kept = side * (1.0 - left * factor), kept * factor
+                    elif left > 0.0:
+                        power = left**less - less * abs(way)
+                        rest = power ** (1.0 / less) if power > 0.0 else 0.0
+                        state, kept = side * (1.0 - rest), kept * (rest / left) ** exponent
+                a[i, m, j], b[i, m, j] = state, kept

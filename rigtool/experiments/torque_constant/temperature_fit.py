@@ -19,7 +19,11 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import Linearity, Plateaus, amplifier_linearity
-from rigtool.experiments.torque_constant.staircase_fit import Slopes, fit_staircases
+from rigtool.experiments.torque_constant.staircase_fit import (
+    SAME_TEMPERATURE,
+    Slopes,
+    fit_staircases,
+)
 from rigtool.numerics.angle_effects import AngleEffects, fit_angle_effects
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.turn_mean import group_angles
@@ -34,11 +38,10 @@ from rigtool.quantity import (
     input_line,
 )
 
-SAME_TEMPERATURE = 2.0
-"""Range of staircases that count as one temperature, K."""
-
-LAW_U = 0.03
-"""Relative standard uncertainty of the effect of friction on a slope: Dahl's law is a model."""
+PATH_U, TREND_U = 0.3, 0.2
+"""What no law of one exponent shows, since friction changes the path that it follows: standard
+uncertainty of a slope, times the squared part that friction takes of it, and of the change of that
+part with temperature, relative."""
 
 DEFLECTION = 0.03
 """Standard uncertainty of the angle by which the arm gives way in a staircase, rad."""
@@ -50,6 +53,11 @@ LINEARITY_LIMIT = 5e-3
 RIPPLE_ANGLES = 8
 """Rotor angles from which the ripple has an uncertainty: with fewer, orders of a turn up to the
 sixth may show nothing, or a part that their phase decides."""
+
+
+HIDDEN_RIPPLE = 5e-3
+"""Relative standard uncertainty by ripple of orders that fewer angles than these do not show, where
+the orders that they show would state less: nothing in the data bounds it."""
 
 
 @dataclass(frozen=True)
@@ -103,10 +111,6 @@ def calibrate(
     _require_linear(linearity)
     slopes = fit_staircases(plateaus)
     fit = _fit_temperature(slopes)
-    if fit.slope != 0:
-        # With the coefficient, the drift within a staircase can be taken out of its torque.
-        slopes = fit_staircases(plateaus, fit.coefficient)
-        fit = _fit_temperature(slopes)
 
     def relative(u: float, dof: float | None = None) -> Quantity:
         return Quantity(1.0, "1", u, dof)
@@ -116,7 +120,8 @@ def calibrate(
         "gauge calibration": relative(gauge_relative_u),
         "heat in the winding": relative(slopes.heating_u, slopes.heating_dof),
         "friction of the shaft": relative(slopes.friction_u, slopes.friction_dof),
-        "law of friction": relative(LAW_U * slopes.friction_share),
+        "ripple that few angles hide": relative(_hidden(fit)),
+        "model of friction": relative(PATH_U * slopes.friction_share**2),
         "gauge resolution": relative(slopes.resolution_u),
         "gauge linearity": relative(gauge_linearity / math.sqrt(3)),  # GUM 4.3.7
         CURRENT_READING: relative(current_reading_relative_u),
@@ -213,7 +218,11 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         slope=slope,
         slope_u=slope_u,
         # An error from friction may be the same at all temperatures, or grow with the constant.
-        trend_u=math.hypot(slopes.trend_u, slopes.friction_u * slope),
+        trend_u=math.hypot(
+            slopes.trend_u,
+            slopes.friction_u * slope,
+            TREND_U * slopes.friction_share * slope,
+        ),
         coefficient=slope / value,
         slope_known=known,
         gain=1 + found.effect / value,
@@ -238,6 +247,12 @@ def _ripple(found: AngleEffects, value: float, friction: float) -> Quantity:
     u = math.hypot(found.deviation_u, model)
     dof = found.deviation_dof * (u / found.deviation_u) ** 4  # Welch and Satterthwaite
     return Quantity(found.deviation / value, "1", u / value, dof)
+
+
+def _hidden(fit: _Fit) -> float:
+    """Return the relative u of orders that are multiples of the number of angles, beyond `turn`."""
+    few = 2 <= fit.angles < RIPPLE_ANGLES
+    return math.sqrt(max(HIDDEN_RIPPLE**2 - fit.turn**2, 0.0)) if few else 0.0
 
 
 def _stated_ripple(fit: _Fit) -> Quantity | None:

@@ -22,6 +22,7 @@ from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLO
 from rigtool.report.figures.plots import HEADLINE, PLOTS
 from rigtool.report.figures.side_by_side import render_all
 from rigtool.report.published import is_of_thesis
+from rigtool.runfile.opened import guard
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
@@ -54,7 +55,9 @@ def draw_figures(runs: Sequence[tuple[str, Run]]) -> list[Picture]:
     with style.styled():
         for first in range(0, len(found), AT_ONCE):
             some = found[first : first + AT_ONCE]
-            drawn += render_all([plot.draw(run) for _, plot, _, run in some])
+            shown = ", ".join(sorted({str(run.path) for *_, run in some}))
+            with guard(shown, "a table"):
+                drawn += render_all([plot.draw(run) for _, plot, _, run in some])
     for (number, plot, label, run), (svg, png) in zip(found, drawn, strict=True):
         figure = f"Fig. {number}. " if number < HEADLINE and is_of_thesis(run.rig) else ""
         title = f"{figure}{plot.title} ({label})"

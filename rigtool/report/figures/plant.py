@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -115,7 +116,7 @@ def draw_convergence(run: Run, whole: Table) -> Figure:
     table = _positive(whole)
     frequency = table["frequency"]
     axes.plot(frequency, decibel(table["magnitude"]), label="criterion")
-    if "bound" in table and np.isfinite(table["bound"]).any():
+    if "bound" in table.columns and np.isfinite(table["bound"]).any():
         axes.plot(
             frequency,
             decibel(table["bound"]),
@@ -166,17 +167,18 @@ def _measured(table: Table, magnitude: Axes, phase: Axes) -> None:
             phase.plot(frequency[lines], turns[lines], ".", color=colour)
 
 
-def _within(measured: Table, table: Table) -> dict[str, NDArray[Any]]:
-    """Return the columns of a table near the measured frequencies."""
+def _within(measured: Table, table: Table) -> Table:
+    """Return the lines of a table near the measured frequencies."""
     low, high = measured["frequency"][[0, -1]]
     return _between(table, low / 2, 2 * high)
 
 
-def _positive(table: Table, highest: float = np.inf) -> dict[str, NDArray[Any]]:
-    """Return the columns of a table without frequency zero, up to a highest one."""
+def _positive(table: Table, highest: float = np.inf) -> Table:
+    """Return the lines of a table without frequency zero, up to a highest one."""
     return _between(table, np.nextafter(0, 1), highest)
 
 
-def _between(table: Table, low: float, high: float) -> dict[str, NDArray[Any]]:
+def _between(table: Table, low: float, high: float) -> Table:
     keep = (table["frequency"] >= low) & (table["frequency"] <= high)
-    return {name: column.values[keep] for name, column in table.columns.items()}
+    columns = {name: replace(own, values=own.values[keep]) for name, own in table.columns.items()}
+    return replace(table, columns=columns)

@@ -6,6 +6,7 @@ are variables of their own, `a.b` for the field b of a structure a.
 
 from __future__ import annotations
 
+import math
 import warnings
 import zipfile
 import zlib
@@ -18,15 +19,24 @@ import numpy as np
 
 from rigtool.errors import RigtoolError, RunFileError
 from rigtool.runfile.importers.raw import (
+    BINARY,
+    MAX_NESTED,
     Array,
     ColumnKey,
     Raw,
     missing_column,
     require_good,
+    require_objects,
     require_size,
     unpacked_limit,
 )
 from rigtool.runfile.storage import open_file
+
+_DIRECTORY_ENTRY = 46
+"""Bytes that a member takes at least in the directory of a zip archive."""
+
+_NESTED = (1, 2, 3)
+"""Classes of MATLAB's cells, structures and objects."""
 
 _NAMELESS = ""
 """Name of the array in a .npy file."""
@@ -103,6 +113,7 @@ def load_arrays(path: Path) -> dict[str, Any]:
 
 
 def _load_npz(path: Path) -> dict[str, Any]:
+    _require_members(path)
     with zipfile.ZipFile(path) as archive:
         require_size(path, sum(item.file_size for item in archive.infolist()))
     with np.load(path, allow_pickle=False) as archive:
@@ -111,6 +122,17 @@ def _load_npz(path: Path) -> dict[str, Any]:
             for name in archive.files
             for key, value in _fields(name, archive[name]).items()
         }
+
+
+def _require_members(path: Path) -> None:
+    """Refuse a zip archive by the size of its directory, before that is read.
+
+    The size is 12 bytes after the last mark PK 5 6, and all ones in zip64 (APPNOTE 6.3.10, 4.3.16).
+    """
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - 2**17))
+        end = stream.read().rpartition(b"PK\5\6")[2]
+    require_objects(path, int.from_bytes(end[8:12], "little") // _DIRECTORY_ENTRY)
 
 
 def _load_mat(path: Path) -> dict[str, Any]:
@@ -124,13 +146,14 @@ def _load_mat(path: Path) -> dict[str, Any]:
 
 
 def _require_unpacked(path: Path) -> None:
-    """Refuse a .mat of version 5 whose compressed elements unpack to more than is read.
+    """Refuse a .mat of version 5 whose elements unpack to more than is read, or are too many.
 
-    After a header of 128 bytes each element has its type and size, 4 bytes each; type 15 is zlib
-    (MAT-File Format, R2023b, 1-9).
+    After a header of 128 bytes each element has its type and size, 4 bytes each; type 15 is zlib.
+    An array begins with a tag of 8 bytes and flags, whose lowest byte is its class: 1 to 3 hold
+    arrays in turn, which take longer than numbers (MAT-File Format, R2023b, 1-9, 1-16).
     """
     limit = unpacked_limit(path)
-    unpacked = 1
+    unpacked, nested, count = 1, 0, 0
     with path.open("rb") as stream:
         head = stream.read(128)
         order: Literal["little", "big"] = "little" if head[126:] == b"IM" else "big"
@@ -138,22 +161,35 @@ def _require_unpacked(path: Path) -> None:
             kind, size = (int.from_bytes(tag[i : i + 4], order) for i in (0, 4))
             data = stream.read(size)
             packed = zlib.decompressobj()
+            before, first = unpacked, data
             while kind == 15 and data and unpacked <= limit:
-                unpacked += len(packed.decompress(data, 2**20))
+                piece = packed.decompress(data, 2**20)
+                first = piece[8:] if unpacked == before else first
+                unpacked += len(piece)
                 data = packed.unconsumed_tail
             require_size(path, unpacked)
+            require_objects(path, count := count + 1)
+            flags = int.from_bytes(first[8:12], order)
+            nested += max(size, unpacked - before) if flags & 0xFF in _NESTED else 0
+            if nested > MAX_NESTED:
+                raise RunFileError(
+                    f"{path}: has cells or structures of {nested} bytes, above {MAX_NESTED}: "
+                    f"{BINARY}"
+                )
 
 
 def _load_hdf5(path: Path) -> dict[str, Any]:
     """Return the datasets of a .mat file of version 7.3; only those that are in the file itself."""
     found: dict[str, Any] = {}
-    claimed = 1
+    claimed, count = 1, 0
 
     def take(name: str, node: h5py.Group | h5py.Dataset) -> None:
         # visititems follows hard links only: it stays in this file and ends.
-        nonlocal claimed
+        nonlocal claimed, count
+        require_objects(path, count := count + 1)
         if isinstance(node, h5py.Dataset) and not name.startswith("#") and not node.external:
-            claimed += node.size * node.dtype.itemsize
+            # HDF5 unpacks whole chunks, which may be larger than what they hold.
+            claimed += max(node.size, math.prod(node.chunks or ())) * node.dtype.itemsize
             require_size(path, claimed)
             if not node.is_virtual and node.dtype.kind in "iufb":
                 found[name.replace("/", ".")] = node[()]

@@ -24,6 +24,14 @@ MAX_BYTES = 2**31
 FREE_BYTES, MAX_RATIO = 2**24, 100
 """A compressed source may unpack to `MAX_RATIO` times its own size, and to `FREE_BYTES` anyway."""
 
+MAX_TEXT, MAX_LINES, MAX_NUMBERS, MAX_LINE = 2**28, 2**21, 2**23, 2**18
+"""Most bytes, lines and numbers of a text, and characters of one of its lines."""
+
+MAX_OBJECTS, MAX_NESTED = 10_000, 2**27
+"""Most arrays, groups or members of a binary file, and bytes of its cells and structures."""
+
+BINARY = "save the numbers as .npy, .npz or a matrix in .mat, or split the file"
+
 NO_TEXT = {
     b"PK\x03\x04": "a spreadsheet or an archive",
     b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1": "a spreadsheet",
@@ -125,16 +133,29 @@ def read_bytes(path: Path) -> bytes:
     except OSError as error:
         raise RunFileError(f"{path}: cannot be read: {error.strerror or error}") from None
     require_size(path, len(data))
+    _require_text(path, data)
     return data
 
 
 def _require_text(path: Path, data: bytes) -> None:
-    """Raise `RunFileError` for files that are known to be no text."""
+    """Raise `RunFileError` for files that are known to be no text, or more than is read."""
     kind = next((kind for start, kind in NO_TEXT.items() if data.startswith(start)), None)
     if kind is not None:
         raise RunFileError(
             f"{path}: is {kind}, no text: export it as CSV in the program that wrote it, and "
             "import that"
+        )
+    lines = data.count(b"\n") + data.count(b"\r") - data.count(b"\r\n")
+    for count, limit, what in ((len(data), MAX_TEXT, "bytes"), (lines, MAX_LINES, "lines")):
+        if count > limit:
+            raise RunFileError(f"{path}: has {count} {what}, above {limit} of a text: {BINARY}")
+
+
+def require_objects(path: Path, count: int) -> None:
+    """Raise `RunFileError` where a binary file has more arrays, groups or members than are read."""
+    if count > MAX_OBJECTS:
+        raise RunFileError(
+            f"{path}: has more than {MAX_OBJECTS} arrays, groups or members: {BINARY}"
         )
 
 

@@ -33,6 +33,9 @@ from rigtool.runfile.importers.marks import (
     unquoted,
 )
 from rigtool.runfile.importers.raw import (
+    BINARY,
+    MAX_LINE,
+    MAX_NUMBERS,
     Array,
     ColumnKey,
     Raw,
@@ -62,6 +65,8 @@ def read_text(
     """
     layout = mapping.file
     lines = split_lines(text_of(path, read_bytes(path)), layout.comment)
+    if (longest := max(map(len, lines.text), default=0)) > MAX_LINE:
+        raise RunFileError(f"{path}: a line has {longest} characters, above {MAX_LINE}: {BINARY}")
     asked = list(columns) or mapping.columns
     marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
     head, names = header_of(path, lines, marks, layout, asked)
@@ -104,6 +109,8 @@ def read_numbers(
     """
     if not lines.text:
         raise RunFileError(f"{path}: holds no line of numbers: check comment and header_lines")
+    if (amount := len(lines.text) * len(columns)) > MAX_NUMBERS:
+        raise RunFileError(f"{path}: has {amount} numbers, above {MAX_NUMBERS} of a text: {BINARY}")
     delimiter = marks.delimiter
     if any('"' in line for line in lines.text):
         joined = [SPLIT.join(fields_of(line, delimiter)) for line in lines.text]

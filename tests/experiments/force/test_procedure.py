@@ -230,6 +230,8 @@ def test_tables_for_the_figures(tmp_path, inputs):
     assert tables["feedforward"]["torque"][85] == pytest.approx(12e-3 + 1e-3, rel=0.05)
     assert tables["feedforward"]["torque"][255] == pytest.approx(-13e-3, rel=0.05)
     assert tables["cycles_no_load"].shape == (6, 341)
+    mean = tables["cycles_no_load"]["torque"].mean(axis=0)
+    np.testing.assert_allclose(tables["mean_cycles"]["torque"][0], mean, rtol=1e-12)
     assert tables["values"].shape == (3, 6)
     mean = np.mean(tables["values"]["torque"], axis=1)
     np.testing.assert_allclose(mean[0], tables["loads"]["mean_torque"][0], rtol=1e-9)

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.experiments.force_sensor.response import RIGHT, Spectra, bandwidth
-from rigtool.numerics.lowpass import lowpass
+from rigtool.numerics.lowpass import delayed, lowpass
+from rigtool.recipe.commands import ForceMotion
 
 RATE = 1000.0
 
@@ -25,6 +26,14 @@ def test_that_of_a_low_pass_is_where_its_gain_is(seed, cutoff_hz):
     exact = cutoff_hz * (1 / RIGHT - 1) ** 0.25  # 1 / (1 + (f / fc)^4)
     assert value == pytest.approx(exact, abs=3 * u)
     assert u < 1.0
+
+
+@pytest.mark.parametrize("bandwidth_hz", [3.0, 10.0, 15.0])
+def test_the_low_pass_leaves_amplitudes_up_to_the_bandwidth(bandwidth_hz):
+    corner_hz = ForceMotion(bandwidth_hz=bandwidth_hz).corner_hz
+    sine = np.sin(2 * np.pi * bandwidth_hz * np.arange(10_000) / RATE)
+    for found in (lowpass(RATE, sine, corner_hz), delayed(RATE, sine, corner_hz)):
+        assert 0.985 < np.abs(found[2000:-2000]).max() < 1.0
 
 
 def test_a_sine_alone_shows_its_frequency():

@@ -20,6 +20,7 @@ from rigtool.experiments.imported_load.basis import (
 from rigtool.experiments.imported_load.learning import learn_load_model, level_numbers
 from rigtool.experiments.imported_load.loop import REFUSED
 from rigtool.experiments.imported_load.model import FLAT, HIGHEST_POWER, SIGNS
+from rigtool.experiments.imported_load.region import of_known_strokes
 from tests.experiments.imported_load.loaded_drive import (
     BANDWIDTH_HZ,
     MU,
@@ -160,11 +161,32 @@ def test_each_load_level_has_a_factor_of_its_own():
     sides = learn_load_model(upset).model.sides
     even = learn_load_model(items).model.sides
     for side, plain in zip(sides, even, strict=True):
-        assert side.levels.shape == side.factors.shape == (4,)
-        assert (np.diff(side.levels) > 0).all()
+        assert side.levels.shape == side.factors.shape == (6,)  # the ends twice
+        assert (np.diff(side.levels)[1:-1] > 0).all()
+        beyond, within = side.factors[[0, -1]], side.factors[[1, -2]]
+        assert (beyond >= within).all()
+        np.testing.assert_array_equal(side.factor(side.levels[[0, -1]] * [1.01, 0.99]), beyond)
         asked = side.factor(np.array([-1.0, -0.25]))
         before = plain.factor(np.array([-1.0, -0.25]))
         assert asked[0] / asked[1] > before[0] / before[1]
+
+
+def test_repeats_of_one_load_are_one_level():
+    assert level_numbers([11.2, 11.6, 11.9, 11.3, 11.7]) == [0] * 5
+    assert level_numbers([11.2, 11.6, 14.0, 13.9, 11.3]) == [0, 0, 1, 1, 0]
+
+
+def test_strays_of_a_stroke_beyond_what_was_learned_have_no_value():
+    direction = np.repeat([1.0, 0.0, -1.0, 1.0], [10, 2, 10, 10])
+    moving = direction != 0
+    known = moving.copy()
+    known[[0, 1, 2]] = False  # most of the first stroke is inside
+    known[12:22] = False
+    known[[14, 20]] = True  # of the second, two samples
+    found = of_known_strokes(known, moving, direction)
+    np.testing.assert_array_equal(found[:12], known[:12])
+    assert not found[12:22].any()
+    assert found[22:].all()
 
 
 def test_tables_of_another_mounting_are_found_out(learned):

@@ -163,7 +163,7 @@ def test_a_model_comes_back_from_its_file(learned, tmp_path):
         assert model.loop.recordings == 6
         assert np.isfinite(model.loop.mean).any()
         for side in model.sides:
-            assert side.levels.shape == side.factors.shape == (3,)
+            assert side.levels.shape == side.factors.shape == (5,)  # both ends twice
             assert side.covariance.shape == (len(side.weights), len(side.weights))
 
 

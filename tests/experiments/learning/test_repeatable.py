@@ -96,3 +96,11 @@ def test_chance_counts_that_cycles_are_like_those_before(scale):
     shown = np.mean([item.mean[3] for item in found])
     stated = np.mean([item.chance[3] for item in found])
     assert 0.8 * shown < stated < 1.6 * shown  # a negative correlation is not credited
+
+
+@given(offset=st.floats(-5, 5), cycles=st.integers(2, 10), seed=st.integers(0, 1000))
+def test_the_orders_hold_the_power_of_the_mean_cycle(offset, cycles, seed):
+    # Parseval; an odd count has no order at half the sampling rate.
+    found = np.random.default_rng(seed).standard_normal((cycles, 255)) + offset
+    mean = found.mean(axis=0)
+    np.testing.assert_allclose(repeatability(found).mean.sum(), np.mean(mean**2), rtol=1e-9)

@@ -9,7 +9,13 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.learning import NAMES, Learned, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Shape, Term
-from rigtool.experiments.load_disturbance.reading import LoadedPair, dead_band, read_loads
+from rigtool.experiments.load_disturbance.reading import (
+    LoadedPair,
+    dead_band,
+    read_loads,
+    scatter_of_mean,
+)
+from rigtool.numerics.steady_mean import steady_mean
 from tests.experiments.load_disturbance.known_drive import (
     ARM,
     COUNT,
@@ -132,6 +138,19 @@ def test_the_budget_holds_scatter_zero_disturbance_and_misfit(sliding, unloaded)
     finite = [line for line in budget.values() if line.dof is not None]
     assert found.quantity.dof == pytest.approx(total**4 / sum(x.u**4 / x.dof for x in finite))
     assert budget["scatter"].dof > 0
+
+
+def test_what_cycles_scatter_in_the_mean_cycle_is_taken_off_its_misfit():
+    rng = np.random.default_rng(4)
+    fitted = np.linalg.qr(rng.standard_normal((80, 3)))[0]
+    draws = rng.standard_normal((300, 6, 80))
+    means = np.array([steady_mean(draw) for draw in draws])
+    left = means - means @ fitted @ fitted.T
+    stated = np.mean([scatter_of_mean(draw, fitted) for draw in draws])
+    assert stated == pytest.approx(np.mean(left**2), rel=0.03)
+    # What is alike in all cycles is no scatter.
+    alike = draws[0] + rng.standard_normal(80)
+    assert scatter_of_mean(alike, fitted) == pytest.approx(scatter_of_mean(draws[0], fitted))
 
 
 def test_recordings_of_other_lengths_are_compared_at_the_same_points(sliding, unloaded):

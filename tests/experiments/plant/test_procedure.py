@@ -172,6 +172,21 @@ def test_the_response_and_its_fit_state_their_degrees_of_freedom(pulley, kt):
     assert (fit["dof"] > count - 1).all()
 
 
+def test_heat_of_the_winding_is_in_the_budget(pulley, folder):
+    path, before = pulley
+    warmed = folder / "warmed.h5"
+    with RunWriter(warmed, command="calibrate-kt", recipe=None, recipe_text=None) as writer:
+        writer.finish(CONSTANT | {"winding_heat_loss": Quantity(0.7e-3, "1/A2", 1e-5)}, {})
+    inertia = run(IDENTIFY_PLANT, path, folder / "again.h5", kt=warmed).results["inertia"]
+    with open_run(path) as stored:
+        first = next(r for r in stored.recordings.values() if r.size)
+        square = float(np.mean(first.read("signal_current") ** 2))
+    (heat,) = (line for line in inertia.budget if line.name.endswith("heat of the winding"))
+    relative = heat.contribution / inertia.value
+    assert relative == pytest.approx(0.7e-3 * square, rel=1e-3, abs=0)
+    assert inertia.value == before.results["inertia"].value
+
+
 def test_the_instrument_is_not_a_rigid_body(instrument):
     """Two masses on the tendon: wheel and motor above the resonance, the grasper too below it."""
     results = instrument[1].results

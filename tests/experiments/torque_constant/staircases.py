@@ -19,6 +19,7 @@ class Bench:
     friction: float = 2.0e-3
     stiffness: float = 15.0  # of the arm, N m/rad
     presliding_angle: float = 8e-4
+    exponent: float = 1.0  # of Dahl's law
     ripple: tuple[float, ...] = (0.004, 0.004, 0.001)  # relative, by order from the first
     saturation: float = 0.002  # relative, 1/A, third order
     amplifier_gain: float = 1.0
@@ -102,6 +103,7 @@ class Bench:
             )
             while (target - self.stiffness * deflection - self.friction * bristle) * direction > 0:
                 deflection += direction * step
-                bristle += step / self.presliding_angle * (direction - bristle)
+                left = max(1 - direction * bristle, 0.0) ** self.exponent
+                bristle += step / self.presliding_angle * direction * left
             torque.append(target - self.friction * bristle)
         return np.repeat(torque, per_step)

@@ -1,7 +1,9 @@
 """The path of an arm that swings after each step, and friction along it."""
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
 
 from rigtool.experiments.torque_constant.swings import (
     friction_state,
@@ -53,10 +55,37 @@ def test_friction_follows_each_swing():
     x, y, s = 1.3, 0.4, 0.7
     swings = np.zeros((2, 1, 2))
     swings[:, 0, 1] = x, -y
-    a, b = friction_state(swings, s)
+    a, b = friction_state(swings, np.array([s]), 1.0)
     up = 1 - np.exp(-x / s)
-    assert_allclose(a[0, 1], -1 + (up + 1) * np.exp(-y / s), rtol=1e-12)
-    assert_allclose(b[0, 1], np.exp(-(x + y) / s), rtol=1e-12)
+    assert_allclose(a[0, 0, 1], -1 + (up + 1) * np.exp(-y / s), rtol=1e-12)
+    assert_allclose(b[0, 0, 1], np.exp(-(x + y) / s), rtol=1e-12)
+
+
+@pytest.mark.parametrize("exponent", [0.6, 1.0, 1.7])
+def test_the_law_of_friction_is_that_of_its_exponent(exponent):
+    # dz = |1 - z|^i dx/s upwards and -|1 + z|^i |dx|/s downwards, by scipy's integrator
+    swings = np.zeros((2, 1, 3))
+    swings[:, 0, 1:] = [[0.8, 0.3], [-0.5, -0.6]]
+
+    def along(z: float) -> list[float]:
+        reached = [z]
+        for j in (1, 2):
+            for swing in swings[:, 0, j]:
+                side = np.sign(swing)
+                solved = solve_ivp(
+                    lambda _, z, d=side: d * np.abs(1 - d * z) ** exponent / 0.7,
+                    (0, abs(swing)),
+                    [z],
+                    rtol=1e-10,
+                    atol=1e-12,
+                )
+                z = float(solved.y[0, -1])
+            reached.append(z)
+        return reached
+
+    a, b = friction_state(swings, np.array([0.7]), exponent)
+    assert_allclose(a[0, 0], along(0.0), atol=1e-8)
+    assert_allclose(b[0, 0], np.subtract(along(1e-4), along(-1e-4)) / 2e-4, atol=1e-5)
 
 
 def test_noise_of_courses_is_taken_off_and_swings_are_kept():
@@ -68,3 +97,14 @@ def test_noise_of_courses_is_taken_off_and_swings_are_kept():
     error = np.sqrt(np.mean((found - rows) ** 2))
     assert error < 0.4 * 0.01
     assert_allclose(left, error, rtol=0.5)
+
+
+def test_the_rate_of_the_course_holds_torque_and_swing():
+    # Staircases of one set point whose torque and swing differ by a factor: the rate is the course.
+    one, factor = swinging(0.8), np.linspace(0.97, 1.03, 12)
+    torque = np.array([[0.0, 1.0, 2.0, 1.0, 0.0]]) * factor[:, None]
+    course = one.course * factor[:, None, None]
+    setpoint = np.tile(one.setpoint, (12, 1))
+    found = mean_courses(setpoint, torque, course, np.ones(torque.shape), noise=1e-9)
+    assert_allclose(found.torque_rate, one.torque, rtol=0, atol=1e-9)
+    assert_allclose(found.course_rate, one.course, rtol=0, atol=1e-6)

@@ -95,11 +95,25 @@ def test_derivatives_are_those_of_gtc():
             assert line.sensitivity == pytest.approx(derivative, rel=1e-9), (name, line.name)
 
 
+@pytest.mark.parametrize("exponent", [0.7, 1.5])
+def test_the_exponent_of_friction_comes_from_the_staircases(exponent):
+    bench = Bench(friction=5e-3, exponent=exponent, force_noise=1e-4)
+    found = analyse(bench, bench.record((20, 50)))
+    assert abs(np.log(found.slopes.exponent / exponent)) < 0.33
+    assert abs(found.torque_constant.value - 45.8e-3) < 2.5 * found.torque_constant.u
+
+
+def test_friction_that_is_too_large_is_the_reason_of_the_refusal():
+    bench = Bench(friction=30e-3, presliding_angle=3e-3)
+    with pytest.raises(InsufficientDataError, match=r"friction of the shaft shows .* raise curr"):
+        analyse(bench, bench.record((20,), angles=4))
+
+
 def test_stated_uncertainty_holds_what_is_common_to_all_points(thesis):
-    # 3 % of what friction takes from a slope is stated for the law of friction.
-    law = thesis.components["law of friction"]
-    assert_allclose(law, 0.03 * thesis.slopes.friction_share, rtol=1e-9)
-    common = np.hypot(np.hypot(0.2 / 540, 3e-4), law)
+    # 0.3 times the squared part of a slope that friction takes is stated for its model.
+    model = thesis.components["model of friction"]
+    assert_allclose(model, 0.3 * thesis.slopes.friction_share**2, rtol=1e-9)
+    common = np.hypot(np.hypot(0.2 / 540, 3e-4), thesis.components["friction of the shaft"])
     relative = thesis.torque_constant.u / thesis.torque_constant.value
     assert common < relative < 1.1 * common
     # what scales all points cancels in the relative coefficient
@@ -358,3 +372,13 @@ def test_mean_over_turn_does_not_care_where_the_turn_begins(shift, noise):
     here, there = mean_over_turn(angle, value), mean_over_turn(angle + shift, value)
     assert_allclose(there.value, here.value, atol=1e-12)
     assert_allclose(there.u, here.u, rtol=1e-9)
+
+
+def test_an_error_of_the_thermometer_moves_the_constant_along_its_slope(thesis):
+    bench = Bench()
+    signals = bench.record()
+    plateaus = find_plateaus(**signals, arm_length=bench.arm_length, settle_time=bench.settle_time)
+    found = calibrate(plateaus, arm_length=bench.arm_length, thermometer_u=2.0, **ARM)
+    assert found.coefficient.value < 0
+    shift = 2.0 * abs(found.coefficient.value)
+    assert_allclose(found.components["thermometer"], shift, rtol=0.05)

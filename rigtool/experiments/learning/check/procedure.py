@@ -24,10 +24,14 @@ from rigtool.experiments.learning.implementations import a_one_speed as one_spee
 from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.implementations import c_limited_angle as limited_angle
 from rigtool.experiments.learning.implementations import signals as common
-from rigtool.experiments.learning.learned_table import COULOMB, VISCOUS
 from rigtool.experiments.learning.procedure_design import design_filters
 from rigtool.experiments.learning.rows import Row
-from rigtool.experiments.learning.stored_table import feedforward, learned_table_from, require_rig
+from rigtool.experiments.learning.stored_table import (
+    feedforward,
+    friction_beside,
+    learned_table_from,
+    require_rig,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, record
 from rigtool.experiments.running.options import CommonOptions
@@ -149,7 +153,7 @@ def analyse(
     run, learned = common.only_run(runs), learned_table_from(tables)
     constant, learning = torque_per_ampere(kt).value, _filters(recipe, plant, tables)
     recorded = common.filled(run, "check") or common.found(run, "learn")
-    fed = {name: tables.results[name] for name in (COULOMB, VISCOUS) if name in tables.results}
+    fed = friction_beside(tables)
     whole = learned.table.period is not None
     if whole != _turns(recorded[0].conditions):
         what, moved = ("whole turns", "to and fro") if whole else ("a range", "round and round")

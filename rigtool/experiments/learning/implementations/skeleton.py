@@ -105,7 +105,9 @@ class Implementation(ABC, Generic[T]):
         self.torque_constant = torque_per_ampere(kt).value
         self.friction = friction_results(friction)
         # An error of the inertia leaves a torque of every turn-around in the first positions.
-        inertia = recipe.rig.nominal_inertia if plant is None else plant.result("inertia").value
+        inertia = (
+            recipe.rig.nominal_inertia if plant is None else plant.result("inertia", "kg m2").value
+        )
         self.plain = feedforward(inertia, self.friction)
 
     # -- given by each implementation

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.learning.check.results import verdict
 from rigtool.experiments.learning.check.table_health import judge_table, parts
 from rigtool.experiments.learning.rows import Row
 from tests.thorough import first_of
@@ -226,3 +227,14 @@ def test_a_speed_that_was_not_learned_is_refused():
     rows = [Row(2 * row.speed, row.moves) for row in now(table)]
     with pytest.raises(InsufficientDataError, match="does not cover -12 rad/s"):
         checked(table, u, rows)
+
+
+def test_a_shift_with_other_friction_is_not_mended_by_the_shift():
+    table, u = learned()
+    for change in ({"friction": 0.5e-3}, {"offset": 0.5e-3}):
+        found = checked(table, u, now(table, shift=0.5, **change))
+        assert found.shift_is_enough
+        assert found.friction_changed != found.offset_changed
+        assert "a shift alone is not enough: learn again" in verdict(found, 4000)
+    found = checked(table, u, now(table, shift=0.5))
+    assert "not enough" not in verdict(found, 4000)

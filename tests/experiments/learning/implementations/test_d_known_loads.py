@@ -12,8 +12,10 @@ from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.force.results import LoadRow
 from rigtool.experiments.force.results_corrected import load_outcome
 from rigtool.experiments.force_model.stored import model_from, model_results
+from rigtool.experiments.learning.implementations.d_known_loads import KnownLoads
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.load_disturbance.stored import disturbance_from, rising_load
+from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
 from tests.experiments.virtual_runs import RECIPE, run
 
@@ -248,3 +250,10 @@ def test_a_recording_that_explores_is_needed(rig):
         stored.recordings = kept
         with pytest.raises(RunFileError, match="0 recordings that explore"):
             ILC_LEARN.analyse([stored], stored.recipe, kt=kt)
+
+
+def test_the_checks_move_without_load_with_a_middle_one_and_the_largest():
+    specs = {spec.name: spec for spec in KnownLoads.recordings(load_recipe(RECIPE, D)[0])}
+    forces = [specs[f"check_{n:03d}"].conditions["force"] for n in range(3)]
+    assert forces == [(0.0, "N"), (0.7, "N"), (3.0, "N")]
+    assert specs["explore_000"].conditions["force"] == (0.0, "N")

@@ -1,0 +1,31 @@
+"""The angle between an encoder's counts, of slow motions that are known."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from rigtool.experiments.force_filter.encoder_angle import interpolated, known_angles
+
+
+def recorded(first, rate, fast=16):
+    """Means of `fast` counts each, of a rotor that turns at `rate` counts a sample."""
+    angle = first + rate * (np.arange(400 * fast) + 0.5) / fast
+    return np.floor(angle).reshape(-1, fast).mean(axis=1)
+
+
+@given(st.floats(0.02, 0.4), st.booleans(), st.integers(-5000, 5000))
+def test_edges_are_where_the_rotor_passes_them(rate, falling, first):
+    rate = -rate if falling else rate
+    place, angle = known_angles(recorded(first + 0.3, rate))
+    # An edge is known within one of the 16 samples of the loop, but where the recording ends in it.
+    inside = (place >= 1) & (place <= 399)
+    expected = first + 0.3 + rate * place[inside]
+    assert_allclose(angle[inside], expected, rtol=0, atol=abs(rate) / 16 + 1e-9)
+    assert len(place) >= int(400 * abs(rate)) - 1
+
+
+def test_the_angle_between_edges_is_that_of_a_steady_rotor():
+    place = np.linspace(20, 380, 97)
+    found = interpolated(recorded(700.3, 0.1), place)
+    assert_allclose(found, 700.3 + 0.1 * place, rtol=0, atol=0.01)
