@@ -4,6 +4,7 @@ The few marked `real_time` use the system's own clock, ports and processes, and 
 holds on a machine that stalls as well.
 """
 
+import gc
 import os
 import signal
 
@@ -20,6 +21,13 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 settings.register_profile("luck", deadline=None, max_examples=200)
 settings.register_profile("any machine", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile("any machine")
+
+
+def pytest_collection_finish():
+    """Let the collector of garbage look at what tests make, not at all that was imported."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 10, 10)
 
 
 @pytest.fixture
