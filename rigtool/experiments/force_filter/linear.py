@@ -52,8 +52,8 @@ def _read(factors: Array, k: int) -> tuple[float, ...]:
 
 @compiled
 def forwards(rows: Array, columns: int, factors: Array, k: int) -> None:
-    """Advance the first `columns` of a matrix (12 * WIDE,) by sample k of `factors`
-    (samples, `FACTORS`)."""
+    """Advance the first `columns` of a flat matrix (n,), 12 rows of `WIDE`, by sample k of
+    `factors` (samples, `FACTORS`)."""
     found = _read(factors, k)
     w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10 = found[:11]
     v0, v1, v2, v3, v4, v5, z0, z1, h0, h1, t0, t1, dt, shaft = found[11:]
@@ -74,7 +74,7 @@ def forwards(rows: Array, columns: int, factors: Array, k: int) -> None:
 
 @compiled
 def backwards(rows: Array, columns: int, factors: Array, k: int) -> None:
-    """Multiply columns by the transpose of what `forwards` multiplies by."""
+    """Multiply columns of a flat matrix (n,) by the transpose of what `forwards` multiplies by."""
     found = _read(factors, k)
     w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10 = found[:11]
     v0, v1, v2, v3, v4, v5, z0, z1, h0, h1, t0, t1, dt, shaft = found[11:]

@@ -64,7 +64,7 @@ def predict(q: Array, rows: Array, low_pass: Array, torque: float) -> None:
 def output(
     x: Array, q: Array, rows: Array, low_pass: Array, shared: Array, first: int
 ) -> tuple[float, float]:
-    """Return mean and variance of y; `shared` receives from `first` on its covariance with x."""
+    """Return mean and variance of y; `shared` (n,) receives, from `first`, that of y and x."""
     a, b, d = low_pass[ORDER, 0], low_pass[ORDER, 1], low_pass[ORDER, ORDER]
     for n in range(STATES):
         shared[first + n] = a * rows[Q + n] + b * rows[Q + WIDE + n] + d * rows[M + n]

@@ -10,8 +10,9 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.friction.holds import MIN_SAMPLES, find_holds
-from rigtool.experiments.friction.imported_motion import add_dynamics
+from rigtool.experiments.friction.imported_motion import add_dynamics, add_inertia
 from rigtool.experiments.friction.imported_pairs import add_changes
+from rigtool.experiments.friction.inverse_dynamics import identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion, band_limit
 from rigtool.experiments.friction.procedure_analysis import fit_holds, separate
 from rigtool.experiments.friction.results import (
@@ -22,6 +23,7 @@ from rigtool.experiments.friction.results import (
     holds_table,
 )
 from rigtool.experiments.friction.results_difference import add_curve_difference
+from rigtool.experiments.friction.stribeck_fit import half_difference
 from rigtool.experiments.imported import (
     is_linear,
     known,
@@ -116,7 +118,7 @@ def analyse_imported(
         require_one_rig([*recordings, *pair])
         add_changes(recordings, pair[0], pair[1] if reference is not None else None, kt, found)
     else:
-        _add_motion(recordings, efforts, found)
+        add_dynamics(_motions(recordings, efforts), found)
     return _in_units(found, units, linear=linear)
 
 
@@ -212,16 +214,31 @@ def _add_holds(
         f"{holds.settled.max():.2g} s"
     )
     offset = separate(fits, holds, [])
+    if len(fits) == 2 and offset is None:
+        offset = half_difference(fits)
     add_friction(fits, offset, found)
     add_static_friction(None, fits, offset, found)
+    if inertia is None:
+        _add_inertia(recordings, efforts, found)
+
+
+def _add_inertia(
+    recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings
+) -> None:
+    """Add the inertia that the motion between holds shows, where it does."""
+    try:
+        inertia = identify_dynamics(_motions(recordings, efforts))
+    except InsufficientDataError:
+        return
+    if inertia.without_inertia is None:
+        add_inertia(inertia, found)
+        found.notes.append("inertia is that of the whole motion, between the holds, too")
 
 
 # -- any motion
 
 
-def _add_motion(
-    recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings
-) -> None:
+def _motions(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> list[SmoothedMotion]:
     motions: list[SmoothedMotion] = []
     for recording, effort in zip(recordings, efforts, strict=True):
         try:
@@ -233,7 +250,7 @@ def _add_motion(
         except InsufficientDataError as error:
             raise InsufficientDataError(f"{place(recording)}: {error}") from None
         motions.append(motion)
-    add_dynamics(motions, found)
+    return motions
 
 
 def _in_units(found: Findings, units: Mapping[str, str], *, linear: bool) -> Outcome:

@@ -9,8 +9,8 @@ import numpy as np
 
 from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
-from rigtool.experiments.friction.results import Findings
-from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, separate_offset
+from rigtool.experiments.friction.results import SAME_COULOMB, Findings
+from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, undivided
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
@@ -32,23 +32,16 @@ def add_dynamics(motions: Sequence[SmoothedMotion], found: Findings) -> None:
     """
     dynamics = identify_dynamics(motions)
     dof = float(dynamics.dof)
-    _add_inertia(dynamics, found)
+    add_inertia(dynamics, found)
     found.add("viscous_friction", dynamics.estimate("viscous"), "N m s/rad", dof)
     coulomb, u = dynamics.estimate("coulomb")
     found.add("coulomb_friction", (coulomb, u), "N m", dof)
     offset, offset_u = dynamics.estimate("offset")
     found.add("friction_offset", (offset, offset_u), "N m", dof)
-    # One motion has one level of friction: its asymmetry looks like a constant torque.
-    level = max(coulomb, u, 1e-300)
-    unknown = separate_offset(
-        np.array([level]), np.array([offset]), np.array([offset_u]), np.zeros(1)
-    ).offset[1]
+    unknown = undivided((offset, offset_u), max(coulomb, u, 1e-300)).unknown
     for direction in DIRECTIONS.values():
         found.add(f"coulomb_friction_{direction}", (coulomb, math.hypot(u, unknown)), "N m", dof)
-    found.notes.append(
-        "friction_offset is that of Coulomb friction that is the same in both directions: half of "
-        "a difference between them looks the same"
-    )
+    found.notes.append(SAME_COULOMB)
     if dynamics.by_direction:
         for direction, sign in zip(DIRECTIONS.values(), ("", "-"), strict=True):
             value = dynamics.estimate("viscous", f"{sign}viscous_difference")
@@ -61,7 +54,8 @@ def add_dynamics(motions: Sequence[SmoothedMotion], found: Findings) -> None:
     found.tables["dynamics_fit"] = _fit_table(dynamics)
 
 
-def _add_inertia(dynamics: Dynamics, found: Findings) -> None:
+def add_inertia(dynamics: Dynamics, found: Findings) -> None:
+    """Add the inertia, or why it is not stated."""
     if dynamics.without_inertia is not None:
         found.notes.append(f"no inertia is stated: {dynamics.without_inertia}")
         return
@@ -101,6 +95,12 @@ def _notes(dynamics: Dynamics) -> list[str]:
                 f"{share:.0%} of the unexplained power is a function of {what}; its possible "
                 "effect on the results is part of their uncertainties"
             )
+    if dynamics.is_late:
+        delay, u = dynamics.estimate("delay")
+        notes.append(
+            f"the effort is {delay * 1e3:.3g} ms (u {u * 1e3:.1g} ms) later than the position, as "
+            "the residuals show: the fit takes that off"
+        )
     if resampled := sum(motion.resampled for motion in motions):
         notes.append(f"{resampled} irregular time axes were resampled at their median rate")
     return notes

@@ -105,7 +105,7 @@ def _notes(change: Change, recording: Recording, against: Recording) -> list[str
         "joints that move alike; coupling to other joints of an arm that the change brings is not "
         "in u",
     ]
-    if lacking := [name for term, (name, _) in RESULTS.items() if term not in change.names]:
+    if lacking := [name for term, (name, _) in RESULTS.items() if change.estimate(term) is None]:
         if is_linear(recording):
             lacking = [name for name in lacking if "gravity" not in name]
         if lacking:

@@ -9,6 +9,11 @@ ripple, load). The offset is the mean torque over the positions that were visite
 turn, it includes a mean of the ripple. Viscous friction is fv + fd in the positive direction and
 fv - fd in the negative one; fd is part of the model where it is significant.
 
+The effort may be recorded later than the position, or earlier where the position is filtered:
+torque(t + d) = model(t), so torque = model - d dmodel/dt to first order. The delay d is found by
+Gauss-Newton, and is part of the model where the residuals ask for it; where they do not, what it
+would change is part of the uncertainties.
+
 How much is left out around standstill is chosen by the residuals: samples at lower speeds are used
 as long as the model fits them as well as the others. What the choice changes is part of the
 uncertainties.
@@ -32,7 +37,18 @@ from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
 from rigtool.numerics.smoothing import CUTOFF
 
-DYNAMICS_PARAMETERS = ("inertia", "viscous", "coulomb", "offset", "viscous_difference")
+DYNAMICS_PARAMETERS = ("inertia", "viscous", "coulomb", "offset", "viscous_difference", "delay")
+
+SPLIT, DELAY = DYNAMICS_PARAMETERS.index("viscous_difference"), DYNAMICS_PARAMETERS.index("delay")
+
+DELAY_STEPS = 5
+"""Gauss-Newton steps for the delay."""
+
+SAME_AS_OTHERS = 1e-6
+"""Part of a regressor's power that rounding may leave unexplained by the others."""
+
+DELAY_POWER = 0.1
+"""Smallest part of the residuals' power that a delay in the model explains."""
 
 SIGNIFICANT = 3.0
 """Multiple of its uncertainty from which on the viscous friction differs by direction."""
@@ -62,11 +78,12 @@ MIN_SAMPLES_IN_MOTION = 50
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Parameters J, fv, fc, offset, fd (5,) with covariance (5, 5) and `dof` degrees of freedom.
+    """Parameters J, fv, fc, offset, fd, d (6,), covariance (6, 6), `dof` degrees of freedom.
 
     Inertia is NaN where the motion does not resolve it; `without_inertia` then states why. fd is
-    NaN where viscous friction is the same in both directions. `standstill` is the part of the
-    highest speed below which samples were left out, `motions` those with the rest.
+    NaN where viscous friction is the same in both directions, d where the effort is not late.
+    `standstill` is the part of the highest speed below which samples were left out, `motions` those
+    with the rest.
     `residual_rms` is that of the smoothed torque, `explained` the part of its variance that the
     model explains; `by_speed` and `by_position` are the parts of the residual's power that a
     function of speed, or of position, explains beyond chance. With `single_frequency`, position is
@@ -88,7 +105,12 @@ class Dynamics:
     @property
     def by_direction(self) -> bool:
         """Whether viscous friction differs by direction."""
-        return bool(np.isfinite(self.parameters[-1]))
+        return bool(np.isfinite(self.parameters[SPLIT]))
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the effort is recorded later, or earlier, than the position."""
+        return bool(np.isfinite(self.parameters[DELAY]))
 
     def estimate(self, *names: str) -> tuple[float, float]:
         """Return a sum of parameters of `DYNAMICS_PARAMETERS` and its standard uncertainty.
@@ -104,8 +126,8 @@ class Dynamics:
 
     def torque(self, motion: SmoothedMotion) -> Array:
         """Return the model's torque for each row of a motion, (n,)."""
-        # An inertia that is not resolved is no part of the model.
-        torque: Array = motion.design @ np.nan_to_num(self.parameters)
+        # An inertia that is not resolved is no part of the model, a delay is none of its rows.
+        torque: Array = motion.design[:, :DELAY] @ np.nan_to_num(self.parameters[:DELAY])
         return torque
 
 
@@ -127,18 +149,72 @@ def identify_dynamics(motions: Sequence[SmoothedMotion]) -> Dynamics:
     _require_friction(np.concatenate([motion.design[motion.used] for motion in motions]))
     without = _resolves_inertia(motions)[1]
     plain = [1, 2, 3] if without else [0, 1, 2, 3]
-    split = [*plain, 4]
+    motions, delay, change = _on_time(motions, [*plain, SPLIT])
+    late = [DELAY] if delay else []
+    split = [*plain, SPLIT, *late]
     motions, standstill = _with_all_that_fits(motions, split)
     found = _fit(motions, split, standstill, without)
     difference, u = found.estimate("viscous_difference")
-    if abs(difference) < SIGNIFICANT * u or own_part(_weighted(motions)[0], 4) < MIN_OWN_POWER:
-        found = _fit(motions, plain, standstill, without)
+    own = own_part(_weighted(motions)[0][:, [*plain, SPLIT]], len(plain))
+    if abs(difference) < SIGNIFICANT * u or own < MIN_OWN_POWER:
+        found = _fit(motions, [*plain, *late], standstill, without)
+    found.parameters[DELAY] += delay
+    found.covariance[range(DELAY), range(DELAY)] += change**2
     _require_model(found)
     return found
 
 
+def _on_time(
+    motions: Sequence[SmoothedMotion], chosen: list[int]
+) -> tuple[Sequence[SmoothedMotion], float, Array]:
+    """Return the motions with efforts moved by the delay d, d in s, and its uncertainty (5,).
+
+    Their designs have a column for what is left of d. Where the residuals do not ask for a delay,
+    d is 0, and the uncertainty of the parameters is stated: what d changes where it shows, else the
+    half width of a rectangular distribution, as far as a delay of one sample is likely.
+    """
+    design, torque, _ = _weighted(motions)
+    before = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+    power = float(np.sum((torque - design[:, chosen] @ before) ** 2))
+    here, delay = motions, 0.0
+    solution: Array = np.asarray(before, np.float64)
+    for _ in range(DELAY_STEPS):
+        here = [_moved(motion, delay, chosen, solution) for motion in motions]
+        design, torque, _ = _weighted(here)
+        found = np.linalg.lstsq(design[:, [*chosen, DELAY]], torque, rcond=None)[0]
+        solution, delay = np.asarray(found[:-1], np.float64), delay + float(found[-1])
+    residual = torque - design[:, [*chosen, DELAY]] @ found
+    columns = design[:, [*chosen, DELAY]]
+    none = np.zeros(DELAY)
+    if own_part(columns, len(chosen)) < SAME_AS_OTHERS:
+        return motions, 0.0, none
+    covariance, _ = long_run_covariance(columns, residual, _independent(here, residual))
+    explained = 1 - float(np.sum(residual**2)) / max(power, 1e-300)
+    square = float(covariance[-1, -1])
+    shown = delay**2 > SIGNIFICANT**2 * square
+    if shown and explained > DELAY_POWER:
+        return here, delay, none
+    usual = max(motion.spacing / motion.every for motion in motions)
+    likely = 1.0 if shown else usual**2 / (usual**2 + square) / math.sqrt(3)
+    none[chosen] = (solution - before) * likely
+    return motions, 0.0, none
+
+
+def _moved(
+    motion: SmoothedMotion, delay: float, chosen: list[int], solution: Array
+) -> SmoothedMotion:
+    """Return a motion with its effort moved by a delay, s, and -dmodel/dt in its design."""
+    rows = np.arange(len(motion.torque)) * motion.spacing
+    slope = -np.gradient(motion.design[:, chosen] @ solution, motion.spacing)
+    return replace(
+        motion,
+        torque=np.interp(rows + delay, rows, motion.torque),
+        design=np.column_stack([motion.design[:, :DELAY], slope]),
+    )
+
+
 def _weighted(motions: Sequence[SmoothedMotion]) -> tuple[Array, Array, Array]:
-    """Return design (n, 5), torque (n,) and weight (n,); each second has the same weight."""
+    """Return design (n, 5 or 6), torque (n,), weight (n,); each second has the same weight."""
     weight = np.concatenate([m.used * m.spacing**0.5 for m in motions])
     design = np.concatenate([motion.design for motion in motions]) * weight[:, None]
     return design, np.concatenate([motion.torque for motion in motions]) * weight, weight

@@ -10,7 +10,10 @@ are aligned by their positions. All terms pass the kernel of `motion_terms`.
 Two changes y and x against one first run have the ratio (instrumental variables, with the change x'
 that the model explains as the instrument: noise of x does not draw the ratio towards zero)
 
-    ratio = sum(x' y) / sum(x' x)
+    ratio = (sum(x' y) - N/2) / (sum(x' x) - N)
+
+N is the noise that the fit of x' takes for a change, trace(cov X'X); the half of it that is the
+first run's is in y as well, where all runs have the same noise.
 
 The covariances allow for residuals that are correlated in time (`residual_covariance`).
 """
@@ -36,8 +39,9 @@ TERMS = ("inertia", "viscous", "coulomb", "offset", "gravity_cosine", "gravity_s
 DROPPED = (("gravity_cosine", "gravity_sine"), ("inertia",), ("viscous",), ("coulomb",))
 """Terms that a motion may not separate from the others, the first to go first."""
 
-MIN_OWN_POWER = 0.01
-"""Smallest part of a term's power that the other terms may leave unexplained."""
+MIN_OWN_POWER = 1e-4
+"""Smallest part of a term's power that the other terms may leave unexplained: what is hardly
+separated has a large uncertainty, and what is left out is taken for another term."""
 
 SAME_MOTION = 0.1
 """Largest rms difference of aligned positions, relative to their standard deviation."""
@@ -72,7 +76,8 @@ class Change:
     """Change of `names`' parameters (p,) against the first run, with covariance (p, p) and `dof`.
 
     `difference` (n,) is that of the efforts at rows `time`, `position`, `speed` (n,), `model` (n,)
-    what the parameters explain of it; rows that are not `used` are near standstill.
+    what the parameters explain of it; rows that are not `used` are near standstill. `fitted_noise`
+    is the part of the model's power that noise makes; `turns` where gravity sees an angle.
     """
 
     names: tuple[str, ...]
@@ -87,6 +92,8 @@ class Change:
     model: Array
     used: Mask
     independent: float
+    fitted_noise: float
+    turns: bool
 
     @property
     def residual_rms(self) -> float:
@@ -94,8 +101,12 @@ class Change:
         return float(np.sqrt(np.mean((self.difference - self.model)[self.used] ** 2)))
 
     def estimate(self, name: str) -> tuple[float, float] | None:
-        """Return the change of a parameter and its u; None where the motion does not show it."""
-        if name not in self.names:
+        """Return the change of a parameter and its u; None where the motion does not show it.
+
+        Where gravity acts and is not separated, its change is part of the inertia's.
+        """
+        mixed = name == "inertia" and self.turns and "gravity_cosine" not in self.names
+        if mixed or name not in self.names:
             return None
         i = self.names.index(name)
         return float(self.parameters[i]), math.sqrt(float(self.covariance[i, i]))
@@ -156,8 +167,8 @@ def ratio(change: Change, known: Change) -> tuple[float, float, int]:
     x, y, seen = (
         np.where(used, values, 0.0) for values in (known.difference, change.difference, known.model)
     )
-    alike = float(seen @ x)
-    found = float(seen @ y) / alike if alike > 0 else math.nan
+    alike = float(seen @ x) - known.fitted_noise
+    found = (float(seen @ y) - known.fitted_noise / 2) / alike if alike > 0 else math.nan
     left = y - found * x
     covariance, dof = long_run_covariance(
         seen[:, None], left, min(change.independent, known.independent)
@@ -192,6 +203,7 @@ def _change(
     residual = np.where(used, difference - design @ parameters, 0.0)
     independent = independent_samples(residual, used, lag)
     covariance, dof = long_run_covariance(design, residual, independent)
+    fitted_noise = float(np.sum(covariance * (design.T @ design)))
     doubt = _doubt(position, other.design[:, TERMS.index("viscous")], residual, design, used)
     covariance = covariance + np.diag(doubt**2)
     return Change(
@@ -207,6 +219,8 @@ def _change(
         other.design[:, chosen] @ parameters,
         used,
         independent,
+        fitted_noise,
+        other.design.shape[1] == len(TERMS),
     )
 
 

@@ -270,7 +270,10 @@ def _sweeps(
 def separate(
     fits: dict[int, DirectionFit], holds: Holds, breakaways: Sequence[Breakaway]
 ) -> Offset | None:
-    """Separate a constant torque from asymmetric friction; None for one direction only."""
+    """Separate a constant torque from asymmetric friction.
+
+    None for one direction only, or where fewer than half of its speeds were held in the other.
+    """
     if len(fits) < 2:
         return None
     lowest = max(fit.lowest for fit in fits.values())
@@ -288,6 +291,8 @@ def separate(
         u.append(math.hypot(up_u, backward[2][j]) / 2)
         # From the fits: a noisy level would itself look like asymmetry.
         level.append(float(np.mean([fit.level(np.array(speed)) for fit in fits.values()])))
+    if 2 * len(level) < np.count_nonzero(forward[0] >= lowest):
+        return None
     for breakaway in breakaways:
         mean = breakaway.middle
         if math.isfinite(mean.u):

@@ -41,9 +41,15 @@ TANH_DONE = 3.0
 
 NOT_SEPARATED = (
     "the data do not separate a constant torque from friction that differs between directions: "
-    "their sum is stated as friction_offset"
+    "their sum is stated as friction_offset; breakaway with a radial load helps"
 )
 """Note where both explanations fit."""
+
+SAME_COULOMB = (
+    "friction_offset is that of Coulomb friction that is the same in both directions: half of a "
+    "difference between them looks the same"
+)
+"""Note where the offset is stated as if there were no difference."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +106,7 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fi
         asymmetry, asymmetry_u = offset.asymmetry
         found.results["friction_asymmetry"] = Quantity(asymmetry, "1", asymmetry_u)
         if not offset.separated:
-            found.notes.append(f"{NOT_SEPARATED}; breakaway with a radial load helps")
+            found.notes.append(SAME_COULOMB if offset.unknown else NOT_SEPARATED)
     elif len(fits) == 1:
         only = DIRECTIONS[next(iter(fits))]
         found.notes.append(
@@ -145,7 +151,8 @@ def _add_directions(
         ]
         if offset is not None and sign is not None:
             value -= sign * offset.offset[0]
-            lines.append(error_line("constant torque", offset.offset[1], unit))
+            apart = math.hypot(offset.offset[1], offset.unknown)
+            lines.append(error_line("constant torque", apart, unit))
         quantity = found.scale.quantity if by_constant else combined
         found.results[name] = quantity(value, unit, lines)
 

@@ -380,12 +380,14 @@ class Offset:
 
     `offset` in N m; `asymmetry` is relative: friction is (1 +- asymmetry) times its mean.
     `separated` is false where the data do not separate the two; then asymmetry is taken as zero
-    and its possible value is part of the uncertainty of the offset.
+    and its possible value is part of the uncertainty of the offset, or else `unknown`, N m, and
+    only part of that of friction by direction.
     """
 
     offset: tuple[float, float]
     asymmetry: tuple[float, float]
     separated: bool
+    unknown: float = 0.0
 
 
 def separate_offset(level: Array, middle: Array, u: Array, speed: Array) -> Offset:
@@ -416,6 +418,21 @@ def separate_offset(level: Array, middle: Array, u: Array, speed: Array) -> Offs
     (mean, *_), (mean_u, *_) = _weighted(np.column_stack([ones, *slope]), middle, weight)
     doubt = max(abs(mean) / typical, ASYMMETRY_U_LIMIT)
     return Offset((mean, math.hypot(mean_u, doubt * typical)), (0.0, doubt), False)
+
+
+def undivided(offset: tuple[float, float], level: float) -> Offset:
+    """Return the offset (value, u) of Coulomb friction, `level`, that is the same in both
+    directions; half of a difference between them looks the same, and stays unknown.
+    """
+    doubt = max(abs(offset[0]) / level, ASYMMETRY_U_LIMIT)
+    return Offset(offset, (0.0, doubt), False, doubt * level)
+
+
+def half_difference(fits: Mapping[int, DirectionFit]) -> Offset:
+    """Return the offset that is half of the difference between the directions' Coulomb friction."""
+    (forward, u), (backward, other_u) = (fits[sign].coulomb for sign in (1, -1))
+    half = (forward - backward) / 2, math.hypot(u, other_u) / 2
+    return undivided(half, max((forward + backward) / 2, half[1], 1e-300))
 
 
 def _weighted(design: Array, values: Array, weight: Array) -> tuple[list[float], list[float]]:

@@ -1,6 +1,6 @@
 """Torque constant from any slow course of current against a torque sensor: plateaus, or ramps.
 
-    torque = z + k i (1 + c (T - T0)) + q i (|i| - I/2) + h m + fv w + fc sign(w)             (1)
+    torque = z + k i (1 + c (T - T0)) + q i (|i| - I/2) + h m + fv w + fc sign(w) + d sign(i)  (1)
 
 i is the current, I its largest, z the zero of each recording, T the temperature. A shaft at rest
 has friction h whose state m follows the way that the current goes (P. R. Dahl, AIAA J. 14(12)
@@ -8,8 +8,10 @@ has friction h whose state m follows the way that the current goes (P. R. Dahl, 
 
     dm = (sign(di) - m) |di| / s
 
-A turning shaft has friction by its speed w instead. (1) is fitted to means: of each plateau, which
-counts as one observation, or of equal parts of a ramp, whose residuals are correlated in time.
+A turning shaft has friction by its speed w instead; where the speed is not recorded and the current
+has both signs, the shaft may turn with its torque, and friction d follows the current. (1) is
+fitted to means: of each plateau, which counts as one observation, or of equal parts of a ramp,
+whose residuals are correlated in time.
 
 Friction, curvature q, c, and a drift of the sensor's zero over the recording have prior sizes,
 typical of motors and sensors (`FRICTION` and so on). These sizes limit what the data do not
@@ -66,6 +68,9 @@ TRANSITIONS = (0.01, 0.03, 0.1, 0.3)
 FRICTION, DRIFT, BENT, CURVATURE = 0.05, 0.01, 0.004, 0.015
 """Prior sizes: of h, of a straight and a bent drift, relative to the span of the torque; of the
 change of torque per ampere from half the current to all of it, by saturation of the iron."""
+
+NO_CURRENT = 0.02
+"""Currents below this part of the largest turn no shaft."""
 
 ROUNDS = 8
 """Of the fit: its weights follow its residuals."""
@@ -257,6 +262,9 @@ def fit_constant(runs: Sequence[Points]) -> CurrentFit:
     add("drift", course, DRIFT * torques)
     # A staircase up and down is alike in time to a drift that turns back.
     add("bend", 1.5 * course**2 - 0.5, BENT * torques)
+    way = np.sign(np.where(np.abs(current) > NO_CURRENT * top, current, 0.0))
+    if speed is None and np.ptp(way) > 1:
+        add("driven", way, FRICTION * torques)  # a motor that drives a brake turns with its torque
     if turning:
         fits = [_Fit(columns, torque)]
     else:

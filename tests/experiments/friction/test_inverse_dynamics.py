@@ -40,7 +40,7 @@ def fit(*signals):
 
 def test_all_parameters_come_back():
     found = fit(moving())
-    expected = [INERTIA, VISCOUS, COULOMB, OFFSET, np.nan]
+    expected = [INERTIA, VISCOUS, COULOMB, OFFSET, np.nan, np.nan]
     np.testing.assert_allclose(found.parameters, expected, rtol=0.01, atol=0)
     assert found.explained > 0.999
 
@@ -68,7 +68,7 @@ def test_they_come_back_from_counts_with_noise():
     counts = np.round(position * 4000 / (2 * np.pi)) * 2 * np.pi / 4000
     noisy = torque + np.random.default_rng(1).normal(0, 1e-3, len(time))
     found = fit((time, counts, noisy))
-    expected = [INERTIA, VISCOUS, COULOMB, OFFSET, np.nan]
+    expected = [INERTIA, VISCOUS, COULOMB, OFFSET, np.nan, np.nan]
     np.testing.assert_allclose(found.parameters, expected, rtol=0.05, atol=0)
 
 
@@ -228,3 +228,14 @@ def test_one_direction_does_not_tell_friction_from_offset():
     position = 20 * time + np.sin(2 * np.pi * 0.5 * time)
     with pytest.raises(InsufficientDataError, match="cannot be separated"):
         fit((time, position, torque))
+
+
+@pytest.mark.parametrize("late", [0.004, -0.003])
+def test_an_effort_that_is_late_or_early(late):
+    """A filter in front of the current, or of the position, biases inertia without the delay."""
+    time, position, torque = moving()
+    found = fit((time, position, np.interp(time - late, time, torque)))
+    delay, u = found.estimate("delay")
+    assert abs(delay - late) < max(3 * u, 1e-4)
+    expected = [INERTIA, VISCOUS, COULOMB, OFFSET]
+    np.testing.assert_allclose(found.parameters[:4], expected, rtol=0.02, atol=0)

@@ -66,6 +66,7 @@ def test_one_frequency_separates_no_gravity():
     sines = ((0.05, 0.5, 0.0),)
     (change,) = changes(arm(0, 1, sines=sines), [arm(0.2, 2, sines=sines)])
     assert change.gravity() is None
+    assert change.estimate("inertia") is None
     assert change.estimate("coulomb") is not None
 
 

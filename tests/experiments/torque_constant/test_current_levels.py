@@ -64,6 +64,17 @@ def test_intervals_of_drawn_motors_hold(kind, plateaus, largest):
     assert np.max(np.abs(errors)) < largest
 
 
+def test_a_motor_that_drives_a_brake_both_ways_without_a_recorded_speed():
+    """Friction has the sign of the current; without it in the model k is 3.5 % off."""
+    random = np.random.default_rng(4)
+    levels = np.linspace(0.5, 5, 10)
+    current = np.repeat(np.concatenate([levels, levels[::-1], -levels, -levels[::-1]]), PER_LEVEL)
+    torque = 0.1 * current - 0.01 * np.sign(current) + random.normal(0, 1e-3, len(current))
+    fit = fit_constant([find_points(Course(np.arange(len(current)) * 0.1, current, torque))])
+    assert abs(fit.constant - 0.1) < 2 * fit.constant_u
+    assert fit.constant == pytest.approx(0.1, rel=0.005, abs=0)
+
+
 def test_a_turning_shaft_has_friction_by_its_speed():
     """A dynamometer: current of both signs at speeds of both signs."""
     random = np.random.default_rng(3)
