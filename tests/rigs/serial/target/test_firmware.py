@@ -59,8 +59,10 @@ def assert_alike(got, expected, task=None):
     if task is not None and isinstance(task.motion, CurrentSteps):
         left_out.add("position_setpoint")
     for name in set(got) - left_out:
+        # Set points begin where a piece begins, which differs by rounding: a last digit of float32
+        bound = 2e-7 if name.endswith("setpoint") else 0
         values = as_stored(expected)[name]
-        np.testing.assert_array_equal(as_stored(got)[name], values, err_msg=name)
+        np.testing.assert_allclose(as_stored(got)[name], values, rtol=bound, err_msg=name)
 
 
 EXACT = (
