@@ -58,9 +58,12 @@ def suspension(output, *more):
 def test_runs_are_written_and_read_without_locks_or_reservation(shim, tmp_path, lock, reserve):
     output = tmp_path / "s.h5"
     poor = {"LD_PRELOAD": str(shim), "LOCK": str(lock), "RESERVE": str(reserve)}
-    done = rigtool(*suspension(output), **poor)
-    assert done.returncode == 0, done.stderr
-    done = rigtool("info", output, **poor)
+    lines = [[str(word) for word in suspension(output)], ["info", str(output)]]
+    code = "from rigtool.cli import rigtool\n"
+    code += "".join(f"rigtool({line}, standalone_mode=False)\n" for line in lines)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, env={**os.environ, **poor}
+    )
     assert done.returncode == 0, done.stderr
     assert b"spring_constant" in done.stdout
 

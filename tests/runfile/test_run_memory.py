@@ -65,8 +65,8 @@ def grown(tmp_path: Path, blocks: int) -> float:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the kernel counts it in /proc")
-def test_a_run_ten_times_as_long_needs_no_more_memory(tmp_path):
-    short, long = grown(tmp_path, 2), grown(tmp_path, 20)
-    # 20 blocks of 6 channels are 96 MB.
+def test_a_run_six_times_as_long_needs_no_more_memory(tmp_path):
+    short, long = grown(tmp_path, 2), grown(tmp_path, 12)
+    # 12 blocks of 6 channels are 58 MB.
     assert long < short + 20, (short, long)
     assert long < 80

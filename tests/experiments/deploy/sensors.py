@@ -25,6 +25,7 @@ from rigtool.experiments.force_filter.plant import (
 from rigtool.experiments.force_model.drive import Drive
 from rigtool.experiments.force_model.model import Kind, Term
 from rigtool.experiments.force_sensor.sensor import Instrument, Sensor
+from rigtool.numerics.compiled import compiled as machine_code
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
 HOST = Path(__file__).with_name("sensor_host.c")
@@ -82,23 +83,28 @@ def moved(wanted, contact, seed=1):
     angle rad, and feels a torque N m, (n,) each."""
     plant, dt = Model().plant(INTERVAL), INTERVAL
     rng = np.random.default_rng(seed)
-    x, record = np.zeros(STATES), as_record(plant)[0]
-    encoder, current = np.empty(len(wanted)), np.empty(len(wanted))
     kept = math.exp(-dt / UNCERTAINTY.friction_noise_time)
     noise = UNCERTAINTY.friction_noise * math.sqrt(1 - kept**2) * rng.standard_normal(len(wanted))
-    constant = CONSTANT[0] + CONSTANT[1] * WARM
-    integral = 0.0
+    angle, torque = _followed(wanted, contact, noise, kept, as_record(plant)[0], plant.friction_map)
+    cogging = np.interp(angle % (2 * math.pi), TURN, ROTOR[:, 0])
+    current = (torque + cogging) / (CONSTANT[0] + CONSTANT[1] * WARM)
+    return np.stack([np.floor(angle / WIDTH), current, np.full(len(wanted), WARM)])
+
+
+@machine_code
+def _followed(wanted, contact, noise, kept, record, friction_map):
+    """Return the angle and the drive's torque at each sample."""
+    x, integral = np.zeros(STATES), 0.0
+    angle, torque = np.empty(len(wanted)), np.empty(len(wanted))
     for k in range(len(wanted)):
-        encoder[k] = math.floor(x[ANGLE] / WIDTH)
+        angle[k] = x[ANGLE]
         error = wanted[k] - x[ANGLE]
-        integral += error * dt
-        torque = 2.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
+        integral += error * record.sample_time
+        torque[k] = 2.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
         x[TORQUE] = contact[k]
         x[NOISE] = kept * x[NOISE] + noise[k]
-        cogging = np.interp(x[ANGLE] % (2 * math.pi), TURN, ROTOR[:, 0])
-        current[k] = (torque + cogging) / constant
-        advance(x, record, plant.friction_map, torque, 5e-5, None, 0, 0.0, 0.0)
-    return np.stack([encoder, current, np.full(len(wanted), WARM)])
+        advance(x, record, friction_map, torque[k], 5e-5, None, 0, 0.0, 0.0)
+    return angle, torque
 
 
 def motions():

@@ -7,6 +7,7 @@ import pytest
 
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
+    GRASPER,
     NOISE,
     SPEED,
     STATES,
@@ -17,6 +18,7 @@ from rigtool.experiments.force_model.drive import plant_of
 from rigtool.experiments.force_model.learning import NAMES, Learned
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.rest import Exploration, RestProblem, learn_rest
+from rigtool.numerics.compiled import compiled
 from tests.experiments.force_filter.plants import UNCERTAINTY
 
 COUNT, STEP, CONSTANT = 2 * np.pi / 4000, 125e-6, 0.05
@@ -56,19 +58,27 @@ def explored(truth, seconds=7.0, seed=4, period=0.9):
     time = np.arange(count) * STEP
     wanted = np.where(time < seconds / 2, 0.02, 0.4) * np.sin(2 * np.pi * time / period) + 1.0
     plant = plant_of(truth, STEP)
-    x, record = np.zeros(STATES), as_record(plant)[0]
-    x[ANGLE] = 1.0
-    x[4] = 1.0 / 0.85
-    encoder, drive, integral = np.empty(count), np.empty(count), 0.0
     kept = np.exp(-STEP / UNCERTAINTY.friction_noise_time)
-    for k in range(count):
+    noise = 0.1e-3 * np.sqrt(1 - kept**2) * rng.standard_normal(count)
+    encoder, drive = turned(wanted, noise, kept, as_record(plant)[0], plant.friction_map)
+    return Exploration(encoder, drive / CONSTANT, STEP, CONSTANT, COUNT)
+
+
+@compiled
+def turned(wanted, noise, kept, record, friction_map):
+    """Return encoder and drive torque of each sample."""
+    x = np.zeros(STATES)
+    x[ANGLE] = 1.0
+    x[GRASPER] = 1.0 / 0.85
+    encoder, drive, integral = np.empty(len(wanted)), np.empty(len(wanted)), 0.0
+    for k in range(len(wanted)):
         encoder[k] = np.floor(x[ANGLE] / COUNT)
         error = wanted[k] - (encoder[k] + 0.5) * COUNT
         integral += error * STEP
         drive[k] = 1.0 * error + 30.0 * integral - 8e-3 * x[SPEED]
-        x[NOISE] = kept * x[NOISE] + 0.1e-3 * np.sqrt(1 - kept**2) * rng.standard_normal()
-        advance(x, record, plant.friction_map, drive[k], 8e-5, None, 0, 0.0, 0.0)
-    return Exploration(encoder, drive / CONSTANT, STEP, CONSTANT, COUNT)
+        x[NOISE] = kept * x[NOISE] + noise[k]
+        advance(x, record, friction_map, drive[k], 8e-5, None, 0, 0.0, 0.0)
+    return encoder, drive
 
 
 def error(model, motion):

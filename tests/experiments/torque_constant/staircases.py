@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.numerics.compiled import compiled
+
 Array = NDArray[np.float64]
 
 
@@ -86,24 +88,39 @@ class Bench:
         }
 
     def _winding_excess(self, current: Array) -> Array:
-        excess = np.zeros(len(current))
-        for j in range(1, len(current)):
-            change = self.heating * current[j] ** 2 - excess[j - 1] / self.time_constant
-            change -= self.housing_drift  # the winding lags behind the housing
-            excess[j] = excess[j - 1] + self.sample_time * change
-        return excess
+        return _winding_excess(
+            current, self.heating, self.time_constant, self.housing_drift, self.sample_time
+        )
 
     def _arm_torque(self, drive: Array, per_step: int) -> Array:
-        """Move the arm in small steps until drive = arm torque + friction at each level."""
-        bristle, deflection, torque = 0.0, 0.0, []
-        step = self.presliding_angle / 200
-        for target in drive:
-            direction = (
-                1.0 if target > self.stiffness * deflection + self.friction * bristle else -1
-            )
-            while (target - self.stiffness * deflection - self.friction * bristle) * direction > 0:
-                deflection += direction * step
-                left = max(1 - direction * bristle, 0.0) ** self.exponent
-                bristle += step / self.presliding_angle * direction * left
-            torque.append(target - self.friction * bristle)
-        return np.repeat(torque, per_step)
+        arm = (self.friction, self.stiffness, self.presliding_angle, self.exponent)
+        return np.repeat(_arm_torque(drive, *arm), per_step)
+
+
+@compiled
+def _winding_excess(
+    current: Array, heating: float, time_constant: float, housing_drift: float, sample_time: float
+) -> Array:
+    excess = np.zeros(len(current))
+    for j in range(1, len(current)):
+        change = heating * current[j] ** 2 - excess[j - 1] / time_constant
+        change -= housing_drift  # the winding lags behind the housing
+        excess[j] = excess[j - 1] + sample_time * change
+    return excess
+
+
+@compiled
+def _arm_torque(
+    drive: Array, friction: float, stiffness: float, presliding_angle: float, exponent: float
+) -> Array:
+    """Move the arm in small steps until drive = arm torque + friction at each level."""
+    bristle, deflection, torque = 0.0, 0.0, np.empty(len(drive))
+    step = presliding_angle / 200
+    for k, target in enumerate(drive):
+        direction = 1.0 if target > stiffness * deflection + friction * bristle else -1.0
+        while (target - stiffness * deflection - friction * bristle) * direction > 0:
+            deflection += direction * step
+            left = max(1 - direction * bristle, 0.0) ** exponent
+            bristle += step / presliding_angle * direction * left
+        torque[k] = target - friction * bristle
+    return torque

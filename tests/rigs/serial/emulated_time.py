@@ -109,10 +109,10 @@ class World:
             for device in list(self.servers):
                 if device.due() <= self.now:
                     device.run()
-            tasks = list(self._tasks.values())
+            now, tasks = self.now, list(self._tasks.values())
             place = tasks.index(self._running) + 1
             for task in (*tasks[place:], *tasks[:place]):
-                if not task.done and (task.until <= self.now or task.ready()):
+                if not task.done and (task.until <= now or task.ready()):
                     return task
             self.now = min(
                 *(task.until for task in tasks if not task.done),
@@ -259,6 +259,7 @@ class Wire:
         self.cut = False
 
     def send(self, way, data):
+        """Send bytes, at least one, behind those that are under way."""
         begin = max([self.world.now + self.world.delay, *(moment for moment, _ in way[-1:])])
         way.append((begin + len(data) / self.world.rate, bytes(data)))
 
@@ -268,7 +269,12 @@ class Wire:
         return sys.maxsize if self.world.rate == math.inf else max(0, BUFFER - under_way)
 
     def arrived(self, way):
-        return sum(len(data) for moment, data in way if moment <= self.world.now)
+        now = self.world.now
+        return sum([len(data) for moment, data in way if moment <= now])
+
+    def ready(self, way):
+        """Return whether bytes have arrived: the first are the earliest."""
+        return bool(way) and way[0][0] <= self.world.now
 
     def take(self, way, size):
         got = b""
@@ -281,8 +287,11 @@ class Wire:
 
     def arrives(self):
         """Return when the host gets the next bytes, s; those that have arrived do not count."""
-        moments = (moment for moment, _ in self.to_host if moment > self.world.now)
-        return min(moments, default=math.inf)
+        now = self.world.now
+        for moment, _ in self.to_host:
+            if moment > now:
+                return moment
+        return math.inf
 
 
 TAKEN = "device reports readiness to read but returned no data (multiple access on port?)"
@@ -314,7 +323,7 @@ class Port:
         wire = self._wire
         reads = wire.reads
         self._world.wait(
-            lambda: wire.cut or not self._open or wire.arrived(wire.to_host) > 0,
+            lambda: wire.cut or not self._open or wire.ready(wire.to_host),
             self._world.now + self._timeout,
         )
         self._require()
@@ -326,7 +335,8 @@ class Port:
 
     def write(self, data):
         self._require()
-        self._wire.send(self._wire.to_device, data)
+        if data:
+            self._wire.send(self._wire.to_device, data)
 
     def flush(self):
         self._require()
@@ -357,8 +367,8 @@ def server_kind(world, name):
         def due(self):
             if self.emulator.busy and not self._waiting:
                 return world.now
-            arrivals = [moment for moment, _ in self._wire.to_device[:1]]
-            return min(self._tick + world.tick, *arrivals, math.inf)
+            due, under_way = self._tick + world.tick, self._wire.to_device
+            return under_way[0][0] if under_way and under_way[0][0] < due else due
 
         def run(self):
             """Do what the thread does in one round."""
@@ -374,7 +384,7 @@ def server_kind(world, name):
             self._wire = world.ports[self.port] = Wire(world)
 
         def _ready(self, timeout):
-            return self._wire.arrived(self._wire.to_device) > 0
+            return self._wire.ready(self._wire.to_device)
 
         def _read(self):
             return self._wire.take(self._wire.to_device, server.CHUNK)

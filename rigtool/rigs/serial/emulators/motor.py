@@ -59,20 +59,20 @@ class EmulatedMotor:
     def _step(
         self, dt: float, mode: str | None, position: float, speed: float, current: float
     ) -> None:
-        asked = current
-        if mode is None:
-            asked = 0.0
-        elif mode != "current":
+        turning, limit = self.speed, self.current_limit
+        asked = 0.0 if mode is None else current
+        if mode is not None and mode != "current":
             wanted = speed
             if mode == "position":
                 wanted += self.gain_position * (position - self.position)
-            asked += self.gain_speed * (wanted - self.speed)
-        self.current_setpoint = min(max(asked, -self.current_limit), self.current_limit)
-        self.current = self.current_setpoint
-        torque = self.torque_constant * self.current - self.viscous * self.speed
+            asked += self.gain_speed * (wanted - turning)
+        # Comparisons: a call of min or max takes as long as all else here
+        asked = limit if asked > limit else -limit if asked < -limit else asked
+        self.current_setpoint = self.current = asked
+        torque = self.torque_constant * asked - self.viscous * turning
         torque -= self.load if mode is not None else 0.0
         # Coulomb friction brakes, and never turns the shaft backwards
-        free = self.speed + dt * torque / self.inertia
-        brake = dt * self.coulomb / self.inertia
-        self.speed = math.copysign(max(0.0, abs(free) - brake), free)
+        free = turning + dt * torque / self.inertia
+        left = abs(free) - dt * self.coulomb / self.inertia
+        self.speed = math.copysign(left, free) if left > 0.0 else math.copysign(0.0, free)
         self.position += dt * self.speed

@@ -58,6 +58,12 @@ def rig(tmp_path_factory):
     return measured
 
 
+@pytest.fixture(scope="module")
+def thesis(rig):
+    """Measure loads at 1 rev/s by the thesis's way; the run is stored as `thesis.h5`."""
+    return rig(at(1), output="thesis.h5")
+
+
 def test_the_rig_gives_its_tendon_and_load_friction_back(rig):
     results = rig.learned.results
     assert results["tendon_stiffness"].value == pytest.approx(0.13, rel=0.02)
@@ -134,8 +140,7 @@ def test_a_motor_15_k_warmer_reads_the_same(rig):
     )
 
 
-def test_a_stored_run_is_corrected_afterwards(rig):
-    thesis = rig(at(1), output="thesis.h5")
+def test_a_stored_run_is_corrected_afterwards(rig, thesis):
     stored = rig.folder / "thesis.h5"
     again = rig(source=stored, output="again.h5")
     np.testing.assert_array_equal(
@@ -151,10 +156,9 @@ def test_a_stored_run_is_corrected_afterwards(rig):
 
 
 @pytest.mark.parametrize("correction", ["none", "load", "full"])
-def test_what_samples_lack_is_in_every_uncertainty(rig, monkeypatch, correction):
+def test_what_samples_lack_is_in_every_uncertainty(rig, thesis, monkeypatch, correction):
     """As a drive that is sent steps of position makes it: known from its line, taken on trust."""
-    rig(at(1), output="lacking.h5")
-    settings = {"source": rig.folder / "lacking.h5", "output": "again.h5"}
+    settings = {"source": rig.folder / "thesis.h5", "output": "again.h5"}
     way = f"measure_force.correction={correction}"
     before = rig(way, **settings).tables["loads"]["mean_torque_u"][1:]
     lacking = 1.3e-3
@@ -176,8 +180,7 @@ def test_a_load_beyond_the_learned_ones_has_no_value(rig):
         rig(FULL, at(1), "measure_force.forces=[4]")
 
 
-def test_a_reading_beyond_the_friction_that_was_learned_has_no_value(rig):
-    thesis = rig(at(1))
+def test_a_reading_beyond_the_friction_that_was_learned_has_no_value(thesis):
     torque = thesis.results["mean_torque_load_001"]
     row = LoadRow(0.5, torque, torque, 1e-4, 1e-5, 10.0, 10.0)
     rows = [row, row, row]
