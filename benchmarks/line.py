@@ -151,7 +151,8 @@ def measure(seconds: float) -> Iterator[tuple[str, float, str, float | None]]:
     """Yield what is measured: words, value, unit and aim."""
     rate = download()
     yield "blocks from a target's memory", rate, "MB/s", 1
-    yield "the same / pyserial alone", rate / plain(40_000_000, float("inf"), 4096)[1], "", None
+    alone = plain(40_000_000, float("inf"), 4096)[1]
+    yield "blocks from a target's memory / pyserial alone", rate / alone, "", None
     for what, options in (("4 channels", ("--channels", FOUR)), ("9 channels", ())):
         found = streaming(seconds, *options)
         name = f"8 kHz x {what}, {seconds:g} s"
@@ -160,7 +161,7 @@ def measure(seconds: float) -> Iterator[tuple[str, float, str, float | None]]:
         bytes_per_s = 1e3 * found["kB/s"]
         size = round(bytes_per_s * FRAME / 8000)
         alone, _ = plain(int(bytes_per_s * min(seconds, SHORT)), bytes_per_s, size)
-        yield "the same / pyserial alone", found["share of a core"] / alone, "", None
+        yield f"{name}: the same / pyserial alone", found["share of a core"] / alone, "", None
 
 
 def main() -> None:

@@ -379,7 +379,5 @@ def test_ripple_is_told_of_the_learned_speed_next_to_this(speed, told):
         "before": np.array([[1.0], [5.0], [5.0], [3.0]]) * wave + 0.1,
         "residual": np.array([[2.0], [4.0], [4.0], [0.0]]) * wave - 0.2,
     }
-    columns = {name: SimpleNamespace(values=values) for name, values in columns.items()}
-    table = SimpleNamespace(columns=columns)
-    run = SimpleNamespace(tables={"residual_waveforms": table}, table=lambda name: table)
+    run = SimpleNamespace(tables={"residual_waveforms": columns})
     assert f"ripple went from {told} mN m" in _ripple_remark(run, speed)
