@@ -31,7 +31,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction.model_doubt import TIME_PARTS, curvature, own_part, structure
+from rigtool.experiments.friction.model_doubt import (
+    TIME_PARTS,
+    curvature,
+    long_ripple,
+    own_part,
+    structure,
+)
 from rigtool.experiments.friction.motion_terms import NEAR_STANDSTILL, SmoothedMotion
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
@@ -43,6 +49,10 @@ SPLIT, DELAY = DYNAMICS_PARAMETERS.index("viscous_difference"), DYNAMICS_PARAMET
 
 DELAY_STEPS = 5
 """Gauss-Newton steps for the delay."""
+
+BEYOND = 2.0
+"""What a filter of first order changes, in terms of what it changes to second order at the delay
+that fits best: its time constant is longer than that delay."""
 
 SAME_AS_OTHERS = 1e-6
 """Part of a regressor's power that rounding may leave unexplained by the others."""
@@ -170,34 +180,96 @@ def _on_time(
     """Return the motions with efforts moved by the delay d, d in s, and its uncertainty (5,).
 
     Their designs have a column for what is left of d. Where the residuals do not ask for a delay,
-    d is 0, and the uncertainty of the parameters is stated: what d changes where it shows, else the
-    half width of a rectangular distribution, as far as a delay of one sample is likely.
+    d is 0, and the uncertainty of the parameters is stated: what d changes where it shows, else
+    what it is likely to change. Before the data, d has a rectangular distribution, as wide as one
+    sample, or as the delay that the reversals show: friction that sets in late (presliding) looks
+    like a delay there, so it limits d and does not determine it.
     """
     design, torque, _ = _weighted(motions)
     before = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
     power = float(np.sum((torque - design[:, chosen] @ before) ** 2))
+    here, delay, columns, residual = _late(motions, chosen)
+    square = _last(here, columns, _weighted(here)[1])[1]
+    explained = 1 - float(np.sum(residual**2)) / max(power, 1e-300)
+    unstated = np.zeros(DELAY)
+    shown = delay**2 > SIGNIFICANT**2 * square
+    if shown and explained > DELAY_POWER:
+        unstated[chosen] = _lag(here, delay, chosen, columns)
+        return here, delay, unstated
+    if shown:
+        after = np.linalg.lstsq(columns, _weighted(here)[1], rcond=None)[0][:-1]
+        unstated[chosen] = after - before
+        return motions, 0.0, unstated
+    reversals = _late([replace(m, used=m.sliding[-1]) for m in motions], chosen)[1]
+    half = max(motion.spacing / motion.every for motion in motions) / 2
+    change = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=None)[0]
+    unstated[chosen] = change * _likely(delay, square, max(half, abs(reversals)) ** 2 / 3)
+    return motions, 0.0, unstated
+
+
+def _late(
+    motions: Sequence[SmoothedMotion], chosen: list[int]
+) -> tuple[Sequence[SmoothedMotion], float, Array, Array]:
+    """Return motions with efforts moved by the delay that fits best, and the delay, s.
+
+    Also return the regressors, the last that of the delay, and the residuals.
+    """
+    design, torque, _ = _weighted(motions)
     here, delay = motions, 0.0
-    solution: Array = np.asarray(before, np.float64)
+    found = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+    solution: Array = np.asarray(found, np.float64)
+    columns, residual = design[:, chosen], torque
     for _ in range(DELAY_STEPS):
         here = [_moved(motion, delay, chosen, solution) for motion in motions]
         design, torque, _ = _weighted(here)
-        found = np.linalg.lstsq(design[:, [*chosen, DELAY]], torque, rcond=None)[0]
+        columns = design[:, [*chosen, DELAY]]
+        found = np.linalg.lstsq(columns, torque, rcond=None)[0]
+        residual = torque - columns @ found
         solution, delay = np.asarray(found[:-1], np.float64), delay + float(found[-1])
-    residual = torque - design[:, [*chosen, DELAY]] @ found
-    columns = design[:, [*chosen, DELAY]]
-    none = np.zeros(DELAY)
-    if own_part(columns, len(chosen)) < SAME_AS_OTHERS:
-        return motions, 0.0, none
-    covariance, _ = long_run_covariance(columns, residual, _independent(here, residual))
-    explained = 1 - float(np.sum(residual**2)) / max(power, 1e-300)
-    square = float(covariance[-1, -1])
-    shown = delay**2 > SIGNIFICANT**2 * square
-    if shown and explained > DELAY_POWER:
-        return here, delay, none
-    usual = max(motion.spacing / motion.every for motion in motions)
-    likely = 1.0 if shown else usual**2 / (usual**2 + square) / math.sqrt(3)
-    none[chosen] = (solution - before) * likely
-    return motions, 0.0, none
+    return here, delay, columns, residual
+
+
+def _lag(
+    motions: Sequence[SmoothedMotion], delay: float, chosen: list[int], columns: Array
+) -> Array:
+    """Return the uncertainty (p,) from a delay d that may be a filter of first order.
+
+    To second order, the filter adds d^2/2 d2model/dt2 to the delay; a filter of the position does
+    not do that to sign(v). How much of it there is, the residuals show.
+    """
+    _, torque, weight = _weighted(motions)
+    solution = np.linalg.lstsq(columns, torque, rcond=None)[0][:-1]
+    linear = np.where(np.array(chosen) == DYNAMICS_PARAMETERS.index("coulomb"), 0.0, solution)
+    change = np.zeros(len(chosen))
+    for filtered in (solution, linear):
+        bent = [
+            np.gradient(np.gradient(m.design[:, chosen] @ filtered, m.spacing), m.spacing)
+            for m in motions
+        ]
+        beyond = delay**2 / 2 * weight * np.concatenate(bent)
+        part, square = _last(motions, np.column_stack([columns, beyond]), torque)
+        alike = np.linalg.lstsq(columns, beyond, rcond=None)[0][:-1]
+        change = np.maximum(change, np.abs(alike) * _likely(part, square, 1 / 3) * BEYOND)
+    return change
+
+
+def _last(motions: Sequence[SmoothedMotion], columns: Array, torque: Array) -> tuple[float, float]:
+    """Return the coefficient of the last regressor and its variance, infinite where the others
+    explain it."""
+    found = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    if own_part(columns, columns.shape[1] - 1) < SAME_AS_OTHERS:
+        return 0.0, math.inf
+    residual = torque - columns @ found
+    covariance, _ = long_run_covariance(columns, residual, _independent(motions, residual))
+    return float(found[-1]), float(covariance[-1, -1])
+
+
+def _likely(value: float, square: float, before: float) -> float:
+    """Return the root mean square of a quantity that is measured with a variance, and had another
+    variance around 0 before; a significant value is that of the measurement."""
+    known = 1 / (1 + square / before)
+    shown = value**2 > SIGNIFICANT**2 * square
+    return math.hypot(value if shown else known * value, math.sqrt((1 - known) * before))
 
 
 def _moved(
@@ -315,8 +387,10 @@ def _doubt(
     by_speed, _ = structure(speed[used], residual[used], design[used], times[used])
     by_position, doubt = structure(position[used], residual[used], design[used], times[used])
     coulomb = _weighted(motions)[0][:, DYNAMICS_PARAMETERS.index("coulomb")]
-    bent = curvature(speed, coulomb, residual, design, _independent(motions, residual))
-    return np.hypot(doubt, bent), by_speed, by_position
+    count = _independent(motions, residual)
+    bent = curvature(speed, coulomb, residual, design, count)
+    long = long_ripple(position, weight, residual, design, count)
+    return np.sqrt(doubt**2 + bent**2 + long**2), by_speed, by_position
 
 
 def _require_friction(design: Array) -> None:
