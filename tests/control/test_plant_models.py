@@ -1,6 +1,5 @@
 """Held plants against python-control and closed forms."""
 
-import control
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +7,7 @@ from hypothesis import strategies as st
 
 from rigtool.control.plant_models import PlantModel
 from rigtool.control.position_loop import double_integrator
+from tests.other_tools import control
 
 SAMPLE_TIME = 125e-6
 FREQUENCY = np.geomspace(0.5, 3900, 150)

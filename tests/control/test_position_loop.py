@@ -1,6 +1,5 @@
 """The loop against python-control and closed forms."""
 
-import control
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,6 +12,7 @@ from rigtool.control.position_loop import (
     double_integrator,
     position_loop,
 )
+from tests.other_tools import control
 
 SAMPLE_TIME = 125e-6
 THESIS = {

@@ -24,7 +24,7 @@ from rigtool.errors import RigtoolError, RunFileError, UsageError
 from rigtool.runfile import RunWriter, chunk_of, open_run, writer
 from rigtool.runfile.recovery import recover
 from tests.runfile.whole_run import SPECS, samples, write
-from tests.thorough import first_of
+from tests.thorough import first_of, thorough
 
 ROOT = Path(__file__).parents[2]
 RECIPE, FIXTURES = ROOT / "recipes" / "briaire-2006.toml", ROOT / "tests" / "fixtures"
@@ -165,7 +165,7 @@ def require_beginning(path: Path, counts: dict[str, int], whole: Path) -> None:
 
 
 @pytest.mark.parametrize("kills", first_of([6, 34]))
-@pytest.mark.parametrize("command", list(COMMANDS))
+@pytest.mark.parametrize("command", ["stribeck", "ilc-learn", *thorough("measure-force")])
 def test_a_command_killed_at_any_moment(tmp_path, capsys, command, kills):
     path, back, whole = (tmp_path / name for name in ("run.h5", "back.h5", "whole.h5"))
     part = Path(f"{path}.part")

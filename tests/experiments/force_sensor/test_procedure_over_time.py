@@ -15,33 +15,23 @@ from rigtool.experiments.force_sensor.procedure_over_time import over_time
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.recipe import load_recipe
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
+from tests.experiments.learned_loads import KT, RIG, D, learned_loads
 from tests.experiments.virtual_runs import RECIPE, run
 
-KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
-D = (
-    "ilc_learn.implementation=D",
-    "ilc_learn.speeds_rev_per_s=[2]",
-    "ilc_learn.low_speeds_rev_per_s=[]",
-    "ilc_learn.moves=3",
-    "ilc_learn.loads.forces=[0.5, 3]",
-    "ilc_learn.loads.speeds_rev_per_s=[1, 2]",
-    "ilc_learn.loads.cycles=6",
-)
 PULSE = '[[virtual.contact]]\nkind = "pulse"\nat = [2.0, 5.0]\nduration = 1.5\nforce = 2.0\n'
 MOMENT = 2.0 * 0.020
 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
-    """Learn the thesis's rig in short; return a function that reads force over time."""
+    """Learn the rig; return a function that reads force over time."""
     folder = tmp_path_factory.mktemp("rig")
-    tables, touched = folder / "tables.h5", folder / "touched.toml"
+    tables, touched = learned_loads(tmp_path_factory, folder), folder / "touched.toml"
     touched.write_text(RECIPE.read_text(encoding="utf-8") + "\n" + PULSE, encoding="utf-8")
-    run(ILC_LEARN, RECIPE, tables, *D, kt=KT)
 
     def measured(seconds, *sets, observed=False, source=touched, name="force.h5", tables=tables):
         procedure = over_time(seconds, observed=observed)
-        return run(procedure, source, folder / name, *sets, kt=KT, tables=tables)
+        return run(procedure, source, folder / name, *RIG, *sets, kt=KT, tables=tables)
 
     measured.folder, measured.tables, measured.touched = folder, tables, touched
     return measured
@@ -133,7 +123,7 @@ def test_a_torque_beyond_the_learned_has_no_value(rig):
 
 def test_tables_without_the_model_are_refused_with_the_remedy(rig, tmp_path):
     plain = tmp_path / "c.h5"
-    run(ILC_LEARN, RECIPE, plain, *D[1:4], kt=KT)
+    run(ILC_LEARN, RECIPE, plain, *RIG, *D[1:4], kt=KT)
     with pytest.raises(RunFileError, match="ilc-learn --implementation D"):
         rig(4.0, tables=plain, name="c.h5")
 

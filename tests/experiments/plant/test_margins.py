@@ -1,6 +1,5 @@
 """Margins against python-control."""
 
-import control
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +8,7 @@ from hypothesis import strategies as st
 from rigtool.control.plant_models import PlantModel
 from rigtool.control.position_loop import Loop, position_loop
 from rigtool.experiments.plant.margins import margins
+from tests.other_tools import control
 
 SAMPLE_TIME = 125e-6
 HALF_RATE = 0.499 / SAMPLE_TIME

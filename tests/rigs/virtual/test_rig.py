@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import control
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -14,6 +13,7 @@ from rigtool.recipe import load_recipe, parse_recipe
 from rigtool.rigs import Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.virtual.maps import MAP_SIZE, rotor_map
+from tests.other_tools import control
 
 RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 

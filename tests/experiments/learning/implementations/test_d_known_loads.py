@@ -17,18 +17,9 @@ from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.load_disturbance.stored import disturbance_from, rising_load
 from rigtool.recipe import load_recipe
 from rigtool.runfile import open_run
+from tests.experiments.learned_loads import KT, RIG, D, learned_loads
 from tests.experiments.virtual_runs import RECIPE, run
 
-KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
-D = (
-    "ilc_learn.implementation=D",
-    "ilc_learn.speeds_rev_per_s=[2]",
-    "ilc_learn.low_speeds_rev_per_s=[]",
-    "ilc_learn.moves=3",
-    "ilc_learn.loads.forces=[0.1, 0.7, 3]",
-    "ilc_learn.loads.speeds_rev_per_s=[1, 2]",
-    "ilc_learn.loads.cycles=12",
-)
 FORCE = (
     "measure_force.forces=[0.25, 2.5]",
     "measure_force.cycles=16",
@@ -44,18 +35,17 @@ def at(speed):
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
-    """Calibrate and learn a rig softer than the thesis's, with more load friction."""
+    """Learn the rig; return a function that measures forces with it."""
     folder = tmp_path_factory.mktemp("rig")
-    sets = ("virtual.instrument.stiffness=0.13", "virtual.instrument.load_friction=0.2")
-    tables = folder / "tables.h5"
-    learned = run(ILC_LEARN, RECIPE, tables, *sets, *D, kt=KT)
+    tables = learned_loads(tmp_path_factory, folder)
 
     def measured(*more, source=RECIPE, tables=tables, output="force.h5"):
-        own = (*sets, *FORCE) if source == RECIPE else ()
+        own = (*RIG, *FORCE) if source == RECIPE else ()
         return run(MEASURE_FORCE, source, folder / output, *own, *more, kt=KT, tables=tables)
 
-    measured.learned, measured.folder, measured.tables = learned, folder, tables
-    return measured
+    measured.folder, measured.tables = folder, tables
+    with open_run(tables) as measured.learned:
+        yield measured
 
 
 @pytest.fixture(scope="module")
@@ -104,13 +94,13 @@ def test_a_run_without_the_model_is_refused(rig):
 
 
 def test_loads_left_out_are_read(rig):
-    left_out = rig.learned.tables["left_out"]
+    left_out = rig.learned.table("left_out")
     assert left_out["error_percent"].shape == (2, 3)
     assert np.abs(left_out["error_percent"][:, 1]).max() < 3
 
 
 def test_the_grid_has_an_uncertainty_at_each_point_and_the_shape_of_friction(rig):
-    table = rig.learned.tables["disturbance"]
+    table = rig.learned.table("disturbance")
     assert table["torque"].shape == (4, 29, 13)
     assert (np.diff(table["speed"]) > 0).all()
     middle = table["torque"][:, 14, -1]

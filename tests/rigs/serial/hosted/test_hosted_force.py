@@ -97,7 +97,6 @@ def force_rig(world, name, period, rev_per_s, *more, **options):
     ("name", "period", "rev_per_s", "stiffness"),
     [
         ("toy", 0.01, 1.0, 0.2),  # steps of speed make 4 mN m while it turns around
-        ("odrive", 0.004, 2.0, 0.06),
         ("moteus", 0.01, 0.5, 0.06),
         ("maxon", 0.01, 1.0, 0.06),
         *thorough(
@@ -105,6 +104,7 @@ def force_rig(world, name, period, rev_per_s, *more, **options):
             ("toy", 0.01, 0.4, 0.06),
             ("toy", 0.004, 1.0, 0.06),
             ("odrive", 0.004, 1.0, 0.2),
+            ("odrive", 0.004, 2.0, 0.06),
             ("moteus", 0.004, 2.0, 0.06),
             ("maxon", 0.02, 0.5, 0.06),
         ),
