@@ -189,7 +189,7 @@ def weighted(motions: Sequence[SmoothedMotion]) -> tuple[Array, Array, Array]:
 
 
 def independent(motions: Sequence[SmoothedMotion], residual: Array) -> float:
-    """Return the number of independent samples that all residuals amount to."""
+    """Return the number of independent samples that all residuals (n,) amount to."""
     total, start = 0.0, 0
     for motion in motions:
         part = residual[start : start + len(motion.torque)]
