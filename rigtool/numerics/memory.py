@@ -1,4 +1,5 @@
-"""Memory that was freed, and that the C library keeps for what comes next."""
+"""Memory that was freed, and that the C library keeps for what comes next: malloc_trim(3) of glibc
+2.8 (2008) gives it back."""
 
 from __future__ import annotations
 

@@ -41,6 +41,27 @@ def long_run_covariance(design: Array, residual: Array, independent: float) -> t
     return covariance, lowest
 
 
+def kept_by_fit(design: Array, lowest: int) -> Array:
+    """Return the part (p,) of the moments' lowest coefficients that a fit leaves in residuals.
+
+    Under independent errors e, the residuals are M e, M = I - X (X'X)^-1 X', so that the power of a
+    coefficient w'e is that of M w: small where slow regressors of `design` (n, p) resemble each
+    other times a slow cosine. A covariance over the product of two roots of it is that without the
+    loss (the leverage correction of MacKinnon & White, J. Econometrics 29, 305-325, 1985).
+    """
+    count = len(design)
+    phase = np.pi * (np.arange(count) + 0.5) / count
+    basis = np.linalg.qr(design)[0]
+    left, all_of_it = np.zeros(design.shape[1]), np.zeros(design.shape[1])
+    for j in range(1, lowest + 1):
+        moment = design * np.cos(j * phase)[:, None]
+        power = np.sum(moment**2, axis=0)
+        left += power - np.sum((basis.T @ moment) ** 2, axis=0)
+        all_of_it += power
+    kept: Array = left / all_of_it
+    return kept
+
+
 def independent_samples(residual: Array, used: Mask, lag: int) -> float:
     """Return the number of independent samples equivalent to residuals (n,), where `used`.
 

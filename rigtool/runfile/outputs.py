@@ -46,13 +46,13 @@ def require_output(
         raise UsageError(f"{path}: {error.strerror}: choose another folder") from None
     if not known:
         raise UsageError(f"{path}: the folder {found.parent} does not exist: create it first")
-    if found.is_symlink():
-        raise UsageError(f"{path}: is a link that leads to itself: give another name")
     if len(os.fsencode(found.name)) > MAX_NAME:
         raise UsageError(
             f"{path}: its name has {len(os.fsencode(found.name))} bytes, at most {MAX_NAME} leave "
             "room for the .part of a run: choose a shorter one"
         )
+    if found.is_symlink():
+        raise UsageError(f"{path}: is a link that leads to itself: give another name")
     if found.is_dir():
         raise UsageError(f"{path}: is a folder: give the name of a file")
     if found.exists() and not found.is_file():

@@ -7,6 +7,7 @@ from scipy.signal import lfilter
 from rigtool.numerics.residual_covariance import (
     MIN_COEFFICIENTS,
     independent_samples,
+    kept_by_fit,
     long_run_covariance,
 )
 
@@ -82,3 +83,21 @@ def test_samples_that_are_left_out_are_worth_nothing():
     all_of_it = independent_samples(residual, np.ones(COUNT, dtype=bool), 10)
     assert independent_samples(residual, used, 10) == pytest.approx(all_of_it / 2, rel=0.2)
     assert independent_samples(residual, np.zeros(COUNT, dtype=bool), 10) == 0
+
+
+def test_what_a_fit_of_slow_regressors_takes_from_slow_residuals():
+    """The variance of slow regressors is too small without it, and right with it: n = 400, 15 %."""
+    random, count, lowest = np.random.default_rng(5), 600, 10
+    phase = 2 * np.pi * np.arange(count) / count
+    design = np.column_stack([np.cos(2 * phase), np.sin(3 * phase + 1), np.ones(count)])
+    basis, stated = np.linalg.qr(design)[0], []
+    for _ in range(400):
+        error = random.normal(size=count)
+        residual = error - basis @ (basis.T @ error)
+        covariance, dof = long_run_covariance(design, residual, lowest**1.5 + 0.1)
+        stated.append(np.diag(covariance))
+        assert dof == lowest
+    truth = np.diag(np.linalg.inv(design.T @ design))
+    lost = np.mean(stated, axis=0) / truth
+    assert np.min(lost) < 0.85
+    np.testing.assert_allclose(lost / kept_by_fit(design, lowest), 1, atol=0.15)

@@ -9,10 +9,8 @@ ripple, load). The offset is the mean torque over the positions that were visite
 turn, it includes a mean of the ripple. Viscous friction is fv + fd in the positive direction and
 fv - fd in the negative one; fd is part of the model where it is significant.
 
-The effort may be recorded later than the position, or earlier where the position is filtered:
-torque(t + d) = model(t), so torque = model - d dmodel/dt to first order. The delay d is found by
-Gauss-Newton, and is part of the model where the residuals ask for it; where they do not, what it
-would change is part of the uncertainties.
+A delay between effort and position is part of the model where the residuals ask for it, and of the
+uncertainties where they do not (`effort_delay`).
 
 How much is left out around standstill is chosen by the residuals: samples at lower speeds are used
 as long as the model fits them as well as the others. What the choice changes is part of the
@@ -31,27 +29,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction.model_doubt import TIME_PARTS, curvature, own_part, structure
-from rigtool.experiments.friction.motion_terms import NEAR_STANDSTILL, SmoothedMotion
+from rigtool.experiments.friction.effort_delay import SIGNIFICANT, on_time
+from rigtool.experiments.friction.model_doubt import (
+    TIME_PARTS,
+    curvature,
+    long_ripple,
+    own_part,
+    structure,
+)
+from rigtool.experiments.friction.motion_terms import (
+    DELAY,
+    DYNAMICS_PARAMETERS,
+    NEAR_STANDSTILL,
+    SPLIT,
+    SmoothedMotion,
+    independent,
+    weighted,
+)
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
-from rigtool.numerics.smoothing import CUTOFF
-
-DYNAMICS_PARAMETERS = ("inertia", "viscous", "coulomb", "offset", "viscous_difference", "delay")
-
-SPLIT, DELAY = DYNAMICS_PARAMETERS.index("viscous_difference"), DYNAMICS_PARAMETERS.index("delay")
-
-DELAY_STEPS = 5
-"""Gauss-Newton steps for the delay."""
-
-SAME_AS_OTHERS = 1e-6
-"""Part of a regressor's power that rounding may leave unexplained by the others."""
-
-DELAY_POWER = 0.1
-"""Smallest part of the residuals' power that a delay in the model explains."""
-
-SIGNIFICANT = 3.0
-"""Multiple of its uncertainty from which on the viscous friction differs by direction."""
+from rigtool.numerics.residual_covariance import long_run_covariance
 
 AS_WELL, ON_ONE_SIDE = 3.0, 2.0
 """Standard deviations by which chance raises the power of residuals near standstill, and moves
@@ -149,75 +145,19 @@ def identify_dynamics(motions: Sequence[SmoothedMotion]) -> Dynamics:
     _require_friction(np.concatenate([motion.design[motion.used] for motion in motions]))
     without = _resolves_inertia(motions)[1]
     plain = [1, 2, 3] if without else [0, 1, 2, 3]
-    motions, delay, change = _on_time(motions, [*plain, SPLIT])
+    motions, delay, change = on_time(motions, [*plain, SPLIT])
     late = [DELAY] if delay else []
     split = [*plain, SPLIT, *late]
     motions, standstill = _with_all_that_fits(motions, split)
     found = _fit(motions, split, standstill, without)
     difference, u = found.estimate("viscous_difference")
-    own = own_part(_weighted(motions)[0][:, [*plain, SPLIT]], len(plain))
+    own = own_part(weighted(motions)[0][:, [*plain, SPLIT]], len(plain))
     if abs(difference) < SIGNIFICANT * u or own < MIN_OWN_POWER:
         found = _fit(motions, [*plain, *late], standstill, without)
     found.parameters[DELAY] += delay
     found.covariance[range(DELAY), range(DELAY)] += change**2
     _require_model(found)
     return found
-
-
-def _on_time(
-    motions: Sequence[SmoothedMotion], chosen: list[int]
-) -> tuple[Sequence[SmoothedMotion], float, Array]:
-    """Return the motions with efforts moved by the delay d, d in s, and its uncertainty (5,).
-
-    Their designs have a column for what is left of d. Where the residuals do not ask for a delay,
-    d is 0, and the uncertainty of the parameters is stated: what d changes where it shows, else the
-    half width of a rectangular distribution, as far as a delay of one sample is likely.
-    """
-    design, torque, _ = _weighted(motions)
-    before = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
-    power = float(np.sum((torque - design[:, chosen] @ before) ** 2))
-    here, delay = motions, 0.0
-    solution: Array = np.asarray(before, np.float64)
-    for _ in range(DELAY_STEPS):
-        here = [_moved(motion, delay, chosen, solution) for motion in motions]
-        design, torque, _ = _weighted(here)
-        found = np.linalg.lstsq(design[:, [*chosen, DELAY]], torque, rcond=None)[0]
-        solution, delay = np.asarray(found[:-1], np.float64), delay + float(found[-1])
-    residual = torque - design[:, [*chosen, DELAY]] @ found
-    columns = design[:, [*chosen, DELAY]]
-    none = np.zeros(DELAY)
-    if own_part(columns, len(chosen)) < SAME_AS_OTHERS:
-        return motions, 0.0, none
-    covariance, _ = long_run_covariance(columns, residual, _independent(here, residual))
-    explained = 1 - float(np.sum(residual**2)) / max(power, 1e-300)
-    square = float(covariance[-1, -1])
-    shown = delay**2 > SIGNIFICANT**2 * square
-    if shown and explained > DELAY_POWER:
-        return here, delay, none
-    usual = max(motion.spacing / motion.every for motion in motions)
-    likely = 1.0 if shown else usual**2 / (usual**2 + square) / math.sqrt(3)
-    none[chosen] = (solution - before) * likely
-    return motions, 0.0, none
-
-
-def _moved(
-    motion: SmoothedMotion, delay: float, chosen: list[int], solution: Array
-) -> SmoothedMotion:
-    """Return a motion with its effort moved by a delay, s, and -dmodel/dt in its design."""
-    rows = np.arange(len(motion.torque)) * motion.spacing
-    slope = -np.gradient(motion.design[:, chosen] @ solution, motion.spacing)
-    return replace(
-        motion,
-        torque=np.interp(rows + delay, rows, motion.torque),
-        design=np.column_stack([motion.design[:, :DELAY], slope]),
-    )
-
-
-def _weighted(motions: Sequence[SmoothedMotion]) -> tuple[Array, Array, Array]:
-    """Return design (n, 5 or 6), torque (n,), weight (n,); each second has the same weight."""
-    weight = np.concatenate([m.used * m.spacing**0.5 for m in motions])
-    design = np.concatenate([motion.design for motion in motions]) * weight[:, None]
-    return design, np.concatenate([motion.torque for motion in motions]) * weight, weight
 
 
 def _with_all_that_fits(
@@ -232,15 +172,15 @@ def _with_all_that_fits(
     standstill = NEAR_STANDSTILL[0]
     for number, part in enumerate(NEAR_STANDSTILL[1:], start=1):
         more = [replace(motion, used=motion.sliding[number]) for motion in motions]
-        design, torque, weight = _weighted(here)
+        design, torque, weight = weighted(here)
         solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
-        _, _, wider = _weighted(more)
+        _, _, wider = weighted(more)
         rows = np.concatenate([motion.design for motion in motions])[:, chosen]
         left = np.concatenate([motion.torque for motion in motions]) - rows @ solution
         new = (wider > 0) & (weight == 0)
         along = (left * np.sign(_speed(motions)))[new]
         others = float(np.mean(left[weight > 0] ** 2))
-        alike = _independent(here, torque - design[:, chosen] @ solution)
+        alike = independent(here, torque - design[:, chosen] @ solution)
         count = max(alike * np.count_nonzero(new) / np.count_nonzero(weight), 1.0)
         if new.any() and (
             float(np.mean(along**2)) > others * (1 + AS_WELL * math.sqrt(2 / count))
@@ -255,11 +195,11 @@ def _fit(
     motions: Sequence[SmoothedMotion], chosen: list[int], standstill: float, without: str | None
 ) -> Dynamics:
     """Fit the chosen parameters to the samples in use."""
-    design, torque, weight = _weighted(motions)
+    design, torque, weight = weighted(motions)
     solution = np.asarray(np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0], np.float64)
     residual = torque - design[:, chosen] @ solution
     covariance, dof = long_run_covariance(
-        design[:, chosen], residual, _independent(motions, residual)
+        design[:, chosen], residual, independent(motions, residual)
     )
     doubt, by_speed, by_position = _doubt(motions, design[:, chosen], residual, weight)
     doubt = np.hypot(doubt, _choice(motions, chosen, solution))
@@ -297,7 +237,7 @@ def _choice(motions: Sequence[SmoothedMotion], chosen: list[int], solution: Arra
     change = np.zeros(len(chosen))
     for number in range(len(NEAR_STANDSTILL)):
         other = [replace(m, used=m.used & m.sliding[number]) for m in motions]
-        design, torque, _ = _weighted(other)
+        design, torque, _ = weighted(other)
         found = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
         change = np.maximum(change, np.abs(found - solution))
     return change / math.sqrt(3)
@@ -314,9 +254,11 @@ def _doubt(
     speed, position = _speed(motions), _centred(motions)
     by_speed, _ = structure(speed[used], residual[used], design[used], times[used])
     by_position, doubt = structure(position[used], residual[used], design[used], times[used])
-    coulomb = _weighted(motions)[0][:, DYNAMICS_PARAMETERS.index("coulomb")]
-    bent = curvature(speed, coulomb, residual, design, _independent(motions, residual))
-    return np.hypot(doubt, bent), by_speed, by_position
+    coulomb = weighted(motions)[0][:, DYNAMICS_PARAMETERS.index("coulomb")]
+    count = independent(motions, residual)
+    bent = curvature(speed, coulomb, residual, design, count)
+    long = long_ripple(position, weight, residual, design, count)
+    return np.sqrt(doubt**2 + bent**2 + long**2), by_speed, by_position
 
 
 def _require_friction(design: Array) -> None:
@@ -339,7 +281,7 @@ def _require_friction(design: Array) -> None:
 
 def _resolves_inertia(motions: Sequence[SmoothedMotion]) -> tuple[float, str | None]:
     """Return the part of noise in the acceleration's power, and why inertia is not resolved."""
-    design = _weighted(motions)[0][:, :4]
+    design = weighted(motions)[0][:, :4]
     power = float(np.sum(design[:, 0] ** 2))
     noise = sum(np.sum(m.used) * m.spacing * m.noise[1] ** 2 for m in motions)
     share = float(noise / power) if power > 0 else math.inf
@@ -374,18 +316,6 @@ def _require_model(found: Dynamics) -> None:
 
 
 # -- residuals
-
-
-def _independent(motions: Sequence[SmoothedMotion], residual: Array) -> float:
-    """Return the number of independent samples that all residuals amount to."""
-    total, start = 0.0, 0
-    for motion in motions:
-        part = residual[start : start + len(motion.torque)]
-        start += len(motion.torque)
-        # At two standard deviations of the kernel the smoothing itself hardly correlates any more.
-        lag = max(1, round(2 * CUTOFF / motion.cutoff / motion.spacing))
-        total += independent_samples(part, motion.used, lag)
-    return total
 
 
 def _times(motions: Sequence[SmoothedMotion]) -> NDArray[np.intp]:

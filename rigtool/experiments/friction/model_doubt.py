@@ -13,13 +13,15 @@ are means over ranges of the quantity. A function of the quantity is what residu
 have in common at different times; a mean over a range that is due to chance does not agree with the
 mean at other times, however the residuals are correlated in time.
 
-The deviation of friction from a straight line over speed has a known shape (Stribeck), so a model
-with that term shows by how much the parameters would change (`curvature`).
+The deviation of friction from a straight line over speed has a known shape (Stribeck), and so has a
+ripple about as long as the stroke, which is no pattern yet. A model with such a term shows by how
+much the parameters would change (`curvature`, `long_ripple`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +37,9 @@ TIME_PARTS = 10
 
 STRIBECK_VELOCITIES = np.geomspace(0.05, 0.5, 12)
 """Stribeck velocities to try, relative to the highest speed."""
+
+RIPPLES_A_STROKE = np.geomspace(0.5, 8, 12)
+"""Periods of ripple within the range of positions to try."""
 
 CHANCE_LEVEL = 2.0
 """Standard uncertainties by which the best of these terms differs from zero by chance."""
@@ -112,22 +117,52 @@ def curvature(
 ) -> Array:
     """Return the uncertainty (p,) from friction that is no straight line over speed.
 
-    The change of each parameter if the model had the best-fitting Stribeck term
-    sign(v) exp(-(v/vs)^2), as far as the term exceeds chance. `speed` (n,), `coulomb` (n,) the
+    That of the best-fitting Stribeck term sign(v) exp(-(v/vs)^2). `speed` (n,), `coulomb` (n,) the
     regressor of sign(v) in the weighted rows of `design` (n, p) and of `residual` (n,), which
     amount to `independent` samples.
     """
-    best, change, u = 0.0, np.zeros(design.shape[1]), 1.0
-    for velocity in STRIBECK_VELOCITIES * float(np.max(np.abs(speed[coulomb != 0]))):
-        bump = coulomb * np.exp(-((speed / velocity) ** 2))
-        alike = np.linalg.lstsq(design, bump, rcond=None)[0]
-        rest = bump - design @ alike
-        power = float(np.sum(rest**2))
-        explained = float(rest @ residual) ** 2 / max(power, 1e-300)
-        if explained > best and power > 1e-6 * float(np.sum(bump**2)):
-            best, height = explained, float(rest @ residual) / power
-            left = residual - height * rest
-            scatter, _ = long_run_covariance(np.column_stack([design, bump]), left, independent)
-            change, u = height * alike, math.sqrt(scatter[-1, -1]) / abs(height)
-    doubt: Array = np.abs(change) * math.sqrt(max(0.0, 1 - (CHANCE_LEVEL * u) ** 2))
+    velocities = STRIBECK_VELOCITIES * float(np.max(np.abs(speed[coulomb != 0])))
+    terms = [(coulomb * np.exp(-((speed / v) ** 2)))[:, None] for v in velocities]
+    return _unmodelled(terms, residual, design, independent)
+
+
+def long_ripple(
+    position: Array, weight: Array, residual: Array, design: Array, independent: float
+) -> Array:
+    """Return the uncertainty (p,) from ripple about as long as the stroke.
+
+    Most of such a ripple looks like an offset and, in a motion at one frequency, like inertia; what
+    is left shows how strong it is. `position` (n,), `weight` (n,) of the rows of `design` (n, p)
+    and of `residual` (n,), which amount to `independent` samples.
+    """
+    turns = 2 * np.pi * (position - position[weight > 0].mean()) / np.ptp(position[weight > 0])
+    terms = [
+        np.column_stack([np.cos(n * turns), np.sin(n * turns)]) * weight[:, None]
+        for n in RIPPLES_A_STROKE
+    ]
+    return _unmodelled(terms, residual, design, independent)
+
+
+def _unmodelled(
+    terms: Sequence[Array], residual: Array, design: Array, independent: float
+) -> Array:
+    """Return the change of each parameter (p,) if the model had the term that fits best, as far as
+    the term exceeds chance.
+
+    A term (n, k) has k columns.
+    """
+    best, change, chance = 0.0, np.zeros(design.shape[1]), 1.0
+    for term in terms:
+        alike = np.linalg.lstsq(design, term, rcond=None)[0]
+        rest = term - design @ alike
+        height = np.linalg.lstsq(rest, residual, rcond=None)[0]
+        explained = float(np.sum((rest @ height) ** 2))
+        if explained > best and np.all(np.sum(rest**2, 0) > 1e-6 * np.sum(term**2, 0)):
+            best, change = explained, alike @ height
+            left = residual - rest @ height
+            scatter, _ = long_run_covariance(np.column_stack([design, term]), left, independent)
+            k = len(height)
+            square = float(height @ np.linalg.solve(scatter[-k:, -k:], height))
+            chance = CHANCE_LEVEL**2 * k / max(square, 1e-300)
+    doubt: Array = np.abs(change) * math.sqrt(max(0.0, 1 - chance))
     return doubt

@@ -10,6 +10,7 @@ smoothed samples with too much weight there are left out.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_signals
+from rigtool.numerics.residual_covariance import independent_samples
 from rigtool.numerics.smoothing import (
     CUTOFF,
     KernelSmoother,
@@ -25,6 +27,10 @@ from rigtool.numerics.smoothing import (
     position_noise,
     resample,
 )
+
+DYNAMICS_PARAMETERS = ("inertia", "viscous", "coulomb", "offset", "viscous_difference", "delay")
+
+SPLIT, DELAY = DYNAMICS_PARAMETERS.index("viscous_difference"), DYNAMICS_PARAMETERS.index("delay")
 
 NARROWEST = 2.0
 """Smallest standard deviation of the kernel, in samples."""
@@ -173,3 +179,22 @@ def _highest_frequency(signal: Array, spacing: float) -> float:
     total = np.cumsum(power)
     first = int(np.searchsorted(total, MOTION * total[-1]))
     return max(first, 1) / (len(signal) * spacing)
+
+
+def weighted(motions: Sequence[SmoothedMotion]) -> tuple[Array, Array, Array]:
+    """Return design (n, 5 or 6), torque (n,), weight (n,); each second has the same weight."""
+    weight = np.concatenate([m.used * m.spacing**0.5 for m in motions])
+    design = np.concatenate([motion.design for motion in motions]) * weight[:, None]
+    return design, np.concatenate([motion.torque for motion in motions]) * weight, weight
+
+
+def independent(motions: Sequence[SmoothedMotion], residual: Array) -> float:
+    """Return the number of independent samples that all residuals (n,) amount to."""
+    total, start = 0.0, 0
+    for motion in motions:
+        part = residual[start : start + len(motion.torque)]
+        start += len(motion.torque)
+        # At two standard deviations of the kernel the smoothing itself hardly correlates any more.
+        lag = max(1, round(2 * CUTOFF / motion.cutoff / motion.spacing))
+        total += independent_samples(part, motion.used, lag)
+    return total

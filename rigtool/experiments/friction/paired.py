@@ -31,7 +31,11 @@ from rigtool.experiments.friction.model_doubt import TIME_PARTS, own_part, struc
 from rigtool.experiments.friction.motion_terms import MIN_SAMPLES, SLIDING, band_limit
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_signals
-from rigtool.numerics.residual_covariance import independent_samples, long_run_covariance
+from rigtool.numerics.residual_covariance import (
+    independent_samples,
+    kept_by_fit,
+    long_run_covariance,
+)
 from rigtool.numerics.smoothing import CUTOFF, KernelSmoother, resample
 
 TERMS = ("inertia", "viscous", "coulomb", "offset", "gravity_cosine", "gravity_sine")
@@ -203,7 +207,11 @@ def _change(
     residual = np.where(used, difference - design @ parameters, 0.0)
     independent = independent_samples(residual, used, lag)
     covariance, dof = long_run_covariance(design, residual, independent)
-    fitted_noise = float(np.sum(covariance * (design.T @ design)))
+    # A motion is slow, and so are its terms: the fit takes a good part of the slow residuals.
+    loss = np.sqrt(kept_by_fit(design, dof))
+    gram = design.T @ design
+    covariance = _scaled(covariance, gram, loss)
+    fitted_noise = float(np.sum(covariance * gram))
     doubt = _doubt(position, other.design[:, TERMS.index("viscous")], residual, design, used)
     covariance = covariance + np.diag(doubt**2)
     return Change(
@@ -222,6 +230,14 @@ def _change(
         fitted_noise,
         other.design.shape[1] == len(TERMS),
     )
+
+
+def _scaled(covariance: Array, gram: Array, loss: Array) -> Array:
+    """Return a covariance (p, p) of which the moments lost a part: `gram` is X'X (p, p)."""
+    inverse = np.linalg.inv(gram)
+    spread = gram @ covariance @ gram / np.outer(loss, loss)
+    scaled: Array = inverse @ spread @ inverse
+    return scaled
 
 
 def _doubt(position: Array, speed: Array, residual: Array, design: Array, used: Mask) -> Array:

@@ -90,7 +90,12 @@ def test_the_sensor_of_a_run_reads_what_python_reads(tables, kt, tmp_path):
     remarks = export(tables, tmp_path / "sensor.h", kt)
     assert any("every 0.000125 s" in remark for remark in remarks)
     text = (tmp_path / "sensor.h").read_text()
-    for part in (tables.content_sha256, kt.content_sha256, "briaire-2006", "Low-pass at 10 Hz"):
+    for part in (
+        tables.content_sha256,
+        kt.content_sha256,
+        "briaire-2006",
+        "up to 10 Hz: low-pass at 30 Hz",
+    ):
         assert part in text.partition("*/")[0]
     time = np.arange(round(1.5 / INTERVAL)) * INTERVAL
     samples = moved(0.4 - 0.3 * np.cos(4 * time), np.where(time > 0.8, 0.02, 0.0))

@@ -132,7 +132,10 @@ def test_uncertainties_cover_what_is_beside_the_model(beside):
 
 
 def test_uncertainties_are_not_larger_than_the_scatter_asks_for():
-    """With nothing but noise beside the model, whatever its memory."""
+    """With nothing but noise beside the model, whatever its memory.
+
+    Half a sample of delay is part of the inertia's, and does not scatter: up to 1.5.
+    """
     values, claimed = [], []
     for seed in range(60):
         random = np.random.default_rng([seed, 8])
@@ -141,7 +144,7 @@ def test_uncertainties_are_not_larger_than_the_scatter_asks_for():
         values.append(found.parameters[:4])
         claimed.append(np.diag(found.covariance)[:4])
     ratio = np.sqrt(np.median(claimed, axis=0)) / np.std(values, axis=0)
-    assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio
+    assert np.all((ratio > 0.7) & (ratio < 1.5)), ratio
 
 
 def test_what_is_beside_the_model_is_told():
@@ -239,3 +242,25 @@ def test_an_effort_that_is_late_or_early(late):
     assert abs(delay - late) < max(3 * u, 1e-4)
     expected = [INERTIA, VISCOUS, COULOMB, OFFSET]
     np.testing.assert_allclose(found.parameters[:4], expected, rtol=0.02, atol=0)
+
+
+def test_one_frequency_does_not_hide_a_delay_or_a_long_ripple():
+    """Behind one sine, both look like inertia; its uncertainty allows for them."""
+    time, position, plain = moving(frequencies=(0.7,))
+    random = np.random.default_rng(3)
+    late = np.interp(time - 0.01, time, plain + random.normal(0, 1e-3, len(time)))
+    long = plain + 3e-4 * np.sin(position * np.pi / 5 + 1) + random.normal(0, 1e-4, len(time))
+    for torque in (late, long):
+        inertia, u = fit((time, position, torque)).estimate("inertia")
+        assert abs(inertia - INERTIA) > 0.02 * INERTIA
+        assert abs(inertia - INERTIA) < 2 * u < INERTIA
+
+
+def test_a_filter_of_first_order_is_no_delay():
+    """A speed behind such a filter makes inertia too large, which the residuals show in part."""
+    decay, (time, position, torque) = np.exp(-STEP / 0.015), moving(frequencies=(0.5, 1.3, 3.1))
+    torque = torque + np.random.default_rng(1).normal(0, 1e-4, len(time))
+    found = fit((time, lfilter([1 - decay], [1, -decay], position), torque))
+    inertia, u = found.estimate("inertia")
+    assert found.is_late
+    assert 0.02 * INERTIA < abs(inertia - INERTIA) < 2 * u < 0.4 * INERTIA

@@ -179,6 +179,20 @@ def test_noise_of_the_known_change_does_not_enlarge_the_ratio():
     assert value == pytest.approx(2, rel=0.05)
 
 
+def test_noise_that_the_fit_takes_for_a_change_does_not_move_the_ratio():
+    """Three runs of the same noise, all of it fitted: a quarter of the known change's power is each
+    run's noise, and that of the first run is in both changes."""
+    (known,) = changes(arm(0.0, 1), [arm(0.1, 2)])
+    random, count = np.random.default_rng(6), len(known.model)
+    size = np.sqrt(np.mean(known.model[known.used] ** 2))
+    first, second, third = random.normal(0, size / 2, (3, count))
+    x, y = known.model + second - first, 2 * known.model + third - first
+    noise = np.count_nonzero(known.used) * size**2 / 2
+    known = replace(known, difference=x, model=x, fitted_noise=noise, independent=1e4)
+    value, _, _ = ratio(replace(known, difference=y), known)
+    assert value == pytest.approx(2, rel=0.05)
+
+
 def held(speed, torque, u):
     """Return the table of a curve of constant speeds."""
     columns = {"speed": Column(speed, "rad/s"), "torque": Column(torque, "N m")}
@@ -189,7 +203,7 @@ def held(speed, torque, u):
 def stored(table):
     """Return what the comparison reads of a stored run."""
     run = SimpleNamespace(path="b.h5", tables={HOLDS: table}, require_command=str)
-    run.table = run.tables.__getitem__
+    run.table = lambda name, *axes, **units: run.tables[name]
     return run
 
 

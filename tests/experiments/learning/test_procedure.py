@@ -273,7 +273,7 @@ def test_tables_of_one_direction_are_refused(learned):
             results=tables.results,
             tables=tables.tables,
             require_command=tables.require_command,
-            table=lambda name: half.get(name) or tables.table(name),
+            table=lambda name, *_, **__: half.get(name) or tables.table(name),
         )
         with pytest.raises(RunFileError, match="nothing for the negative direction"):
             require_same_rig(stand_in, recipe)
@@ -295,7 +295,7 @@ def test_a_broken_table_is_refused(learned):
             results=tables.results,
             tables=tables.tables,
             require_command=tables.require_command,
-            table=lambda name: broken.get(name) or tables.table(name),
+            table=lambda name, *_, **__: broken.get(name) or tables.table(name),
         )
         with pytest.raises(RunFileError, match="must rise"):
             lookup_table_from(stand_in)

@@ -59,34 +59,34 @@ def assert_alike(got, expected, task=None):
     if task is not None and isinstance(task.motion, CurrentSteps):
         left_out.add("position_setpoint")
     for name in set(got) - left_out:
+        # Set points begin where a piece begins, which differs by rounding: a last digit of float32
+        bound = 2e-7 if name.endswith("setpoint") else 0
         values = as_stored(expected)[name]
-        np.testing.assert_array_equal(as_stored(got)[name], values, err_msg=name)
+        np.testing.assert_allclose(as_stored(got)[name], values, rtol=bound, err_msg=name)
 
 
-EXACT = (
+PROFILES = (
     Task(SpeedProfile((0.0, 0.1, 0.4, 0.5), (0.0, 3.0, 3.0, 0.0)), Feedforward(1.5e-5)),
     Task(
         SpeedProfile((0.0, 0.2, 0.4, 0.7), (0.0, 4.0, -4.0, 0.0)),
         Feedforward(1.5e-5, 0.0, 5e-5, TABLE, SIGNAL),
     ),
 )
-ROUNDED = (
+STROKES = (
     Task(Triangle(0.1, 1.1, 6.0, 0.2, cycles=1), Feedforward(1.5e-5, 2e-3, 5e-5)),
     Task(CurrentSteps((0.0, 0.3, -0.3), 0.05)),
 )
-"""Sine and hyperbolic tangent are numpy's here, and the C library's there."""
 
 
 @pytest.mark.parametrize("log", ["memory", "stream"])
 def test_signals_are_those_of_the_virtual_rig(log):
     device, direct = Firmware(virtual()), open_rig(virtual(), KT, "test")
     with serve(device) as server, target_rig(server.port, f"serial.log={log}") as rig:
-        for tasks, difference in ((EXACT, 0.0), (ROUNDED, 1e-12)):
-            for task in tasks:
-                for each in (direct, rig):
-                    each.move_by(0.2)
-                assert_alike(blocks_of(rig, task), blocks_of(direct, task), task)
-            assert device.difference <= difference
+        for task in (*PROFILES, *STROKES):
+            for each in (direct, rig):
+                each.move_by(0.2)
+            assert_alike(blocks_of(rig, task), blocks_of(direct, task), task)
+        assert device.difference < 1e-11
         facts = json.loads(rig.report())
     assert facts["retries"] == facts["missing_samples"] == 0
     assert server.error is None
@@ -97,12 +97,12 @@ def test_floats_ask_for_the_same_currents_within_their_precision(tmp_path, monke
     monkeypatch.setattr(Bare, "c", floats)
     device = Firmware(virtual())
     with serve(device) as server, target_rig(server.port) as rig:
-        largest = max(np.abs(blocks_of(rig, task)["current_setpoint"]).max() for task in EXACT)
+        largest = max(np.abs(blocks_of(rig, task)["current_setpoint"]).max() for task in PROFILES)
     assert 0.0 < device.difference < 1e-3 * largest
 
 
 def test_samples_are_means():
-    task = replace(EXACT[1], record_every=5)
+    task = replace(PROFILES[1], record_every=5)
     device, direct = Firmware(virtual()), open_rig(virtual(), KT, "test")
     with serve(device) as server, target_rig(server.port) as rig:
         got, expected = blocks_of(rig, task), blocks_of(direct, task)
