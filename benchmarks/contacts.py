@@ -24,7 +24,7 @@ from oracle import CONTACTS, RIGS, STEP, Recorded, plant_of, record, signals_of,
 
 from rigtool.experiments.force_filter.estimate import Filter
 from rigtool.experiments.force_model.contacts import SETTLING, Contact, contacts, trial
-from rigtool.experiments.force_sensor.sensor import Instrument, Sensor
+from rigtool.experiments.force_sensor.sensor import Sensor, SensorProperties
 from rigtool.recipe.virtual import Pulse
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class Count:
     false: int
 
 
-def found_by_sensor(recorded: Recorded, instrument: Instrument) -> list[Contact]:
+def found_by_sensor(recorded: Recorded, instrument: SensorProperties) -> list[Contact]:
     """Return the contacts that the sensor finds, in steps."""
     sensor, untouched = Sensor(instrument), instrument.filter(instrument.model.untouched)
     samples, parts = samples_of(recorded), []
@@ -68,7 +68,7 @@ def found_by_sensor(recorded: Recorded, instrument: Instrument) -> list[Contact]
     return contacts(tested, instrument.model.limits)
 
 
-def found_by_oracle(recorded: Recorded, instrument: Instrument) -> list[Contact]:
+def found_by_oracle(recorded: Recorded, instrument: SensorProperties) -> list[Contact]:
     """Return the contacts that the same tests find in the oracle's torque, in steps."""
     states = Sensor(instrument).add(samples_of(recorded), last=True).states
     u, plant = uncertainty_of(recorded.recipe), plant_of(recorded.recipe)

@@ -48,8 +48,8 @@ from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
 from rigtool.experiments.force_sensor.procedure_reading import Stretch
-from rigtool.experiments.force_sensor.results_over_time import Reading
-from rigtool.experiments.force_sensor.sensor import Instrument
+from rigtool.experiments.force_sensor.results_over_time import TorqueRows
+from rigtool.experiments.force_sensor.sensor import SensorProperties
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -120,12 +120,12 @@ def instrument_of(
     reach: Reach,
     torque_constant: tuple[float, float],
     band: float = 10.0,
-) -> Instrument:
+) -> SensorProperties:
     """Return the sensor as `measure-force` makes it, for a bandwidth, Hz."""
     rig = recorded.recipe.rig
     count = 2 * math.pi / rig.encoder_counts
     motion = ForceMotion(bandwidth_hz=band)
-    return Instrument(
+    return SensorProperties(
         model,
         reach,
         rig.sample_time,
@@ -167,7 +167,7 @@ def learned_scores(
     return found
 
 
-def read(instrument: Instrument, recorded: Recorded) -> Reading:
+def read(instrument: SensorProperties, recorded: Recorded) -> TorqueRows:
     """Return the torque over a recording, as `measure-force` reads it."""
     samples = np.vstack([samples_of(recorded), recorded.channels["reference_torque"]])
     piece = PIECE * STEP

@@ -38,7 +38,7 @@ def plugins(group: str, taken: frozenset[str] = frozenset()) -> dict[str, EntryP
     return found
 
 
-def load(entry: EntryPoint, kind: type[Plugin]) -> Plugin:
+def load_entry_point(entry: EntryPoint, kind: type[Plugin]) -> Plugin:
     """Import the object that an entry point names; `RigtoolError` where it is not of its kind."""
     try:
         plugin = entry.load()
@@ -63,7 +63,7 @@ def load_all(
     found = {}
     for name, entry in plugins(group, taken).items():
         try:
-            found[name] = load(entry, kind)
+            found[name] = load_entry_point(entry, kind)
         except RigtoolError as error:
             warn(str(error))
     return found

@@ -154,4 +154,4 @@ def test_what_a_package_raises_at_import_becomes_one_message(install):
     (site / "acme_quits.py").write_text("import sys\nsys.exit('two\\nlines')\n")
     (entry,) = plugins.plugins("rigtool.importers").values()
     with pytest.raises(RigtoolError, match=r"^importer quits of acme-rig .*SystemExit: two lines"):
-        plugins.load(entry, object)
+        plugins.load_entry_point(entry, object)

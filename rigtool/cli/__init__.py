@@ -87,9 +87,9 @@ class LazyGroup(click.Group):
         added = _added()
         if cmd_name not in added:
             return None
-        from rigtool.plugins import load
+        from rigtool.plugins import load_entry_point
 
-        return load(added[cmd_name], click.Command)
+        return load_entry_point(added[cmd_name], click.Command)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -50,14 +50,14 @@ def place(recording: Recording) -> str:
     return f"{recording.path}{part}"
 
 
-def known(recording: Recording, name: str) -> float | None:
+def rig_property(recording: Recording, name: str) -> float | None:
     """Return a property of the rig, None where it is unknown."""
     return recording.condition(name) if name in recording.conditions else None
 
 
 def is_linear(recording: Recording) -> bool:
     """Return whether the axis is linear: m and N."""
-    return known(recording, "linear_axis") == 1.0
+    return rig_property(recording, "linear_axis") == 1.0
 
 
 def position_of(recording: Recording) -> Array:
@@ -69,7 +69,7 @@ def position_of(recording: Recording) -> Array:
     """
     if recording.has("position"):
         return recording.read("position")
-    counts = known(recording, "encoder_counts")
+    counts = rig_property(recording, "encoder_counts")
     if recording.has("encoder") and counts is not None:
         turn = 1.0 if is_linear(recording) else 2 * math.pi
         return recording.read("encoder") * (turn / counts)
@@ -77,7 +77,7 @@ def position_of(recording: Recording) -> Array:
         time, speed = recording.read("time"), recording.read("speed")
         steps = np.diff(time) * (speed[1:] + speed[:-1]) / 2
         return np.concatenate([[0.0], np.cumsum(steps)])
-    if (stated := known(recording, CONSTANT_SPEED)) is not None:
+    if (stated := rig_property(recording, CONSTANT_SPEED)) is not None:
         time = recording.read("time")
         return stated * (time - time[0])
     raise RunFileError(
@@ -89,18 +89,18 @@ def position_of(recording: Recording) -> Array:
 
 def moves(recording: Recording) -> bool:
     """Return whether the motion was measured, not stated."""
-    counted = recording.has("encoder") and known(recording, "encoder_counts") is not None
+    counted = recording.has("encoder") and rig_property(recording, "encoder_counts") is not None
     return recording.has("position") or recording.has("speed") or counted
 
 
 def require_one_rig(recordings: Sequence[Recording]) -> None:
     """Raise `UsageError` where the known properties of the rig differ between recordings."""
-    first = {name: known(recordings[0], name) for name in RIG}
+    first = {name: rig_property(recordings[0], name) for name in RIG}
     for recording in recordings:
         for name, value in first.items():
-            if known(recording, name) != value:
+            if rig_property(recording, name) != value:
                 raise UsageError(
-                    f"{place(recording)} has {name} {known(recording, name)}, "
+                    f"{place(recording)} has {name} {rig_property(recording, name)}, "
                     f"{place(recordings[0])} has {value}: give runs of one rig, imported with one "
                     "mapping"
                 )

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.imported import is_linear, known
+from rigtool.experiments.imported import is_linear, rig_property
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import (
     CURRENT_READING,
@@ -221,10 +221,10 @@ def effort_of(recording: Recording, kt: Run | None) -> Effort:
         origin = "torque relative to the rated one, which the mapping does not state (rated_torque)"
         return Effort(recording.read("relative_torque"), "1", "relative_torque", 0.0, origin)
     current = recording.read(_current_name(recording))
-    constant = known(recording, "torque_constant")
+    constant = rig_property(recording, "torque_constant")
     if constant is None or is_linear(recording):
         return Effort(current, "A", "current", 0.0, "current as in the file")
-    u = known(recording, "torque_constant_u")
+    u = rig_property(recording, "torque_constant_u")
     return Effort(
         current * constant,
         "N m",

@@ -22,7 +22,7 @@ from rigtool.recipe.commands import (
     Stribeck,
     Suspension,
 )
-from rigtool.recipe.mistakes import described
+from rigtool.recipe.mistakes import described_mistakes
 from rigtool.recipe.rig import RigDescription
 from rigtool.recipe.serial import Serial
 from rigtool.recipe.virtual import Sine, Virtual
@@ -165,7 +165,7 @@ def validate(
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise RecipeError(described(error, model, text, name, kind, overrides)) from None
+        raise RecipeError(described_mistakes(error, model, text, name, kind, overrides)) from None
 
 
 def recipe_from_resolved(text: str) -> Recipe:

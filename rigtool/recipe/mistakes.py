@@ -44,7 +44,7 @@ LONGEST_VALUE = 60
 """Characters of a value in a message."""
 
 
-def described(
+def described_mistakes(
     error: ValidationError,
     model: type[BaseModel],
     text: str,

@@ -112,7 +112,7 @@ class PageRow:
 
 
 @cache
-def rows() -> tuple[dict[str, Any], ...]:
+def reference_rows() -> tuple[dict[str, Any], ...]:
     """Return the rows of `reproduction.toml`, with a number for each load of Tables 8 and 9."""
     text = files("rigtool.report").joinpath("reproduction.toml").read_text("utf-8")
     return tuple(
@@ -184,11 +184,11 @@ def make_rows(runs: Runs) -> tuple[list[PageRow], dict[str, Any]]:
 
     Raises `UsageError` where a run is missing.
     """
-    missing = {row["run"] for row in rows()} - set(runs)
+    missing = {row["run"] for row in reference_rows()} - set(runs)
     if missing:
         raise UsageError(f"no run file {', '.join(sorted(missing))}: `make thesis` makes them all")
     shown, stored = [], {}
-    for row in rows():
+    for row in reference_rows():
         made, numbers = make_row(row, runs)
         shown.append(made)
         stored[made.name] = {

@@ -157,7 +157,7 @@ def note_line(file: h5py.File, report: str | None) -> None:
 
 def seal(file: h5py.File) -> None:
     """Write both hashes into a run that is complete."""
-    root = tree.load(file)
+    root = tree.read_tree(file)
     content = content_sha256(root)
     record = record_sha256(root, content)
     group = file[schema.ENTRY][schema.PROVENANCE]

@@ -190,7 +190,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     try:
         with guard(path, "the file"), shared.use() as file:
             require_schema(file, path)
-            root = tree.load(file)
+            root = tree.read_tree(file)
             run = Run(shared, root, path)
             _require_hashes(root, run.provenance, path)
             _log.info("read %s, run of %s", path, run.command)

@@ -82,7 +82,7 @@ def _open_unfinished(path: Path) -> Run:
     try:
         with guard(path, "the file"):
             require_schema(file, path)
-            run = Run(OpenFile(file), tree.load(file), path)
+            run = Run(OpenFile(file), tree.read_tree(file), path)
     except RunFileError as error:
         file.close()
         raise RunFileError(

@@ -1,9 +1,9 @@
 """A run file as a tree in memory, read without trusting the file.
 
-`load` reads everything except the samples of signals, once. Claims of the file are checked before
-anything is read: a damaged or hostile file may hold external links, loops, types that crash a
-reader, or datasets that claim more than any disk holds. The low-level interface of h5py is used: a
-run has some hundred small objects, for which the high-level one takes five times as long.
+`read_tree` reads everything except the samples of signals, once. Claims of the file are checked
+before anything is read: a damaged or hostile file may hold external links, loops, types that crash
+a reader, or datasets that claim more than any disk holds. The low-level interface of h5py is used:
+a run has some hundred small objects, for which the high-level one takes five times as long.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def list_of(attributes: Mapping[str, Any], name: str, kind: type) -> list[Any]:
     return found
 
 
-def load(file: h5py.File, path: str = "/") -> Group:
+def read_tree(file: h5py.File, path: str = "/") -> Group:
     """Read a group of a file and all below; `RunFileError` for anything that no run file holds."""
     return _Loader(file).group(file[path].id, path, 0)
 

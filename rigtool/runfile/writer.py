@@ -170,7 +170,7 @@ class RunWriter:
             self._complete(stream)
             self._sync()
             file = self._file
-        return Recording(OpenFile(file), tree.load(file, stream.path), self.path)
+        return Recording(OpenFile(file), tree.read_tree(file, stream.path), self.path)
 
     def recorded(self) -> Run:
         """Return all recordings, complete and readable; the run has no results yet."""
@@ -178,7 +178,7 @@ class RunWriter:
             with storage_errors(self.path):
                 self._close_streams()
                 file = open_hdf5(self.part)
-                self._recorded = Run(OpenFile(file), tree.load(file), self.path)
+                self._recorded = Run(OpenFile(file), tree.read_tree(file), self.path)
         return self._recorded
 
     def finish(

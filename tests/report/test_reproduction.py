@@ -62,7 +62,7 @@ def page():
 
 
 def row(name):
-    (found,) = (one for one in reproduction.rows() if reproduction.row_name(one) == name)
+    (found,) = (one for one in reproduction.reference_rows() if reproduction.row_name(one) == name)
     return found
 
 
@@ -72,12 +72,12 @@ def row(name):
 def test_every_figure_and_table_has_its_row(committed, page):
     wanted = {f"figure-{n}" for n in FIGURES} | {f"table-{n}" for n in TABLES}
     assert set(committed) == wanted
-    assert {reproduction.row_name(one) for one in reproduction.rows()} == wanted
+    assert {reproduction.row_name(one) for one in reproduction.reference_rows()} == wanted
     headings = re.findall(r"^## (?:Fig\.|Table) (\d+)\. ", page, re.MULTILINE)
     assert sorted(map(int, headings)) == sorted([*FIGURES, *TABLES])
 
 
-@pytest.mark.parametrize("one", reproduction.rows(), ids=reproduction.row_name)
+@pytest.mark.parametrize("one", reproduction.reference_rows(), ids=reproduction.row_name)
 def test_numbers_are_within_what_is_stated(one, committed):
     stored = committed[reproduction.row_name(one)]["numbers"]
     assert list(stored) == [number["name"] for number in one["numbers"]]
@@ -88,7 +88,7 @@ def test_numbers_are_within_what_is_stated(one, committed):
         assert reproduction.holds(number, value) is not False, f"{number['name']}: {value}"
 
 
-@pytest.mark.parametrize("one", reproduction.rows(), ids=reproduction.row_name)
+@pytest.mark.parametrize("one", reproduction.reference_rows(), ids=reproduction.row_name)
 def test_the_page_says_what_the_rows_say(one, committed, page):
     stored = committed[reproduction.row_name(one)]
     section = page.split(f"## {reproduction.title(one)}\n")[1].split("\n## ")[0]
@@ -121,7 +121,7 @@ def test_commands_are_lines_that_the_command_line_takes(page):
 
 
 def test_every_number_has_one_way_to_be_judged():
-    for one in reproduction.rows():
+    for one in reproduction.reference_rows():
         for number in one["numbers"]:
             ways = {"tolerance", "within", "rule"} & set(number)
             published, section = reproduction.published_of(number)

@@ -18,7 +18,7 @@ from rigtool.experiments.deploy.c_header import comment
 from rigtool.experiments.force_filter import kalman, motion_states, passed
 from rigtool.experiments.force_model.drive import VISCOUS
 from rigtool.experiments.force_sensor import power_up
-from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, Instrument
+from rigtool.experiments.force_sensor.sensor import AT_THE_LIMIT, SensorProperties
 from rigtool.numerics.arrays import Array
 
 Number = float | int | str | Array
@@ -31,7 +31,7 @@ INT32 = 2**31 - 1
 
 
 def sensor_header(
-    instrument: Instrument,
+    instrument: SensorProperties,
     coverage_factor: float,
     origin: Sequence[str],
 ) -> str:
@@ -98,7 +98,7 @@ def _lasting(left: float, step_time: float) -> int:
     return steps
 
 
-def _drive(instrument: Instrument) -> dict[str, Number]:
+def _drive(instrument: SensorProperties) -> dict[str, Number]:
     grid, model = instrument.grid, instrument.model
     plant = model.plant(grid.sample_time)
     constant, slope = instrument.torque_constant
@@ -122,7 +122,7 @@ def _drive(instrument: Instrument) -> dict[str, Number]:
     }
 
 
-def _filter(instrument: Instrument) -> dict[str, Number]:
+def _filter(instrument: SensorProperties) -> dict[str, Number]:
     own, span = instrument.model.uncertainty, instrument.grid.step_time
     moving = (
         own.angle_rate,
@@ -158,7 +158,7 @@ def _filter(instrument: Instrument) -> dict[str, Number]:
     }
 
 
-def _ripple(instrument: Instrument) -> dict[str, Number]:
+def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     model, step_time = instrument.model, instrument.grid.step_time
     own, gain = power_up.learned_ripple(model)
     amplitude = np.repeat(np.hypot(own[::2], own[1::2]), 2)
@@ -186,7 +186,7 @@ def _ripple(instrument: Instrument) -> dict[str, Number]:
     }
 
 
-def _states(instrument: Instrument) -> dict[str, Number]:
+def _states(instrument: SensorProperties) -> dict[str, Number]:
     reach, count = instrument.reach, instrument.count
     low, high = reach.angle
     margin = motion_states.BEYOND_ANGLE * (high - low)
@@ -204,7 +204,7 @@ def _states(instrument: Instrument) -> dict[str, Number]:
     }
 
 
-def _reading(instrument: Instrument, coverage_factor: float) -> dict[str, Number]:
+def _reading(instrument: SensorProperties, coverage_factor: float) -> dict[str, Number]:
     return {
         "low_pass": passed.section(instrument.corner_hz, instrument.grid.step_time),
         "scales": instrument.model.scales[1],

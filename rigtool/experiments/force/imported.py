@@ -16,7 +16,7 @@ from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.force.imported_strokes import read_strokes, scatter_results, stroke_loads
 from rigtool.experiments.force_filter.accuracy import accuracy
 from rigtool.experiments.force_filter.motion_states import State
-from rigtool.experiments.force_sensor.results_over_time import Reading, over_time_tables
+from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables
 from rigtool.experiments.imported import RECORDING
 from rigtool.experiments.imported_load.basis import LoadSignals
 from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_all
@@ -61,7 +61,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     rows = [_reading(item) for item in measured]
     results, found = over_time_tables(rows, model.scales.torque, model.bandwidth_hz)
     found["force"] = _with_motion(found["force"], measured, model.direction)
-    results |= _own_results(Reading.joined(rows), model)
+    results |= _own_results(TorqueRows.joined(rows), model)
     notes += remarks
     if all(item.signals.reference is not None for item in measured):
         more, judged_tables, remarks = _judged(measured, rows, model)
@@ -179,7 +179,7 @@ def _require_inside(measured: Sequence[Measured], model: LoadModel) -> list[str]
     return notes
 
 
-def _own_results(whole: Reading, model: LoadModel) -> dict[str, Quantity]:
+def _own_results(whole: TorqueRows, model: LoadModel) -> dict[str, Quantity]:
     """Return the results that need no sensor."""
     moving = (whole.states == State.AGAINST) | (whole.states == State.WITH)
     found = {
@@ -195,10 +195,10 @@ def _own_results(whole: Reading, model: LoadModel) -> dict[str, Quantity]:
     return found
 
 
-def _reading(item: Measured) -> Reading:
+def _reading(item: Measured) -> TorqueRows:
     """Return a run as force over time has it."""
     time, estimate = item.signals.path.time, item.estimate
-    return Reading(
+    return TorqueRows(
         name=RECORDING,
         step_time=float(time[-1] - time[0]) / max(len(time) - 1, 1),
         time=time,
@@ -229,7 +229,7 @@ def _with_motion(table: Table, measured: Sequence[Measured], direction: int) -> 
 
 
 def _judged(
-    measured: Sequence[Measured], rows: Sequence[Reading], model: LoadModel
+    measured: Sequence[Measured], rows: Sequence[TorqueRows], model: LoadModel
 ) -> tuple[dict[str, Quantity], dict[str, Table], list[str]]:
     """Return results, tables and notes of the comparison with the sensor: of strokes."""
     fast = [model.direction * m.signals.output_speed / FAST for m in measured]

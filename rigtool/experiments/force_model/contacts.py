@@ -10,11 +10,11 @@ first-order low-pass of `LAG`:
 Where a part of M is in doubt by d (ripple of another power-up), the level's u is sqrt(u^2 + d^2),
 and a jump counts by u over that: as much as u, it is what errors of a jump are in proportion to.
 
-Errors depend on the `Motion`: steady motion, within `AFTER` of a reversal, and rest. In each, the
-highest values in blocks of WINDOW (longer than the errors of a jump remember) where nothing touches
-give the threshold of a test at a rate of false alarms: an exponential tail above the quantile t at
-`TAIL` (J. Pickands, Ann. Stat. 3(1) 119-131, 1975, shape 0), whose mean m is known from the n
-values that exceed it alone (predictive distribution; prior 1 / m):
+Errors depend on the `MotionKind`: steady motion, within `AFTER` of a reversal, and rest. In each,
+the highest values in blocks of WINDOW (longer than the errors of a jump remember) where nothing
+touches give the threshold of a test at a rate of false alarms: an exponential tail above the
+quantile t at `TAIL` (J. Pickands, Ann. Stat. 3(1) 119-131, 1975, shape 0), whose mean m is known
+from the n values that exceed it alone (predictive distribution; prior 1 / m):
 
     P(x > t + y) = (1 - TAIL) (1 + y / (n m))^-n
 
@@ -64,7 +64,7 @@ SETTLING = 2.0
 """Time at the begin of a stretch without tests, s: the filter does not know the history."""
 
 
-class Motion(IntEnum):
+class MotionKind(IntEnum):
     """What errors of a test depend on."""
 
     STEADY = 0
@@ -113,9 +113,9 @@ def trial(
     whole = np.hypot(deviation, doubt)
     jump *= deviation
     jump /= whole
-    motion = np.full(len(smooth), Motion.STEADY, dtype=np.int8)
-    motion[_lately(states == State.REVERSED, round(AFTER / step_time))] = Motion.REVERSED
-    motion[states == State.STILL] = Motion.STILL
+    motion = np.full(len(smooth), MotionKind.STEADY, dtype=np.int8)
+    motion[_lately(states == State.REVERSED, round(AFTER / step_time))] = MotionKind.REVERSED
+    motion[states == State.STILL] = MotionKind.STILL
     motion[_lately(states == State.OUTSIDE, window)] = -1
     motion[: round(SETTLING / step_time)] = -1
     level: Single = np.divide(smooth, whole, dtype=np.float32)
@@ -138,8 +138,8 @@ def thresholds(untouched: Sequence[Trial], rate: float = FALSE_ALARMS) -> Array:
 
     `rate` Hz is that of false alarms of both tests in one motion.
     """
-    found = np.full((len(Motion), 2), np.inf)
-    for motion in Motion:
+    found = np.full((len(MotionKind), 2), np.inf)
+    for motion in MotionKind:
         for number, (name, memory) in enumerate((("jump", WINDOW), ("level", STROKE))):
             highest = [_highest(test, getattr(test, name), motion, memory) for test in untouched]
             values = np.concatenate([np.zeros(0), *highest])
@@ -148,7 +148,7 @@ def thresholds(untouched: Sequence[Trial], rate: float = FALSE_ALARMS) -> Array:
     return found
 
 
-def _highest(test: Trial, values: Single, motion: Motion, memory: float) -> Array:
+def _highest(test: Trial, values: Single, motion: MotionKind, memory: float) -> Array:
     """Return the highest absolute value in each block of `memory` s that has this motion."""
     size = round(memory / test.step_time)
     count = len(values) // size

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.experiments.force_filter.plant import Plant
-from rigtool.experiments.force_model.learning import Learned
+from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind, Term, wave
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
@@ -34,7 +34,7 @@ _COLUMNS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class MotorMap:
     """By rotor angle, tabulated over one turn (n + 1, 5): cogging and ripple in N m, ripple per
     torque and per torque and ampere, drag in N m s/rad. `ripple_time` s is the ripple's lag."""
 
@@ -70,7 +70,7 @@ class Drive:
 
 
 def tabulated(terms: tuple[Term, ...], coefficient: Array) -> Array:
-    """Return the maps (n + 1, 5) of a learned model with coefficients (t,), see `Drive`."""
+    """Return the maps (n + 1, 5) of a learned model with coefficients (t,), see `MotorMap`."""
     angle = np.linspace(0.0, 2 * np.pi, MAP_SIZE + 1)
     found = np.zeros((MAP_SIZE + 1, 5))
     for term, value in zip(terms, coefficient, strict=True):
@@ -108,13 +108,13 @@ def _drive(
     lagging[0] = ripple
 
 
-def drive_of(model: Learned) -> Drive:
+def drive_of(model: LearnedModel) -> MotorMap:
     """Return the drive of a learned model."""
     rotor_map = tabulated(model.terms, model.coefficient)
-    return Drive(rotor_map, model.shape.ripple_time, model.known.offset)
+    return MotorMap(rotor_map, model.shape.ripple_time, model.known.offset)
 
 
-def plant_of(model: Learned, sample_time: float) -> Plant:
+def plant_of(model: LearnedModel, sample_time: float) -> Plant:
     """Return the equations of a learned model that a filter runs on, at a sample time, s."""
     terms, coefficient, shape, known = model.terms, model.coefficient, model.shape, model.known
     sums = {

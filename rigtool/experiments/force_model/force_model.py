@@ -12,10 +12,10 @@ import numpy as np
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import KINDS
 from rigtool.experiments.force_filter.plant import Plant
-from rigtool.experiments.force_model.contacts import Motion
+from rigtool.experiments.force_model.contacts import MotionKind
 from rigtool.experiments.force_model.deviations import Deviations
-from rigtool.experiments.force_model.drive import Drive, drive_of, plant_of
-from rigtool.experiments.force_model.learning import Learned
+from rigtool.experiments.force_model.drive import MotorMap, drive_of, plant_of
+from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.model import Kind
 from rigtool.numerics.arrays import Array
 
@@ -26,13 +26,13 @@ class ForceModel:
     uncertainty, of the smoothed and of the causal torque: `intervals`. `limits` (3, 2) are the
     thresholds for contacts: `contacts`."""
 
-    learned: Learned
+    learned: LearnedModel
     deviations: Deviations
     scales: Array = field(default_factory=lambda: np.ones((2, KINDS, 2)) * (1.0, 0.0))
-    limits: Array = field(default_factory=lambda: np.full((len(Motion), 2), np.inf))
+    limits: Array = field(default_factory=lambda: np.full((len(MotionKind), 2), np.inf))
 
     @property
-    def drive(self) -> Drive:
+    def drive(self) -> MotorMap:
         """What current and rotor angle give at the shaft."""
         return drive_of(self.learned)
 

@@ -25,9 +25,9 @@ from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.model import (
     Known,
     Prediction,
+    RecordState,
     Shape,
     Sizes,
-    State,
     Term,
     functions,
     terms_for,
@@ -82,7 +82,7 @@ LEAST_RMS = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class LearnedModel:
     """A learned model.
 
     `covariance` is that of the logarithms of the shape, in the order of `NAMES`, then of the
@@ -98,15 +98,15 @@ class Learned:
 
 
 @dataclass(frozen=True, eq=False)
-class Sliding:
+class SlidingFit:
     """A model `learned` from sliding, and the `problem` with its normal equations there (records,
     p + 1, p + 1), right-hand side last."""
 
-    learned: Learned
+    learned: LearnedModel
     problem: Problem
     normal: Array
 
-    def learned_from(self, chosen: Sequence[bool]) -> Learned:
+    def learned_from(self, chosen: Sequence[bool]) -> LearnedModel:
         """Return the model that some of the records give, one step from that of all.
 
         `chosen` (records,) is in the order of `problem.records`.
@@ -116,7 +116,7 @@ class Sliding:
         step = np.clip(solution[: len(NAMES)], -LONGEST, LONGEST)
         return replace(
             model,
-            shape=moved(model.shape, step),
+            shape=stepped_shape(model.shape, step),
             coefficient=solution[len(NAMES) :],
             covariance=covariance,
         )
@@ -124,7 +124,7 @@ class Sliding:
 
 def learn_sliding(
     records: Sequence[Record], known: Known, count: float, deviation: Deviations
-) -> Sliding:
+) -> SlidingFit:
     """Learn from records of known loads; `count` rad is that of the encoder.
 
     Raises `InsufficientDataError` where nothing slides in any record.
@@ -145,12 +145,12 @@ def learn_sliding(
     for _ in range(ROUNDS):
         solution, covariance = problem.step(shape, coefficient)
         step, coefficient = solution[: len(NAMES)], solution[len(NAMES) :]
-        shape = moved(shape, np.clip(step, -LONGEST, LONGEST))
+        shape = stepped_shape(shape, np.clip(step, -LONGEST, LONGEST))
         problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < NEAR)))
         if np.all(np.abs(step) < ENOUGH * np.sqrt(np.diag(covariance))[: len(NAMES)]):
             break
-    learned = Learned(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
-    return Sliding(learned, problem, problem.normal(shape, coefficient))
+    learned = LearnedModel(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
+    return SlidingFit(learned, problem, problem.normal(shape, coefficient))
 
 
 def _showing_tendon(records: Sequence[Record]) -> list[Record]:
@@ -226,7 +226,7 @@ class Problem:
         self.spread = np.array([term.spread for term in terms])
         self.shape_spread = np.array([SHAPE_SPREAD[name] for name in NAMES])
         self.variance = np.full(len(records), (0.1 * friction) ** 2 * INDEPENDENT)
-        self._at_shape: dict[int, tuple[State, Array, Array, Array]] = {}
+        self._at_shape: dict[int, tuple[RecordState, Array, Array, Array]] = {}
         self.strokes = [_strokes(record, start.housing_length) for record in records]
 
     def rows(self, number: int, shape: Shape, coefficient: Array | None) -> tuple[Array, Array]:
@@ -240,9 +240,9 @@ class Problem:
         predicted = Prediction(self.terms, coefficient, values, shape, state)
         return np.vstack([record.rows(slopes(predicted, state)), columns]), right
 
-    def _functions(self, record: Record, shape: Shape) -> tuple[State, Array, Array, Array]:
+    def _functions(self, record: Record, shape: Shape) -> tuple[RecordState, Array, Array, Array]:
         """Return state, functions (t, n), their rows, and those of what is measured."""
-        state = State.of(shape, self.known, record)
+        state = RecordState.of(shape, self.known, record)
         values = functions(self.terms, state)
         carried = state.carried / self.known.torque_factor
         right = record.rows(measured(record, self.known) - carried)
@@ -344,10 +344,10 @@ def measured(record: Record, known: Known) -> Array:
     return record.torque_constant * current - known.inertia * record.acceleration
 
 
-def slopes(predicted: Prediction, state: State) -> Array:
+def slopes(predicted: Prediction, state: RecordState) -> Array:
     """Return derivatives of a prediction by the logarithms of `NAMES` (p, n), N m."""
     here, units = predicted.along(state), np.eye(len(NAMES))
-    moves = [predicted.torque(moved(state.shape, STEP * unit)) - here for unit in units]
+    moves = [predicted.torque(stepped_shape(state.shape, STEP * unit)) - here for unit in units]
     return np.stack(moves) / STEP
 
 
@@ -377,7 +377,7 @@ def logarithms(shape: Shape) -> Array:
     return np.log([getattr(shape, name) for name in NAMES])
 
 
-def moved(shape: Shape, step: Array) -> Shape:
+def stepped_shape(shape: Shape, step: Array) -> Shape:
     """Return a shape whose logarithms are moved by a step (p,)."""
     values = np.exp(logarithms(shape) + step)
     return replace(shape, **dict(zip(NAMES, values.tolist(), strict=True)))

@@ -119,7 +119,7 @@ _FIXED = (Kind.OFFSET, Kind.INERTIA, Kind.VISCOUS, Kind.COGGING)
 """Kinds that lag, and those that no shape changes."""
 
 
-def functions(terms: Sequence[Term], state: State) -> Array:
+def functions(terms: Sequence[Term], state: RecordState) -> Array:
     """Return the terms (t, n) along a state's record, N m for a coefficient of 1."""
     values = np.stack([state.function(term) for term in terms])
     lagging = [number for number, term in enumerate(terms) if term.kind in _LAGGING]
@@ -132,7 +132,12 @@ class Prediction:
     """The motor's torque along a record for given coefficients, to be asked for shapes near one."""
 
     def __init__(
-        self, terms: Sequence[Term], coefficient: Array, values: Array, shape: Shape, state: State
+        self,
+        terms: Sequence[Term],
+        coefficient: Array,
+        values: Array,
+        shape: Shape,
+        state: RecordState,
     ) -> None:
         """`values` (t, n) are the `functions` of the terms for this shape, `state` its state."""
         self._shape, self._state = shape, state
@@ -150,7 +155,7 @@ class Prediction:
         """Return the torque (n,), N m, less that of the known inertia."""
         return self.along(self._state.at(shape))
 
-    def along(self, state: State) -> Array:
+    def along(self, state: RecordState) -> Array:
         """Return the same in another state of the record: of another shape, or another load."""
         record, shape = self._state.record, state.shape
         whole = self._fixed + state.carried / state.known.torque_factor
@@ -167,7 +172,7 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class RecordState:
     """State along a record for a shape: bristles, torque carried N m, angle of the output rad."""
 
     record: Record
@@ -178,22 +183,22 @@ class State:
     carried: Array
     output: Array
 
-    def at(self, shape: Shape) -> State:
+    def at(self, shape: Shape) -> RecordState:
         """Return the state for another shape with the same bristles of the rotor."""
         if all(getattr(shape, name) == getattr(self.shape, name) for name in _OF_TENDON):
             return replace(self, shape=shape)
         return replace(self, shape=shape).under(self.record.moment, self.record.load_inertia)
 
     @staticmethod
-    def of(shape: Shape, known: Known, record: Record) -> State:
+    def of(shape: Shape, known: Known, record: Record) -> RecordState:
         """Return the state along a record."""
         bearing = bristle(record.angle, shape.bearing_length, record.periodic)
         housing = bristle(record.angle, shape.housing_length, record.periodic)
         none = np.empty(0)
-        state = State(record, shape, known, bearing, housing, none, none)
+        state = RecordState(record, shape, known, bearing, housing, none, none)
         return state.under(record.moment, record.load_inertia)
 
-    def under(self, moment: float, load_inertia: float) -> State:
+    def under(self, moment: float, load_inertia: float) -> RecordState:
         """Return the state of the same motion under another load, N m at 90 degrees and kg m2."""
         record, shape = self.record, self.shape
         carried, output = tendon(

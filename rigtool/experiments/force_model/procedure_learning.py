@@ -17,13 +17,13 @@ from rigtool.experiments.force_model.contacts import Trial, thresholds, trial
 from rigtool.experiments.force_model.deviations import deviations, kept_by_mean
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import APART, Errors, scales
-from rigtool.experiments.force_model.learning import Sliding, learn_sliding
+from rigtool.experiments.force_model.learning import SlidingFit, learn_sliding
 from rigtool.experiments.force_model.model import Known
-from rigtool.experiments.force_model.model import State as Swing
+from rigtool.experiments.force_model.model import RecordState as Swing
 from rigtool.experiments.force_model.procedure_exploration import exploration
-from rigtool.experiments.force_model.records import Condition, Record, repeated, single
+from rigtool.experiments.force_model.records import LoadCase, Record, repeated, single
 from rigtool.experiments.force_model.rest import SETTLING, Exploration, learn_rest
-from rigtool.experiments.force_model.steps import Grid, Sampler
+from rigtool.experiments.force_model.steps import FilterSteps, Sampler
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import Recipe
@@ -67,7 +67,7 @@ class LearnedForce:
     known loads `strokes` by the names of their recordings."""
 
     model: ForceModel
-    sliding: Sliding
+    sliding: SlidingFit
     strokes: dict[str, Record]
 
 
@@ -128,22 +128,24 @@ def _compared(strokes: Sequence[Recording]) -> list[Recording]:
     return list(found.values())
 
 
-def _known(recording: Recording, recipe: Recipe, kt: Run) -> tuple[LoopSignals, Condition]:
+def _known(recording: Recording, recipe: Recipe, kt: Run) -> tuple[LoopSignals, LoadCase]:
     degc, force = float(np.mean(recording.read("temperature"))), recording.condition("force")
     return _signals(recording, recipe), _condition(recipe, kt, degc, force)
 
 
-def _input(own: LoopSignals, under: Condition, model: ForceModel) -> Signals:
+def _input(own: LoopSignals, under: LoadCase, model: ForceModel) -> Signals:
     """Return the filter's input from a recording."""
     constant = np.full(len(own.encoder), under.torque_constant)
     known = np.array([own.encoder, own.total, constant])
-    return Sampler(Grid.of(_interval(own)), under.count, model.drive).add(known, last=True)[0]
+    return Sampler(FilterSteps.of(_interval(own)), under.count, model.drive).add(known, last=True)[
+        0
+    ]
 
 
 def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel) -> Trial:
     """Return the tests for contacts along a recording in which nothing touches."""
     own, under = _known(recording, recipe, kt)
-    grid, corner_hz = Grid.of(_interval(own)), recipe.measure_force.motion.corner_hz
+    grid, corner_hz = FilterSteps.of(_interval(own)), recipe.measure_force.motion.corner_hz
     signals, plant = _input(own, under, model), model.plant(grid.sample_time)
     causal, untouched = (
         Filter(plant, u, grid.step_samples, corner_hz).add(signals)
@@ -165,7 +167,7 @@ def _errors(
     from scipy.signal import butter, sosfilt, sosfiltfilt
 
     own, under = _known(recording, recipe, kt)
-    grid, corner_hz = Grid.of(_interval(own)), recipe.measure_force.motion.corner_hz
+    grid, corner_hz = FilterSteps.of(_interval(own)), recipe.measure_force.motion.corner_hz
     signals = _input(own, under, model)
     filtered = model.plant(grid.sample_time), model.uncertainty, grid.step_samples, corner_hz
     causal = Filter(*filtered).add(signals)
@@ -218,9 +220,9 @@ def _signals(recording: Recording, recipe: Recipe) -> LoopSignals:
         return loop_signals(recording, recipe)
 
 
-def _condition(recipe: Recipe, kt: Run, temperature: float, force: float) -> Condition:
+def _condition(recipe: Recipe, kt: Run, temperature: float, force: float) -> LoadCase:
     rig = recipe.rig
-    return Condition(
+    return LoadCase(
         torque_per_ampere_at(kt, temperature).value,
         force * rig.load_arm,
         force * rig.load_arm**2 / STANDARD_GRAVITY,

@@ -150,7 +150,7 @@ def lowpassed_rows(signals: Array, interval: float, cutoff_hz: float = LOWPASS_H
 
 
 @dataclass(frozen=True)
-class Condition:
+class LoadCase:
     """Of a motion: the motor's `torque_constant` N m/A, the load's `moment` N m at 90 degrees and
     its `load_inertia` kg m2, and the `count` rad of the encoder."""
 
@@ -161,7 +161,7 @@ class Condition:
 
 
 def repeated(
-    encoder: Array, current: Array, setpoint: Array, interval: float, under: Condition
+    encoder: Array, current: Array, setpoint: Array, interval: float, under: LoadCase
 ) -> Record:
     """Average the cycles of a motion; signals (n,) every `interval` s, counts, A, rad.
 
@@ -201,7 +201,7 @@ def repeated(
 
 
 def single(
-    encoder: Array, current: Array, setpoint: Array, interval: float, under: Condition
+    encoder: Array, current: Array, setpoint: Array, interval: float, under: LoadCase
 ) -> Record:
     """Return a motion that does not repeat; signals (n,) every `interval` s in counts, A, rad."""
     from scipy.fft import prev_fast_len

@@ -23,9 +23,9 @@ from rigtool.experiments.force_model.drive import drive_of, plant_of
 from rigtool.experiments.force_model.learning import (
     LENGTH_SPREAD,
     NAMES,
-    Learned,
+    LearnedModel,
     logarithms,
-    moved,
+    stepped_shape,
 )
 from rigtool.experiments.force_model.model import Kind
 from rigtool.numerics.arrays import Array
@@ -90,8 +90,8 @@ class Exploration:
 
 
 def learn_rest(
-    learned: Learned, exploration: Exploration, uncertainty: Uncertainty, step_time: float
-) -> Learned:
+    learned: LearnedModel, exploration: Exploration, uncertainty: Uncertainty, step_time: float
+) -> LearnedModel:
     """Return the model, improved by an exploration of rest and reversals.
 
     `step_time` s is that of the filter.
@@ -105,7 +105,7 @@ class RestProblem:
 
     def __init__(
         self,
-        learned: Learned,
+        learned: LearnedModel,
         exploration: Exploration,
         uncertainty: Uncertainty,
         step_time: float,
@@ -141,10 +141,10 @@ class RestProblem:
         self.covariance[:2, :2] = LENGTH_SPREAD**2 * np.eye(2)
         self.covariance[2:, 2:] = own
 
-    def model(self, parameters: Array) -> Learned:
+    def model(self, parameters: Array) -> LearnedModel:
         """Return the model with parameters (p,), all others moved as far as they go with them."""
         every = self.known + self.follows @ (parameters[2:] - self.known[self.shown])
-        shape = moved(self.learned.shape, every[: len(NAMES)] - self.known[: len(NAMES)])
+        shape = stepped_shape(self.learned.shape, every[: len(NAMES)] - self.known[: len(NAMES)])
         lengths = np.exp(parameters[:2]).tolist()
         shape = replace(shape, bearing_length=lengths[0], housing_length=lengths[1])
         return replace(self.learned, shape=shape, coefficient=every[len(NAMES) :])
@@ -175,7 +175,7 @@ class RestProblem:
             parameters[[bearing, housing]] += [more, -more]
             yield parameters
 
-    def solution(self) -> Learned:
+    def solution(self) -> LearnedModel:
         """Return the model of least error; its covariance comes from both."""
         root: Array = np.asarray(np.linalg.cholesky(self.covariance), dtype=np.float64)
         plant = plant_of(self.learned, self._signals_of.sample_time)
@@ -214,7 +214,7 @@ class RestProblem:
                 break
         return self._learned(np.asarray(here, dtype=np.float64), root, information)
 
-    def _learned(self, here: Array, root: Array, information: Array) -> Learned:
+    def _learned(self, here: Array, root: Array, information: Array) -> LearnedModel:
         model = self.model(self.start + root @ here)
         found = root @ np.linalg.inv(information) @ root.T
         own = self.covariance[2:, 2:]
@@ -239,7 +239,7 @@ class _Inputs:
         self._current = thinned.mean(axis=1)
         self._low = exploration.encoder[: size * THINNED : THINNED] * exploration.count
 
-    def under(self, model: Learned) -> Signals:
+    def under(self, model: LearnedModel) -> Signals:
         """Return the filter's input where a model holds."""
         own = self._exploration
         torque, viscous = drive_of(model).torque(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.encoder_angle import interpolated
 from rigtool.experiments.force_filter.estimate import Signals
-from rigtool.experiments.force_model.drive import Drive
+from rigtool.experiments.force_model.drive import MotorMap
 from rigtool.numerics.arrays import Array
 
 SAMPLE_TIME = 0.5e-3
@@ -32,7 +32,7 @@ CONTEXT = 4096
 
 
 @dataclass(frozen=True)
-class Grid:
+class FilterSteps:
     """Samples of the filter in recorded ones: means of `averaged`, or `divided` into parts.
 
     `sample_time` s is the filter's; `step_samples` of its samples are a step.
@@ -49,7 +49,7 @@ class Grid:
         return self.step_samples * self.sample_time
 
     @classmethod
-    def of(cls, interval: float) -> Grid:
+    def of(cls, interval: float) -> FilterSteps:
         """Return the grid for samples that were recorded every `interval` s."""
         averaged = max(1, int(SAMPLE_TIME / interval * (1 + 1e-6)))
         divided = max(1, int(np.ceil(interval / SAMPLE_TIME * (1 - 1e-6))))
@@ -89,7 +89,9 @@ class Sampler:
     between counts may come from: 0 where each sample is a count of its own, and nothing waits.
     """
 
-    def __init__(self, grid: Grid, count: float, drive: Drive, context: int = CONTEXT) -> None:
+    def __init__(
+        self, grid: FilterSteps, count: float, drive: MotorMap, context: int = CONTEXT
+    ) -> None:
         self._grid, self._count, self._drive = grid, count, drive
         self._context = context - context % grid.averaged
         self._ripple = np.zeros(1)

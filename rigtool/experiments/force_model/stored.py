@@ -8,10 +8,10 @@ import numpy as np
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.force_filter.motion_states import KINDS
-from rigtool.experiments.force_model.contacts import Motion
+from rigtool.experiments.force_model.contacts import MotionKind
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import NAMES, Learned
+from rigtool.experiments.force_model.learning import NAMES, LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -45,7 +45,7 @@ UNITS = {
 }
 """Units of shape, deviations and the amplifier's offset."""
 
-_MOTIONS = ", ".join(f"{motion.value} {motion.name.lower()}" for motion in Motion)
+_MOTIONS = ", ".join(f"{motion.value} {motion.name.lower()}" for motion in MotionKind)
 
 _FORMS = {
     "smoothed": "torque from the whole recording",
@@ -73,7 +73,7 @@ def model_results(model: ForceModel) -> dict[str, Quantity]:
     return shape_results(model.learned) | named
 
 
-def shape_results(learned: Learned) -> dict[str, Quantity]:
+def shape_results(learned: LearnedModel) -> dict[str, Quantity]:
     """Return the shape of a model as results, with standard uncertainty."""
     relative = dict(zip(NAMES, np.sqrt(np.diag(learned.covariance)).tolist(), strict=False))
     relative["bearing_length"], relative["housing_length"] = learned.length_u.tolist()
@@ -134,7 +134,7 @@ def model_tables(model: ForceModel) -> dict[str, Table]:
         LIMITS: Table(
             ("motion",),
             {
-                "motion": Column(np.arange(len(Motion)), "1", _MOTIONS),
+                "motion": Column(np.arange(len(MotionKind)), "1", _MOTIONS),
                 "jump": Column(_finite(model.limits[:, 0]), "N m", "of the torque"),
                 "level": Column(_finite(model.limits[:, 1]), "1", "of torque over deviation"),
             },
@@ -173,7 +173,7 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
         shape = Shape(**{field.name: value(field.name) for field in fields(Shape)})
         lengths = [run.result(PREFIX + f"{name}_length") for name in ("bearing", "housing")]
         covariance = run.table(COVARIANCE)["covariance"]
-        learned = Learned(
+        learned = LearnedModel(
             terms,
             shape,
             Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, value(OFFSET)),
@@ -187,7 +187,7 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
         factors = factors.astype(np.float64).swapaxes(1, 2).reshape(2, KINDS, 2)
         limits = run.table(LIMITS)
         finite = np.array([limits["jump"], limits["level"]], dtype=np.float64).T
-        found = np.where(np.isnan(finite), np.inf, finite).reshape(len(Motion), 2)
+        found = np.where(np.isnan(finite), np.inf, finite).reshape(len(MotionKind), 2)
     except (KeyError, TypeError, ValueError) as error:
         raise RunFileError(
             f"{run.path}: its model of motor and instrument cannot be used: {error}; learn it again"

@@ -26,7 +26,7 @@ AT_THE_EDGE = 1e-3
 """Relative excess of speed and range of angles that rounding of a recipe's numbers explains."""
 
 
-def moved(recipe: Recipe, seconds: float) -> tuple[float | None, Motion]:
+def path_from_start(recipe: Recipe, seconds: float) -> tuple[float | None, Motion]:
     """Return where a motion starts, rad of the rotor, None where the rotor is, and the motion.
 
     Strokes and sine last for whole cycles, `seconds` s at least; a path as its file states. Raises

@@ -17,7 +17,7 @@ from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.force_filter.motion_states import SLOW, Reach, State
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
-from rigtool.experiments.force_sensor.procedure_motion import moved, require_learned
+from rigtool.experiments.force_sensor.procedure_motion import path_from_start, require_learned
 from rigtool.experiments.force_sensor.procedure_reading import (
     NEEDED,
     REFERENCE,
@@ -88,7 +88,7 @@ def _measure(
     (spec,) = _recordings(recipe, seconds=seconds, observed=observed)
     task = Task(Observe(seconds), record_every=spec.record_every, touched=True)
     if not observed:
-        start, motion = moved(recipe, seconds)
+        start, motion = path_from_start(recipe, seconds)
         require_learned(start, motion, reach, rig.position)
         if start is not None and motion.start is None:
             rig.move_by(start - rig.position)

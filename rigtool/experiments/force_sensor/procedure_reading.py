@@ -27,11 +27,11 @@ from rigtool.experiments.force_model.intervals import standard_uncertainty
 from rigtool.experiments.force_model.steps import unbroken
 from rigtool.experiments.force_sensor.response import Spectra
 from rigtool.experiments.force_sensor.results_over_time import (
-    Reading,
     Recorded,
+    TorqueRows,
     steps_of_a_row,
 )
-from rigtool.experiments.force_sensor.sensor import Instrument, Sensed, Sensor
+from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
 from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array
@@ -58,13 +58,13 @@ AS_ASKED = 1e-6
 
 def instrument_of(
     recipe: Recipe, kt: Run, model: ForceModel, reach: Reach, interval: float
-) -> Instrument:
+) -> SensorProperties:
     """Return the sensor's properties of this rig, for samples every `interval` s."""
     rig = recipe.rig
     cold = torque_per_ampere_at(kt, 0.0).value
     slope = torque_per_ampere_at(kt, 1.0).value - cold
     count = 2 * math.pi / rig.encoder_counts
-    return Instrument(
+    return SensorProperties(
         model,
         reach,
         interval,
@@ -77,7 +77,7 @@ def instrument_of(
 
 def instrument_for(
     recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, reach: Reach
-) -> Instrument:
+) -> SensorProperties:
     """Return the sensor's properties of this rig, for the samples of a recording."""
     return instrument_of(recipe, kt, model, reach, _interval(recording, recipe))
 
@@ -94,7 +94,7 @@ def read_recording(
         return Recorded(recording.name, (), 0, 0.0)
     instrument = instrument_for(recording, recipe, kt, model, reach)
     interval = instrument.interval
-    parts: list[Reading] = []
+    parts: list[TorqueRows] = []
     breaks, read, done = -1, 0.0, 0
     with ThreadPoolExecutor(2) as workers:
         stretch: Stretch | None = None
@@ -125,7 +125,9 @@ def _interval(recording: Recording, recipe: Recipe) -> float:
     return asked if math.isclose(asked, measured, rel_tol=AS_ASKED) else measured
 
 
-def unbroken_blocks(recording: Recording, instrument: Instrument) -> Iterator[tuple[Array, bool]]:
+def unbroken_blocks(
+    recording: Recording, instrument: SensorProperties
+) -> Iterator[tuple[Array, bool]]:
     """Yield the channels (c, n), time first, and whether a sample is missing before them.
 
     Samples with NaN are left out.
@@ -158,7 +160,7 @@ class Stretch:
     """
 
     def __init__(
-        self, name: str, instrument: Instrument, began: float, size: int, workers: Executor
+        self, name: str, instrument: SensorProperties, began: float, size: int, workers: Executor
     ) -> None:
         step_time = instrument.grid.step_time
         self._name, self._instrument, self._workers = name, instrument, workers
@@ -246,7 +248,7 @@ class Stretch:
         self._in_front = min(end, judge.span)
         self._waiting = [waiting.part(end - self._in_front)]
 
-    def reading(self) -> list[Reading]:
+    def reading(self) -> list[TorqueRows]:
         """Return the rows of what was read, once the stretch is over; nothing where it is too
         short."""
         referred = "reference" in self._found
@@ -269,7 +271,7 @@ class Stretch:
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
         at = step_time * every, self._taken("passed"), sliding, self._instrument.reach.angle
         return [
-            Reading(
+            TorqueRows(
                 self._name,
                 step_time * every,
                 time,

@@ -89,7 +89,7 @@ class Spectra:
         return ratio, np.where(np.isfinite(u), u, np.inf)
 
 
-def bandwidth(parts: Sequence[Spectra]) -> tuple[float, float]:
+def amplitude_bandwidth(parts: Sequence[Spectra]) -> tuple[float, float]:
     """Return up to which frequency the amplitude is `RIGHT`, Hz, and its standard uncertainty.
 
     That is the highest frequency at which the amplitude is known, or where it falls below. NaN

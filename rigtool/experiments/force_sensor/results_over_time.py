@@ -19,8 +19,8 @@ from rigtool.experiments.force_filter.accuracy import (
     by_band_and_state,
 )
 from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
-from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, Motion
-from rigtool.experiments.force_sensor.response import Spectra, bandwidth
+from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, MotionKind
+from rigtool.experiments.force_sensor.response import Spectra, amplitude_bandwidth
 from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array, Mask
@@ -33,7 +33,7 @@ ROWS = 20 / 3
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class TorqueRows:
     """Rows of the torque on the output in a stretch without gaps (m,), N m, low-passed: smoothed,
     and causal (empty where there is none), each with standard uncertainty and states. `reference`
     N m where it was recorded, low-passed as each. `limited` counts the samples whose current was at
@@ -72,12 +72,12 @@ class Reading:
         half: Array = np.where(self.hidden, math.sqrt(3), COVERAGE_FACTOR) * self.u
         return half
 
-    def widened(self, by: float) -> Reading:
+    def widened(self, by: float) -> TorqueRows:
         """Return the reading with another uncertainty, N m, besides its own."""
         return replace(self, u=np.hypot(self.u, by), causal_u=np.hypot(self.causal_u, by))
 
     @classmethod
-    def joined(cls, parts: Sequence[Reading]) -> Reading:
+    def joined(cls, parts: Sequence[TorqueRows]) -> TorqueRows:
         """Return stretches as one."""
         first = parts[0]
         if len(parts) == 1:
@@ -113,7 +113,7 @@ class Recorded:
     torque: gaps, samples that are NaN, stretches that are too short."""
 
     name: str
-    parts: tuple[Reading, ...]
+    parts: tuple[TorqueRows, ...]
     breaks: int
     lost: float
 
@@ -147,7 +147,7 @@ def force_outcome(
 
 
 def over_time_tables(
-    rows: Sequence[Reading],
+    rows: Sequence[TorqueRows],
     largest: float,
     corner_hz: float,
     load_arm: float | None = None,
@@ -161,7 +161,7 @@ def over_time_tables(
     `numbers` are those of the recordings that the stretches belong to, one each by default; `lost`
     s is the time without a stretch.
     """
-    whole = Reading.joined([replace(r, reference=None, causal_reference=None) for r in rows])
+    whole = TorqueRows.joined([replace(r, reference=None, causal_reference=None) for r in rows])
     number = np.repeat(
         np.arange(len(rows)) if numbers is None else numbers, [len(row.time) for row in rows]
     )
@@ -170,13 +170,13 @@ def over_time_tables(
     tables = {"force": _table(rows, whole, known, number, corner_hz, load_arm)}
     judged = [row for row in rows if row.reference is not None]
     if judged:
-        found, tables["force_accuracy"] = _judged(Reading.joined(judged), largest)
+        found, tables["force_accuracy"] = _judged(TorqueRows.joined(judged), largest)
         results |= found | _bandwidth([row.response for row in judged if row.response is not None])
     return results, tables
 
 
 def _results(
-    whole: Reading, known: NDArray[np.bool_], read: float, lost: float
+    whole: TorqueRows, known: NDArray[np.bool_], read: float, lost: float
 ) -> dict[str, Quantity]:
     share = float(known.mean()) * read / (read + lost)
     results = {"valid_share": Quantity(share, "1", reason="counted")}
@@ -195,8 +195,8 @@ def _peak(torque: Array, u: Array) -> int:
 
 
 def _table(
-    rows: Sequence[Reading],
-    whole: Reading,
+    rows: Sequence[TorqueRows],
+    whole: TorqueRows,
     known: NDArray[np.bool_],
     number: NDArray[np.intp],
     corner_hz: float,
@@ -240,14 +240,14 @@ def _table(
     )
 
 
-def _references(rows: Sequence[Reading]) -> Array:
+def _references(rows: Sequence[TorqueRows]) -> Array:
     """Return what acted in all recordings (m,), N m; NaN in those without a reference."""
     return np.concatenate(
         [np.full(len(row.time), np.nan) if row.reference is None else row.reference for row in rows]
     )
 
 
-def _judged(rows: Reading, largest: float) -> tuple[dict[str, Quantity], Table]:
+def _judged(rows: TorqueRows, largest: float) -> tuple[dict[str, Quantity], Table]:
     """Return errors and coverage against the reference, which has no other use."""
     assert rows.reference is not None
     results: dict[str, Quantity] = {}
@@ -289,7 +289,7 @@ def _bandwidth(responses: Sequence[Spectra]) -> dict[str, Quantity]:
     """Return up to which frequency the torque has the reference's amplitude; none unless known."""
     if not responses:
         return {}
-    value, u = bandwidth(responses)
+    value, u = amplitude_bandwidth(responses)
     return {} if math.isnan(value) else {"bandwidth": Quantity(value, "Hz", u)}
 
 
@@ -305,7 +305,7 @@ def _cells(prefix: str, cells: list[list[Accuracy]]) -> dict[str, Column]:
     }
 
 
-def _events(parts: Sequence[tuple[int, Reading]]) -> dict[str, Table]:
+def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
     """Return the table of contacts of numbered stretches; none without contacts."""
     found: list[tuple[float, ...]] = []
     for number, row in parts:
@@ -343,12 +343,12 @@ def _events(parts: Sequence[tuple[int, Reading]]) -> dict[str, Table]:
 def _contact_notes(limits: Array) -> list[str]:
     """State by which jumps contacts are found."""
     names = {
-        Motion.STEADY: "in steady motion",
-        Motion.REVERSED: "after reversals",
-        Motion.STILL: "at rest",
+        MotionKind.STEADY: "in steady motion",
+        MotionKind.REVERSED: "after reversals",
+        MotionKind.STILL: "at rest",
     }
     jumps = limits[:, 0] * 1e3
-    known = [f"{jumps[m]:.2g} mN m {names[m]}" for m in Motion if np.isfinite(jumps[m])]
+    known = [f"{jumps[m]:.2g} mN m {names[m]}" for m in MotionKind if np.isfinite(jumps[m])]
     if not known:
         return ["contacts are not looked for: the tables hold no recordings without load"]
     return [

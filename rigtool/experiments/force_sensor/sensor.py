@@ -20,7 +20,7 @@ from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import standard_uncertainty
-from rigtool.experiments.force_model.steps import CONTEXT, Grid, Sampler, Stepper
+from rigtool.experiments.force_model.steps import CONTEXT, FilterSteps, Sampler, Stepper
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.numerics.arrays import Array
 
@@ -28,7 +28,7 @@ AT_THE_LIMIT = 0.999
 
 
 @dataclass(frozen=True, eq=False)
-class Instrument:
+class SensorProperties:
     """Properties that a sensor needs besides signals.
 
     `interval` s is from one recorded sample to the next, `count` rad that of the encoder,
@@ -45,9 +45,9 @@ class Instrument:
     corner_hz: float
 
     @property
-    def grid(self) -> Grid:
+    def grid(self) -> FilterSteps:
         """Samples and steps of the filter."""
-        return Grid.of(self.interval)
+        return FilterSteps.of(self.interval)
 
     def limited(self, current: Array) -> NDArray[np.bool_]:
         """Return where a current (n,) A is at its limit."""
@@ -100,7 +100,7 @@ class Sensor:
     count of the encoder, and an estimate waits for the sample that ends its step alone.
     """
 
-    def __init__(self, instrument: Instrument, *, context: bool = True) -> None:
+    def __init__(self, instrument: SensorProperties, *, context: bool = True) -> None:
         grid, model = instrument.grid, instrument.model
         self._instrument = instrument
         self._sampler = Sampler(grid, instrument.count, model.drive, CONTEXT if context else 0)

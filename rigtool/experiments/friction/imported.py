@@ -26,11 +26,11 @@ from rigtool.experiments.friction.results_difference import add_curve_difference
 from rigtool.experiments.friction.stribeck_fit import half_difference
 from rigtool.experiments.imported import (
     is_linear,
-    known,
     place,
     position_of,
     recordings_of,
     require_one_rig,
+    rig_property,
 )
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_per_ampere import Effort, effort_of
@@ -180,7 +180,7 @@ def _add_holds(
     found: Findings,
 ) -> None:
     parts = []
-    inertia = known(recordings[0], "inertia") if efforts[0].unit == "N m" else None
+    inertia = rig_property(recordings[0], "inertia") if efforts[0].unit == "N m" else None
     for recording, effort, held in zip(recordings, efforts, stretches, strict=True):
         time, angle = recording.read("time"), position_of(recording)
         asked = None

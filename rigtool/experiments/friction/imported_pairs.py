@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.friction.paired import Change, Signals, changes, ratio
+from rigtool.experiments.friction.paired import MotionSignals, ParameterChange, changes, ratio
 from rigtool.experiments.friction.results import Findings
 from rigtool.experiments.friction.results_difference import RATIO
-from rigtool.experiments.imported import is_linear, known, place, position_of
+from rigtool.experiments.imported import is_linear, place, position_of, rig_property
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
@@ -76,11 +76,11 @@ def add_changes(
     found.tables["paired_difference"] = _table(change)
 
 
-def _signals(recording: Recording, kt: Run | None, found: Findings) -> Signals:
+def _signals(recording: Recording, kt: Run | None, found: Findings) -> MotionSignals:
     """Return a recording as the comparison takes it, with the angle that gravity sees."""
     position = position_of(recording)
     effort = effort_of(recording, kt)
-    gear = known(recording, "gear_ratio")
+    gear = rig_property(recording, "gear_ratio")
     angle = None
     if is_linear(recording):
         pass
@@ -94,10 +94,10 @@ def _signals(recording: Recording, kt: Run | None, found: Findings) -> Signals:
         note = "gravity is not separated: the angle of the arm is unknown, state rig.gear_ratio"
         if note not in found.notes:
             found.notes.append(note)
-    return Signals(recording.read("time"), position, effort.values, angle)
+    return MotionSignals(recording.read("time"), position, effort.values, angle)
 
 
-def _notes(change: Change, recording: Recording, against: Recording) -> list[str]:
+def _notes(change: ParameterChange, recording: Recording, against: Recording) -> list[str]:
     notes = [
         f"{place(recording)} minus {place(against)}, at the same points of one motion; the second "
         f"of them is {0.0 - change.shift:.4g} s later",
@@ -115,7 +115,7 @@ def _notes(change: Change, recording: Recording, against: Recording) -> list[str
     return notes
 
 
-def _table(change: Change) -> Table:
+def _table(change: ParameterChange) -> Table:
     part = slice(None, None, -(-len(change.time) // POINTS))
     used = np.where(change.used, 1.0, np.nan)
     return Table(

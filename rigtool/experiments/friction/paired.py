@@ -65,7 +65,7 @@ ROUNDS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
+class MotionSignals:
     """A recording: `time` (n,) s, `position` (n,) rad or m, `effort` (n,); the angle that gravity
     sees (n,) rad, None where there is none."""
 
@@ -76,7 +76,7 @@ class Signals:
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class ParameterChange:
     """Change of `names`' parameters (p,) against the first run, with covariance (p, p) and `dof`.
 
     `difference` (n,) is that of the efforts at rows `time`, `position`, `speed` (n,), `model` (n,)
@@ -135,7 +135,7 @@ class _Rows:
     used: Mask
 
 
-def changes(first: Signals, others: Sequence[Signals]) -> list[Change]:
+def changes(first: MotionSignals, others: Sequence[MotionSignals]) -> list[ParameterChange]:
     """Return the change of each other run against the first, all at the same rows.
 
     Raises `InsufficientDataError` for runs of another motion, or too short ones.
@@ -162,7 +162,7 @@ def changes(first: Signals, others: Sequence[Signals]) -> list[Change]:
     ]
 
 
-def ratio(change: Change, known: Change) -> tuple[float, float, int]:
+def ratio(change: ParameterChange, known: ParameterChange) -> tuple[float, float, int]:
     """Return the ratio of two changes against one run, its standard uncertainty, and its dof.
 
     Raises `InsufficientDataError` where the known change is all noise.
@@ -197,7 +197,7 @@ def _change(
     time: Array,
     position: Array,
     lag: int,
-) -> Change:
+) -> ParameterChange:
     """Fit the difference of two runs."""
     base = np.linalg.lstsq(first.design[used][:, chosen], first.effort[used], rcond=None)[0]
     difference = other.effort - first.effort
@@ -214,7 +214,7 @@ def _change(
     fitted_noise = float(np.sum(covariance * gram))
     doubt = _doubt(position, other.design[:, TERMS.index("viscous")], residual, design, used)
     covariance = covariance + np.diag(doubt**2)
-    return Change(
+    return ParameterChange(
         tuple(TERMS[i] for i in chosen),
         parameters,
         covariance,
@@ -276,7 +276,7 @@ _Aligned = tuple[Array, Array, Array | None, Mask]
 
 
 def _aligned(
-    first: Signals, others: Sequence[Signals]
+    first: MotionSignals, others: Sequence[MotionSignals]
 ) -> tuple[Array, list[_Aligned], list[float]]:
     """Return an even time axis on which all runs are at the same point of the motion, and shifts.
 
@@ -305,7 +305,7 @@ def _aligned(
     return axis, found, shifts[1:]
 
 
-def _even(run: Signals) -> tuple[Array, Array, Array, Array | None, Mask]:
+def _even(run: MotionSignals) -> tuple[Array, Array, Array, Array | None, Mask]:
     """Return time from 0 at equal steps, position, effort, angle and the samples known."""
     time, position, effort = require_signals(
         MIN_SAMPLES, time=run.time, position=run.position, effort=run.effort

@@ -17,7 +17,7 @@ from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR, accuracy
 from rigtool.experiments.imported import is_linear, place, recordings_of
 from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_all
 from rigtool.experiments.imported_load.learning import (
-    Learned,
+    LearnedEffort,
     LoadFriction,
     Validation,
     learn_load_model,
@@ -83,7 +83,7 @@ def _prior(prior: Run, unit: str, bandwidth_hz: float) -> LoadModel:
 # -- what is reported
 
 
-def _results(learned: Learned) -> dict[str, Quantity]:
+def _results(learned: LearnedEffort) -> dict[str, Quantity]:
     validation, friction = learned.validation, learned.friction
     found = {
         "load_levels": Quantity(len(np.unique(validation.level)), "1", reason="a count"),
@@ -98,7 +98,7 @@ def _results(learned: Learned) -> dict[str, Quantity]:
     return found
 
 
-def _notes(learned: Learned, recordings: int) -> list[str]:
+def _notes(learned: LearnedEffort, recordings: int) -> list[str]:
     model = learned.model
     scales, levels = model.scales, len(np.unique(learned.validation.level))
     largest = float(np.abs(learned.validation.torque).max())  # the scale may be that of a prior

@@ -84,7 +84,7 @@ class LoadFriction:
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class LearnedEffort:
     """A model from recordings at so many `paces`, how well it held at levels left out, and
     friction that grows with load."""
 
@@ -126,7 +126,7 @@ def learn_load_model(
     *,
     turn: float = 0.0,
     prior: LoadModel | None = None,
-) -> Learned:
+) -> LearnedEffort:
     """Learn a model from recordings at two loads or more, each with a sensor.
 
     `turn` is one turn of the encoder in the unit of position, 0 where it has none. `prior` is the
@@ -173,7 +173,7 @@ def learn_load_model(
     friction = _friction(place, against, scales, slope, each)
     torque, error, u = (scales.torque * values[resolved] for values in (torque, error, u))
     validation = Validation(torque, error, u, level[recording][resolved], against[resolved])
-    return Learned(model, int(pace.max()) + 1, validation, friction)
+    return LearnedEffort(model, int(pace.max()) + 1, validation, friction)
 
 
 def _both(parts: Sequence[Rows] | Sequence[HeldOut], *names: str) -> list[NDArray]:

@@ -34,7 +34,7 @@ DOUBTED, REFUSED = 0.95, 0.99
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class StrokeLoop:
     """Of so many recordings, without unit: `mean` of the loop in each cell of the stroke and
     standard deviation of its `shape` (c,), NaN where unknown, and that of its `offset`."""
 
@@ -60,7 +60,7 @@ class Loop:
         return float(stdtrit(max(self.recordings - 1, 1), (1 + confidence) / 2))
 
 
-def learn_loop(place: Array, rising: Mask, torque: Array, recording: NDArray) -> Loop:
+def learn_loop(place: Array, rising: Mask, torque: Array, recording: NDArray) -> StrokeLoop:
     """Return the loop of recordings, from torques (n,) as measured when each was left out."""
     numbers = [recording == n for n in np.unique(recording)]
     found = np.array([_loop(place[own], rising[own], torque[own]) for own in numbers])
@@ -71,7 +71,7 @@ def learn_loop(place: Array, rising: Mask, torque: Array, recording: NDArray) ->
     )
     shape = np.sqrt(_over_recordings((apart - offset[:, None]) ** 2, 1))
     spread = math.sqrt(float(_over_recordings(offset[:, None] ** 2, 1)[0]))
-    return Loop(mean, shape, spread, len(found))
+    return StrokeLoop(mean, shape, spread, len(found))
 
 
 def _over_recordings(values: Array, taken: int) -> Array:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State, States
 from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
-from rigtool.experiments.imported_load.loop import Loop
+from rigtool.experiments.imported_load.loop import StrokeLoop
 from rigtool.experiments.imported_load.region import Region, of_known_strokes, reached
 from rigtool.numerics.arrays import Array, Mask
 
@@ -130,7 +130,7 @@ class LoadModel:
     torque_range: tuple[float, float]
     direction: int
     region: Region
-    loop: Loop
+    loop: StrokeLoop
 
     def place(self, path: ShaftPath) -> Array:
         """Return the position (n,) as part of the learned stroke."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.imported_load.basis import GROUPS, Scales, size_of
-from rigtool.experiments.imported_load.loop import Loop
+from rigtool.experiments.imported_load.loop import StrokeLoop
 from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
 from rigtool.experiments.imported_load.region import CELLS, Region
 from rigtool.runfile import Column, Run, Table
@@ -218,7 +218,7 @@ def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
         torque_range=(float(scales["lowest"][0]), float(scales["highest"][0])),
         direction=int(scales["direction"][0]),
         region=Region(**{key: region[key] for key in _REGION}),
-        loop=Loop(
+        loop=StrokeLoop(
             loop["mean"], loop["shape"], float(loop["offset"][0]), int(loop["recordings"][0])
         ),
     )

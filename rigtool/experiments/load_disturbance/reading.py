@@ -26,8 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_model.learning import INDEPENDENT, Learned, measured, slopes
-from rigtool.experiments.force_model.model import Prediction, State, functions
+from rigtool.experiments.force_model.learning import INDEPENDENT, LearnedModel, measured, slopes
+from rigtool.experiments.force_model.model import Prediction, RecordState, functions
 from rigtool.experiments.force_model.records import Record, lowpassed_rows
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_mean, steady_us, weights
@@ -92,14 +92,16 @@ class _Explained:
     """A record as a model explains it under a load: at its rows, what is measured and expected."""
 
     record: Record
-    state: State
+    state: RecordState
     predicted: Prediction
     values: Array
 
     @staticmethod
-    def of(model: Learned, record: Record, moment: float = 0.0, arm: float = 0.0) -> _Explained:
+    def of(
+        model: LearnedModel, record: Record, moment: float = 0.0, arm: float = 0.0
+    ) -> _Explained:
         own = replace(record, moment=moment, load_inertia=moment * arm / STANDARD_GRAVITY)
-        state = State.of(model.shape, model.known, own)
+        state = RecordState.of(model.shape, model.known, own)
         values = functions(model.terms, state)
         predicted = Prediction(model.terms, model.coefficient, values, model.shape, state)
         return _Explained(own, state, predicted, values)
@@ -135,7 +137,11 @@ class _Found:
 
 
 def read_loads(
-    model: Learned, pairs: Sequence[LoadedPair], largest: float, angle: float, bandwidth_hz: float
+    model: LearnedModel,
+    pairs: Sequence[LoadedPair],
+    largest: float,
+    angle: float,
+    bandwidth_hz: float,
 ) -> list[LoadReading | InsufficientDataError]:
     """Read the loads of pairs that move alike; the error, where no load explains the torque.
 
@@ -172,7 +178,7 @@ def _stated(found: _Found, us: Iterator[tuple[float, float]]) -> LoadReading:
     return LoadReading(stated, scatter_u, found.cycles, found.at_angle, found.rms)
 
 
-def _zero(model: Learned, pair: LoadedPair) -> tuple[Array, Array]:
+def _zero(model: LearnedModel, pair: LoadedPair) -> tuple[Array, Array]:
     """Return the model's residual without load (rows,), N m, and its derivatives (p, rows)."""
     count = pair.loaded.count
     each = [_Explained.of(model, record) for record in pair.unloaded]
@@ -191,7 +197,7 @@ def _at(rows: Array, count: int) -> Array:
 
 
 def _find(
-    model: Learned,
+    model: LearnedModel,
     pair: LoadedPair,
     zero: tuple[Array, Array],
     largest: float,
@@ -294,7 +300,7 @@ def _solve(
     )
 
 
-def dead_band(model: Learned, pair: LoadedPair, angle: float, bandwidth_hz: float) -> DeadBand:
+def dead_band(model: LearnedModel, pair: LoadedPair, angle: float, bandwidth_hz: float) -> DeadBand:
     """Return the dead band of a pair at an output angle, rad."""
 
     def both(record: Record) -> tuple[float, float]:

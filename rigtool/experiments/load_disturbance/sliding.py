@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.force_model.learning import NAMES, STEP, Learned, moved
-from rigtool.experiments.force_model.model import Shape, State, functions
+from rigtool.experiments.force_model.learning import NAMES, STEP, LearnedModel, stepped_shape
+from rigtool.experiments.force_model.model import RecordState, Shape, functions
 from rigtool.experiments.force_model.records import Record
 from rigtool.numerics.arrays import Array
 
@@ -35,7 +35,7 @@ FOLLOWED = 6.0
 
 
 @dataclass(frozen=True, eq=False)
-class Sliding(Record):
+class SlidingRecord(Record):
     """A motion at constant `rate`, rad/s of the rotor."""
 
     rate: float
@@ -52,7 +52,7 @@ class Sliding(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class DisturbanceGrid:
     """The disturbance by motor speed rad/s, `angle` (a,) rad of the output, and `load` (l,) N m
     that the tendon carries.
 
@@ -70,8 +70,8 @@ class Grid:
 
 
 def grid_of(
-    model: Learned, speeds: Sequence[float], angle: Array, load: Array, torque_constant: float
-) -> Grid:
+    model: LearnedModel, speeds: Sequence[float], angle: Array, load: Array, torque_constant: float
+) -> DisturbanceGrid:
     """Return the disturbance at motor speeds, rad/s, output angles (a,) rad and loads (l,) N m."""
     signed = sorted(side * speed for speed in speeds for side in (1.0, -1.0))
     found = [disturbance(model, angle, load, speed, torque_constant) for speed in signed]
@@ -83,11 +83,11 @@ def grid_of(
         variance = np.einsum("spal,pq,sqal->sal", by, model.covariance, by, optimize=True)
         return values, np.sqrt(np.maximum(variance, 0.0))
 
-    return Grid(np.array(signed), angle, load, *valued(found), *valued(halves))
+    return DisturbanceGrid(np.array(signed), angle, load, *valued(found), *valued(halves))
 
 
 def disturbance(
-    model: Learned, angle: Array, load: Array, speed: float, torque_constant: float
+    model: LearnedModel, angle: Array, load: Array, speed: float, torque_constant: float
 ) -> tuple[Array, Array]:
     """Return the disturbance of loads (l,) N m at output angles (a,) rad: (a, l), N m.
 
@@ -103,7 +103,7 @@ def disturbance(
 
 
 def _sliding(
-    model: Learned, angle: Array, carried: float, speed: float, torque_constant: float
+    model: LearnedModel, angle: Array, carried: float, speed: float, torque_constant: float
 ) -> tuple[Array, Array]:
     """Return all torque besides the one carried at angles (a,), N m at the output, and derivatives
     (p, a)."""
@@ -116,20 +116,22 @@ def _sliding(
     none, empty = np.zeros(POINTS, dtype=bool), np.empty((0, 0))
     at_one_side, everywhere = np.full(POINTS, side), np.full(POINTS, carried)
 
-    def state(shape: Shape, record: Record) -> State:
+    def state(shape: Shape, record: Record) -> RecordState:
         output = path / known.angle_ratio - carried / shape.stiffness
-        return State(record, shape, known, at_one_side, at_one_side, everywhere, output)
+        return RecordState(record, shape, known, at_one_side, at_one_side, everywhere, output)
 
     values = np.zeros((len(model.terms), POINTS))
     for _ in range(ROUNDS):
         torque = carried / factor + model.coefficient @ values
         current = torque / torque_constant - known.offset
-        record = Sliding(interval, path, current, none, torque_constant, 0.0, 0.0, 0, empty, speed)
+        record = SlidingRecord(
+            interval, path, current, none, torque_constant, 0.0, 0.0, 0, empty, speed
+        )
         values = functions(model.terms, state(shape, record))
     by_shape = np.zeros((len(NAMES), POINTS))
     for number, name in enumerate(NAMES):
         if name in SEEN:
-            there = state(moved(shape, STEP * np.eye(len(NAMES))[number]), record)
+            there = state(stepped_shape(shape, STEP * np.eye(len(NAMES))[number]), record)
             by_shape[number] = model.coefficient @ (functions(model.terms, there) - values) / STEP
     rows = factor * np.vstack([model.coefficient @ values, by_shape, values])
     order = np.argsort(path)

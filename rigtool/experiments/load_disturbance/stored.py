@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.force_model.learning import Learned
+from rigtool.experiments.force_model.learning import LearnedModel
 from rigtool.experiments.force_model.stored import TERMS, model_from
-from rigtool.experiments.load_disturbance.sliding import Grid
+from rigtool.experiments.load_disturbance.sliding import DisturbanceGrid
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
@@ -24,7 +24,7 @@ class Disturbance:
     """What was learned of known loads: the `model`, the largest load `torque` N m, and the motor's
     `speeds` rad/s."""
 
-    model: Learned
+    model: LearnedModel
     torque: float
     speeds: tuple[float, ...]
 
@@ -47,7 +47,7 @@ def disturbance_from(run: Run, recipe: Recipe) -> Disturbance:
     return Disturbance(model_from(run, recipe).learned, torque, tuple(speeds))
 
 
-def grid_tables(grid: Grid, recipe: Recipe) -> dict[str, Table]:
+def grid_tables(grid: DisturbanceGrid, recipe: Recipe) -> dict[str, Table]:
     """Return the disturbance by speed, position and load, and the friction that grows with load."""
     position = Column(grid.angle * recipe.rig.angle_ratio, "rad", "of the motor")
     load = Column(grid.load, "N m", "torque that the tendon carries, at the output")
@@ -92,7 +92,7 @@ class RisingLoad:
     remains: Array
 
 
-def rising_load(tables: Run, recipe: Recipe, model: Learned, load: Array) -> RisingLoad:
+def rising_load(tables: Run, recipe: Recipe, model: LearnedModel, load: Array) -> RisingLoad:
     """Return what loads (l,) N m add to a reading of `measure_force`, from the stored tables.
 
     What remains is the part of the disturbance that does not change its sign with the direction,

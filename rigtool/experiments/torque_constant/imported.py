@@ -13,7 +13,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.imported import is_linear, known, place, recordings_of, require_one_rig
+from rigtool.experiments.imported import (
+    is_linear,
+    place,
+    recordings_of,
+    require_one_rig,
+    rig_property,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_constant.current_levels import (
     Course,
@@ -51,7 +57,7 @@ def analyse_imported(runs: Sequence[Run]) -> Outcome:
         except InsufficientDataError as error:
             raise InsufficientDataError(f"{place(recording)}: {error}") from None
     fit = fit_constant(points)
-    sensor_u = known(recordings[0], "reference_relative_u")
+    sensor_u = rig_property(recordings[0], "reference_relative_u")
     return Outcome(
         _results(fit, sensor_u or 0.0, points[0].temperature),
         {"calibration_points": _table(fit)},
@@ -72,7 +78,7 @@ def _sensor(recording: Recording) -> tuple[Array, str]:
     for name in ("reference_torque", "torque"):
         if recording.has(name):
             return recording.read(name), name
-    length = known(recording, "arm_length")
+    length = rig_property(recording, "arm_length")
     if recording.has("force") and length is not None:
         return recording.read("force") * length, "force, times arm_length"
     raise RunFileError(

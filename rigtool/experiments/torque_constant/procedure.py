@@ -11,7 +11,7 @@ from rigtool.errors import RecipeError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.torque_constant.imported import analyse_imported
-from rigtool.experiments.torque_constant.staircase import Plateaus, find_plateaus
+from rigtool.experiments.torque_constant.staircase import Plateaus, plateaus_of_set_point
 from rigtool.experiments.torque_constant.staircase_fit import SAME_TEMPERATURE
 from rigtool.experiments.torque_constant.temperature_fit import (
     Calibration,
@@ -103,7 +103,7 @@ def analyse(runs: Sequence[Run], recipe: Recipe) -> Outcome:
 
 def _plateaus(run: Run, recipe: Recipe) -> Plateaus:
     recording = run.recording(STAIRCASE)
-    return find_plateaus(
+    return plateaus_of_set_point(
         time=recording.read("time"),
         current_setpoint=recording.read("current_setpoint"),
         current=recording.read("current"),

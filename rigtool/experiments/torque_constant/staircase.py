@@ -50,7 +50,7 @@ class Plateaus:
     readings: Array
 
 
-def find_plateaus(
+def plateaus_of_set_point(
     *,
     time: ArrayLike,
     current_setpoint: ArrayLike,

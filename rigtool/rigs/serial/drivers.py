@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rigtool.errors import RecipeError
-from rigtool.plugins import load, plugins
+from rigtool.plugins import load_entry_point, plugins
 
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
@@ -80,12 +80,12 @@ def driver(name: str) -> Driver:
     added = plugins(PLUGINS, frozenset({*MODULES, REPLAY}))
     if name not in added:
         raise RecipeError(
-            f"serial.driver {name!r} is unknown: use one of {', '.join([*known(), REPLAY])}, or "
-            "install the package that adds it"
+            f"serial.driver {name!r} is unknown: use one of "
+            f"{', '.join([*driver_names(), REPLAY])}, or install the package that adds it"
         )
-    return load(added[name], Driver)
+    return load_entry_point(added[name], Driver)
 
 
-def known() -> list[str]:
+def driver_names() -> list[str]:
     """Return the names of all drivers, those of other packages last."""
     return [*MODULES, *plugins(PLUGINS, frozenset({*MODULES, REPLAY}))]

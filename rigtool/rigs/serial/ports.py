@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.drivers import driver, known
+from rigtool.rigs.serial.drivers import driver, driver_names
 from rigtool.rigs.serial.instruments import BY_CHARACTER, instrument_module
 from rigtool.rigs.serial.instruments import MODULES as INSTRUMENTS
 from rigtool.rigs.serial.line import CAN, VISA, Line
@@ -39,7 +39,7 @@ def list_ports() -> list[tuple[str, str]]:
 
 def askable() -> list[str]:
     """Return the names of the drivers and instruments that can be probed."""
-    return [*known(), *INSTRUMENTS]
+    return [*driver_names(), *INSTRUMENTS]
 
 
 def _asked_by_default() -> list[str]:

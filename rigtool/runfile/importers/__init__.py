@@ -21,7 +21,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe.mapping import SIGNALS, Mapping
 from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays
-from rigtool.runfile.importers.conditions import parts
+from rigtool.runfile.importers.conditions import unchanged_parts
 from rigtool.runfile.importers.contradictions import contradictions
 from rigtool.runfile.importers.convert import intervals, irregular, longest, stem, to_si
 from rigtool.runfile.importers.maps import read_map
@@ -188,7 +188,7 @@ def _import_file(
     if known is not None and known.map is not None:
         return _import_map(source, here, final, known, origin, overwrite)
     signals, raw, known, notes = understand(source, known, skip_bad)
-    found, missing = parts(source, raw, known)
+    found, missing = unchanged_parts(source, raw, known)
     channels = _channels(signals, known)
     specs = [
         RecordingSpec(name, channels, part.conditions)

@@ -80,7 +80,7 @@ def _in_name(path: Path, condition: Condition, pattern: str) -> tuple[float | No
         )
 
 
-def parts(path: Path, raw: Raw, mapping: Mapping) -> tuple[list[Part], list[str]]:
+def unchanged_parts(path: Path, raw: Raw, mapping: Mapping) -> tuple[list[Part], list[str]]:
     """Return the parts of a file in which no condition of a column changes, and notes.
 
     One part without such conditions; time that starts anew ends a part, too. Raises `RunFileError`

@@ -11,7 +11,7 @@ import numpy as np
 from rigtool.recipe.mapping import FileLayout, Mapping
 from rigtool.runfile.importers import importers, recognised, understand
 from rigtool.runfile.importers.arrays import load_arrays
-from rigtool.runfile.importers.conditions import parts
+from rigtool.runfile.importers.conditions import unchanged_parts
 from rigtool.runfile.importers.convert import intervals
 from rigtool.runfile.importers.header import before_numbers, split_lines, text_of
 from rigtool.runfile.importers.marks import marks_of, split_fields
@@ -51,7 +51,7 @@ def _file(source: Path, mapping: Mapping | None, skip_bad: bool) -> list[str]:
     head = [f"{name} [{known.unit(name) if name in known.signals else 's'}]" for name in names]
     first = range(min(ROWS, len(signals["time"])))
     rows = [[f"{signals[name][row]:.6g}" for name in names] for row in first]
-    found, missing = parts(source, raw, known)
+    found, missing = unchanged_parts(source, raw, known)
     split = {item.name for item in known.conditions if item.column is not None}
     stated = [
         f"{name} = {value:.6g} {unit}"

@@ -22,9 +22,9 @@ from rigtool.experiments.force_filter.plant import (
     advance,
     as_record,
 )
-from rigtool.experiments.force_model.drive import Drive
+from rigtool.experiments.force_model.drive import MotorMap
 from rigtool.experiments.force_model.model import Kind, Term
-from rigtool.experiments.force_sensor.sensor import Instrument, Sensor
+from rigtool.experiments.force_sensor.sensor import Sensor, SensorProperties
 from rigtool.numerics.compiled import compiled as machine_code
 from tests.experiments.force_filter.plants import PLANT, UNCERTAINTY
 
@@ -49,7 +49,7 @@ ROTOR = np.stack(
 )
 
 
-DRIVE = Drive(ROTOR, 0.05, 2e-3)
+DRIVE = MotorMap(ROTOR, 0.05, 2e-3)
 RIPPLE = {1: 5e-4, 2: 3e-4, 3: 1e-4, 6: 2e-4}
 LEARNED = SimpleNamespace(
     terms=[Term(Kind.RIPPLE, 1e-3, order, order % 2) for order in RIPPLE],
@@ -63,7 +63,7 @@ LEARNED = SimpleNamespace(
 class Model:
     """What a sensor takes of a learned model."""
 
-    drive: Drive = DRIVE
+    drive: MotorMap = DRIVE
     scales: ClassVar = np.stack([SCALES, SCALES])
     learned: ClassVar = LEARNED
     uncertainty: Uncertainty = UNCERTAINTY
@@ -74,7 +74,7 @@ class Model:
 
 def instrument(**changed):
     """Return the instrument of these tests, with some of its properties changed."""
-    own = Instrument(Model(), REACH, INTERVAL, WIDTH, CONSTANT, 2.0, 10.0)
+    own = SensorProperties(Model(), REACH, INTERVAL, WIDTH, CONSTANT, 2.0, 10.0)
     return replace(own, **changed)
 
 

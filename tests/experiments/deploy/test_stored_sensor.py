@@ -11,7 +11,7 @@ from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.deploy.stored_export import SENSOR, chosen_format, export_table
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import NAMES, Learned
+from rigtool.experiments.force_model.learning import NAMES, LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.stored import model_from, model_results, model_tables
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
@@ -47,7 +47,7 @@ SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
 
 def force_model(rig):
     size = len(NAMES) + len(COEFFICIENTS)
-    learned = Learned(
+    learned = LearnedModel(
         tuple(Term(kind, 1e-3, order) for kind, order in COEFFICIENTS),
         SHAPE,
         Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, 1e-3),

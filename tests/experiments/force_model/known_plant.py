@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rigtool.experiments.force_model.records import Condition, repeated
+from rigtool.experiments.force_model.records import LoadCase, repeated
 
 COUNT = 2 * math.pi / 4000
 CONSTANT = 0.05
@@ -56,5 +56,5 @@ def strokes(moment, speed, cycles=6, deviation=0.0, noise=(0.0, 0.1), seed=1, pa
         + INERTIA * np.gradient(velocity, STEP)
     )
     encoder = np.floor(angle / COUNT)
-    under = Condition(CONSTANT, moment, 1e-9, COUNT)
+    under = LoadCase(CONSTANT, moment, 1e-9, COUNT)
     return repeated(encoder, torque / CONSTANT, angle, STEP, under)

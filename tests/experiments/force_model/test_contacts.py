@@ -10,7 +10,7 @@ from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.contacts import (
     FALSE_ALARMS,
     WINDOW,
-    Motion,
+    MotionKind,
     contacts,
     thresholds,
     trial,
@@ -46,7 +46,7 @@ def test_false_alarms_come_at_the_stated_rate(rate):
 
 
 def test_a_tail_that_few_values_show_is_followed_further():
-    few, many = (thresholds([look(errors(time, 7))])[Motion.STEADY, 1] for time in (60, 3000))
+    few, many = (thresholds([look(errors(time, 7))])[MotionKind.STEADY, 1] for time in (60, 3000))
     assert 1.1 * many < few < 3 * many
 
 
@@ -95,13 +95,13 @@ def test_errors_of_reversals_do_not_count_in_steady_motion():
         states[begin : begin + 50] = State.REVERSED
         torque[begin : begin + 50] += 3e-3 * np.sin(np.linspace(0, np.pi, 50))
     limits = thresholds([look(torque, states)])
-    assert limits[Motion.REVERSED, 0] > 3e-3
-    assert limits[Motion.STEADY, 0] < 1.5 * LIMITS[Motion.STEADY, 0]
+    assert limits[MotionKind.REVERSED, 0] > 3e-3
+    assert limits[MotionKind.STEADY, 0] < 1.5 * LIMITS[MotionKind.STEADY, 0]
     assert contacts(look(torque, states), limits) == []
 
 
 def test_a_motion_that_is_not_known_finds_nothing():
-    assert np.isinf(LIMITS[Motion.STILL]).all()
+    assert np.isinf(LIMITS[MotionKind.STILL]).all()
     torque = errors(20, 5)
     torque[8000:] += 50e-3
     assert contacts(look(torque, np.full(20000, State.STILL)), LIMITS) == []

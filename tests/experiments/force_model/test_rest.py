@@ -15,7 +15,7 @@ from rigtool.experiments.force_filter.plant import (
     as_record,
 )
 from rigtool.experiments.force_model.drive import plant_of
-from rigtool.experiments.force_model.learning import NAMES, Learned
+from rigtool.experiments.force_model.learning import NAMES, LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.rest import Exploration, RestProblem, learn_rest
 from rigtool.numerics.compiled import compiled
@@ -48,7 +48,7 @@ def model():
     shape = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.03, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
     covariance = correlation * np.outer(u, u)
     known = Known(0.85, 1.18, 2e-5)
-    return Learned(TERMS, shape, known, coefficient, covariance, np.ones(2))
+    return LearnedModel(TERMS, shape, known, coefficient, covariance, np.ones(2))
 
 
 def explored(truth, seconds=7.0, seed=4, period=0.9):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rigtool.experiments.force_model.steps import (
     SAMPLE_TIME,
     STEP_TIME,
-    Grid,
+    FilterSteps,
     Sampler,
     unbroken,
 )
@@ -18,7 +18,7 @@ from rigtool.experiments.force_model.steps import (
 
 @given(st.floats(1e-5, 4e-3))
 def test_the_filter_keeps_its_pace_at_any_rate_of_recording(interval):
-    grid = Grid.of(interval)
+    grid = FilterSteps.of(interval)
     assert grid.sample_time <= SAMPLE_TIME * (1 + 1e-5)
     assert grid.averaged == 1 or grid.divided == 1
     span = grid.step_samples * grid.sample_time
@@ -27,7 +27,7 @@ def test_the_filter_keeps_its_pace_at_any_rate_of_recording(interval):
 
 @pytest.mark.parametrize(("interval", "expected"), [(125e-6, (4, 1, 2)), (2e-3, (1, 4, 2))])
 def test_grids_of_the_rates_in_use(interval, expected):
-    grid = Grid.of(interval)
+    grid = FilterSteps.of(interval)
     assert (grid.averaged, grid.divided, grid.step_samples) == expected
 
 
@@ -38,7 +38,7 @@ def test_counts_come_back_from_means(averaged):
     angle = 40 * np.sin(2 * np.pi * 0.4 * time)  # counts, up to 100 counts/s
     exact = np.floor(angle)
     encoder = exact.reshape(-1, averaged).mean(axis=1)
-    grid = Grid.of(averaged * dt)
+    grid = FilterSteps.of(averaged * dt)
     found = grid.counts(encoder)
     truth = exact[np.round(np.arange(len(found)) * grid.sample_time / dt).astype(int)]
     assert np.abs(found - truth).max() <= (0 if averaged == 1 else 1)
@@ -46,7 +46,7 @@ def test_counts_come_back_from_means(averaged):
 
 
 def test_means_keep_the_sum_of_what_they_average():
-    grid = Grid.of(250e-6)
+    grid = FilterSteps.of(250e-6)
     np.testing.assert_allclose(grid.means(np.array([1.0, 3.0, 5.0, 9.0, 7.0])), [2.0, 7.0], rtol=0)
 
 
@@ -76,7 +76,7 @@ def test_blocks_give_the_same_samples_as_a_whole_recording(averaged):
     samples = np.stack([encoder, rng.standard_normal(4000), np.full(4000, 0.05), np.arange(4000.0)])
 
     def sampled(*edges):
-        sampler = Sampler(Grid.of(dt), 0.1, Plain(), context=256)
+        sampler = Sampler(FilterSteps.of(dt), 0.1, Plain(), context=256)
         cuts = pairwise([0, *edges, 4000])
         found = [sampler.add(samples[:, a:b], last=b == 4000) for a, b in cuts]
         return [

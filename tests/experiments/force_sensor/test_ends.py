@@ -5,7 +5,7 @@ import pytest
 
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_sensor.procedure_reading import held_lowpass, weight_ahead
-from rigtool.experiments.force_sensor.results_over_time import Reading, over_time_tables
+from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables
 
 RATE, CORNER_HZ = 1000.0, 30.0
 
@@ -37,7 +37,7 @@ def test_the_peak_is_not_that_of_a_row_that_knows_little():
     torque = np.array([0.0, 10e-3, 42e-3, 41e-3, 50e-3])
     u = np.array([0.5e-3, 0.5e-3, 0.5e-3, 0.5e-3, 6e-3])
     time, states = 5e-3 * np.arange(5), np.full(5, State.AGAINST, dtype=np.int32)
-    row = Reading("made", 5e-3, time, torque, u, states)
+    row = TorqueRows("made", 5e-3, time, torque, u, states)
     results, _ = over_time_tables([row], 60e-3, 30.0)
     assert results["peak_torque"].value == 42e-3
     assert results["peak_torque"].u == 0.5e-3

@@ -5,7 +5,12 @@ import pytest
 
 from rigtool.errors import RecipeError
 from rigtool.experiments.force_filter.motion_states import Reach
-from rigtool.experiments.force_sensor.procedure_motion import moved, path, path_of, require_learned
+from rigtool.experiments.force_sensor.procedure_motion import (
+    path,
+    path_from_start,
+    path_of,
+    require_learned,
+)
 from rigtool.recipe import load_recipe
 from tests.experiments.virtual_runs import RECIPE
 
@@ -18,7 +23,7 @@ def recipe(*sets):
 
 @pytest.mark.parametrize("kind", ["strokes", "sine", "hold"])
 def test_each_motion_lasts_as_long_as_asked_and_stays_within_the_range(kind):
-    start, motion = moved(recipe(f"kind={kind}"), 10.0)
+    start, motion = path_from_start(recipe(f"kind={kind}"), 10.0)
     assert motion.duration >= 10.0
     position, _, _ = motion.setpoint(np.linspace(0, motion.duration, 5000))
     assert position.min() + (start or 0.0) > -1e-6
@@ -54,7 +59,7 @@ def test_a_file_that_is_no_path_is_refused(tmp_path, text, message):
 
 
 def test_motions_beyond_what_was_learned_are_refused():
-    start, motion = moved(recipe("kind=sine", "frequency_hz=3"), 2.0)
+    start, motion = path_from_start(recipe("kind=sine", "frequency_hz=3"), 2.0)
     with pytest.raises(RecipeError, match="learned up to 10 rad/s"):
         require_learned(start, motion, REACH, 0.0)
     wide = path(np.array([0.0, 5.0]), np.array([0.0, 3.0]))

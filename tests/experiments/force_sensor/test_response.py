@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigtool.experiments.force_sensor.response import RIGHT, Spectra, bandwidth
+from rigtool.experiments.force_sensor.response import RIGHT, Spectra, amplitude_bandwidth
 from rigtool.numerics.lowpass import delayed, lowpass
 from rigtool.recipe.commands import ForceMotion
 
@@ -22,7 +22,7 @@ def test_that_of_a_low_pass_is_where_its_gain_is(seed, cutoff_hz):
     rng = np.random.default_rng(seed)
     reference = rng.standard_normal(60_000)
     torque = lowpass(RATE, reference, cutoff_hz) + 1e-3 * rng.standard_normal(60_000)
-    value, u = bandwidth([spectra(torque[:30_000], reference[:30_000])] * 2)
+    value, u = amplitude_bandwidth([spectra(torque[:30_000], reference[:30_000])] * 2)
     exact = cutoff_hz * (1 / RIGHT - 1) ** 0.25  # 1 / (1 + (f / fc)^4)
     assert value == pytest.approx(exact, abs=3 * u)
     assert u < 1.0
@@ -40,8 +40,10 @@ def test_a_sine_alone_shows_its_frequency():
     time = np.arange(40_000) / RATE
     sine = np.sin(2 * np.pi * 10.0 * time)
     noise = 0.02 * np.random.default_rng(5).standard_normal(40_000)
-    assert bandwidth([spectra(0.97 * sine + noise, sine)])[0] == pytest.approx(10.0, abs=2.5)
-    assert np.isnan(bandwidth([spectra(0.9 * sine + noise, sine)])[0])
+    assert amplitude_bandwidth([spectra(0.97 * sine + noise, sine)])[0] == pytest.approx(
+        10.0, abs=2.5
+    )
+    assert np.isnan(amplitude_bandwidth([spectra(0.9 * sine + noise, sine)])[0])
 
 
 def test_what_has_no_value_does_not_count():
@@ -49,8 +51,8 @@ def test_what_has_no_value_does_not_count():
     reference = rng.standard_normal(40_000)
     torque, valid = reference.copy(), np.ones(40_000, dtype=bool)
     torque[10_000:20_000], valid[10_000:20_000] = 0.0, False
-    assert bandwidth([spectra(torque, reference, valid)])[0] == pytest.approx(100.0)
-    assert np.isnan(bandwidth([spectra(torque, reference, ~valid)])[0])
+    assert amplitude_bandwidth([spectra(torque, reference, valid)])[0] == pytest.approx(100.0)
+    assert np.isnan(amplitude_bandwidth([spectra(torque, reference, ~valid)])[0])
 
 
 def test_what_is_no_part_of_the_reference_changes_no_amplitude():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.friction.paired import Signals, changes, ratio
+from rigtool.experiments.friction.paired import MotionSignals, changes, ratio
 from rigtool.experiments.friction.results import Findings, Scale
 from rigtool.experiments.friction.results_difference import HOLDS, add_curve_difference
 from rigtool.quantity import Quantity
@@ -35,7 +35,7 @@ def arm(payload, seed, later=0.0, noise=0.02, sines=TWO_SINES):
     gravity = (0.4 + payload * 9.81 * ARM) * np.cos(position)
     torque = (0.05 + payload * ARM**2) * acceleration + 0.3 * speed + sliding + gravity
     torque += 0.1 + 0.05 * np.sin(24 * position) + random.normal(0, noise, len(time))
-    return Signals(time, position, torque, position)
+    return MotionSignals(time, position, torque, position)
 
 
 def test_a_payload_is_weighed_by_another_one():

@@ -7,7 +7,7 @@ from scipy import constants
 
 from rigtool.experiments.force_model.model import Known
 from rigtool.experiments.force_model.paths import tendon
-from rigtool.experiments.force_model.records import Condition, repeated
+from rigtool.experiments.force_model.records import LoadCase, repeated
 
 COUNT = 2 * math.pi / 4000
 CONSTANT, ARM = 0.045, 0.02
@@ -68,7 +68,7 @@ def strokes(
     acceleration = np.gradient(np.gradient(angle, STEP), STEP)
     current = (output / KNOWN.torque_factor / gain + KNOWN.inertia * acceleration) / CONSTANT
     stated = moment if known else 0.0
-    under = Condition(CONSTANT, stated, stated * ARM / constants.g, COUNT)
+    under = LoadCase(CONSTANT, stated, stated * ARM / constants.g, COUNT)
     return repeated(np.floor(angle / COUNT), current, angle, STEP, under)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
-from rigtool.experiments.force_model.learning import NAMES, Learned, learn_sliding
+from rigtool.experiments.force_model.learning import NAMES, LearnedModel, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Shape, Term
 from rigtool.experiments.load_disturbance.reading import (
     LoadedPair,
@@ -111,7 +111,9 @@ def test_a_load_that_swings_near_its_resonance_is_found(load):
     shape = Shape(1e-3, 1e-2, 1e-2, 0.1, 0.01, grasper_inertia=1e-7, load_onset=1e-3, **soft)
     terms = (Term(Kind.HOUSING, 1.0),)
     count = len(NAMES) + len(terms)
-    plain = Learned(terms, shape, KNOWN, np.full(1, 8.5e-3), np.zeros((count, count)), np.ones(2))
+    plain = LearnedModel(
+        terms, shape, KNOWN, np.full(1, 8.5e-3), np.zeros((count, count)), np.ones(2)
+    )
     pair = LoadedPair(strokes(load, 1.8, **drive), (strokes(0.0, 1.8, **drive),), ARM)
     assert read(plain, pair).moment == pytest.approx(load, rel=0.03, abs=0.05e-3)
 

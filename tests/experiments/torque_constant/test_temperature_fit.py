@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.torque_constant.staircase import amplifier_linearity, find_plateaus
+from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
 from rigtool.experiments.torque_constant.temperature_fit import Calibration, calibrate
 from rigtool.numerics.turn_mean import mean_over_turn
 from tests.experiments.torque_constant.staircases import Bench
@@ -20,7 +20,9 @@ ARM = {"arm_length_u": 0.2e-3, "gauge_relative_u": 3e-4, "reference_range_degc":
 
 
 def analyse(bench: Bench, signals: dict[str, np.ndarray]) -> Calibration:
-    plateaus = find_plateaus(**signals, arm_length=bench.arm_length, settle_time=bench.settle_time)
+    plateaus = plateaus_of_set_point(
+        **signals, arm_length=bench.arm_length, settle_time=bench.settle_time
+    )
     return calibrate(plateaus, arm_length=bench.arm_length, **ARM)
 
 
@@ -55,7 +57,9 @@ def test_derivatives_are_those_of_gtc():
     """k(T) = g (k0 + b (T - T0)) written out with GTC's uncertain numbers."""
     bench = Bench()
     signals = bench.record()
-    plateaus = find_plateaus(**signals, arm_length=bench.arm_length, settle_time=bench.settle_time)
+    plateaus = plateaus_of_set_point(
+        **signals, arm_length=bench.arm_length, settle_time=bench.settle_time
+    )
     ends, wrong = (20.0, 45.0), {"gauge_linearity": 1e-3, "current_reading_relative_u": 2e-3}
     settings = {**ARM, **wrong, "thermometer_u": 0.5, "reference_range_degc": ends}
     found = calibrate(plateaus, arm_length=bench.arm_length, **settings)
@@ -178,7 +182,7 @@ def test_other_rigs(bench):
 def test_ignored_friction_would_show():
     # The same signals, the slope by a straight line: what the analysis has to take out.
     bench = Bench(stiffness=40.0, ripple=())
-    plateaus = find_plateaus(**bench.record(), arm_length=0.54, settle_time=0.08)
+    plateaus = plateaus_of_set_point(**bench.record(), arm_length=0.54, settle_time=0.08)
     straight = np.polyfit(plateaus.current, plateaus.torque, 1)[0]
     assert straight < 45.8e-3 * (1 - 0.01)
 
@@ -229,13 +233,13 @@ def test_resolution_of_the_gauge_is_seen_in_its_readings_and_stated():
     bench = Bench(force_noise=1e-4)
     signals = bench.record((20, 50))
     rounded = {**signals, "force": np.round(signals["force"] / 5e-3) * 5e-3}
-    plateaus = find_plateaus(**rounded, arm_length=0.54, settle_time=0.08)
+    plateaus = plateaus_of_set_point(**rounded, arm_length=0.54, settle_time=0.08)
     assert_allclose(plateaus.resolution, 5e-3 * 0.54, rtol=1e-6)
     found = calibrate(plateaus, arm_length=0.54, **ARM)
     assert abs(found.mean.value / (45.8e-3 * (1 - 1.16e-3 * 7.5)) - 1) < 3 * found.mean.u / 45e-3
     fine = analyse(bench, signals).components
     assert found.components["gauge resolution"] > 20 * fine["gauge resolution"]
-    stated = find_plateaus(
+    stated = plateaus_of_set_point(
         **signals, arm_length=0.54, settle_time=0.08, gauge_resolution=5e-3
     ).resolution
     assert_allclose(stated, 5e-3 * 0.54, rtol=1e-12)
@@ -243,7 +247,7 @@ def test_resolution_of_the_gauge_is_seen_in_its_readings_and_stated():
 
 def test_gauge_that_is_not_linear_is_in_the_budget(thesis):
     bench = Bench()
-    plateaus = find_plateaus(**bench.record(), arm_length=0.54, settle_time=0.08)
+    plateaus = plateaus_of_set_point(**bench.record(), arm_length=0.54, settle_time=0.08)
     found = calibrate(plateaus, arm_length=0.54, gauge_linearity=2e-3, **ARM)
     assert_allclose(found.components["gauge linearity"], 2e-3 / np.sqrt(3), rtol=1e-12)
     more = np.hypot(thesis.mean.u / thesis.mean.value, 2e-3 / np.sqrt(3))
@@ -274,7 +278,7 @@ def test_plateaus_leave_the_settling_out():
     time = np.arange(4000) * 0.01
     setpoint = np.repeat(np.arange(10.0), 400)
     settling = np.exp(-(time % 4.0) / 0.05)
-    plateaus = find_plateaus(
+    plateaus = plateaus_of_set_point(
         time=time,
         current_setpoint=setpoint,
         current=setpoint + settling,
@@ -292,13 +296,13 @@ def test_plateaus_leave_the_settling_out():
 
 def test_a_gap_in_time_begins_a_staircase():
     bench = Bench()
-    plateaus = find_plateaus(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
+    plateaus = plateaus_of_set_point(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
     assert_allclose(np.bincount(plateaus.staircase), np.full(6, 41), rtol=1e-9)
 
 
 def test_linearity_finds_the_worst_level():
     bench = Bench(cubic=1e-3)
-    plateaus = find_plateaus(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
+    plateaus = plateaus_of_set_point(**bench.record((20, 30), 3), arm_length=0.54, settle_time=0.08)
     found = amplifier_linearity(plateaus)
     x = np.unique(plateaus.current_setpoint)
     y = x * (1 + 1e-3 * x**2) + 1e-3
@@ -377,7 +381,9 @@ def test_mean_over_turn_does_not_care_where_the_turn_begins(shift, noise):
 def test_an_error_of_the_thermometer_moves_the_constant_along_its_slope(thesis):
     bench = Bench()
     signals = bench.record()
-    plateaus = find_plateaus(**signals, arm_length=bench.arm_length, settle_time=bench.settle_time)
+    plateaus = plateaus_of_set_point(
+        **signals, arm_length=bench.arm_length, settle_time=bench.settle_time
+    )
     found = calibrate(plateaus, arm_length=bench.arm_length, thermometer_u=2.0, **ARM)
     assert found.coefficient.value < 0
     shift = 2.0 * abs(found.coefficient.value)

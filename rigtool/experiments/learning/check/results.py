@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.experiments.learning.check.imported import FITS as FITS
-from rigtool.experiments.learning.check.table_health import Change, Part, TableHealth
+from rigtool.experiments.learning.check.table_health import HealthChange, ParityPart, TableHealth
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.rows import Row
 from rigtool.experiments.outcome import Outcome
@@ -22,7 +22,7 @@ BOUND = "the part above the scatter of the mean; compare with non_repeatable_rms
 
 def outcome_of(
     found: TableHealth,
-    parts: Sequence[Part],
+    parts: Sequence[ParityPart],
     rows: Sequence[Row],
     position: Array,
     learned: LearnedTable,
@@ -33,11 +33,11 @@ def outcome_of(
     results = _results(found, counts, dof)
     tables = {"table_health": _by_speed(rows, position, learned)}
     tables["health_waveforms"] = _waveforms(rows, position, learned)
-    return Outcome(results, tables, (verdict(found, counts), *_remarks(found)))
+    return Outcome(results, tables, (table_verdict(found, counts), *_remarks(found)))
 
 
 def _results(found: TableHealth, counts: int, dof: float) -> dict[str, Quantity]:
-    def quantity(estimate: Change | None, unit: str, factor: float = 1.0) -> Quantity:
+    def quantity(estimate: HealthChange | None, unit: str, factor: float = 1.0) -> Quantity:
         if estimate is None:
             return Quantity(math.nan, unit, reason=NO_PATTERN)
         return Quantity(estimate.value * factor, unit, estimate.u * factor, dof)
@@ -60,7 +60,7 @@ def _results(found: TableHealth, counts: int, dof: float) -> dict[str, Quantity]
     return results
 
 
-def verdict(found: TableHealth, counts: int) -> str:
+def table_verdict(found: TableHealth, counts: int) -> str:
     """State in words whether the table fits, its changes, and whether a shift would correct it."""
     limit = f"a single move scatters by {found.limit * 1e3:.2g} mN m rms"
     off = f"the table is off by {found.mismatch * 1e3:.2g} mN m rms"
@@ -97,7 +97,7 @@ def _pattern(found: TableHealth, counts: int) -> list[str]:
     return [f"{what}; shift and scale leave {found.unexplained.value:.0%} of its variance"]
 
 
-def _shifted(shift: Change, left: float, counts: int) -> str:
+def _shifted(shift: HealthChange, left: float, counts: int) -> str:
     degrees, u = math.degrees(shift.value), math.degrees(shift.u)
     steps, steps_u = (x * counts / (2 * math.pi) for x in (shift.value, shift.u))
     rest = f"{left * 1e3:.2g} mN m rms" if left > 0 else "nothing above the scatter"

@@ -42,7 +42,7 @@ ALIKE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ParityPart:
     """One parity at one speed: learned (n,) and each present move (m, n), N m.
 
     `learned_u` (n,) is the standard uncertainty of the learned part. `odd` has the sign of the
@@ -64,7 +64,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Change:
+class HealthChange:
     """A number with its standard uncertainty."""
 
     value: float
@@ -92,19 +92,19 @@ class TableHealth:
     `pattern` the rms of the pattern now, `limit` the scatter of a single move.
     """
 
-    shift: Change | None
+    shift: HealthChange | None
     whole_turn: bool
     reach: float
-    scale: Change | None
-    friction: Change | None
-    offset: Change
+    scale: HealthChange | None
+    friction: HealthChange | None
+    offset: HealthChange
     mismatch: float
     shape: float
     scaled: float
     shifted: float
     even: float
     odd: float
-    unexplained: Change
+    unexplained: HealthChange
     pattern: float
     limit: float
 
@@ -144,7 +144,7 @@ class TableHealth:
         """Whether the mean of both directions differs by more than its share of the limit."""
         return self._beyond(self.offset)
 
-    def _beyond(self, change: Change) -> bool:
+    def _beyond(self, change: HealthChange) -> bool:
         # Pattern, friction and offset add up as squares: below a half, none makes a mismatch.
         least = self.limit / 2
         if not self.whole_turn and not self.pattern_fits:
@@ -152,14 +152,14 @@ class TableHealth:
         return change.certain and abs(change.value) > least
 
 
-def parts(table: LookupTable, u: Array, rows: Sequence[Row], position: Array) -> list[Part]:
+def parts(table: LookupTable, u: Array, rows: Sequence[Row], position: Array) -> list[ParityPart]:
     """Pair rows (at `position` (n,), rad) with the table there; `u` has the shape of its torque.
 
     Raises `InsufficientDataError` for one move, which has no scatter, and where the table does not
     cover a speed.
     """
     uncertain = replace(table, torque=u)
-    by_speed: dict[float, dict[bool, Part]] = {}
+    by_speed: dict[float, dict[bool, ParityPart]] = {}
     for row in rows:
         if len(row.moves) < 2:
             raise InsufficientDataError("a single move has no scatter: record at least 2")
@@ -169,19 +169,19 @@ def parts(table: LookupTable, u: Array, rows: Sequence[Row], position: Array) ->
                 f"the table does not cover {row.speed:.4g} rad/s at all recorded positions: check "
                 "at a speed that was learned"
             )
-        here = Part(row.speed, False, table.evaluate(*at), uncertain.evaluate(*at), row.moves)
+        here = ParityPart(row.speed, False, table.evaluate(*at), uncertain.evaluate(*at), row.moves)
         by_speed.setdefault(abs(row.speed), {})[row.speed > 0] = here
-    found: list[Part] = []
+    found: list[ParityPart] = []
     for ways in by_speed.values():
         found += _parities(ways[True], ways[False]) if len(ways) == 2 else ways.values()
     return found
 
 
-def _parities(forward: Part, backward: Part) -> list[Part]:
+def _parities(forward: ParityPart, backward: ParityPart) -> list[ParityPart]:
     count = min(len(forward.moves), len(backward.moves))
     u = np.hypot(forward.learned_u, backward.learned_u) / 2
     return [
-        Part(
+        ParityPart(
             forward.speed,
             odd,
             (forward.learned + sign * backward.learned) / 2,
@@ -192,7 +192,7 @@ def _parities(forward: Part, backward: Part) -> list[Part]:
     ]
 
 
-def judge_table(parts: Sequence[Part], position: Array, period: float | None) -> TableHealth:
+def judge_table(parts: Sequence[ParityPart], position: Array, period: float | None) -> TableHealth:
     """Compare a table with the torque now; `position` (n,) rad in equal steps.
 
     `period` is that of the table, rad, where it has one. Raises `InsufficientDataError`
@@ -225,8 +225,8 @@ def judge_table(parts: Sequence[Part], position: Array, period: float | None) ->
     off, change = now - learned, (now - learned).mean(axis=1)
     scatter = wider * moves.mean(axis=2).std(axis=0, ddof=1) / math.sqrt(count)
 
-    def mean_change(chosen: Mask) -> Change:
-        return Change(
+    def mean_change(chosen: Mask) -> HealthChange:
+        return HealthChange(
             float(change[chosen].mean()), float(np.linalg.norm(scatter[chosen]) / chosen.sum())
         )
 
@@ -238,16 +238,16 @@ def judge_table(parts: Sequence[Part], position: Array, period: float | None) ->
     left = fit.now - fit.scale * fit.learned
     power = max(pattern**2, np.finfo(float).tiny)
     influence = 2 * np.mean(left * fit.moves, axis=2).sum(axis=1) / speeds
-    unexplained = Change(
+    unexplained = HealthChange(
         excess(left) ** 2 / power,
         wider * float(influence.std(ddof=1)) / math.sqrt(count) / power,
     )
     u = np.maximum(wider * fit.each.std(axis=0, ddof=1) / math.sqrt(count), fit.misfit_u)
     return TableHealth(
-        shift=Change(fit.shift, float(u[1])) if patterned else None,
+        shift=HealthChange(fit.shift, float(u[1])) if patterned else None,
         whole_turn=period is not None,
         reach=fit.reach,
-        scale=Change(fit.scale, float(u[0])) if patterned else None,
+        scale=HealthChange(fit.scale, float(u[0])) if patterned else None,
         friction=mean_change(odd) if odd.any() else None,
         offset=mean_change(~odd),
         mismatch=excess(off),

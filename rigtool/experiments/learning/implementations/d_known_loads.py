@@ -29,7 +29,7 @@ from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.reading import LoadedPair, read_loads
-from rigtool.experiments.load_disturbance.sliding import Grid, grid_of
+from rigtool.experiments.load_disturbance.sliding import DisturbanceGrid, grid_of
 from rigtool.experiments.load_disturbance.stored import grid_tables
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import channels, record
@@ -215,7 +215,7 @@ def _temperature(run: Run) -> float:
     return float(np.mean([np.mean(recording.read("temperature")) for recording in recorded]))
 
 
-def _friction_coefficient(grid: Grid, recipe: Recipe) -> Quantity:
+def _friction_coefficient(grid: DisturbanceGrid, recipe: Recipe) -> Quantity:
     """Return friction per load of the largest load at the slowest speed, at `measure_angle`."""
     angle = math.radians(recipe.measure_force.measure_angle)
     friction, u = (

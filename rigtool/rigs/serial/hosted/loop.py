@@ -56,7 +56,7 @@ class Followed:
     between: Between
 
 
-class Loop:
+class MotionTicks:
     """One motion, tick by tick; with `halts` the drive is switched off at its end."""
 
     def __init__(self, followed: Followed, task: Task, halts: bool) -> None:

@@ -27,7 +27,7 @@ from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.drive import Drive, Mode
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.hosted.between import ROOM, Between, usual_time
-from rigtool.rigs.serial.hosted.loop import COLUMNS, Followed, Loop
+from rigtool.rigs.serial.hosted.loop import COLUMNS, Followed, MotionTicks
 from rigtool.rigs.serial.line import CAN, REPLAY, Line
 from rigtool.rigs.serial.rig import SerialRig, in_thread
 
@@ -204,7 +204,7 @@ class HostedRig(SerialRig):
         followed = Followed(
             self.drive, self.line, self._recipe, self._torque_constant, self.mode, self._between
         )
-        loop = Loop(followed, task, halts)
+        loop = MotionTicks(followed, task, halts)
         try:
             yield from in_thread(loop.run)
         finally:

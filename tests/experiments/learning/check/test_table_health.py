@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.learning.check.results import verdict
+from rigtool.experiments.learning.check.results import table_verdict
 from rigtool.experiments.learning.check.table_health import judge_table, parts
 from rigtool.experiments.learning.rows import Row
 from tests.thorough import first_of
@@ -235,6 +235,6 @@ def test_a_shift_with_other_friction_is_not_mended_by_the_shift():
         found = checked(table, u, now(table, shift=0.5, **change))
         assert found.shift_is_enough
         assert found.friction_changed != found.offset_changed
-        assert "a shift alone is not enough: learn again" in verdict(found, 4000)
+        assert "a shift alone is not enough: learn again" in table_verdict(found, 4000)
     found = checked(table, u, now(table, shift=0.5))
-    assert "not enough" not in verdict(found, 4000)
+    assert "not enough" not in table_verdict(found, 4000)
