@@ -151,7 +151,7 @@ def _ripple_remark(tables: Run, speed: float) -> str:
     """
     if WAVEFORMS not in tables.tables:
         return "the table was not tried while it was learned: its effect on ripple is not known"
-    tried = tables.tables[WAVEFORMS]
+    tried = tables.table(WAVEFORMS, speed="rad/s", before="N m", residual="N m")
     distance = np.abs(np.abs(tried["speed"]) - abs(speed))
     next_to = distance == distance.min()
     before, after = (_ripple(tried[name][next_to]) for name in ("before", "residual"))

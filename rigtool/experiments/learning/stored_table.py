@@ -123,7 +123,8 @@ def stored_table_from(run: Run) -> LookupTable:
             f"{run.path}: was learned by time, along one move, and holds no table by position: "
             "learn with another --implementation"
         )
-    lookup = run.table("lookup", "speed", "position", speed="rad/s", position="rad")
+    found = run.table("lookup", "speed", "position", speed="rad/s", position="rad")
+    lookup = run.table("lookup", **{found.signal: found.columns[found.signal].unit})
     amplitude = run.table("amplitude", "low_speed", low_speed="rad/s", amplitude="1")
     try:
         return LookupTable(
@@ -148,7 +149,7 @@ def learned_table_from(run: Run) -> LearnedTable:
     band_hz, band_speed = _band(run)
     return LearnedTable(
         table=table,
-        u=np.asarray(stored["u"], dtype=np.float64),
+        u=np.asarray(run.table("lookup", u=signal.unit)["u"], dtype=np.float64),
         quantity=stored.signal,
         unit=signal.unit,
         friction=friction_beside(run),

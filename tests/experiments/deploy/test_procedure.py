@@ -379,5 +379,6 @@ def test_ripple_is_told_of_the_learned_speed_next_to_this(speed, told):
         "before": np.array([[1.0], [5.0], [5.0], [3.0]]) * wave + 0.1,
         "residual": np.array([[2.0], [4.0], [4.0], [0.0]]) * wave - 0.2,
     }
-    run = SimpleNamespace(tables={"residual_waveforms": columns})
+    tables = {"residual_waveforms": columns}
+    run = SimpleNamespace(tables=tables, table=lambda name, **units: tables[name])
     assert f"ripple went from {told} mN m" in _ripple_remark(run, speed)
