@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError
+from rigtool.experiments.learning.stored_table import stored_table_from
 from rigtool.runfile import RecordingSpec, RunWriter, open_run, provenance
 from rigtool.runfile.objects import make_group, make_text, set_attribute
 from tests.runfile.whole_run import SPECS, samples, write
@@ -338,6 +339,8 @@ def test_a_table_that_a_command_computes_with(tmp_path, edit):
     with pytest.raises(RunFileError, match=r"anew|again|damaged") as caught, open_run(path) as run:
         run.table("lookup", "speed", "position", speed="rad/s", position="rad", torque="N m")
     assert str(path) in str(caught.value)
+    with pytest.raises(RunFileError), open_run(path) as run:
+        stored_table_from(run)
 
 
 @pytest.mark.parametrize("kind", ["f4", "i4", "u1"])
