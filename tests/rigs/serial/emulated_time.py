@@ -259,7 +259,9 @@ class Wire:
         self.cut = False
 
     def send(self, way, data):
-        """Send bytes, at least one, behind those that are under way."""
+        """Send bytes behind those that are under way; none are nothing."""
+        if not data:
+            return
         begin = max([self.world.now + self.world.delay, *(moment for moment, _ in way[-1:])])
         way.append((begin + len(data) / self.world.rate, bytes(data)))
 

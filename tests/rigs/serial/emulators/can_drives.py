@@ -107,7 +107,7 @@ class ODriveCanEmulator(SlcanEmulator):
         self.motor.current_limit = self.limits[1]
         limit = self.limits[0]
         speed = min(max(self.speed, -limit), limit) * TURN
-        self.motor.advance(mode, 0.0, speed, self.torque / self.motor.torque_constant)
+        self.motor.advance(mode, 0.0, speed, self.torque / abs(self.motor.torque_constant))
 
 
 class MoteusCanEmulator(SlcanEmulator):

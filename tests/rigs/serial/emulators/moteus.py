@@ -359,7 +359,8 @@ class MoteusEmulator(Emulator):
         return target, speed
 
     def _torque_constant(self) -> float:
-        return self.motor.torque_constant / self.config["motor_position.rotor_to_output_ratio"]
+        """Return what the firmware has: it does not know that a motor turns against its current."""
+        return abs(self.motor.torque_constant) / self.config["motor_position.rotor_to_output_ratio"]
 
     def _position(self) -> float:
         ratio = self.config["motor_position.rotor_to_output_ratio"]

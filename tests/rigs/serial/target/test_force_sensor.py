@@ -13,7 +13,7 @@ from rigtool.rigs.serial.emulators.server import serve
 from tests.experiments.deploy.sensors import REACH, expected, instrument
 from tests.rigs.serial.emulators.firmware import Bare, Firmware, build, library, pointer
 from tests.rigs.serial.target.test_driver import TRIANGLE, as_stored, blocks_of, target_rig, virtual
-from tests.rigs.serial.target.test_firmware import EXACT, STRICTER
+from tests.rigs.serial.target.test_firmware import PROFILES, STRICTER
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler cc")
 
@@ -63,7 +63,7 @@ def test_over_a_pseudo_terminal_under_the_sanitizers(header):
         os.close(master)
         more = ("rig.attachment=pulley", "serial.watchdog=5")
         with target_rig(os.ttyname(slave), *more, "serial.log=stream") as rig:
-            got = blocks_of(rig, EXACT[1])
+            got = blocks_of(rig, PROFILES[1])
             angle = got["encoder"] * 2 * np.pi / 4000
             assert np.abs(angle - got["position_setpoint"]).max() < 0.05
         os.close(slave)
