@@ -21,6 +21,9 @@ D = (
     "ilc_learn.loads.cycles=12",
 )
 
+PATIENCE = 6000
+"""Looks, 0.1 s apart, for what another process learns; it takes some 10 s, or was killed."""
+
 
 def learned_loads(tmp_path_factory, folder):
     """Return the path of the tables, copied into a folder; the first who asks learns them."""
@@ -28,11 +31,15 @@ def learned_loads(tmp_path_factory, folder):
     if "PYTEST_XDIST_WORKER" in os.environ:
         session = session.parent
     shared, mine = session / "learned-loads.h5", session / "learned-loads-being-made"
+    waited = 0
     while not shared.exists():
         try:
             mine.mkdir()
         except FileExistsError:  # another process learns
             time.sleep(0.1)
+            waited += 1
+            if waited > PATIENCE:
+                raise TimeoutError(f"{mine}: who made it has ended") from None
             continue
         try:
             run(ILC_LEARN, RECIPE, mine / "tables.h5", *RIG, *D, kt=KT)
