@@ -25,6 +25,7 @@ from rigtool.experiments.force_model.records import LoadCase, Record, repeated, 
 from rigtool.experiments.force_model.rest import SETTLING, Exploration, learn_rest
 from rigtool.experiments.force_model.steps import FilterSteps, Sampler
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
+from rigtool.numerics.lowpass import delayed, lowpass
 from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import SpeedProfile
@@ -164,8 +165,6 @@ def _errors(
 
     What acts is a hanging load that swings on its tendon: F r sin a + J a''.
     """
-    from scipy.signal import butter, sosfilt, sosfiltfilt
-
     own, under = _known(recording, recipe, kt)
     grid, corner_hz = FilterSteps.of(_interval(own)), recipe.measure_force.motion.corner_hz
     signals = _input(own, under, model)
@@ -183,9 +182,8 @@ def _errors(
     acting += under.load_inertia * np.gradient(speed, record.interval)
     time = (1 + np.arange(len(torque))) * grid.step_time
     truth = np.interp(time, (0.5 + np.arange(len(acting))) * record.interval, acting)
-    sections = butter(2, corner_hz, fs=1 / grid.step_time, output="sos")
-    later = sosfiltfilt(sections, torque - truth)
-    at_once = causal.passed - sosfilt(sections, truth)
+    later = lowpass(1 / grid.step_time, torque - truth, corner_hz)
+    at_once = causal.passed - delayed(1 / grid.step_time, truth, corner_hz)
     margin, every = round(SETTLING / grid.step_time), max(1, round(APART / grid.step_time))
     chosen = slice(margin, -margin, every)
     return Errors(

@@ -29,6 +29,7 @@ from rigtool.experiments.force_model.learning import (
 )
 from rigtool.experiments.force_model.model import Kind
 from rigtool.numerics.arrays import Array
+from rigtool.numerics.lowpass import delayed
 
 SHOWN_SHAPE = ("tip_length", "stribeck_speed")
 SHOWN_KINDS = (
@@ -110,8 +111,6 @@ class RestProblem:
         uncertainty: Uncertainty,
         step_time: float,
     ) -> None:
-        from scipy.signal import butter
-
         self.learned = learned
         self.uncertainty = replace(
             uncertainty,
@@ -122,8 +121,7 @@ class RestProblem:
         )
         self._signals_of = _Inputs(exploration)
         self.step_samples = max(1, round(step_time / self._signals_of.sample_time))
-        rate = 1 / (self.step_samples * self._signals_of.sample_time)
-        self._sections = butter(2, CORNER_HZ, fs=rate, output="sos")
+        self._rate = rate = 1 / (self.step_samples * self._signals_of.sample_time)
         self._first, self._apart = round(SETTLING * rate), max(1, round(rate / ROWS_HZ))
         named = [NAMES.index(name) for name in SHOWN_SHAPE]
         listed = [
@@ -151,16 +149,13 @@ class RestProblem:
 
     def errors(self, parameters: Array) -> Array:
         """Return the torque that the filter finds although none acts, low-passed (r,), N m."""
-        from scipy.signal import sosfilt
-
         model = self.model(parameters)
         plant = plant_of(model, self._signals_of.sample_time)
         if not plant_is_sound(plant):
             return np.full(self.errors(self.start).size, np.inf)
         signals = self._signals_of.under(model)
         passed = Filter(plant, self.uncertainty, self.step_samples, CORNER_HZ).add(signals)
-        found: Array = sosfilt(self._sections, passed.torque)[self._first :: self._apart]
-        return found
+        return delayed(self._rate, passed.torque, CORNER_HZ)[self._first :: self._apart]
 
     def tried(self, friction: float) -> Iterator[Array]:
         """Yield parameters (p,) on a grid of lengths and of the bearing's share of friction N m."""

@@ -108,7 +108,7 @@ def _torque_constant(recording: Recording, kt: Run | None) -> Quantity | None:
     if "winding_heat_loss" not in kt.results:
         return constant
     square = float(np.mean(recording.read("signal_current").astype(np.float64) ** 2))
-    loss = constant.value * kt.result("winding_heat_loss").value * square
+    loss = constant.value * kt.result("winding_heat_loss", "1/A2").value * square
     heat = error_line("heat of the winding", loss, constant.unit)
     return combined(constant.value, constant.unit, [*constant.budget, heat])
 

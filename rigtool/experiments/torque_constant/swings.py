@@ -1,8 +1,7 @@
 """Path of an arm that swings after each step of a staircase, and friction along that path.
 
 Friction follows dz = +-|1 -+ z|^i |dx| / s along every swing of the arm, to and fro (P. R. Dahl,
-1968), so that z depends on how far the arm overshoots. The gauge shows the swings with the damping
-of the arm,
+1968), so that z depends on how far the arm overshoots. The gauge shows the swings with damping:
 
     torque = x + lag dx/dt                                                              (1)
 

@@ -35,7 +35,7 @@ def render_all(figures: Sequence[Figure]) -> list[Drawn]:
         own = [render(figure) for figure in figures[::2]]
         try:
             others = receiver.recv()
-        except EOFError:  # the copy ended early, for want of memory for example
+        except (EOFError, OSError):  # the copy ended early, for want of memory for example
             others = [render(figure) for figure in figures[1::2]]
     drawn: list[Drawn] = [*own, *others]
     drawn[::2], drawn[1::2] = own, others
@@ -60,6 +60,7 @@ def _second_process(figures: Sequence[Figure]) -> Iterator[Connection]:
         with held():  # no signal between the fork and its number
             copy = os.fork()
             if not copy:
+                receiver.close()  # or a copy whose original was killed would wait for a reader
                 _draw_and_exit(figures, sender)
         sender.close()
         yield receiver
