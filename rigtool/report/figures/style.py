@@ -56,8 +56,13 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Set matplotlib's defaults and the style, for figures made and saved in this context."""
+    """Set matplotlib's defaults and the style, for figures made and saved in this context.
+
+    All that draws is imported here, before a process is copied.
+    """
     import matplotlib
+    import matplotlib.backends.backend_agg
+    import matplotlib.backends.backend_svg
     from cycler import cycler
 
     with matplotlib.rc_context():
