@@ -10,6 +10,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn
 
 import click
@@ -207,14 +208,16 @@ def _report(error: BaseException, output: Output) -> int:
         error = error.__cause__
     code, message = _described(error)
     notes = getattr(error, "__notes__", ())
-    if isinstance(error, click.ClickException):
-        error.show()
-    else:
-        for line in (message, *notes):
-            echo(line, err=True)
-    if output.json and not output.printed:
-        what = {"exit_code": code, "message": message.removeprefix("Error: ")}
-        echo(output.text({"error": what, "notes": list(notes)}))
+    with suppress(OSError):  # nobody may be there to read it: the code says it too
+        if isinstance(error, click.ClickException):
+            error.show()
+        else:
+            for line in (message, *notes):
+                echo(line, err=True)
+    with suppress(OSError):
+        if output.json and not output.printed:
+            what = {"exit_code": code, "message": message.removeprefix("Error: ")}
+            echo(output.text({"error": what, "notes": list(notes)}))
     return code
 
 
@@ -229,6 +232,8 @@ def _described(error: BaseException) -> tuple[int, str]:
     if isinstance(error, RigtoolError):
         return error.exit_code, f"Error: {error}"
     if isinstance(error, OSError):  # e.g. stdout leads to a full disk
-        return 1, f"Error: {error.filename or 'the system refused'}: {refusal(error)}"
+        return 1, f"Error: {error.filename or 'stdout, or the system'}: {refusal(error)}"
+    if isinstance(error, MemoryError):
+        return 1, "Error: no memory is left: close other programs, or take shorter recordings"
     what = f"{type(error).__name__}: {error}"
     return 1, f"internal error, run with --debug to see where: {what}"

@@ -50,10 +50,8 @@ class _Compiled:
             from numba import config, njit
         except ValueError as error:
             raise UsageError(f"numba: {error}: correct the variables NUMBA_*") from None
-        if config.DISABLE_JIT:
-            raise UsageError(
-                "NUMBA_DISABLE_JIT is set, and loops over samples need numba: unset it"
-            )
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]
+            raise UsageError("NUMBA_DISABLE_JIT is set, without numba nothing is fast: unset it")
         options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
         with _LOCK:
             if self._dispatcher is None:
