@@ -197,8 +197,7 @@ real-data: | $(INSTALLED) $(BUILD)
 test: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	@echo "$(BIN)/mypy"
-	@$(BIN)/pytest -q -m compiles > /dev/null 2>&1 & $(BIN)/mypy; types=$$?; wait; exit $$types
+	$(BIN)/mypy & $(BIN)/pytest -q -m compiles > /dev/null 2>&1; wait $$!
 	$(BIN)/pytest -n 2 --dist worksteal
 
 test-lowest:
