@@ -232,5 +232,7 @@ def _described(error: BaseException) -> tuple[int, str]:
         return 1, f"Error: {error.filename or 'stdout, or the system'}: {refusal(error)}"
     if isinstance(error, MemoryError):
         return 1, "Error: no memory is left: close other programs, or take shorter recordings"
+    if isinstance(error, ImportError):
+        return 1, f"Error: a library cannot be loaded: {error}: install it again, or free memory"
     what = f"{type(error).__name__}: {error}"
     return 1, f"internal error, run with --debug to see where: {what}"
