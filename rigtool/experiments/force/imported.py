@@ -128,8 +128,8 @@ def _of_this_mounting(
 
 
 def _misfit(item: Measured, model: LoadModel) -> float:
-    path, torque = item.signals.path, item.estimate.moving / model.scales.torque
-    return model.loop.misfit(model.place(path), path.speed > 0, torque)
+    path = item.signals.path
+    return model.loop.misfit(model.place(path), path.speed > 0, item.estimate.compared)
 
 
 def _require_learned_here(runs: Sequence[Run], tables: Run) -> None:
