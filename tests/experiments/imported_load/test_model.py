@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force.imported import Measured, of_this_zero
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.imported_load.basis import (
     GROUPS,
@@ -221,6 +222,27 @@ def test_tables_of_another_mounting_are_found_out(learned):
         assert misfit(rubbing) > loop.limit(REFUSED)
         tilted = replace(own, effort=own.effort + 0.03 * way * own.path.position / 20)
         assert misfit(tilted) > loop.limit(REFUSED)
+
+
+@pytest.mark.parametrize("zero", [-3.0, 3.0])
+def test_u_holds_another_zero_of_the_encoder(learned, zero):
+    model = learned.model
+    items = [observe(load, 0.2, zero=zero, seed=41) for load in (0.03, 0.05)]
+    measured = [Measured(item, model.estimate(item.effort, item.path)) for item in items]
+    wider, notes = of_this_zero(measured, model)
+    held = {"before": [], "after": []}
+    for name, found in (("before", measured), ("after", wider)):
+        for item, one in zip(items, found, strict=True):
+            error, used = one.estimate.torque - item.sensor, one.estimate.inside
+            held[name].append(np.mean(np.abs(error) <= 1.96 * one.estimate.u, where=used))
+    assert np.mean(held["before"]) < 0.85 < 0.95 < np.mean(held["after"])
+    assert "leave the learned one by 3" in notes[0]
+
+
+def test_strokes_as_learned_have_the_zero_that_was_learned(learned):
+    item = observe(0.05, 0.2)
+    measured = [Measured(item, learned.model.estimate(item.effort, item.path))]
+    assert of_this_zero(measured, learned.model) == (measured, [])
 
 
 def test_one_direction_alone_is_not_compared(learned):
