@@ -171,7 +171,8 @@ def contacts(test: Trial, limits: Array) -> list[Contact]:
     """Return the contacts in a stretch, by thresholds (3, 2) as `thresholds` gives them."""
     longest = round(STROKE / test.step_time)
     window = round(WINDOW / test.step_time)
-    rows = _contacts(test.torque, test.jump, test.level, test.motion, limits, window, longest)
+    levels = np.ascontiguousarray(limits)  # one kind of array: compiled once
+    rows = _contacts(test.torque, test.jump, test.level, test.motion, levels, window, longest)
     return [Contact(*row) for row in rows]
 
 
