@@ -159,6 +159,8 @@ def test_the_example_runs(bench, line, capsys, monkeypatch):
     # Tests of the report draw its figures.
     drawn = "rigtool.report.figures.style.render"
     monkeypatch.setattr(drawn, lambda figure: ("<svg/>", b"\x89PNG"))
+    # Whatever is connected to this computer is asked nothing.
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
     prepare(bench, line)
     with drive(bench, line):
         run_example(bench, line, capsys)
