@@ -12,7 +12,7 @@
 # make bench          speed and memory of what users wait for
 # make accuracy       force over time and contacts against what acted, on virtual rigs that are learned
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
-# make coverage-short a few minutes of it, with an exit code
+# make coverage-short five minutes of it, with an exit code
 # make fixtures       the runs in tests/fixtures, stored anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
 # make clean          removes build
@@ -193,10 +193,11 @@ real-data: | $(INSTALLED) $(BUILD)
 	$(RIGTOOL) report $(BUILD)/$(TOOL)-force-5.h5 $(BUILD)/$(TOOL)-force-50.h5 \
 		-o $(BUILD)/$(TOOL)-report --overwrite
 
+# Beside the types, a process makes the byte code and machine code that both workers then find.
 test: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/mypy & $(BIN)/pytest -q -m compiles > /dev/null 2>&1; wait $$!
 	$(BIN)/pytest -n 2 --dist worksteal
 
 test-lowest:

@@ -73,8 +73,8 @@ def analyse_imported(
         for group, row in zip(groups, rows, strict=True)
     ]
     notes.append(
-        f"learned is the {effort.origin}, by measured position; below the lowest speed it "
-        "fades to zero at rest, which nothing was measured of"
+        f"learned is the {effort.origin}, by measured position; below the lowest "
+        "speed, where nothing was measured, it fades to zero at rest"
     )
     return Outcome(_results(rows, table, effort), _tables(rows, table, effort), tuple(notes))
 

@@ -7,6 +7,7 @@ are variables of their own, `a.b` for the field b of a structure a.
 from __future__ import annotations
 
 import math
+import os
 import re
 import warnings
 import zipfile
@@ -19,6 +20,7 @@ import h5py
 import numpy as np
 
 from rigtool.errors import RigtoolError, RunFileError
+from rigtool.inputs import open_input
 from rigtool.runfile.importers.raw import (
     BINARY,
     MAX_NESTED,
@@ -102,10 +104,10 @@ def load_arrays(path: Path) -> dict[str, Any]:
 
     Nothing in it is executed (no pickles), no link is followed. Raises `RunFileError`.
     """
+    with open_input(path, RunFileError) as stream:
+        require_size(path, os.fstat(stream.fileno()).st_size)
+        start = stream.read(6)
     try:
-        require_size(path, path.stat().st_size)
-        with path.open("rb") as stream:
-            start = stream.read(6)
         if start == b"\x93NUMPY":
             return _fields("", np.load(path, allow_pickle=False, mmap_mode="r"))
         if start[:2] == b"PK":
@@ -115,8 +117,6 @@ def load_arrays(path: Path) -> dict[str, Any]:
         return _load_mat(path)
     except RigtoolError:
         raise
-    except OSError as error:
-        raise RunFileError(f"{path}: cannot be read: {error.strerror or error}") from None
     except Exception as error:  # a damaged file makes these readers raise nearly anything
         raise RunFileError(
             f"{path}: is damaged, or no file of MATLAB or NumPy with plain arrays: {error}"
