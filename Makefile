@@ -12,7 +12,7 @@
 # make bench          speed and memory of what users wait for
 # make accuracy       force over time and contacts against what acted, on virtual rigs that are learned
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
-# make coverage-short a few minutes of it, with an exit code
+# make coverage-short five minutes of it, with an exit code
 # make fixtures       the runs in tests/fixtures, stored anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
 # make clean          removes build
@@ -197,8 +197,7 @@ real-data: | $(INSTALLED) $(BUILD)
 test: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	@echo "$(BIN)/mypy"
-	@$(BIN)/pytest -q -m compiles > /dev/null 2>&1 & $(BIN)/mypy; types=$$?; wait; exit $$types
+	$(BIN)/mypy & $(BIN)/pytest -q -m compiles > /dev/null 2>&1; wait $$!
 	$(BIN)/pytest -n 2 --dist worksteal
 
 test-lowest:

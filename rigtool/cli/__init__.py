@@ -7,6 +7,7 @@ import gc
 import importlib
 import keyword
 import os
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -177,10 +178,15 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
 
 
 def _require_text(arguments: Sequence[str]) -> None:
-    """Raise `UsageError` for a name that is no text: no run file could state its origin."""
+    """Raise `UsageError` for a name that is no text: no run file could state its origin.
+
+    numpy, too, reads the date that a run may be given, and fails at one that is no number.
+    """
     for argument in arguments:
         if not is_text(argument):
             raise UsageError(f"{argument}: is not UTF-8, or holds a NUL: give another name")
+    if not re.fullmatch(r"-?[0-9]+", epoch := os.environ.get("SOURCE_DATE_EPOCH", "0"), re.ASCII):
+        raise UsageError(f"SOURCE_DATE_EPOCH={epoch!r}: is no number of seconds: unset it")
 
 
 def _keep_memory_of_blocks() -> None:
@@ -235,5 +241,7 @@ def _described(error: BaseException) -> tuple[int, str]:
         return 1, f"Error: {error.filename or 'stdout, or the system'}: {refusal(error)}"
     if isinstance(error, MemoryError):
         return 1, "Error: no memory is left: close other programs, or take shorter recordings"
+    if isinstance(error, ImportError):
+        return 1, f"Error: a library cannot be loaded: {error}: install it again, or free memory"
     what = f"{type(error).__name__}: {error}"
     return 1, f"internal error, run with --debug to see where: {what}"
