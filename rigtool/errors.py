@@ -5,6 +5,8 @@ Every message gives the value that was found, the limit that it violates, and a 
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Iterable
 
 
@@ -14,6 +16,40 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str = "") -> str:
 
     close = difflib.get_close_matches(name, list(known), 1, cutoff=0.75)
     return f"did you mean {close[0]}?" if close else otherwise
+
+
+_FULL = "the disk is full, or a quota is reached: free some space, or write elsewhere"
+_REMEDIES = {
+    errno.ENOENT: "give another name",
+    errno.ENAMETOOLONG: "choose a shorter name or folder",
+    errno.ELOOP: "its links lead in a circle: give the file itself",
+    errno.ENOTDIR: "a part of the path is a file: correct the path",
+    errno.EISDIR: "give the name of a file",
+    errno.EACCES: "check the permissions of the file and its folder",
+    errno.EPERM: "check the permissions of the file and its folder",
+    errno.EROFS: "write elsewhere",
+    errno.ENXIO: "nothing answers there: give a file on a disk",
+    errno.EIO: "the disk or the connection to it fails: take a copy from elsewhere",
+    errno.ESTALE: "the server has replaced it: run the command again",
+    errno.EMFILE: "close other files, or raise the limit (`ulimit -n`)",
+    errno.ENFILE: "close other programs",
+    errno.ENOMEM: "close other programs, or raise the limit (`ulimit -v`)",
+    errno.EAGAIN: "close other programs, or raise the limit (`ulimit -u`)",
+    errno.ENOSPC: _FULL,
+    errno.EDQUOT: _FULL,
+    errno.EFBIG: f"{_FULL}; or raise the limit (`ulimit -f`)",
+    errno.EPIPE: "its reader is gone",
+}
+"""What helps where the system refuses something about a file, by the number of the error."""
+
+
+def refusal(error: OSError, code: int | None = None) -> str:
+    """Return what the system refused and what helps; `code` is the number where HDF5 has it."""
+    code = code or error.errno
+    if not code:
+        return f"{error}: check the file and its disk"
+    remedy = _REMEDIES.get(code, "check the file and its folder")
+    return f"{os.strerror(code)}: {remedy}"
 
 
 class RigtoolError(Exception):

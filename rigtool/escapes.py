@@ -73,5 +73,5 @@ def figure(text: str) -> str:
 
 
 def is_text(name: str) -> bool:
-    """Return whether a name is text; file systems also have names that are not UTF-8."""
-    return not any("\ud800" <= character <= "\udfff" for character in name)
+    """Return whether a name is text without NUL; file systems also have names that are none."""
+    return not any(character == "\0" or "\ud800" <= character <= "\udfff" for character in name)

@@ -21,6 +21,7 @@ FLOORS = (
     "recipe",
     "plugins",
     "quantity",
+    "inputs",
     "errors",
     "escapes",
     "interrupts",

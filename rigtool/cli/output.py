@@ -6,6 +6,7 @@ runs. Results go to stdout, all else to stderr.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -27,8 +28,12 @@ SCHEMA = 1
 
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
-    """Print text on stdout or stderr; control characters in it cannot steer the terminal."""
-    click.echo(terminal(text), err=err, nl=nl)
+    """Print text on stdout or stderr; control characters in it cannot steer the terminal.
+
+    A stderr that takes nothing, as of a log on a full disk, ends no measurement.
+    """
+    with contextlib.suppress(*([OSError] if err else [])):
+        click.echo(terminal(text), err=err, nl=nl)
 
 
 @dataclass
@@ -141,7 +146,6 @@ def run_document(
     run: Run, output: str | os.PathLike[str] | None, *, tables: bool = True
 ) -> dict[str, Any]:
     """Return the contents of a run for JSON, the same whichever command prints them."""
-    import contextlib
     import json
 
     origin = dict(run.provenance)

@@ -11,6 +11,8 @@ from functools import update_wrapper
 from threading import Lock
 from typing import Any
 
+from rigtool.errors import UsageError
+
 _LOCK = Lock()
 
 
@@ -21,7 +23,8 @@ def compiled(function: Callable[..., Any]) -> Any:
     numbers at a time.
 
     The machine code is kept beside the module, or in the user's cache; where neither can be
-    written, in a read-only installation without a home, each program compiles anew.
+    written, in a read-only installation without a home, each program compiles anew. The first
+    call raises `UsageError` where variables of the environment keep numba from compiling.
     """
     return _Compiled(function)
 
@@ -43,8 +46,12 @@ class _Compiled:
         return (self._dispatcher or self._compile())._numba_type_
 
     def _compile(self) -> Any:
-        from numba import njit
-
+        try:
+            from numba import config, njit
+        except ValueError as error:
+            raise UsageError(f"numba: {error}: correct the variables NUMBA_*") from None
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]
+            raise UsageError("NUMBA_DISABLE_JIT is set, without numba nothing is fast: unset it")
         options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
         with _LOCK:
             if self._dispatcher is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError, model_validator
 
 from rigtool.errors import RecipeError, UsageError
+from rigtool.inputs import open_input
 from rigtool.recipe.base import Section
 from rigtool.recipe.commands import (
     CalibrateKt,
@@ -114,13 +116,13 @@ def parse_recipe(text: str, name: str = "recipe", overrides: Sequence[str] = ())
 
 def read_document(path: str | Path, kind: str, examples: str) -> str:
     """Return the text of a recipe or mapping; `RecipeError` where the file cannot be read."""
+    if not os.path.lexists(path):
+        raise RecipeError(f"{path}: no such {kind}; {examples} holds examples")
     try:
-        with Path(path).open("rb") as file:
+        with open_input(path, RecipeError) as file:
             data = file.read(MAX_BYTES + 1)
         text = data.decode("utf-8")
-    except FileNotFoundError:
-        raise RecipeError(f"{path}: no such {kind}; {examples} holds examples") from None
-    except (OSError, ValueError) as error:
+    except UnicodeDecodeError as error:
         raise RecipeError(f"{path}: cannot be read as a {kind}: {error}") from None
     if len(data) > MAX_BYTES:
         raise RecipeError(f"{path}: is larger than {MAX_BYTES} bytes: it is no {kind}")

@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from rigtool.errors import UsageError
+from rigtool.errors import RunFileError, UsageError
 from rigtool.report.figures import Picture, draw_figures
 from rigtool.report.figures.plots import HEADLINE
 from rigtool.report.formats import ReportTable
 from rigtool.report.published import is_of_thesis
 from rigtool.report.requirements import requirements_table
 from rigtool.report.tables import attachment_of, budget_tables, force_tables, results_table
+from rigtool.report.units import other_unit
 from rigtool.runfile.opened import guard
 from rigtool.runfile.provenance import file_sha256
 
@@ -106,6 +107,8 @@ def build_report(runs: Sequence[Run]) -> Report:
     labelled = _labels(runs)
     tables: list[ReportTable] = []
     for label, run in labelled:
+        if run.command == "measure-force" and (found := other_unit(run, *run.tables)) is not None:
+            raise RunFileError(f"{run.path}: {found}: measure again, or leave this run out")
         with guard(run.path, "a table of loads"):
             tables += force_tables(run, label)
     origins = tuple(_origin(label, run) for label, run in labelled)
@@ -172,6 +175,9 @@ def _warnings(labelled: Sequence[tuple[str, Run]]) -> list[str]:
     rigs = sorted({run.rig or "unknown" for _, run in labelled})
     if len(rigs) > 1:
         found.append(f"These runs come from {len(rigs)} rigs: {', '.join(rigs)}.")
+    for label, run in labelled:
+        if run.command != "import" and (other := other_unit(run, *run.tables)) is not None:
+            found.append(f"{label}: {other}: figures of such tables are left out.")
     shown: dict[str, dict[str, str]] = {}
     for label, run in labelled:
         shown.setdefault(run.command, {})[label] = run.content_sha256

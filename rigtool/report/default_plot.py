@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError, UsageError, did_you_mean
@@ -23,6 +21,7 @@ from rigtool.runfile.outputs import replacing, require_output
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
 
@@ -100,6 +99,8 @@ def draw_plot(run: Run, name: str) -> Figure:
     kind, _, rest = name.partition("/")
     if not rest:
         return PLOTS[int(kind.removeprefix("figure-"))].draw(run)
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.add_subplot()
     if kind == "tables":
@@ -129,7 +130,7 @@ def _draw_table(axes: Axes, table: Table) -> None:
     few = places.size <= _MOST_MARKS
     numbered = few and table.columns[along].unit == "1" and not np.any(places % 1)
     if numbered:
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.locator_params("x", integer=True)
     drawn: dict[str, Any] = {"marker": "." if few else "", "lw": 0 if numbered else 1}
     zero = np.array([], dtype=int)
     if along == "speed":

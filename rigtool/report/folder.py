@@ -6,11 +6,11 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from rigtool.errors import UsageError
+from rigtool.errors import UsageError, refusal
 from rigtool.report.build import Report
 from rigtool.report.formats import csv_table, latex_table, markdown_table, terminal_table
 from rigtool.report.page import render_page, render_pdf
-from rigtool.runfile.outputs import own_folder
+from rigtool.runfile.outputs import own_folder, require_short
 
 ENTRIES = frozenset({"index.html", "report.pdf", "tables.txt", "tables", "figures"})
 """Entries of a report's folder; a folder with any other entry is never replaced."""
@@ -32,8 +32,12 @@ def require_free(
     Raises `UsageError` where it cannot be written, exists without `overwrite`, holds one of the
     `inputs`, or something that no report wrote.
     """
-    target = Path(output).absolute()
-    if not target.parent.is_dir():
+    try:
+        target = Path(output).absolute()
+    except OSError as error:
+        raise UsageError(f"{output}: the working folder is gone: {refusal(error)}") from None
+    require_short(target)
+    if not os.path.isdir(target.parent):
         raise UsageError(f"{output}: the folder {target.parent} does not exist: create it first")
     if not os.access(target.parent, os.W_OK):
         raise UsageError(f"{output}: {target.parent} cannot be written: choose another folder")

@@ -15,6 +15,7 @@ from typing import ClassVar
 import h5py
 
 from rigtool.errors import RigtoolError, RunFileError
+from rigtool.inputs import open_input
 from rigtool.runfile import schema, tree
 from rigtool.runfile.storage import open_file
 
@@ -109,11 +110,8 @@ def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
         raise RunFileError(
             f"{path}: {what}; give a run file (.h5) that a rigtool command wrote{hint}"
         )
-    try:
-        with path.open("rb") as stream:
-            size, magic = os.fstat(stream.fileno()).st_size, stream.read(8)
-    except OSError as error:
-        raise RunFileError(f"{path}: cannot be read: {error.strerror}") from error
+    with open_input(path, RunFileError) as stream:
+        size, magic = os.fstat(stream.fileno()).st_size, stream.read(8)
     if magic != b"\x89HDF\r\n\x1a\n":
         what = "is empty" if size == 0 else "is not an HDF5 file"
         raise RunFileError(f"{path}: {what}; give a run file (.h5) that a rigtool command wrote")

@@ -24,6 +24,9 @@ from rigtool.runfile.storage import storage_errors
 MAX_NAME = 250
 """Bytes of a file's name: file systems take 255, and `.part` is added."""
 
+MAX_PATH = 4000
+"""Bytes of a path: Linux takes 4095, and names of temporary files are added."""
+
 _HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
 _OURS = re.compile(rf"\.rigtool-{_HOST}-(\d+)-[0-9a-f]{{8}}")
 
@@ -46,11 +49,7 @@ def require_output(
         raise UsageError(f"{path}: {error.strerror}: choose another folder") from None
     if not known:
         raise UsageError(f"{path}: the folder {found.parent} does not exist: create it first")
-    if len(os.fsencode(found.name)) > MAX_NAME:
-        raise UsageError(
-            f"{path}: its name has {len(os.fsencode(found.name))} bytes, at most {MAX_NAME} leave "
-            "room for the .part of a run: choose a shorter one"
-        )
+    require_short(found)
     if found.is_symlink():
         raise UsageError(f"{path}: is a link that leads to itself: give another name")
     if found.is_dir():
@@ -65,6 +64,15 @@ def require_output(
     if found.exists() and not overwrite:
         raise UsageError(f"{path}: exists already: give another name, or --overwrite")
     return found
+
+
+def require_short(path: Path) -> None:
+    """Raise `UsageError` for a name that leaves no room for `.part`, or that no system takes."""
+    if (size := len(os.fsencode(path.name))) > MAX_NAME or len(os.fsencode(path)) > MAX_PATH:
+        raise UsageError(
+            f"{path}: its name has {size} bytes, the whole path {len(os.fsencode(path))}; at most "
+            f"{MAX_NAME} and {MAX_PATH} leave room for the .part of a run: choose a shorter one"
+        )
 
 
 def own_name(folder: Path) -> Path:

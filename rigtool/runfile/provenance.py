@@ -17,12 +17,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import h5py
 
-from rigtool.errors import RigtoolError
+from rigtool.errors import RigtoolError, RunFileError
+from rigtool.inputs import open_input
 from rigtool.runfile import schema, tree
 from rigtool.runfile.objects import make_group, make_text
 
@@ -178,14 +178,9 @@ def record_sha256(root: tree.Group, content: str) -> str:
 
 
 def file_sha256(path: str | os.PathLike[str]) -> str:
-    """Hash a file byte by byte; raises `RigtoolError` where it cannot be read, or is a device."""
-    if not os.path.isfile(path):
-        raise RigtoolError(f"{path}: is no file: give a file that was written to a disk")
-    try:
-        with Path(path).open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise RigtoolError(f"{path}: cannot be read: {error.strerror}") from error
+    """Hash a file byte by byte; raises `RunFileError` where it cannot be read, or is a device."""
+    with open_input(path, RunFileError) as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _describe(group: tree.Group, left_out: set[str]) -> bytes:

@@ -44,7 +44,7 @@ def recover(
     part = Path(part)
     output = _output(part, output, overwrite)
     # The part may have the name that a writer of `output` would give to its own part.
-    with own_folder(output.parent) as folder, _open_unfinished(part) as run:
+    with _open_unfinished(part) as run, own_folder(output.parent) as folder:
         beside = folder / "recovered.h5"
         specs = [_spec(recording) for recording in run.recordings.values()]
         with RunWriter(
@@ -76,7 +76,7 @@ def _open_unfinished(path: Path) -> Run:
     try:
         file = open_hdf5(path)
     except RunFileError as error:
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise error from None
         file = open_unclosed(path)
     try:

@@ -18,9 +18,8 @@ from typing import Any
 
 import h5py
 
-from rigtool.errors import RigtoolError
+from rigtool.errors import RigtoolError, refusal
 
-_DISK_IS_FULL = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT}
 _ERRNO = re.compile(r"errno = (\d+)")
 
 
@@ -31,12 +30,13 @@ def storage_errors(path: Path) -> Iterator[None]:
         yield
     except RigtoolError:
         raise
-    except OSError as error:
-        raise RigtoolError(f"{path}: cannot be written: {_reason(error)}") from error
-    except RuntimeError as error:  # h5py's other report of a failed write
-        if _ERRNO.search(str(error)) is None:
+    except (OSError, RuntimeError) as error:  # h5py reports a failed write as either
+        match = _ERRNO.search(str(error))
+        if match is None and isinstance(error, RuntimeError):
             raise
-        raise RigtoolError(f"{path}: cannot be written: {_reason(error)}") from error
+        number = None if match is None else int(match[1])
+        why = refusal(error if isinstance(error, OSError) else OSError(str(error)), number)
+        raise RigtoolError(f"{path}: cannot be written: {why}") from error
 
 
 def reserve(handle: int, size: int) -> None:
@@ -107,13 +107,3 @@ def sync_folder(path: Path) -> None:
     """Wait until the names in a folder are on the disk, where the system can do that."""
     if os.name == "posix":
         sync_path(path)
-
-
-def _reason(error: OSError | RuntimeError) -> str:
-    match = _ERRNO.search(str(error))
-    code = int(match[1]) if match else getattr(error, "errno", None)
-    if code in _DISK_IS_FULL:
-        return "the disk is full (or a quota is reached): free some space, or write elsewhere"
-    if code:
-        return f"{os.strerror(code)}: check the folder and its permissions"
-    return f"{error}: check the folder and the disk"

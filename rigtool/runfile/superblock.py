@@ -22,6 +22,7 @@ from typing import Any
 import h5py
 
 from rigtool.errors import RunFileError
+from rigtool.inputs import open_input
 
 SUPERBLOCK_SIZE = 48
 VERSION, ADDRESS_SIZE, FLAGS, EXTENSION, END, CHECKSUM = 8, 9, 11, 20, 28, 44
@@ -70,7 +71,7 @@ def open_unclosed(path: Path) -> h5py.File:
 
     Raises `RunFileError` for a file that no writer of run files leaves behind.
     """
-    with path.open("rb") as stream:
+    with open_input(path, RunFileError) as stream:
         start = bytearray(stream.read(SUPERBLOCK_SIZE))
     if len(start) < SUPERBLOCK_SIZE or start[VERSION] != 3 or start[ADDRESS_SIZE] != 8:
         raise RunFileError(f"{path}: has no superblock as a run file has it: nothing to recover")

@@ -83,7 +83,6 @@ class RunWriter:
         sources: Sequence[str | os.PathLike[str]] = (),
     ) -> None:
         self.path = Path(path)
-        self.part = self.path.with_name(self.path.name + ".part")
         self._overwrite = overwrite
         self._require_free([*(run.path for run in inputs), *sources])
         self._command = command

@@ -28,6 +28,7 @@ from tests.attack.bench import (
     said,
 )
 from tests.attack.edited import edited
+from tests.attack.surroundings import refusing
 from tests.attack.trial import Trial, at, content, run
 
 Kind = Callable[[Bench], Trial]
@@ -386,4 +387,5 @@ KINDS: dict[str, Kind] = {
     "recipes": recipe,
     "settings": setting,
     "imports": imported,
+    "refusals": refusing,
 }

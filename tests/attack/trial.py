@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,13 +51,14 @@ def run(
     line: Sequence[object],
     strike: Strike | None = None,
     expected: frozenset[int] = frozenset(CODES),
+    before: Callable[[], None] | None = None,
 ) -> Trial:
-    """Run a command line; `strike` is called with the process as soon as it begins."""
+    """Run a command line, `before` first; `strike` is called with the process when it begins."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         ready, begun = os.pipe()
         child = os.fork()
         if child == 0:
-            _command([str(word) for word in line], out.fileno(), err.fileno(), begun)
+            _command([str(word) for word in line], out.fileno(), err.fileno(), begun, before)
         os.close(begun)
         os.read(ready, 1)
         os.close(ready)
@@ -89,7 +91,9 @@ def at(seconds: float, number: int) -> Strike:
     return strike
 
 
-def _command(line: list[str], out: int, err: int, begun: int) -> None:
+def _command(
+    line: list[str], out: int, err: int, begun: int, before: Callable[[], None] | None
+) -> None:
     """Be the process of the command; never returns."""
     code = 99
     try:
@@ -103,12 +107,15 @@ def _command(line: list[str], out: int, err: int, begun: int) -> None:
         signal.signal(signal.SIGINT, _leave)
         signal.signal(signal.SIGTERM, _leave)
         os.write(begun, b".")
+        if before is not None:
+            before()
         cli.main(line)
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError):  # it takes nothing
+                stream.flush()
         os._exit(code)
 
 

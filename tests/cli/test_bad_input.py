@@ -1,5 +1,6 @@
 """Every command against input that cannot be right: a message, the exit code, and no output."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 
 from rigtool.cli import main
+from rigtool.errors import RecipeError
+from rigtool.recipe.load import read_document
 
 ROOT = Path(__file__).parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
@@ -247,3 +250,43 @@ def test_a_controller_faster_than_the_loop_is_a_bad_recipe(tmp_path, capsys):
     assert code == 3
     assert "half the sampling rate" in err
     assert not list(tmp_path.iterdir())
+
+
+PATHS = {
+    "too long": lambda folder: "a/" * 2100,
+    "long name": lambda folder: "a" * 300,
+    "NUL": lambda folder: "a\0b",
+    "below a file": lambda folder: "rig.toml/x",
+    "circle": lambda folder: _link(folder / "circle", folder / "circle"),
+    "pipe": lambda folder: os.mkfifo(folder / "pipe") or "pipe",
+    "device": lambda folder: "/dev/zero",
+    "folder": lambda folder: folder,
+    "cannot be read": lambda folder: _link(folder / "memory", Path("/proc/self/mem")),
+}
+
+
+def _link(path, target):
+    path.symlink_to(target)
+    return path
+
+
+@pytest.mark.parametrize("kind", PATHS)
+def test_paths_of_every_kind_are_refused(kind, folder, refused):
+    """One place opens inputs: no pipe is waited for, and each refusal has the same exit code."""
+    path = str(PATHS[kind](folder))
+    source = ["import", "rig.toml", "--map", path, "-o", "out.h5"]
+    for line in (["info", path], ["recover", path, "-o", "out.h5"], source):
+        code, message = refused(line)
+        assert code == (2 if kind == "NUL" else 3)
+        assert message.count(": ") >= 2  # what was given, what is wrong, what helps
+    if kind not in ("folder", "NUL"):
+        assert refused(["import", path, "-o", "out.h5"])[0] == 3
+    with pytest.raises(RecipeError):
+        read_document(path, "recipe", "recipes/")
+
+
+@pytest.mark.parametrize("output", ["", ".", "/", "a" * 300, "a/" * 2100])
+def test_outputs_that_are_no_file(output, folder, refused):
+    for line in (["calibrate-kt", "kt.h5"], ["report", "kt.h5"], ["import", "rig.toml"]):
+        code, _ = refused([*line, "-o", output])
+        assert code in (2, 3)

@@ -1,5 +1,6 @@
 """The command line as a whole: codes, messages, help, speed of start."""
 
+import io
 import json
 import os
 import re
@@ -7,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import click
@@ -284,3 +286,27 @@ def test_json_is_strict():
         "reason": "too short",
     }
     assert found["b"] == {"value": 1.0, "unit": "1", "u": 0.5, "dof": None}
+
+
+def test_streams_that_take_nothing_change_no_exit_code(monkeypatch):
+    """A log on a full disk ends no measurement, and an error keeps its code."""
+    full = io.StringIO()
+    monkeypatch.setattr(full, "write", partial(_refuse, OSError(28, "No space left on device")))
+    monkeypatch.setattr(sys, "stderr", full)
+    assert call(monkeypatch, None) == 0
+    cli.echo("a note", err=True)
+    monkeypatch.setattr(sys, "stdout", full)
+    assert call(monkeypatch, RecipeError("rig.toml: is bad")) == 3
+    assert call(monkeypatch, None, "--json") == 2  # this command has no such option
+    with pytest.raises(OSError, match="No space"):
+        cli.echo("a result")
+
+
+def _refuse(error, text):
+    raise error
+
+
+@pytest.mark.parametrize("error", [MemoryError(), ImportError("libx.so: no segment"), OSError(5)])
+def test_what_the_machine_refuses_has_a_remedy(error, monkeypatch, capsys):
+    assert call(monkeypatch, error) == 1
+    assert re.match(r"Error: .+: .+", capsys.readouterr().err)

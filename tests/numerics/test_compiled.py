@@ -3,8 +3,10 @@
 import subprocess
 import sys
 
-from numba.core import caching
+import pytest
+from numba.core import caching, config
 
+from rigtool.errors import UsageError
 from rigtool.numerics.compiled import compiled
 
 
@@ -19,6 +21,12 @@ def test_without_a_place_for_machine_code(monkeypatch):
     for locator in caching._CacheLocator.__subclasses__():
         monkeypatch.setattr(locator, "from_function", classmethod(none))
     assert compiled(twice)(21) == 42
+
+
+def test_an_environment_that_keeps_numba_from_compiling(monkeypatch):
+    monkeypatch.setattr(config, "DISABLE_JIT", 1)
+    with pytest.raises(UsageError, match="NUMBA_DISABLE_JIT"):
+        compiled(twice)(21)
 
 
 def test_numba_is_imported_with_the_first_call():

@@ -1,5 +1,9 @@
 import itertools
+import shutil
+from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError, UsageError
@@ -7,6 +11,9 @@ from rigtool.report.build import build_report
 from rigtool.report.formats import csv_table
 from rigtool.report.tables import force_table, results_table
 from rigtool.runfile import RunWriter
+from rigtool.runfile.provenance import seal
+
+FIXTURES = Path(__file__).parents[1] / "fixtures"
 
 COMMANDS = (
     "calibrate-kt",
@@ -149,3 +156,27 @@ def test_warnings_about_runs_that_do_not_belong_together(make, open_all, no_figu
     report = build_report(open_all(other, force))
     assert "These runs come from 2 rigs: another-rig, briaire-2006." in report.warnings
     assert any("is not the one shown here (other)" in warning for warning in report.warnings)
+
+
+def test_a_unit_that_was_edited_is_not_shown(tmp_path, open_all):
+    """Labels of figures and tables of loads state units: another one is left out, or refused."""
+
+    def edited(name, table, column):
+        path = tmp_path / f"{name}.h5"
+        shutil.copyfile(FIXTURES / f"{name}.h5", path)
+        with h5py.File(path, "r+") as file:
+            file[f"entry/tables/{table}/{column}"].attrs["units"] = np.bytes_("kg")
+            for digest in ("content_sha256", "record_sha256"):
+                del file["entry/provenance"][digest]
+            seal(file)
+        return path
+
+    (run,) = open_all(edited("kt", "linearity", "current"))
+    whole = build_report(open_all(FIXTURES / "kt.h5"))
+    report = build_report([run])
+    assert whole.warnings == ()
+    assert len(report.pictures) < len(whole.pictures)
+    assert any("is in 'kg', not in 'A'" in warning for warning in report.warnings)
+    (run,) = open_all(edited("force", "loads", "mean_torque"))
+    with pytest.raises(RunFileError, match="mean_torque of table loads is in 'kg'"):
+        build_report([run])

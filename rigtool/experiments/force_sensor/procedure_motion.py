@@ -9,6 +9,7 @@ import numpy as np
 
 from rigtool.errors import RecipeError
 from rigtool.experiments.force_filter.motion_states import Reach
+from rigtool.inputs import open_input
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import Motion, SpeedProfile, Triangle
@@ -78,8 +79,11 @@ def path_of(file: Path) -> tuple[Array, Array]:
     Raises `RecipeError` for a file that cannot be read, or is no path.
     """
     try:
-        time, angle = _numbers(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        with open_input(file, RecipeError) as stream:
+            time, angle = _numbers(stream.read().decode("utf-8"))
+    except RecipeError as error:
+        raise RecipeError(f"measure_force.motion.file {error}") from None
+    except ValueError as error:
         raise RecipeError(
             f"measure_force.motion.file {file}: cannot be used as a path: {error}"
         ) from None

@@ -51,6 +51,9 @@ have: differences of that size do not show how effort grows with load."""
 APART_SPEED = 0.1
 """Part of the highest speed by which speeds differ, at least."""
 
+FEWEST_LEFT = 3
+"""Levels without the last that show how well the model holds beyond them, at least."""
+
 ALIKE = 1.96 / 1.44
 """Ratio of factors on u: an interval narrower by this holds 85 instead of 95 %."""
 
@@ -190,7 +193,8 @@ def _fit(rows: Rows, folds: Numbers, levels: int, pace: Numbers, prior: Side | N
         )
     ways = [rows.recording % FOLDS]
     if levels > 2:
-        ways = [level, _turns(folds)[rows.recording]]
+        turns = _turns(folds)
+        ways = [level, turns[rows.recording]] if turns.any() else [level]
     if pace.max() > 1:  # speeds beyond the others are outside: those at the ends stay
         ways.append(np.where((paces == 0) | (paces == pace.max()), -1, paces))
     names = groups_for(tuple(rows.functions), levels) if prior is None else prior.groups
@@ -220,7 +224,8 @@ def _margins(sides: Sequence[Side], direction: int) -> Array:
     """Return how far beyond the levels the torque is given, (2, 2), in spacings, see `region`.
 
     Where the last level, left out, asks for an interval like those of the others, the model holds a
-    whole spacing beyond what it was learned from. Not above the heaviest load while it drives the
+    whole spacing beyond what it was learned from. Three levels do not show that: two are left, and
+    these carry no curvature. Not above the heaviest load while it drives the
     motor: friction takes more and more of it, and the effort hardly depends on the load any more.
     """
     margins = np.full((2, 2), NARROW)
@@ -229,7 +234,8 @@ def _margins(sides: Sequence[Side], direction: int) -> Array:
         for end in (0, -1):
             others = np.delete(side.factors, end)
             driving = sign != direction and end == heaviest
-            if others.size > 1 and not driving and side.factors[end] <= ALIKE * others.max():
+            carried = others.size > FEWEST_LEFT + 1  # the end stands twice
+            if carried and not driving and side.factors[end] <= ALIKE * others.max():
                 row[end] = MARGIN
     return margins
 

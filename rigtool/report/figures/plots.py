@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from rigtool.report.units import other_unit
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -35,8 +37,13 @@ class Plot:
     function: Function
 
     def fits(self, run: Run) -> bool:
-        """Return whether a run is of the command, learned in one of the ways, with the tables."""
+        """Return whether a run is of the command, learned in one of the ways, with the tables.
+
+        Their columns are in the units that the figure's labels state.
+        """
         if self.command != run.command or not all(name in run.tables for name in self.tables):
+            return False
+        if other_unit(run, *self.tables) is not None:
             return False
         learned = "C" if run.recipe is None else run.recipe.ilc_learn.implementation
         return not self.implementations or learned in self.implementations

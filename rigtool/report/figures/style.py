@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from rigtool.errors import UsageError
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -56,8 +58,17 @@ _STYLE: dict[Any, Any] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Set matplotlib's defaults and the style, for figures made and saved in this context."""
-    import matplotlib
+    """Set matplotlib's defaults and the style, for figures made and saved in this context.
+
+    All that draws is imported here, before a process is copied. Raises `UsageError` where the
+    user's own settings keep matplotlib from starting.
+    """
+    try:
+        import matplotlib
+        import matplotlib.backends.backend_agg
+        import matplotlib.backends.backend_svg
+    except (OSError, ValueError) as error:
+        raise UsageError(f"matplotlib: {error}: correct MPLBACKEND or its matplotlibrc") from None
     from cycler import cycler
 
     with matplotlib.rc_context():

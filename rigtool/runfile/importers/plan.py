@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.escapes import is_text
+from rigtool.inputs import open_input, reading
 from rigtool.runfile.importers.convert import stem
 
 BINARY = (".mat", ".npy", ".npz")
@@ -47,18 +49,20 @@ def plan(
     `pattern` that of `find_files`. Raises `RunFileError` for a source that does not exist or where
     no name fits, `UsageError` for names that do not go together or exist.
     """
-    folders = [source for source in sources if Path(source).is_dir()]
+    folders = [source for source in sources if os.path.isdir(source)]
     if not folders and len(sources) == 1:
-        if output.is_dir():
+        if os.path.isdir(output):
             raise UsageError(f"{output}: is a folder: give the name of a run file, e.g. RUN.h5")
         return Plan({_file(Path(sources[0])): output}, False, [])
-    if output.suffix == ".h5" or output.is_file():
+    if output.suffix == ".h5" or os.path.isfile(output):
         raise UsageError(f"{output}: each source file becomes a run file: give a folder for them")
     names: dict[Path, Path] = {}
     taken: dict[Path, Path] = {}
     files, left_out = find_files(sources, endings, pattern)
     for file, source in files:
-        below = Path(source.resolve().name) if len(folders) > 1 and source.is_dir() else Path()
+        below = (
+            Path(source.resolve().name) if len(folders) > 1 and os.path.isdir(source) else Path()
+        )
         name = below / f"{stem(file)}.h5"
         if not is_text(str(file)):
             raise UsageError(f"{file}: its name is not UTF-8: give the file another name")
@@ -67,7 +71,7 @@ def plan(
                 f"{file} and {taken[name]} would both become {output / name}: import them "
                 "into different folders"
             )
-        if (output / name).exists() and not overwrite:
+        if os.path.exists(output / name) and not overwrite:
             raise UsageError(
                 f"{output / name}: exists already: give another folder, or --overwrite"
             )
@@ -84,7 +88,7 @@ def find_files(
     """
     found: list[tuple[Path, Path]] = []
     left_out: list[Path] = []
-    alone = len(sources) == 1 and not Path(sources[0]).is_dir()
+    alone = len(sources) == 1 and not os.path.isdir(sources[0])
     for source in map(Path, sources):
         for file in _files(source, (*TEXT, *BINARY, *endings), pattern):
             if alone or pattern is None or fnmatchcase(file.name, pattern):
@@ -101,10 +105,11 @@ def find_files(
 
 def _files(source: Path, endings: tuple[str, ...], pattern: str | None) -> list[Path]:
     """Return the files of a folder that end in one of `endings` or fit the `pattern`."""
-    if not source.is_dir():
+    if not os.path.isdir(source):
         return [_file(source)]
-    inside = sorted(path for path in source.iterdir() if not path.name.startswith("."))
-    files = [path for path in inside if path.is_file()]
+    with reading(source, RunFileError):
+        inside = sorted(path for path in source.iterdir() if not path.name.startswith("."))
+    files = [path for path in inside if os.path.isfile(path)]
     found = [
         path
         for path in files
@@ -128,8 +133,10 @@ def _files(source: Path, endings: tuple[str, ...], pattern: str | None) -> list[
 
 
 def _file(source: Path) -> Path:
-    if not source.is_file():
+    if not os.path.lexists(source):
         raise RunFileError(f"{source}: no such file or folder: give measured data")
+    with open_input(source, RunFileError):
+        pass
     return source
 
 

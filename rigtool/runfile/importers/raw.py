@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
+from rigtool.inputs import open_input
 from rigtool.numerics.arrays import Array
 from rigtool.recipe.mapping import Mapping
 
@@ -46,6 +48,10 @@ NO_TEXT = {
     b"%PDF": "a PDF",
 }
 """First bytes of files that people give for text, and what they are."""
+
+OWN_LINES, FEWEST_BLANK = 0.05, 10
+"""Part and number of blanks in a column from which on its samples have lines of their own; fewer
+blanks are damage."""
 
 LISTED_LINES = 5
 """Most bad lines that a message lists."""
@@ -101,6 +107,11 @@ class Importer:
     endings: tuple[str, ...] = ()
 
 
+def has_own_lines(blank: int, count: int) -> bool:
+    """Return whether a column with blanks on so many lines was sampled on the others."""
+    return max(OWN_LINES * count, FEWEST_BLANK) <= blank < count
+
+
 def require_good(path: Path, what: str, bad: dict[int, str]) -> None:
     """Raise `RunFileError` that names the first bad lines and what to do about them."""
     if not bad:
@@ -118,20 +129,18 @@ def require_good(path: Path, what: str, bad: dict[int, str]) -> None:
 
 def read_bytes(path: Path) -> bytes:
     """Return a file's bytes, unpacked where it is gzipped; `RunFileError` where that fails."""
-    try:
-        with path.open("rb") as stream:
-            packed = stream.read(2) == b"\x1f\x8b"
+    with open_input(path, RunFileError) as stream:
+        packed = stream.read(2) == b"\x1f\x8b"
+        stream.seek(0)
         if not packed:
-            require_size(path, path.stat().st_size)
-            data = path.read_bytes()
+            require_size(path, os.fstat(stream.fileno()).st_size)
+            data = stream.read()
             _require_text(path, data)
             return data
-        with gzip.open(path) as stream:
-            data = stream.read(unpacked_limit(path) + 1)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise RunFileError(f"{path}: is a damaged gzip file: {error}; fetch it again") from None
-    except OSError as error:
-        raise RunFileError(f"{path}: cannot be read: {error.strerror or error}") from None
+        try:
+            data = gzip.GzipFile(fileobj=stream).read(unpacked_limit(path) + 1)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise RunFileError(f"{path}: is a damaged gzip file: {error}; fetch it again") from None
     require_size(path, len(data))
     _require_text(path, data)
     return data

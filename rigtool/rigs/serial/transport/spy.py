@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rigtool.errors import HardwareError, RecipeError
+from rigtool.inputs import open_input
 
 HEAD = "# rigtool spy"
 VERSION = 2
@@ -76,8 +77,9 @@ def read_spy(path: str | Path) -> tuple[str, list[Event]]:
     Raises `RecipeError` for another kind of file, or one of a newer rigtool.
     """
     try:
-        lines = Path(path).read_text(encoding="ascii").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        with open_input(path, RecipeError) as stream:
+            lines = stream.read().decode("ascii").splitlines()
+    except UnicodeDecodeError as error:
         raise RecipeError(f"{path}: cannot be read as a file of --spy: {error}") from None
     found = re.fullmatch(rf"{HEAD} (\d+) driver=(\S+).*", lines[0] if lines else "", re.ASCII)
     if found is None:

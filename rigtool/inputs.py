@@ -1,0 +1,41 @@
+"""Files that are read: no device, pipe or folder, and errors of the system as messages."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BufferedReader
+
+from rigtool.errors import RigtoolError, refusal
+
+
+@contextmanager
+def reading(path: str | os.PathLike[str], kind: type[RigtoolError]) -> Iterator[None]:
+    """Turn what the system refuses about an input into an error of a `kind`, with a remedy."""
+    try:
+        yield
+    except RigtoolError:
+        raise
+    except OSError as error:
+        raise kind(f"{path}: cannot be read: {refusal(error)}") from error
+    except ValueError as error:
+        if "null byte" not in str(error):
+            raise
+        raise kind(f"{path!r}: holds a NUL, as no file's name does: correct it") from None
+
+
+@contextmanager
+def open_input(path: str | os.PathLike[str], kind: type[RigtoolError]) -> Iterator[BufferedReader]:
+    """Open a file for reading; raises an error of a `kind` where the system refuses.
+
+    A pipe or a device is not opened: that may block, and moves the lines of a serial port.
+    """
+    with reading(path, kind):
+        mode = os.stat(path).st_mode
+        if not stat.S_ISREG(mode):
+            what = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
+            raise kind(f"{path}: is {what}, no file: give a file that was written to a disk")
+        with open(path, "rb") as stream:
+            yield stream
