@@ -20,7 +20,17 @@ from pathlib import Path
 import numpy as np
 from learned import instrument_of, learned_in, samples_of
 from numpy.typing import NDArray
-from oracle import CONTACTS, RIGS, STEP, Recorded, plant_of, record, signals_of, uncertainty_of
+from oracle import (
+    AVERAGED,
+    CONTACTS,
+    RIGS,
+    STEP,
+    Recorded,
+    plant_of,
+    record,
+    signals_of,
+    uncertainty_of,
+)
 
 from rigtool.experiments.force_filter.estimate import Filter
 from rigtool.experiments.force_model.contacts import SETTLING, Contact, contacts, trial
@@ -73,8 +83,8 @@ def found_by_oracle(recorded: Recorded, instrument: SensorProperties) -> list[Co
     states = Sensor(instrument).add(samples_of(recorded), last=True).states
     u, plant = uncertainty_of(recorded.recipe), plant_of(recorded.recipe)
     quiet = replace(u, slow_torque_rate=u.torque_rate, step_torque_rate=u.torque_rate)
-    found = Filter(plant, quiet, STEP, instrument.corner_hz).add(signals_of(recorded))
-    size, step_time = min(len(found.low), len(states)), STEP * plant.sample_time
+    found = Filter(plant, quiet, STEP // AVERAGED, instrument.corner_hz).add(signals_of(recorded))
+    size, step_time = min(len(found.low), len(states)), instrument.grid.step_time
     tested = trial(found.torque[:size], found.deviation[:size], states[:size], step_time)
     return contacts(tested, instrument.model.limits)
 

@@ -25,7 +25,9 @@ from rigtool.experiments.force.procedure import PROCEDURE as MEASURE_FORCE
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.plant.multisine import periodic, random_phases
 from rigtool.experiments.plant.procedure import PROCEDURE as IDENTIFY_PLANT
+from rigtool.experiments.plant.procedure_excitation import excited_lines, period_samples
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.ripple.procedure import PROCEDURE as FFT_RIPPLE
 from rigtool.experiments.torque_constant.procedure import PROCEDURE as CALIBRATE_KT
@@ -80,13 +82,14 @@ def true_constants(recipe: Recipe) -> dict[str, float]:
     mean = 1 + slope * ((low + high) / 2 - 20)
     errors = [mean / (1 + slope * (end - 20)) - 1 for end in (low, high)]
     table = rotor_map(virtual, virtual.amplifier, virtual.power_cycle)[:-1]
-    # The slope of i + i (g + s i) over the span of the staircase is 1 + g + s span.
+    # The slope of i + i (g + s i) is 1 + g + s span from zero to the span, of true current.
+    span = virtual.amplifier.gain * settings.current_max
     return {
         "torque_constant": at_20,
         "torque_constant_temperature_coefficient": slope,
         "torque_constant_mean": at_20 * mean,
         "torque_constant_constant_error": max(map(abs, errors)),
-        "torque_constant_ripple": float(np.std(table[:, 1] + settings.current_max * table[:, 2])),
+        "torque_constant_ripple": float(np.std(table[:, 1] + span * table[:, 2])),
         "amplifier_gain": virtual.amplifier.gain,
         "amplifier_offset": virtual.amplifier.offset,
     }
@@ -149,11 +152,10 @@ def true_plant(recipe: Recipe) -> dict[str, float]:
     if recipe.rig.attachment == "pulley":
         return {"inertia": motor.inertia, "viscous_friction": motor.viscous_friction}
     near_side = motor.inertia + tool.wheel_inertia
-    # What the motor feels: friction that grows with the tendon's torque adds to that torque.
-    grows = tool.tip_friction / math.hypot(tool.tip_friction, tool.load_friction_onset)
-    behind = tool.grasper_inertia / (rig.angle_ratio * rig.torque_factor)
-    behind *= 1 + tool.load_friction * grows
     antiresonance = math.sqrt(tool.stiffness / tool.grasper_inertia) / (2 * math.pi)
+    # What the motor feels: friction that grows with the tendon's torque adds to that torque.
+    behind = tool.grasper_inertia / (rig.angle_ratio * rig.torque_factor)
+    behind *= 1 + tool.load_friction * growth(recipe, antiresonance)
     return {
         "inertia": near_side + behind,
         "inertia_motor_side": near_side,
@@ -161,6 +163,25 @@ def true_plant(recipe: Recipe) -> dict[str, float]:
         "antiresonance_frequency": antiresonance,
         "resonance_frequency": antiresonance * math.sqrt(1 + behind / near_side),
     }
+
+
+def growth(recipe: Recipe, antiresonance: float) -> float:
+    """Return the mean slope of hypot(T, onset) over the tendon's torque T at the grasper, which
+    the excitation swings about the friction of the tip (J. J. Bussgang, MIT RLE Tech. Rep. 216,
+    1952: what a linear response shows of a nonlinear one)."""
+    assert recipe.virtual is not None
+    tool, settings = recipe.virtual.instrument, recipe.identify_plant
+    lines, count = excited_lines(recipe), period_samples(recipe)
+    frequency = lines / (count * recipe.rig.sample_time)
+    speed = random_phases(lines, count, np.random.default_rng([0]))
+    level = settings.swing * settings.stroke_speeds[0] / np.abs(periodic(lines, speed, count)).max()
+    ratio = frequency / antiresonance
+    lag = 1j * ratio * tool.damping / math.sqrt(tool.stiffness * tool.grasper_inertia)
+    follows = (1 + lag) / (1 - ratio**2 + lag) / recipe.rig.angle_ratio
+    swing = tool.grasper_inertia * 2 * np.pi * frequency * np.abs(speed * follows) * level
+    torque = tool.tip_friction + np.sqrt(np.sum(swing**2) / 2) * np.linspace(-5, 5, 2001)
+    weight = np.exp(-(np.linspace(-5, 5, 2001) ** 2) / 2)
+    return float(np.average(torque / np.hypot(torque, tool.load_friction_onset), weights=weight))
 
 
 def compare_ripple(outcome: Outcome, recipe: Recipe) -> Compared:

@@ -76,8 +76,8 @@ CONTACTS = {
         ),
     ),
 }
-STEP = 8
-"""Samples in a step of the filter: 1 ms."""
+STEP, AVERAGED = 8, 2
+"""Samples in a step of the filter: 1 ms, and in one of its samples: angles belong to the middle."""
 BANDS = (5.0, 10.0)
 """Bandwidths, Hz: amplitudes are right up to them, and the low-pass has its corner above."""
 MARGIN = 2.0
@@ -100,7 +100,8 @@ class Recorded:
     def truth(self) -> Array:
         """What truly acted at the end of each step, (m,) N m."""
         torque = self.channels["reference_torque"]
-        return torque[STEP - 1 :: STEP][: (torque.size - 1) // STEP]
+        size = (torque.size // AVERAGED - 1) // (STEP // AVERAGED)
+        return torque[STEP - 1 :: STEP][:size]
 
 
 def record(
@@ -157,7 +158,7 @@ def plant_of(recipe: Recipe) -> Plant:
     assert virtual is not None
     motor, instrument = virtual.motor, virtual.instrument
     return Plant(
-        sample_time=rig.sample_time,
+        sample_time=AVERAGED * rig.sample_time,
         inertia=motor.inertia + instrument.wheel_inertia,
         coulomb=motor.coulomb_friction,
         static=motor.static_friction,
@@ -234,7 +235,12 @@ def signals_of(recorded: Recorded) -> Signals:
             ]
         ),
     )
-    return Signals(torque + cogging, motor.viscous_friction * (1 + modulation), low, width)
+    size = len(low) // AVERAGED
+    torque, viscous = (
+        signal[: size * AVERAGED].reshape(size, AVERAGED).mean(axis=1)
+        for signal in (torque + cogging, motor.viscous_friction * (1 + modulation))
+    )
+    return Signals(torque, viscous, low[AVERAGED // 2 : size * AVERAGED : AVERAGED], width)
 
 
 @njit(cache=True)
@@ -278,9 +284,9 @@ def both_forms(
 ) -> dict[str, tuple[Array, Array]]:
     """Return torque behind a low-pass and its standard deviation by causal and smoothed filter."""
     corner_hz = ForceMotion(bandwidth_hz=band_hz).corner_hz
-    causal = Filter(plant, uncertainty, STEP, corner_hz).add(signals)
-    torque, deviation = smoothed(plant, uncertainty, STEP, corner_hz, signals)
-    rate = 1 / (STEP * plant.sample_time)
+    causal = Filter(plant, uncertainty, STEP // AVERAGED, corner_hz).add(signals)
+    torque, deviation = smoothed(plant, uncertainty, STEP // AVERAGED, corner_hz, signals)
+    rate = AVERAGED / (STEP * plant.sample_time)
     return {
         "causal": (causal.passed, causal.deviation),
         "smoothed": (lowpassed(torque, band_hz, rate, True), deviation),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import importlib
 import keyword
@@ -163,6 +164,8 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     output = Output(json="--json" in arguments)
     _keep_memory_of_blocks()
     gc.set_threshold(GARBAGE)
+    # At exit nothing is garbage any more: a last search took up to a fifth of a command's time.
+    atexit.register(gc.freeze)
     try:
         _require_text(arguments)
         with handled():

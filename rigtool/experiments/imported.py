@@ -44,6 +44,18 @@ def recordings_of(runs: Sequence[Run]) -> list[Recording]:
     ]
 
 
+def rotary_recordings(runs: Sequence[Run], why: str) -> list[Recording]:
+    """Return all recordings of all runs of one rig.
+
+    Raises `UsageError` for several rigs, and for a linear axis, `why` it is refused.
+    """
+    recordings = recordings_of(runs)
+    require_one_rig(recordings)
+    if is_linear(recordings[0]):
+        raise UsageError(f"{runs[0].path}: is of a linear axis, {why}")
+    return recordings
+
+
 def place(recording: Recording) -> str:
     """Return the run file, and where that holds several recordings which of them, for messages."""
     part = "" if recording.name == RECORDING else f", {recording.name}"

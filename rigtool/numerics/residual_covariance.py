@@ -26,19 +26,29 @@ def long_run_covariance(design: Array, residual: Array, independent: float) -> t
     that were left out, so that the others keep their distance in time. `independent` is the number
     of independent samples equivalent to the residuals; B = n_i^(2/3).
     """
-    from scipy.fft import dct
-
     count = len(residual)
     # The published rule, 0.4 n^(2/3), assumes a correlation of 0.7 from sample to sample, where n
     # samples count as n_i = 0.18 n: 1.3 n_i^(2/3). B is lower because n_i is itself estimated.
     lowest = int(min(max(independent ** (2 / 3), MIN_COEFFICIENTS), count - 1))
     moments = design * residual[:, None]
-    # scipy's type II is twice the sum of the definition above
-    coefficients = dct(moments, type=2, axis=0)[1 : lowest + 1] / 2
+    coefficients = cosine_transform(moments)[1 : lowest + 1]
     spread = coefficients.T @ coefficients * (2 / lowest)
     inverse = np.linalg.inv(design.T @ design)
     covariance: Array = inverse @ spread @ inverse
     return covariance, lowest
+
+
+def cosine_transform(values: Array) -> Array:
+    """Return the sums over t of values (n, ...) times cos(pi j (t - 1/2) / n), j = 0..n-1.
+
+    The DCT-II from a real Fourier transform of n values (J. Makhoul, IEEE Trans. Acoust., Speech,
+    Signal Process. 28(1) 27-34, 1980).
+    """
+    count = len(values)
+    turned = np.fft.rfft(np.concatenate([values[::2], values[1::2][::-1]]), axis=0)
+    phase = np.exp(-0.5j * np.pi * np.arange(len(turned)) / count)
+    turned = (phase * turned.T).T
+    return np.concatenate([turned.real, -turned.imag[(count - 1) // 2 : 0 : -1]])
 
 
 def kept_by_fit(design: Array, lowest: int) -> Array:

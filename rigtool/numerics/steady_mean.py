@@ -61,7 +61,6 @@ def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
     Each of the series (m,) has its own scatter, all have the payback in common. Raises
     `InsufficientDataError` for fewer than three readings in one.
     """
-    from scipy.fft import dst
     from scipy.special import chdtri
 
     likelihood = np.zeros(len(PAYBACKS))
@@ -73,7 +72,7 @@ def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
                 f"{count} cycles show no scatter, {MIN_READINGS} are needed: measure more cycles"
             )
         waves, ones, weighted = (
-            dst(each, type=1, norm="ortho") for each in (values, np.ones(count), weights(count))
+            _sine_transform(each) for each in (values, np.ones(count), weights(count))
         )
         turn = np.pi * np.arange(1, count + 1) / (count + 1)
         p = PAYBACKS[:, None]
@@ -95,3 +94,10 @@ def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
         relative = float(share @ (variance / square - 1) ** 2) + 2 / (len(values) - 1)
         found.append((math.sqrt(square * (slow if beyond else 1.0)), 2 / relative))
     return found
+
+
+def _sine_transform(values: Array) -> Array:
+    """Return the orthonormal DST-I of values (n,): the transform of their odd continuation."""
+    odd = np.concatenate([[0.0], values, [0.0], -values[::-1]])
+    transform: Array = -np.fft.rfft(odd).imag[1:-1] / math.sqrt(len(odd))
+    return transform

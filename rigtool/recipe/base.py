@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from pydantic import BaseModel, ConfigDict, ValidationInfo, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 BOUNDS = {
     "N m s/rad": (1e-12, 1e3),
@@ -61,6 +61,9 @@ def _numbers(value: object) -> Iterator[float]:
             yield from _numbers(part)
     elif isinstance(value, int | float) and not isinstance(value, bool):
         yield value
+
+
+Positive = Annotated[float, Field(gt=0)]
 
 
 class Section(BaseModel):

@@ -6,9 +6,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from rigtool.recipe.base import Section
+from rigtool.recipe.base import Positive, Section
 from rigtool.recipe.turning import (
-    Positive,
     Trajectory,
     Turning,
     require_different_speeds,

@@ -141,6 +141,9 @@ class Signal(Section):
     scale: float = Field(1.0, ge=-1e15, le=1e15, description="for the raw value")
     offset: float = Field(0.0, ge=-1e15, le=1e15, description="added after scaling, in `unit`")
     sign: Literal[1, -1] = Field(1, description="-1 where the sensor counts the other way")
+    time: int | str | None = Field(
+        None, description="column of its own time, in the unit of `time`, where it has one"
+    )
     counts_per_turn: float | None = Field(
         None, gt=0, description="turns counts into rad; per metre on a linear axis, into m"
     )
@@ -156,12 +159,13 @@ class Signal(Section):
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Signal:
-        if isinstance(self.column, int) and self.column < 1:
-            raise ValueError(f"columns are counted from 1, got {self.column}")
+        for column in (self.column, self.time):
+            if isinstance(column, int) and column < 1:
+                raise ValueError(f"columns are counted from 1, got {column}")
         if self.scale == 0:
             raise ValueError("scale 0 leaves nothing of the signal")
-        if self.counts_per_turn is not None and self.unit != "count":
-            raise ValueError('counts_per_turn goes with unit = "count"')
+        if self.counts_per_turn is not None and self.unit not in ("count", "count/s"):
+            raise ValueError('counts_per_turn goes with unit = "count" or "count/s"')
         return self
 
 
@@ -298,16 +302,23 @@ class Mapping(Section):
                 )
         if self.signals and ("time" in self.signals) == (self.file.sampling_rate_hz is not None):
             raise ValueError("give either a signal `time` or sampling_rate_hz in [file]")
+        if self.own_times and "time" not in self.signals:
+            raise ValueError("a column of its own time needs a signal `time`, whose unit it has")
         if self.signals and set(self.signals) == {"time"}:
             raise ValueError("there is no signal besides time")
         return self
 
     @property
+    def own_times(self) -> list[int | str]:
+        """Columns of times of single signals."""
+        return [signal.time for signal in self.signals.values() if signal.time is not None]
+
+    @property
     def columns(self) -> list[int | str]:
-        """Columns of the signals, and of conditions."""
+        """Columns of the signals, of their own times, and of conditions."""
         signals = [signal.column for signal in self.signals.values()]
         found = [item.column for item in self.conditions if item.column is not None]
-        return list(dict.fromkeys([*signals, *found]))
+        return list(dict.fromkeys([*signals, *self.own_times, *found]))
 
     @property
     def words(self) -> dict[int | str, dict[str, float]]:
@@ -321,7 +332,8 @@ class Mapping(Section):
     @property
     def dates(self) -> set[int | str]:
         """Columns of dates or clock times."""
-        return {signal.column for signal in self.signals.values() if signal.unit == DATE}
+        found = {signal.column for signal in self.signals.values() if signal.unit == DATE}
+        return found | set(self.own_times) if found else found
 
     def fixed_unit(self, name: str) -> str | None:
         """Return the unit that a name has by its fixed meaning, None for other names."""
@@ -334,9 +346,9 @@ class Mapping(Section):
         signal = self.signals[name]
         if signal.unit == RATED:
             return "N m"
-        if signal.counts_per_turn is not None:
-            return "rad" if self.rig.axis == "rotary" else "m"
-        return UNITS[signal.unit][1]
+        turned = "rad" if self.rig.axis == "rotary" else "m"
+        found = UNITS[signal.unit][1]
+        return found if signal.counts_per_turn is None else found.replace("count", turned)
 
     def factor(self, name: str) -> float:
         """Return the SI value of one `unit` of a signal."""

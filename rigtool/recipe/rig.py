@@ -70,7 +70,7 @@ class Instrument(Section):
 
 
 class ForceArm(Section):
-    """Arm and force gauge with which the motor constant is calibrated [7.1.1]."""
+    """Arm and force gauge with which the torque constant is calibrated [7.1.1]."""
 
     length: float = Field(0.540, gt=0, description="arm from shaft to gauge, m")
     length_u: float = Field(0.2e-3, ge=0, description="standard uncertainty of the length, m")

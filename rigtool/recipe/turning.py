@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from pydantic import Field, model_validator
 
-from rigtool.recipe.base import Section
-
-Positive = Annotated[float, Field(gt=0)]
+from rigtool.recipe.base import Positive, Section
 
 
 def require_different_speeds(speeds: tuple[float, ...], low_speeds: tuple[float, ...]) -> None:

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from rigtool.recipe.base import Section
+from rigtool.recipe.base import Positive, Section
 
 MAX_ORDER = 200
 """Highest order of rotation that a recipe may name."""
@@ -164,12 +164,10 @@ def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
 
 
 _Between = (BeforeValidator(_pair), AfterValidator(_ascending))
-Seconds = Annotated[tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], *_Between]
 HighestForce = Annotated[float, Field(ge=-1000, le=1000)]
 Newtons = Annotated[tuple[HighestForce, HighestForce], *_Between]
 Frequency = Annotated[float, Field(gt=0, le=1000)]
 Hertz = Annotated[tuple[Frequency, Frequency], *_Between]
-Positive = Annotated[float, Field(gt=0)]
 PositiveRange = Annotated[tuple[Positive, Positive], *_Between]
 
 
@@ -185,7 +183,9 @@ class VirtualContact(Section):
     rate_per_min: float | None = Field(
         None, gt=0, le=600, description="drawn instead of `at`: contacts a minute without contact"
     )
-    duration: Seconds | None = Field(None, description="s; until the motion ends where not given")
+    duration: PositiveRange | None = Field(
+        None, description="s; until the motion ends where not given"
+    )
 
     @model_validator(mode="after")
     def _has_its_times(self) -> Self:
@@ -241,7 +241,7 @@ class Ramp(VirtualContact):
 
     kind: Literal["ramp"]
     force: Newtons = Field(description="at the end, N")
-    duration: Seconds = Field(description="of the rise, s")
+    duration: PositiveRange = Field(description="of the rise, s")
 
 
 class Tissue(VirtualContact):
@@ -271,7 +271,7 @@ class Hand(Section):
     speed_rev_per_s: PositiveRange = Field(
         (0.3, 2.0), description="each stretch draws its highest, of the motor, rev/s"
     )
-    stretch: Seconds = Field((1.0, 8.0), description="how long a pace lasts, s")
+    stretch: PositiveRange = Field((1.0, 8.0), description="how long a pace lasts, s")
     pause_share: float = Field(0.3, ge=0, lt=1, description="part of the stretches that rest")
     stiffness: float = Field(2.0, gt=0, le=1000, description="of the hand's grip, N m/rad")
     damping: float = Field(0.02, ge=0, le=10, description="of the hand's grip, N m s/rad")

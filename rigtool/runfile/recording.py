@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-BLOCK = 8 * schema.CHUNK
-"""Samples that `Recording.blocks` reads at a time: what fits a processor's cache."""
+BLOCK = 16 * schema.CHUNK
+"""Samples that `Recording.blocks` reads at a time: HDF5 opens each signal anew for a block."""
 
 
 class Recording:
@@ -81,16 +81,21 @@ class Recording:
         return values
 
     def blocks(
-        self, *channels: str, start: int = 0, stop: int | None = None, finite: bool = True
+        self,
+        *channels: str,
+        start: int = 0,
+        stop: int | None = None,
+        finite: bool = True,
+        size: int = BLOCK,
     ) -> Iterator[tuple[Array, ...]]:
-        """Read samples start..stop of several channels together, `BLOCK` samples at a time.
+        """Read samples start..stop of several channels together, `size` samples at a time.
 
         Memory does not grow with the recording; raises as `read` does, NaN and infinity are given
         where `finite` is false.
         """
         stop = self.size if stop is None else min(stop, self.size)
         # Blocks end where chunks do: none is decompressed twice.
-        edges = [start, *range(start - start % BLOCK + BLOCK, stop, BLOCK), stop]
+        edges = [start, *range(start - start % size + size, stop, size), stop]
 
         def read(begin: int, end: int) -> tuple[Array, ...]:
             if not finite:

@@ -157,8 +157,10 @@ def drive(bench, line):
 @pytest.mark.parametrize("line", list(examples()))
 def test_the_example_runs(bench, line, capsys, monkeypatch):
     # Tests of the report draw its figures.
-    drawn = "rigtool.report.figures.side_by_side.render"
+    drawn = "rigtool.report.figures.style.render"
     monkeypatch.setattr(drawn, lambda figure: ("<svg/>", b"\x89PNG"))
+    # Whatever is connected to this computer is asked nothing.
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
     prepare(bench, line)
     with drive(bench, line):
         run_example(bench, line, capsys)

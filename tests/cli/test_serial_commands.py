@@ -20,6 +20,7 @@ from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
 from tests.rigs.serial.recipes import RECIPE, overrides
 from tests.rigs.serial.target.test_driver_faults import wait_until
+from tests.thorough import thorough
 
 pytestmark = pytest.mark.usefixtures("world")
 KT = Path(__file__).parents[1] / "fixtures" / "kt.h5"
@@ -172,7 +173,7 @@ def test_a_spy_file_plays_back_as_the_rig(tmp_path, capsys):
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, *thorough(signal.SIGTERM)])
 def test_however_it_ends_the_motor_is_off_and_signals_are_kept(tmp_path, capsys, number):
     emulated = device(paced=True)
     with serve(emulated) as server:

@@ -2,9 +2,9 @@
 
 import os
 import shutil
-import time
 
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+from tests.alone import alone
 from tests.experiments.virtual_runs import RECIPE, run
 
 KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
@@ -21,29 +21,16 @@ D = (
     "ilc_learn.loads.cycles=12",
 )
 
-PATIENCE = 6000
-"""Looks, 0.1 s apart, for what another process learns; it takes some 10 s, or was killed."""
-
 
 def learned_loads(tmp_path_factory, folder):
     """Return the path of the tables, copied into a folder; the first who asks learns them."""
     session = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         session = session.parent
-    shared, mine = session / "learned-loads.h5", session / "learned-loads-being-made"
-    waited = 0
-    while not shared.exists():
-        try:
-            mine.mkdir()
-        except FileExistsError:  # another process learns
-            time.sleep(0.1)
-            waited += 1
-            if waited > PATIENCE:
-                raise TimeoutError(f"{mine}: who made it has ended") from None
-            continue
-        try:
-            run(ILC_LEARN, RECIPE, mine / "tables.h5", *RIG, *D, kt=KT)
-            (mine / "tables.h5").rename(shared)
-        finally:
-            shutil.rmtree(mine)
+    shared = session / "learned-loads.h5"
+    with alone(session / "learned-loads.lock"):
+        if not shared.exists():
+            mine = tmp_path_factory.mktemp("learning") / "tables.h5"
+            run(ILC_LEARN, RECIPE, mine, *RIG, *D, kt=KT)
+            mine.rename(shared)
     return shutil.copy(shared, folder / "tables.h5")

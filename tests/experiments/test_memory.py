@@ -1,5 +1,6 @@
 """Memory does not grow with what a run records: recording, then analysing what was recorded."""
 
+import json
 import subprocess
 import sys
 import textwrap
@@ -15,31 +16,32 @@ KT, TABLES = FIXTURES / "kt.h5", FIXTURES / "tables.h5"
 
 CODE = textwrap.dedent(
     """
+    import json
     import sys
     from pathlib import Path
     from rigtool.cli import main
-    try:
-        main(sys.argv[1:])
-    finally:
+    for command in json.loads(sys.argv[1]):
+        try:
+            main(command)
+        except SystemExit as end:
+            assert not end.code, end
         status = Path("/proc/self/status").read_text()
-        print(int(status.split("VmHWM:")[1].split()[0]) / 1024)
+        print(int(status.split("VmHWM:")[1].split()[0]) / 1024, file=sys.stderr)
     """
 )
 
 
-def most_memory(*arguments: object) -> float:
-    """Return the most memory that a command had, MB.
+def most_memory(*commands: list[object]) -> list[float]:
+    """Return the most memory that a process had after each of its commands, MB.
 
     As the kernel counts it for the program: `ru_maxrss` would start at what the tests' own process
     had when it made the new one.
     """
+    lines = [[*map(str, command), "-q", "--overwrite"] for command in commands]
     found = subprocess.run(
-        [sys.executable, "-c", CODE, *map(str, arguments), "-q", "--overwrite"],
-        capture_output=True,
-        text=True,
-        check=True,
+        [sys.executable, "-c", CODE, json.dumps(lines)], capture_output=True, text=True, check=True
     )
-    return float(found.stdout.split()[-1])
+    return [float(line) for line in found.stderr.splitlines()]
 
 
 def fft_ripple(revolutions: int) -> tuple[str, list[str], list[object]]:
@@ -68,12 +70,14 @@ def measure_force(cycles: int) -> tuple[str, list[str], list[object]]:
     ("procedure", "short", "long"), [(fft_ripple, 5, 95), (measure_force, 3, 18)]
 )
 def test_a_longer_run_at_the_full_rate_needs_hardly_more_memory(tmp_path, procedure, short, long):
-    most, samples = [], []
+    commands, paths = [], []
     for length in (short, long):
         command, sets, inputs = procedure(length)
-        path = tmp_path / f"{length}.h5"
+        paths.append(tmp_path / f"{length}.h5")
         options = [item for value in sets for item in ("--set", value)]
-        most.append(most_memory(command, RECIPE, "-o", path, *inputs, *options))
+        commands.append([command, RECIPE, "-o", paths[-1], *inputs, *options])
+    most, samples = most_memory(*commands), []
+    for path in paths:
         with open_run(path) as run:
             samples.append(sum(recording.size for recording in run.recordings.values()))
     # What one channel would take, of four and seven that are recorded.

@@ -63,7 +63,7 @@ def test_nothing_of_the_machine_is_in_the_page(make, open_all, tmp_path):
 def test_the_same_runs_give_the_same_bytes_whatever_a_user_has_set_in_matplotlib(make, open_all):
     import matplotlib
 
-    runs = open_all(make("ilc-learn"))
+    runs = open_all(make("calibrate-kt"))
     first = build_report(runs)
     with matplotlib.rc_context({"lines.linewidth": 20, "font.size": 30, "axes.grid": False}):
         second = build_report(runs)

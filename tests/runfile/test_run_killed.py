@@ -165,7 +165,7 @@ def require_beginning(path: Path, counts: dict[str, int], whole: Path) -> None:
 
 
 @pytest.mark.parametrize("kills", first_of([6, 34]))
-@pytest.mark.parametrize("command", ["stribeck", "ilc-learn", *thorough("measure-force")])
+@pytest.mark.parametrize("command", ["stribeck", *thorough("ilc-learn", "measure-force")])
 def test_a_command_killed_at_any_moment(tmp_path, capsys, command, kills):
     path, back, whole = (tmp_path / name for name in ("run.h5", "back.h5", "whole.h5"))
     part = Path(f"{path}.part")

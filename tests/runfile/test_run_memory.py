@@ -27,46 +27,42 @@ CODE = textwrap.dedent(
 
     names = ("time", "a", "b", "c", "d", "e")
     spec = RecordingSpec("long", tuple(Channel(name, "1", "f8", "") for name in names))
-    size, blocks = 100_000, int(sys.argv[2])
-    path = sys.argv[1]
-    start = most()
+    size, start = 100_000, most()
     arguments = dict(command="x", recipe=None, recipe_text=None, recordings=[spec])
-    try:
-        with RunWriter(path, **arguments) as out:
-            for number in range(blocks):
-                block = dict.fromkeys(names, np.arange(size) // 7 * 1e-3)
-                out.append("long", block)
-            raise KeyboardInterrupt
-    except KeyboardInterrupt:
-        pass
-    recover(path + ".part")
-    assert verify(path)[0].problem is None
-    with open_run(path) as run, open_run(path) as other:
-        assert list(differences(run, other, Tolerance())) == []
-        long = run.recording("long")
-        assert long.size == size * blocks
-        for begin in range(0, long.size, size):
-            long.read("time", begin, begin + size)
-        if blocks < 10:
-            export(run, path + ".csv", "long", False)
-    print(most() - start)
+    for blocks in map(int, sys.argv[2:]):
+        path = f"{sys.argv[1]}/{blocks}.h5"
+        try:
+            with RunWriter(path, **arguments) as out:
+                for number in range(blocks):
+                    block = dict.fromkeys(names, np.arange(size) // 7 * 1e-3)
+                    out.append("long", block)
+                raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            pass
+        recover(path + ".part")
+        assert verify(path)[0].problem is None
+        with open_run(path) as run, open_run(path) as other:
+            assert list(differences(run, other, Tolerance())) == []
+            long = run.recording("long")
+            assert long.size == size * blocks
+            for begin in range(0, long.size, size):
+                long.read("time", begin, begin + size)
+            if blocks < 10:
+                export(run, path + ".csv", "long", False)
+        print(most() - start)
     """
 )
 
 
-def grown(tmp_path: Path, blocks: int) -> float:
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the kernel counts it in /proc")
+def test_a_run_six_times_as_long_needs_no_more_memory(tmp_path):
     found = subprocess.run(
-        [sys.executable, "-c", CODE, str(tmp_path / f"{blocks}.h5"), str(blocks)],
+        [sys.executable, "-c", CODE, str(tmp_path), "2", "12"],
         capture_output=True,
         text=True,
         check=True,
     )
-    return float(found.stdout)
-
-
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the kernel counts it in /proc")
-def test_a_run_six_times_as_long_needs_no_more_memory(tmp_path):
-    short, long = grown(tmp_path, 2), grown(tmp_path, 12)
+    short, long = map(float, found.stdout.split())
     # 12 blocks of 6 channels are 58 MB.
     assert long < short + 20, (short, long)
     assert long < 80

@@ -1057,8 +1057,9 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
         rigtool_sensor_init(s);
         return &s->reading;
     }
-    if (s->collected == 0) {
+    if (s->collected == RS_AVERAGED / 2) /* angles belong to the middle of what is averaged */
         s->encoder = sample.encoder;
+    if (s->collected == 0) {
         s->current = s->temperature = 0;
         s->limited = 0;
     }

@@ -3,7 +3,7 @@
 `load` takes friction that grows with load off the thesis's reading, at one angle of the rising
 strokes; what remains, by the tendon's stretch and by ripple that grows with the current, is part of
 its uncertainty. `full` reads the load from whole strokes, lifting and lowering, with the model
-learned at known loads (`experiments.load_disturbance.reading`), the motor constant at the motor's
+learned at known loads (`experiments.load_disturbance.reading`), the torque constant at the motor's
 own temperature. A load outside the learned range has no value; near standstill every load has a
 dead band instead of a value.
 """

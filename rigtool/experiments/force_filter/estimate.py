@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import kalman, passed, smoother
+from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.linear import WIDE
 from rigtool.experiments.force_filter.plant import STATES, TORQUE, Plant, as_record
@@ -163,19 +164,15 @@ class Again:
     def add(self, signals: Signals, estimate: Estimate, *, last: bool = False) -> Estimate:
         """Take samples and the steps that they complete in the first filter; return the steps that
         are far enough back, or all after the `last` ones, with what the smoother needs."""
-        from scipy.ndimage import maximum_filter1d
-
         if self._signals is not None:
             signals = _joined(self._signals, signals)
         levels = np.concatenate([self._levels, estimate.outputs[:, 2]])
         behind = self._behind
         count = max(0, len(levels) - (0 if last else behind))
-        # the highest of a level and those that follow it
-        highest = maximum_filter1d(
-            np.append(levels, np.zeros(behind)), behind + 1, origin=-(behind + 1) // 2 + 1
-        )
         end = count * self._size + (0 if self._begun or not count else 1)
-        found = self._filter.add(_part(signals, 0, end), keep=True, least=highest[:count])
+        found = self._filter.add(
+            _part(signals, 0, end), keep=True, least=highest(levels, 0, behind)[:count]
+        )
         self._begun = self._begun or count > 0
         self._signals, self._levels = _part(signals, end, None), levels[count:]
         return found

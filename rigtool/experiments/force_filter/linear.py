@@ -60,9 +60,11 @@ def forwards(rows: Array, columns: int, factors: Array, k: int) -> None:
     for j in range(columns):
         angle, w, z, h = rows[THETA + j], rows[W + j], rows[Z + j], rows[H + j]
         a, v, t, torque = rows[A + j], rows[V + j], rows[T + j], rows[M + j]
-        new_w = w0 * angle + w1 * w + w2 * z + w3 * h + w4 * a + w5 * v + w10 * torque
-        new_w += w6 * rows[S + j] + w7 * rows[C + j] + w8 * rows[L + j] + w9 * rows[N + j]
-        new_v = v0 * angle + v1 * w + v2 * a + v3 * v + v4 * t + v5 * torque
+        # in pairs: a sum in a row waits for each term
+        new_w = (w0 * angle + w1 * w) + (w2 * z + w3 * h) + ((w4 * a + w5 * v) + w10 * torque)
+        late = (w6 * rows[S + j] + w7 * rows[C + j]) + (w8 * rows[L + j] + w9 * rows[N + j])
+        new_w += late
+        new_v = (v0 * angle + v1 * w) + (v2 * a + v3 * v) + (v4 * t + v5 * torque)
         rows[THETA + j], rows[W + j] = angle + dt * new_w, new_w
         rows[A + j], rows[V + j] = a + dt * new_v, new_v
         rows[Z + j], rows[H + j] = z0 * z + z1 * w, h0 * h + h1 * w

@@ -19,6 +19,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_filter.highest import highest
 from rigtool.numerics.arrays import Array
 
 States = NDArray[np.int32]
@@ -169,12 +170,8 @@ class Judge:
 
     def _highest(self, values: Array, span: float) -> Array:
         """Return the highest value within a span of time, s, about each step or up to it."""
-        from scipy.ndimage import maximum_filter1d
-
         half = max(1, round(span / self.step_time / 2))
-        origin = half if self.causal else 0
-        found: Array = maximum_filter1d(values, 2 * half + 1, mode="nearest", origin=origin)
-        return found
+        return highest(values, 2 * half if self.causal else half, 0 if self.causal else half)
 
     def _mean_speed(self, low: Array) -> Array:
         """Return the mean speed about each step, or up to it, (m,), rad/s."""

@@ -33,6 +33,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import State, States
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
@@ -114,23 +115,12 @@ def trial(
     jump *= deviation
     jump /= whole
     motion = np.full(len(smooth), MotionKind.STEADY, dtype=np.int8)
-    motion[_lately(states == State.REVERSED, round(AFTER / step_time))] = MotionKind.REVERSED
+    motion[highest(states == State.REVERSED, round(AFTER / step_time), 0)] = MotionKind.REVERSED
     motion[states == State.STILL] = MotionKind.STILL
-    motion[_lately(states == State.OUTSIDE, window)] = -1
+    motion[highest(states == State.OUTSIDE, window, 0)] = -1
     motion[: round(SETTLING / step_time)] = -1
     level: Single = np.divide(smooth, whole, dtype=np.float32)
     return Trial(smooth, jump, level, motion, step_time)
-
-
-def _lately(there: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
-    """Return where something was there within the last steps, (m,)."""
-    from scipy.ndimage import maximum_filter1d
-
-    size = steps + 1
-    behind = steps - size // 2
-    found = maximum_filter1d(there.view(np.uint8), size, mode="constant", origin=behind)
-    lately: NDArray[np.bool_] = found.view(np.bool_)
-    return lately
 
 
 def thresholds(untouched: Sequence[Trial], rate: float = FALSE_ALARMS) -> Array:
@@ -171,7 +161,8 @@ def contacts(test: Trial, limits: Array) -> list[Contact]:
     """Return the contacts in a stretch, by thresholds (3, 2) as `thresholds` gives them."""
     longest = round(STROKE / test.step_time)
     window = round(WINDOW / test.step_time)
-    rows = _contacts(test.torque, test.jump, test.level, test.motion, limits, window, longest)
+    levels = np.ascontiguousarray(limits)  # one kind of array: compiled once
+    rows = _contacts(test.torque, test.jump, test.level, test.motion, levels, window, longest)
     return [Contact(*row) for row in rows]
 
 

@@ -232,7 +232,7 @@ class _Inputs:
         self._exploration = exploration
         thinned = exploration.current[: size * THINNED].reshape(size, THINNED)
         self._current = thinned.mean(axis=1)
-        self._low = exploration.encoder[: size * THINNED : THINNED] * exploration.count
+        self._low = exploration.encoder[THINNED // 2 : size * THINNED : THINNED] * exploration.count
 
     def under(self, model: LearnedModel) -> Signals:
         """Return the filter's input where a model holds."""

@@ -5,6 +5,8 @@ Finer recordings are averaged; in coarser ones, whose samples are means themselv
 holds for the sample, and the angle between them comes from the encoder's edges (`encoder_angle`):
 
     count = floor(angle / width of a count)
+
+The filter's equations are a leapfrog: speeds belong to the begin of a sample, angles to its middle.
 """
 
 from __future__ import annotations
@@ -67,12 +69,12 @@ class FilterSteps:
         return means if self.divided == 1 else np.repeat(means, self.divided)
 
     def counts(self, encoder: Array) -> Array:
-        """Return the count that the angle is in at the begin of each sample of the filter (k,)."""
+        """Return the count that the angle is in at the middle of each sample of the filter (k,)."""
         size = len(encoder) // self.averaged * self.averaged
         whole = encoder == np.floor(encoder)
         if self.divided == 1 and whole.all():
-            return encoder[: size : self.averaged].copy()
-        place = np.arange(0.0, size * self.divided // self.averaged)
+            return encoder[self.averaged // 2 : size : self.averaged].copy()
+        place = np.arange(0.5, size * self.divided // self.averaged)
         place *= self.averaged / self.divided
         sample = place.astype(np.intp)
         counts: Array = np.floor(interpolated(encoder, place))

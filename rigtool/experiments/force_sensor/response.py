@@ -19,7 +19,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rigtool.numerics.arrays import Array
 
 SEGMENT = 1.0
 """Of a segment, s: a Hann window resolves 2 Hz."""

@@ -5,9 +5,10 @@
 on the terms that `motion_terms` makes of recordings. The covariance allows for residuals that are
 correlated in time (`residual_covariance`) and for structure in the residuals (`model_doubt`):
 friction that is not a straight line over speed (Stribeck), or that depends on position (spring,
-ripple, load). The offset is the mean torque over the positions that were visited: on less than a
-turn, it includes a mean of the ripple. Viscous friction is fv + fd in the positive direction and
-fv - fd in the negative one; fd is part of the model where it is significant.
+ripple, load), and efforts that are coarsely resolved or not linear. The offset is the mean torque
+over the positions that were visited: on less than a turn, it includes a mean of the ripple. Viscous
+friction is fv + fd in the positive direction and fv - fd in the negative one; fd is part of the
+model where it is significant.
 
 A delay between effort and position is part of the model where the residuals ask for it, and of the
 uncertainties where they do not (`effort_delay`).
@@ -254,11 +255,15 @@ def _doubt(
     speed, position = _speed(motions), _centred(motions)
     by_speed, _ = structure(speed[used], residual[used], design[used], times[used])
     by_position, doubt = structure(position[used], residual[used], design[used], times[used])
+    # The effort of the model: of the measured one, residuals are a function themselves.
+    effort = np.concatenate([motion.torque for motion in motions])[used]
+    effort -= residual[used] / weight[used]
+    _, by_effort = structure(effort, residual[used], design[used], times[used])
     coulomb = weighted(motions)[0][:, DYNAMICS_PARAMETERS.index("coulomb")]
     count = independent(motions, residual)
     bent = curvature(speed, coulomb, residual, design, count)
     long = long_ripple(position, weight, residual, design, count)
-    return np.sqrt(doubt**2 + bent**2 + long**2), by_speed, by_position
+    return np.sqrt(doubt**2 + by_effort**2 + bent**2 + long**2), by_speed, by_position
 
 
 def _require_friction(design: Array) -> None:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.residual_covariance import long_run_covariance
+from rigtool.numerics.residual_covariance import cosine_transform, long_run_covariance
 
 RANGES = 24
 """Ranges of the quantity over which residuals are averaged, with as many samples each."""
@@ -86,9 +86,8 @@ def structure(
 
 def _patterns(means: Array) -> float:
     """Return the effective number of cosines over the ranges in the means; 1 for a single one."""
-    from scipy.fft import dct
-
-    power = dct(means, norm="ortho") ** 2
+    power = cosine_transform(means) ** 2
+    power[0] /= 2  # of equal length as the others
     return float(np.sum(power) ** 2 / max(np.sum(power**2), 1e-300))
 
 

@@ -12,11 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import is_linear, recordings_of, require_one_rig
+from rigtool.experiments.imported import rotary_recordings
 from rigtool.experiments.learning.rows import Amplitudes
 from rigtool.experiments.learning.stored_table import period_results, tables_of
 from rigtool.experiments.outcome import Outcome
@@ -27,8 +26,14 @@ from rigtool.experiments.ripple.imported_groups import (
     turns_of,
 )
 from rigtool.experiments.ripple.imported_maps import MAP, SAME_MAP_VARIANCE, read_maps
-from rigtool.experiments.ripple.imported_turns import NEIGHBOURS, neighbours_floor, turn_spectrum
-from rigtool.experiments.ripple.orders import CLEAR, Spectrum, coefficients
+from rigtool.experiments.ripple.orders import (
+    NEIGHBOURS,
+    Spectrum,
+    coefficients,
+    neighbours_floor,
+    remove_offset,
+    spectrum,
+)
 from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -55,10 +60,7 @@ def analyse_imported(
             raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
     if all(MAP in run.tables for run in runs):
         return _learn_maps(runs)
-    recordings = recordings_of(runs)
-    require_one_rig(recordings)
-    if is_linear(recordings[0]):
-        raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to learn")
+    recordings = rotary_recordings(runs, "that has no turns to learn")
     effort = effort_of(recordings[0], kt)
     turns = [turns_of(recording, kt) for recording in recordings]
     groups = sorted(groups_of(recordings, turns), key=lambda group: group.speed)
@@ -67,12 +69,12 @@ def analyse_imported(
     table = _table_of(rows, np.array([group.speed for group in groups]))
     notes = [
         f"learned from {group.turns:.0f} turns of {group.runs} runs at {group.label()}: orders "
-        f"{', '.join(map(str, row.strongest()))}, {row.order.size} of {row.examined} in all"
+        f"{row.listed()}"
         for group, row in zip(groups, rows, strict=True)
     ]
     notes.append(
-        f"learned is the {effort.origin}, by measured position; below the lowest speed it "
-        "fades to zero at rest, which nothing was measured of"
+        f"learned is the {effort.origin}, by measured position; below the lowest "
+        "speed, where nothing was measured, it fades to zero at rest"
     )
     return Outcome(_results(rows, table, effort), _tables(rows, table, effort), tuple(notes))
 
@@ -109,15 +111,12 @@ BY_CHANCE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """Repeatable part at one speed: mean and orders (k,), with the scatter behind u.
+    """Repeatable part at one speed: mean and `orders` (k,), with the scatter behind u.
 
     `mean_u` and `non_repeatable` are None where nothing was repeated.
     """
 
-    order: NDArray[np.int64]
-    amplitude: Array
-    phase: Array
-    floor: Array
+    orders: Spectrum
     dof: float
     mean: float
     mean_u: float | None
@@ -125,50 +124,41 @@ class _Row:
     examined: int
 
     @classmethod
-    def of(cls, spectrum: Spectrum, floor: Array, means: Array, scatter: float | None) -> _Row:
+    def of(cls, found: Spectrum, means: Array, scatter: float | None) -> _Row:
         """Return the orders of a spectrum above its noise floor; `means` (n,) of the repeats."""
-        clear = np.flatnonzero(spectrum.amplitude > CLEAR * floor)
-        repeats, orders = means.size, len(spectrum.order)
+        repeats = means.size
         return cls(
-            clear + 1,
-            spectrum.amplitude[clear],
-            spectrum.phase[clear],
-            floor[clear],
+            found.only(found.clear),
             2.0 * (repeats - 1) if repeats > 1 else 4.0 * NEIGHBOURS,
             float(means.mean()),
             float(means.std(ddof=1)) / math.sqrt(repeats) if repeats > 1 else None,
             scatter,
-            orders,
+            len(found.order),
         )
 
     def at(self, position: Array) -> Array:
         """Return mean and orders at positions (n,), rad."""
-        angles = np.multiply.outer(position, self.order) + self.phase
-        values: Array = self.mean + np.cos(angles) @ self.amplitude
+        angles = np.multiply.outer(position, self.orders.order) + self.orders.phase
+        values: Array = self.mean + np.cos(angles) @ self.orders.amplitude
         return values
 
     @property
     def u(self) -> float:
         """Standard uncertainty at any position: of the mean, and of the orders together."""
-        return math.hypot(self.mean_u or 0.0, float(np.linalg.norm(self.floor)) / math.sqrt(2))
+        return math.hypot(
+            self.mean_u or 0.0, float(np.linalg.norm(self.orders.noise_floor)) / math.sqrt(2)
+        )
 
     @property
     def u_dof(self) -> float:
         """Degrees of freedom of `u`, by Welch and Satterthwaite (GUM G.4.1)."""
-        orders = float(np.sum(self.floor**4)) / 4 / self.dof
+        orders = float(np.sum(self.orders.noise_floor**4)) / 4 / self.dof
         return self.u**4 / ((self.mean_u or 0.0) ** 4 / (self.dof / 2) + orders)
 
-    @property
-    def ripple(self) -> tuple[float, float]:
-        """Rms of the orders and its standard uncertainty."""
-        rms = float(np.linalg.norm(self.amplitude)) / math.sqrt(2)
-        # d rms = sum of amplitude * d amplitude / (2 rms), u of an amplitude = floor/sqrt(2)
-        u = float(np.linalg.norm(self.amplitude * self.floor)) / (2 * math.sqrt(2) * rms)
-        return rms, u
-
-    def strongest(self) -> list[int]:
-        """Return the strongest orders, the strongest first."""
-        return [int(order) for order in self.order[np.argsort(-self.amplitude)][:ORDERS_REPORTED]]
+    def listed(self) -> str:
+        """Return the strongest orders, and how many were learned, as text."""
+        strongest = ", ".join(map(str, self.orders.ranked(ORDERS_REPORTED)))
+        return f"{strongest}, {self.orders.order.size} of {self.examined} in all"
 
 
 def _steadied(floor: Array) -> Array:
@@ -190,7 +180,7 @@ def _learn(group: RepeatedRuns) -> _Row:
             "give two runs or more, or record more turns"
         )
     turns = len(group.torque)
-    spectrum = turn_spectrum(group.torque, group.orders, group.sampling)
+    shown = spectrum(remove_offset(group.torque, group.sampling), group.orders)
     found = coefficients(group.torque, group.orders, group.sampling)
     deviation = np.abs(found - found.mean(axis=0)) ** 2
     # A row of several turns has less of it by their number.
@@ -198,16 +188,16 @@ def _learn(group: RepeatedRuns) -> _Row:
     scatter = math.sqrt(per_row * float(deviation.sum()) / (turns - 1) / 2)
     means = group.torque.mean(axis=1)
     # Of what may be a higher order's, all or nothing, the standard uncertainty is 1/sqrt(3).
-    by_alias = math.sqrt(2 / 3) * group.leak * spectrum.amplitude
-    floor = np.hypot(_steadied(spectrum.noise_floor), by_alias)
-    return _known(_Row.of(spectrum, floor, means, scatter), group.label())
+    by_alias = math.sqrt(2 / 3) * group.leak * shown.amplitude
+    floor = np.hypot(_steadied(shown.noise_floor), by_alias)
+    return _known(_Row.of(replace(shown, noise_floor=floor), means, scatter), group.label())
 
 
 def _known(row: _Row, where: str) -> _Row:
     """Return a row with something to learn; raises `InsufficientDataError` without."""
     # Noise alone passes x floors with probability exp(-x^2) at each order (Rayleigh).
     by_chance = math.sqrt(math.log(row.examined / BY_CHANCE))
-    if not (row.amplitude > by_chance * row.floor).any():
+    if not (row.orders.amplitude > by_chance * row.orders.noise_floor).any():
         raise InsufficientDataError(
             f"no order of rotation exceeds the scatter at {where}: there is nothing to learn, or "
             "too few turns"
@@ -236,10 +226,8 @@ def _learn_maps(runs: Sequence[Run]) -> Outcome:
     else:
         floor, scatter = neighbours_floor(amplitude), None
     order = np.arange(1.0, mean.size + 1)
-    row = _known(
-        _Row.of(Spectrum(order, amplitude, np.angle(mean), floor), floor, maps.means, scatter),
-        "a map",
-    )
+    found = Spectrum(order, amplitude, np.angle(mean), floor)
+    row = _known(_Row.of(found, maps.means, scatter), "a map")
     table = _table_of([row], np.array([MAP_SPEED]))
     # A map that was taken at rest or slowly holds in both directions.
     table = replace(
@@ -247,8 +235,7 @@ def _learn_maps(runs: Sequence[Run]) -> Outcome:
     )
     effort = Effort(np.zeros(0), maps.unit, maps.signal, 0.0, maps.signal)
     notes = [
-        f"learned from {count} map{'s' * (count > 1)}: orders "
-        f"{', '.join(map(str, row.strongest()))}, {row.order.size} of {row.examined} in all",
+        f"learned from {count} map{'s' * (count > 1)}: orders {row.listed()}",
         f"a map states no speed: its table holds from {MAP_SPEED:g} rad/s on, in both directions",
     ]
     if count == 1:
@@ -261,7 +248,7 @@ def _learn_maps(runs: Sequence[Run]) -> Outcome:
 def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Quantity]:
     """Return ripple, non-repeatable part, and the strongest orders, of the lowest speed."""
     row = rows[int(np.argmin(np.abs(table.speed)))]
-    rms, u = row.ripple
+    rms, u = row.orders.rms()
     results = {"learned_rms": Quantity(rms, effort.unit, u, row.dof)}
     if row.non_repeatable is not None:
         scatter_u = row.non_repeatable / math.sqrt(2 * row.dof)
@@ -271,10 +258,10 @@ def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[s
     reason = None if row.mean_u is not None else "nothing was repeated"
     dof = None if row.mean_u is None else row.dof / 2
     results["learned_mean"] = Quantity(row.mean, effort.unit, row.mean_u, dof, reason)
-    for order in row.strongest():
-        i = int(np.flatnonzero(row.order == order)[0])
+    for order in row.orders.ranked(ORDERS_REPORTED):
+        one = row.orders.only(row.orders.order == order)
         results[f"order_{order}_amplitude"] = Quantity(
-            float(row.amplitude[i]), effort.unit, float(row.floor[i]) / math.sqrt(2), row.dof
+            float(one.amplitude[0]), effort.unit, float(one.u[0]), row.dof
         )
     return {**results, **period_results(table)}
 

@@ -1,13 +1,14 @@
 """Inertia and viscous friction from a measured frequency response, by weighted least squares.
 
-    P(f) = model(J, fv, ...) exp(-j w tau - c w2)
+    P(f) = model(J, fv, ...) exp(-j w tau - c w2 + j d w3)
 
-`model` is exact for a torque held over a sample; tau and c model the dynamics above the band
-that are not the plant (the amplifier's current loop, the timing of the hold): far below their
-corner, the logarithm of any such dynamics begins with these two terms. Residuals are logarithms of
-measured over modelled response, magnitude and phase together, weighted by their scatter
-(logarithmic least squares: Pintelon & Schoukens, System Identification, 2nd edition, Wiley 2012,
-section 9.8).
+`model` is exact for a torque held over a sample; tau, c and d model the dynamics above the band
+that are not the plant (the amplifier's current loop, the timing of the hold): below their corner,
+the logarithm of any such dynamics begins with these three terms. Without the third, what is left
+of the phase at high lines would be fitted by friction, which turns the phase at low lines.
+Residuals are logarithms of measured over modelled response, magnitude and phase together, weighted
+by their scatter (logarithmic least squares: Pintelon & Schoukens, System Identification, 2nd
+edition, Wiley 2012, section 9.8).
 
 A second mass is fitted only where the rigid plant deviates by more than the scatter explains, and
 accepted only where it is better by an F test and has its resonance within the band. The uncertainty
@@ -51,7 +52,7 @@ EVALUATIONS = 500
 
 @dataclass(frozen=True, eq=False)
 class PlantFit:
-    """A model with `delay` tau, s, and `roll_off` c, s2.
+    """A model with `delay` tau, s, `roll_off` c, s2, and `phase_bend` d, s3.
 
     `used` (k,) marks the lines of the fit, `misfit` is the root of chi2 over its degrees of
     freedom: one where model and scatter explain all. `without` are the fits without each
@@ -62,6 +63,7 @@ class PlantFit:
     model: PlantModel
     delay: float
     roll_off: float
+    phase_bend: float
     sample_time: float
     used: Mask
     misfit: float
@@ -72,7 +74,9 @@ class PlantFit:
     def response(self, frequency: Array) -> ComplexArray:
         """Return P (n,) at these frequencies, Hz, with delay and roll-off."""
         omega = 2 * np.pi * np.asarray(frequency, dtype=np.float64)
-        lag = np.exp(-1j * omega * self.delay - self.roll_off * omega**2)
+        lag = np.exp(
+            1j * (self.phase_bend * omega**3 - omega * self.delay) - self.roll_off * omega**2
+        )
         response: ComplexArray = self.model.response(frequency, self.sample_time) * lag
         return response
 
@@ -99,7 +103,8 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
             "the encoder; raise identify_plant.swing or its speeds, or raise periods"
         )
     data = _Data(found.lines(used), sample_time)
-    start = PlantFit(PlantModel(nominal_inertia, 0.0), 0.0, 0.0, sample_time, used, 1.0, 1.0)
+    rigid = PlantModel(nominal_inertia, 0.0)
+    start = PlantFit(rigid, 0.0, 0.0, 0.0, sample_time, used, 1.0, 1.0)
     best = data.fitted(start)
     if (two := _second_mass(data, best)) is not None:
         best = two
@@ -114,10 +119,7 @@ def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
     candidates = []
     for antiresonance in np.geomspace(2 * low, high / 2, 6):
         model = PlantModel(rigid.model.inertia, rigid.model.viscous, 0.9, antiresonance, 0.3)
-        start = PlantFit(
-            model, rigid.delay, rigid.roll_off, rigid.sample_time, rigid.used, 1.0, 1.0
-        )
-        candidates.append(data.fitted(start))
+        candidates.append(data.fitted(replace(rigid, model=model, misfit=1.0)))
     best = min(candidates, key=lambda fit: fit.misfit)
     free, more = data.freedom(rigid), data.freedom(best)
     left, rest = rigid.misfit**2 * free, best.misfit**2 * more
@@ -197,13 +199,13 @@ class _Data:
         return replace(fit, without=tuple(without), moved=moved)
 
 
-# Parameters as a vector: ln J, fv, tau, c; for two masses also ln(J1/J2), ln of the antiresonance
-# and the damping ratio.
+# Parameters as a vector: ln J, fv, tau, c, d; for two masses also ln(J1/J2), ln of the
+# antiresonance and the damping ratio.
 
 
 def _parameters(fit: PlantFit) -> Array:
     model = fit.model
-    vector = [math.log(model.inertia), model.viscous, fit.delay, fit.roll_off]
+    vector = [math.log(model.inertia), model.viscous, fit.delay, fit.roll_off, fit.phase_bend]
     if model.motor_side is not None:
         part = model.motor_side
         vector += [math.log(part / (1 - part)), math.log(model.antiresonance_hz), model.damping]
@@ -213,18 +215,21 @@ def _parameters(fit: PlantFit) -> Array:
 def _scale(fit: PlantFit) -> Array:
     """Return steps of the parameters that change the response about equally."""
     inertia, sample = fit.model.inertia, fit.sample_time
-    scale = [1.0, inertia * 100.0, sample, sample**2, 1.0, 1.0, 1.0]
+    scale = [1.0, inertia * 100.0, sample, sample**2, sample**3, 1.0, 1.0, 1.0]
     return np.array(scale[: len(_parameters(fit))])
 
 
 def _with(fit: PlantFit, vector: Array, **changes: Any) -> PlantFit:
     """Return a fit with the parameters of a vector."""
     inertia, viscous = math.exp(vector[0]), float(vector[1])
-    if len(vector) > 4:
+    if len(vector) > 5:
         # A second mass that the data do not show runs away: bound it.
-        part = 1 / (1 + math.exp(-np.clip(vector[4], -5, 5)))
-        antiresonance = math.exp(np.clip(vector[5], -2, math.log(0.2 / fit.sample_time)))
-        model = PlantModel(inertia, viscous, part, antiresonance, float(vector[6]))
+        part = 1 / (1 + math.exp(-np.clip(vector[5], -5, 5)))
+        antiresonance = math.exp(np.clip(vector[6], -2, math.log(0.2 / fit.sample_time)))
+        model = PlantModel(inertia, viscous, part, antiresonance, float(vector[7]))
     else:
         model = PlantModel(inertia, viscous)
-    return replace(fit, model=model, delay=float(vector[2]), roll_off=float(vector[3]), **changes)
+    delay, roll_off, phase_bend = map(float, vector[2:5])
+    return replace(
+        fit, model=model, delay=delay, roll_off=roll_off, phase_bend=phase_bend, **changes
+    )

@@ -13,13 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import (
-    RECORDING,
-    is_linear,
-    place,
-    recordings_of,
-    require_one_rig,
-)
+from rigtool.experiments.imported import RECORDING, place, rotary_recordings
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.ripple.imported_groups import (
     GROUP_SPEED_TOLERANCE,
@@ -31,12 +25,13 @@ from rigtool.experiments.ripple.imported_groups import (
     turns_of,
 )
 from rigtool.experiments.ripple.imported_maps import MAP, compare_maps
-from rigtool.experiments.ripple.imported_turns import (
-    Turns,
-    reduction,
-    turn_spectrum,
+from rigtool.experiments.ripple.imported_turns import Turns, reduction
+from rigtool.experiments.ripple.orders import (
+    HIGHEST_ORDER,
+    cell_centres,
+    remove_offset,
+    spectrum,
 )
-from rigtool.experiments.ripple.orders import HIGHEST_ORDER, cell_centres
 from rigtool.experiments.torque_per_ampere import Effort
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
@@ -62,18 +57,15 @@ def analyse_imported(runs: Sequence[Run], *, kt: Run | None = None) -> Outcome:
         return compare_maps(runs)
     if any(maps):
         raise UsageError("maps and recordings cannot be analysed together: give one kind")
-    recordings = recordings_of(runs)
-    require_one_rig(recordings)
-    if is_linear(recordings[0]):
-        raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to lay over")
+    recordings = rotary_recordings(runs, "that has no turns to lay over")
     effort = ripple_effort(recordings[0], kt)
     positions = cells_for(recordings)
     recordings, turns, left_out = _turning(recordings, kt, positions)
     groups = groups_of(recordings, turns)
     orders = min(group.orders for group in groups)
     for group in groups:
-        group.spectra["torque"] = turn_spectrum(group.torque, orders, group.sampling)
-        group.spectra["deviation"] = turn_spectrum(group.deviation, orders, group.sampling)
+        for name, turned in (("torque", group.torque), ("deviation", group.deviation)):
+            group.spectra[name] = spectrum(remove_offset(turned, group.sampling), orders)
     pairs = _pairs(groups)
     tables = {"imported_spectrum": _spectrum_table(groups, effort.unit)}
     tables["imported_waveforms"] = _waveform_table(groups, effort.unit)
@@ -139,10 +131,8 @@ def _rank(pair: tuple[RepeatedRuns, RepeatedRuns, str]) -> tuple[float, float, f
 
 def _strongest(group: RepeatedRuns) -> list[int]:
     """Return the significant orders, the strongest first."""
-    spectrum = group.spectra["torque"]
-    clear = group.clear()
-    order = np.argsort(-np.where(clear, spectrum.amplitude, 0.0), kind="stable")
-    return [int(spectrum.order[i]) for i in order[:ORDERS_REPORTED] if clear[i]]
+    found = group.spectra["torque"]
+    return found.ranked(ORDERS_REPORTED, np.where(group.clear(), found.amplitude, 0.0))
 
 
 def _results(
@@ -152,15 +142,15 @@ def _results(
 ) -> dict[str, Quantity]:
     """Return the strongest orders of the reference, and their reduction."""
     reference = _reference(groups, pairs)
-    spectrum = reference.spectra["torque"]
-    strongest = spectrum.strongest()
+    orders = reference.spectra["torque"]
+    strongest = orders.strongest()
     results = {"strongest_order": Quantity(float(strongest), "1", reason="a whole number")}
     dof = 2.0 * (len(reference.torque) - 1) or None
     reported = _strongest(reference)
     for order in reported:
         i = order - 1
         results[f"order_{order}_amplitude"] = Quantity(
-            float(spectrum.amplitude[i]),
+            float(orders.amplitude[i]),
             effort.unit,
             float(reference.u[i]),
             dof if reference.leak[i] == 0 else None,

@@ -74,7 +74,7 @@ class RepeatedRuns:
         spectrum = self.spectra["torque"]
         count = len(spectrum.order)
         by_alias = self.leak[:count] * spectrum.amplitude / math.sqrt(3)
-        total: Array = np.hypot(spectrum.noise_floor / math.sqrt(2), by_alias)
+        total: Array = np.hypot(spectrum.u, by_alias)
         return total
 
     def clear(self) -> Mask:

@@ -29,14 +29,9 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.ripple.orders import (
-    EVERYWHERE,
     HIGHEST_ORDER,
-    Sampling,
     Spectrum,
     cell_centres,
-    coefficients,
-    remove_offset,
-    spectrum,
 )
 from rigtool.experiments.ripple.revolutions import Revolutions
 from rigtool.numerics.arrays import Array
@@ -56,9 +51,6 @@ to that at other speeds."""
 
 COVERED = 0.9
 """Smallest covered part of a turn that counts."""
-
-NEIGHBOURS = 10
-"""Orders on either side from which the noise of an order of a single turn is taken."""
 
 MIN_SAMPLES = 64
 """Smallest number of samples in a recording."""
@@ -303,34 +295,6 @@ def fill(waveforms: Array) -> tuple[Array, float]:
     mean = np.interp(np.arange(positions), passed, mean[passed], period=positions)
     gap = int(np.max(np.diff(passed, append=passed[0] + positions))) - 1
     return np.where(known, waveforms, mean), gap / positions
-
-
-def turn_spectrum(waveforms: Array, orders: int, sampling: Sampling = EVERYWHERE) -> Spectrum:
-    """Return the orders 1..`orders` of the repeatable part of turns (turns, positions).
-
-    A single turn has no repeatable part: the noise floor of an order is that of the orders around
-    it.
-    """
-    if len(waveforms) > 1:
-        return spectrum(remove_offset(waveforms, sampling), orders)
-    found = coefficients(waveforms, orders, sampling)[0]
-    amplitude = np.abs(found)
-    floor = neighbours_floor(amplitude)
-    return Spectrum(np.arange(1.0, orders + 1), amplitude, np.angle(found), floor)
-
-
-def neighbours_floor(amplitude: Array) -> Array:
-    """Return the noise floor of orders 1, 2, ... (m,) from the amplitudes around each.
-
-    Their median is sqrt(ln 2) of the rms where they are noise (Rayleigh distribution). Zero where
-    there is one order alone.
-    """
-    orders = len(amplitude)
-    floor = np.zeros(orders)
-    for index in range(orders if orders > 1 else 0):
-        around = np.r_[max(0, index - NEIGHBOURS) : index, index + 1 : index + 1 + NEIGHBOURS]
-        floor[index] = np.median(amplitude[around[around < orders]]) / math.sqrt(math.log(2))
-    return floor
 
 
 def reduction(reference: Spectrum, other: Spectrum) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ hertz: an order is a number of cycles a turn, at any speed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -28,6 +28,9 @@ HIGHEST_ORDER = 100
 
 CLEAR = 2.0
 """Multiple of the noise floor above which an order is significant."""
+
+NEIGHBOURS = 10
+"""Orders on either side from which the noise of an order of a single turn is taken."""
 
 MIN_SAMPLES_A_PERIOD = 2.5
 """Samples in a period of the highest resolved order: two do not resolve an amplitude."""
@@ -91,19 +94,11 @@ EVERYWHERE = Sampling(0.0)
 class Ripple:
     """Ripple of one running condition: `waveforms` (revolutions, positions), offset removed.
 
-    `sampling` is that of the samples in the waveforms. Raises `InsufficientDataError` for
-    fewer than 2 revolutions.
+    `sampling` is that of the samples in the waveforms.
     """
 
     waveforms: Array
     sampling: Sampling = EVERYWHERE
-
-    def __post_init__(self) -> None:
-        if self.waveforms.ndim != 2 or len(self.waveforms) < 2:
-            raise InsufficientDataError(
-                f"{len(np.atleast_2d(self.waveforms))} revolution shows no scatter: at least 2 "
-                "are needed to separate the repeatable part"
-            )
 
     @property
     def angle(self) -> Array:
@@ -120,8 +115,14 @@ class Ripple:
         """Return the rms of the repeatable part and of the rest.
 
         The mean of n revolutions still holds an n-th of the scatter's power, which is subtracted;
-        where nothing remains the repeatable part is zero.
+        where nothing remains the repeatable part is zero. Raises `InsufficientDataError` for fewer
+        than 2 revolutions.
         """
+        if len(self.waveforms) < 2:
+            raise InsufficientDataError(
+                f"{len(self.waveforms)} revolution shows no scatter: at least 2 are needed to "
+                "separate the repeatable part"
+            )
         count, mean = len(self.waveforms), self.mean
         others = count - 1
         deviation = self.waveforms - mean
@@ -152,8 +153,9 @@ class Spectrum:
     """Orders 1..m of a ripple: amplitude and phase (m,), rad, of amplitude*cos(k angle + phase).
 
     `noise_floor` (m,) is the rms amplitude that scatter alone gives the mean of the revolutions;
-    the standard uncertainty of an amplitude is the floor over the square root of two. All are NaN
-    at orders that the samples do not resolve.
+    the standard uncertainty of an amplitude is the floor over the square root of two. Where nothing
+    was repeated it is that of the orders around. All are NaN at orders that the samples do not
+    resolve.
     """
 
     order: Array
@@ -166,6 +168,29 @@ class Spectrum:
         """Whether each order is significant (m,)."""
         clear: Mask = self.amplitude > CLEAR * self.noise_floor
         return clear
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainty of each amplitude (m,) by scatter."""
+        u: Array = self.noise_floor / math.sqrt(2)
+        return u
+
+    def only(self, chosen: Mask) -> Spectrum:
+        """Return the orders that are `chosen` (m,)."""
+        return Spectrum(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    def rms(self) -> tuple[float, float]:
+        """Return the rms of all orders and its standard uncertainty."""
+        rms = float(np.linalg.norm(self.amplitude)) / math.sqrt(2)
+        # d rms = sum of amplitude * d amplitude / (2 rms), u of an amplitude = floor/sqrt(2)
+        weighted = float(np.linalg.norm(self.amplitude * self.u))
+        return rms, weighted / (2 * rms) if rms > 0 else 0.0
+
+    def ranked(self, count: int, strength: Array | None = None) -> list[int]:
+        """Return `count` orders of most amplitude, or `strength` (m,), that is not 0."""
+        power = self.amplitude if strength is None else strength
+        order = np.argsort(-power, kind="stable")[:count]
+        return [int(self.order[i]) for i in order if power[i] > 0]
 
     def strongest(self) -> int:
         """Return the strongest significant order; `InsufficientDataError` where there is none."""
@@ -194,10 +219,27 @@ def spectrum(ripple: Ripple, orders: int) -> Spectrum:
     found = coefficients(ripple.waveforms, orders, ripple.sampling)
     revolutions = len(found)
     mean = found.mean(axis=0)
-    scatter = np.sum(np.abs(found - mean) ** 2, axis=0) / (revolutions - 1)
-    floor = np.sqrt(scatter / revolutions)
+    if revolutions > 1:
+        scatter = np.sum(np.abs(found - mean) ** 2, axis=0) / (revolutions - 1)
+        floor = np.sqrt(scatter / revolutions)
+    else:
+        floor = neighbours_floor(np.abs(mean))
     resolved = np.where(order <= ripple.sampling.highest_order, 1.0, np.nan)
     return Spectrum(order, resolved * np.abs(mean), resolved * np.angle(mean), resolved * floor)
+
+
+def neighbours_floor(amplitude: Array) -> Array:
+    """Return the noise floor of orders 1, 2, ... (m,) from the amplitudes around each.
+
+    Their median is sqrt(ln 2) of the rms where they are noise (Rayleigh distribution). Zero where
+    there is one order alone.
+    """
+    orders = len(amplitude)
+    floor = np.zeros(orders)
+    for index in range(orders if orders > 1 else 0):
+        around = np.r_[max(0, index - NEIGHBOURS) : index, index + 1 : index + 1 + NEIGHBOURS]
+        floor[index] = np.median(amplitude[around[around < orders]]) / math.sqrt(math.log(2))
+    return floor
 
 
 def coefficients(waveforms: Array, orders: int, sampling: Sampling = EVERYWHERE) -> ComplexArray:

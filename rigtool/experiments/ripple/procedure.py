@@ -241,7 +241,13 @@ def _constants(
     falls = [math.log(begin / end) for begin, end in _constants_at(kt, degrees)]
     heat = winding_heat(
         [
-            TurnCurrents(own.passed, own.current, "torque" in recording.conditions, fall)
+            TurnCurrents(
+                _ends(recording, "time", range(recording.size)),
+                own.passed,
+                own.current,
+                "torque" in recording.conditions,
+                fall,
+            )
             for own, recording, fall in zip(found, recorded, falls, strict=True)
         ]
     )

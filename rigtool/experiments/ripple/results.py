@@ -129,11 +129,11 @@ def condition_tables(
         for (_, by_loop), recording in zip(found, recordings, strict=True)
     ]
     u = [
-        np.hypot(own.noise_floor / math.sqrt(2), own.amplitude * by_scale)
+        np.hypot(own.u, own.amplitude * by_scale)
         for own, by_scale in zip(spectra, relative, strict=True)
     ]
     dof = [
-        _freedom(total, own.noise_floor / math.sqrt(2), 2 * (len(ripple.waveforms) - 1))
+        _freedom(total, own.u, 2 * (len(ripple.waveforms) - 1))
         for total, own, ripple in zip(u, spectra, ripples, strict=True)
     ]
     waveforms = Table(

@@ -7,7 +7,8 @@ torque the current itself shows the change: k i is constant, so that for turn n 
 
 with a constant a for each recording, and one g and one time constant tau for all. H is the square
 of the current through a first-order lag (Incropera, DeWitt, Fundamentals of Heat and Mass Transfer,
-6th ed., 2007, section 5.1), zero before the first recording. Least squares, friction's scatter
+6th ed., 2007, section 5.1), zero before the first recording. Before the first turn of a recording
+and after the last one, the current is taken as in that turn. Least squares, friction's scatter
 being the same torque at any current; tau is not needed itself: its values are averaged over by
 their likelihood.
 """
@@ -31,11 +32,12 @@ FEWEST_TURNS = 4
 @dataclass(frozen=True, eq=False)
 class TurnCurrents:
     """Turns of a recording: their beginnings and the last end `passed` (n + 1,) s, mean `current`
-    (n,) A; `steady` where something other than friction holds the torque constant;
-    `housing`, the relative fall of k from the first to the last of them by the housing's
-    temperature.
+    (n,) A; `recorded`, when the recording began and ended, s; `steady` where something other than
+    friction holds the torque constant; `housing`, the relative fall of k from the first to the last
+    of them by the housing's temperature.
     """
 
+    recorded: tuple[float, float]
     passed: Array
     current: Array
     steady: bool
@@ -73,14 +75,16 @@ def _heat(recordings: Sequence[TurnCurrents]) -> list[Array]:
     """Return H where turns begin and end, (time constants, turns + 1), of each recording."""
     level, before = np.zeros(TIME_CONSTANTS.size), np.inf
     found: dict[int, Array] = {}
-    for number in sorted(range(len(recordings)), key=lambda n: float(recordings[n].passed[0])):
+    for number in sorted(range(len(recordings)), key=lambda n: recordings[n].recorded):
         turns = recordings[number]
-        level = level * np.exp(-max(0.0, float(turns.passed[0]) - before) / TIME_CONSTANTS)
-        levels = [level]
-        for duration, current in zip(np.diff(turns.passed), turns.current, strict=True):
-            level = current**2 + (level - current**2) * np.exp(-duration / TIME_CONSTANTS)
+        begin, end = turns.recorded
+        level = level * np.exp(-max(0.0, begin - before) / TIME_CONSTANTS)
+        current = np.concatenate([turns.current[:1], turns.current, turns.current[-1:]])
+        levels = []
+        for duration, square in zip(np.diff([begin, *turns.passed, end]), current**2, strict=True):
+            level = square + (level - square) * np.exp(-duration / TIME_CONSTANTS)
             levels.append(level)
-        found[number], before = np.array(levels).T, float(turns.passed[-1])
+        found[number], before = np.array(levels[:-1]).T, end
     return [found[number] for number in range(len(recordings))]
 
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase_model import Common, Stairs, mean_of, winding
@@ -221,9 +222,11 @@ class _Means:
             return [straight_path(courses)]
         return list(paths(courses, courses.torque, courses.course, some))
 
-    def _friction(self, transition: Array, exponent: float, way: Array) -> tuple[Array, Array]:
+    def _friction(
+        self, way: Array, transition: ArrayLike, exponent: ArrayLike
+    ) -> tuple[Array, Array]:
         a, b = friction_state(way, transition, exponent)
-        return -a * self._weight, -b * self._weight  # (s, g, p)
+        return -a * self._weight, -b * self._weight  # (..., g, p)
 
     def try_all(self, axes: list[Array]) -> tuple[list[Common], Array, Array]:
         """Return all hypotheses of a grid, their Q (n,) and slopes (n, 2): mean and trend."""
@@ -231,29 +234,28 @@ class _Means:
         lags: list[float | None] = [None]
         if len(axes) > 3:
             lags = list(np.exp(axes[3]).tolist())
-        ways = self._ways(lags)
-        thermal = [self._thermal(value) for value in tau.tolist()]
-        shape = (len(transition), len(tau), len(exponents), len(ways))
-        square, slope = np.empty(shape), np.empty((*shape, 2))
-        free = np.empty(shape, dtype=np.bool_)
-        for e, n in product(range(len(exponents)), range(len(ways))):
-            columns = self._friction(transition, float(exponents[e]), ways[n])
-            for k, (current, lost) in enumerate(thermal):
-                result = self._fit(current, lost, columns)
-                square[:, k, e, n], slope[:, k, e, n], free[:, k, e, n] = result
+        ways = np.stack(self._ways(lags), axis=1)
+        columns = self._friction(ways, transition[:, None, None], exponents[:, None, None, None])
+        shape = (len(tau), *columns[0].shape[:3])
+        fits = [
+            self._fit(*thermal, [each.reshape(-1, *self._weight.shape) for each in pair])
+            for thermal in map(self._thermal, tau.tolist())
+            for pair in zip(*columns, strict=True)
+        ]
+        square, slope, free = (
+            np.moveaxis(np.reshape(parts, (*shape, *parts[0].shape[1:])), 2, 0)
+            for parts in zip(*fits, strict=True)
+        )
         commons = [
-            Common(
-                None if free[i, k, e, n] else float(transition[i]),
-                float(exponents[e]),
-                lags[n],
-                float(tau[k]),
+            Common(None if without else float(s), float(exponent), lag, float(t))
+            for (s, t, exponent, lag), without in zip(
+                product(transition, tau, exponents, lags), free.ravel(), strict=True
             )
-            for i, k, e, n in product(*map(range, shape))
         ]
         return commons, square.ravel(), slope.reshape(-1, 2)
 
     def _fit(
-        self, current: Array, lost: Array, friction: tuple[Array, Array]
+        self, current: Array, lost: Array, friction: Sequence[Array]
     ) -> tuple[Array, Array, Array]:
         """Return Q (s,), slopes (s, 2), and which transitions are without friction (s,)."""
         square, slope, free, added = self._fit_columns(current, [lost], friction)
@@ -265,7 +267,7 @@ class _Means:
         return np.where(gains, cold, square), slope, np.where(gains, cold_free, free)
 
     def _fit_columns(
-        self, current: Array, lost: list[Array], friction: tuple[Array, Array]
+        self, current: Array, lost: list[Array], friction: Sequence[Array]
     ) -> tuple[Array, Array, Array, Array]:
         """Return Q (s,), slopes (s, 2), without friction (s,), and what heat adds (s,)."""
         smooth = np.stack([current, self._weight, self._step, *lost], axis=2)[None]
@@ -313,8 +315,7 @@ class _Means:
         columns = [current, self._weight, self._step, lost, current * np.abs(current)]
         if common.transition is not None:
             (way,) = self._ways([common.lag])
-            friction = self._friction(np.array([common.transition]), common.exponent, way)
-            columns += [column[0] for column in friction]
+            columns += self._friction(way, common.transition, common.exponent)
         q, _ = np.linalg.qr(np.stack(columns, axis=2))
         torque = self._torque[..., 0]
         rest: Array = torque - np.einsum("gpc,gc->gp", q, np.einsum("gpc,gp->gc", q, torque))

@@ -12,14 +12,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.imported import (
-    is_linear,
-    place,
-    recordings_of,
-    require_one_rig,
-    rig_property,
-)
+from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.imported import place, rig_property, rotary_recordings
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.torque_constant.current_levels import (
     Course,
@@ -38,10 +32,7 @@ def analyse_imported(runs: Sequence[Run]) -> Outcome:
     Raises `UsageError` for a linear axis, `RunFileError` where a run has no current or no sensor,
     `InsufficientDataError` where the runs do not carry a constant.
     """
-    recordings = recordings_of(runs)
-    require_one_rig(recordings)
-    if is_linear(recordings[0]):
-        raise UsageError(f"{runs[0].path}: is of a linear axis, where current makes force")
+    recordings = rotary_recordings(runs, "where current makes force")
     points = []
     for recording in recordings:
         torque, _ = _sensor(recording)

@@ -162,5 +162,5 @@ def friction_columns(stairs: Stairs, common: Common) -> tuple[Array, ...]:
         swings = straight_path(courses)[:, courses.kind]
     else:
         (swings,) = paths(courses, *courses.of_each(), [common.lag])
-    (a,), (b,) = friction_state(swings, np.array([common.transition]), common.exponent)
+    a, b = friction_state(swings, common.transition, common.exponent)
     return -a * stairs.weight, -b * stairs.weight

@@ -15,10 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.compiled import compiled
 
 TURNS = 12
 """Largest number of turns of the arm that count after one step."""
@@ -31,6 +30,9 @@ FEWEST_FOR_RATE = 6
 
 NOISE = 6.0
 """Turns count beyond this many standard deviations of the noise, whose own range is about 5."""
+
+LEAST_REST, FULL_SLIDE = 1e-300, -1.0 + 2.0**-53
+"""In place of r = 0 and of the logarithm's argument where contacts slide."""
 
 
 @dataclass(frozen=True)
@@ -194,36 +196,34 @@ def straight_path(courses: Courses) -> Array:
     return swing
 
 
-def friction_state(swings: Array, transition: Array, exponent: float) -> tuple[Array, Array]:
-    """Return a and b of the friction's state z = a + b z0, (s, m, p) each.
+def friction_state(
+    swings: Array, transition: ArrayLike, exponent: ArrayLike
+) -> tuple[Array, Array]:
+    """Return a and b of the friction's state z = a + b z0, (..., p) each.
 
-    `swings` (n, m, p) and `transition` (s,) are in N m. Where the exponent is not 1, b is the
-    derivative at z0 = 0.
+    `swings` (n, ..., p) and `transition` are in N m; transition and exponent have any shapes that
+    go with (...). Where the exponent is not 1, b is the derivative at z0 = 0. A swing dx changes
+    r = |1 -+ z| by
+
+        log(r / r0) = log(1 - (1 - i) y) / (1 - i), or -y for i = 1,  y = |dx| / s r0^(i - 1)
+
+    until contacts with i < 1 slide, r = 0.
     """
-    a = np.zeros((len(transition), *swings.shape[1:]))
-    b = np.ones_like(a)
-    _along(swings, transition, exponent, a, b)
-    return a, b
-
-
-@compiled
-def _along(swings: Array, transition: Array, exponent: float, a: Array, b: Array) -> None:
-    less = 1.0 - exponent
-    for i in range(a.shape[0]):
-        for m in range(a.shape[1]):
-            state, kept = 0.0, 1.0
-            for j in range(1, a.shape[2]):
-                for n in range(swings.shape[0]):
-                    way = swings[n, m, j] / transition[i]
-                    if way == 0.0:
-                        continue
-                    side = math.copysign(1.0, way)
-                    left = 1.0 - side * state  # d left/dx = -left^exponent
-                    if exponent == 1.0:
-                        factor = math.exp(-abs(way))
-                        state, kept = side * (1.0 - left * factor), kept * factor
-                    elif left > 0.0:
-                        power = left**less - less * abs(way)
-                        rest = power ** (1.0 / less) if power > 0.0 else 0.0
-                        state, kept = side * (1.0 - rest), kept * (rest / left) ** exponent
-                a[i, m, j], b[i, m, j] = state, kept
+    less = 1.0 - np.asarray(exponent)
+    single = less == 0
+    divisor = np.where(single, 1.0, less)
+    shape = np.broadcast_shapes(swings.shape[1:-1], np.shape(transition), less.shape)
+    state, kept = np.zeros(shape), np.ones(shape)
+    a, b = [state], [kept]
+    for plateau in np.moveaxis(swings, -1, 0)[1:]:
+        for swing in plateau[plateau.reshape(len(plateau), -1).any(axis=1)]:
+            side = np.copysign(1.0, swing)
+            before = np.maximum(1.0 - side * state, LEAST_REST)
+            way = np.abs(swing) / transition * before**-less
+            left = np.log1p(np.maximum(-less * way, FULL_SLIDE)) / divisor
+            change = np.where(single, -way, left)
+            state = side * (1.0 - before * np.exp(change))
+            kept = kept * np.exp(exponent * change)
+        a.append(state)
+        b.append(kept)
+    return np.stack(a, axis=-1), np.stack(b, axis=-1)

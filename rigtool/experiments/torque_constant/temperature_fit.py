@@ -50,10 +50,12 @@ LINEARITY_LIMIT = 5e-3
 """Largest deviation of the amplifier from a straight line, relative to the span."""
 
 
-RIPPLE_ANGLES = 8
+RIPPLE_ANGLES = 13
 """Rotor angles from which the ripple has an uncertainty: with fewer, orders of a turn up to the
-sixth may show nothing, or a part that their phase decides."""
+sixth may show nothing, or a part that their phase decides (two angles an order, and one)."""
 
+FEW_ANGLES = 8
+"""Rotor angles below which the constant may hide ripple that they do not show."""
 
 HIDDEN_RIPPLE = 5e-3
 """Relative standard uncertainty by ripple of orders that fewer angles than these do not show, where
@@ -70,10 +72,9 @@ class Calibration:
     `temperature` (k,) in degC, `value` and `u` (k,) in N m/A with its `dof` are the points of
     Fig. 20.
     `ripple` is the relative standard deviation of the constant over the rotor angles, None for
-    fewer than three and without uncertainty for fewer than eight: a torque read at one angle is
-    uncertain by it. `components` are relative
-    standard uncertainties of `mean` by source; `rotor_angles` counts the angles of the arm (0 where
-    unknown).
+    fewer than three and without uncertainty for fewer than `RIPPLE_ANGLES`: a torque read at one
+    angle is uncertain by it. `components` are relative standard uncertainties of `mean` by source;
+    `rotor_angles` counts the angles of the arm (0 where unknown).
     """
 
     torque_constant: Quantity | None
@@ -251,7 +252,7 @@ def _ripple(found: AngleEffects, value: float, friction: float) -> Quantity:
 
 def _hidden(fit: _Fit) -> float:
     """Return the relative u of orders that are multiples of the number of angles, beyond `turn`."""
-    few = 2 <= fit.angles < RIPPLE_ANGLES
+    few = 2 <= fit.angles < FEW_ANGLES
     return math.sqrt(max(HIDDEN_RIPPLE**2 - fit.turn**2, 0.0)) if few else 0.0
 
 

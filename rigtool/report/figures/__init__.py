@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLOTS
@@ -19,17 +20,13 @@ from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLO
     suspension,
     sweep,
 )
-from rigtool.report.figures.plots import HEADLINE, PLOTS
-from rigtool.report.figures.side_by_side import render_all
+from rigtool.report.figures.plots import HEADLINE, PLOTS, Plot
+from rigtool.report.figures.side_by_side import Drawn, draw_all
 from rigtool.report.published import is_of_thesis
 from rigtool.runfile.opened import guard
 
 if TYPE_CHECKING:
     from rigtool.runfile import Run
-
-
-AT_ONCE = 40
-"""Figures in memory at a time."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +48,16 @@ def draw_figures(runs: Sequence[tuple[str, Run]]) -> list[Picture]:
         for label, run in runs
         if plot.fits(run)
     ]
-    drawn, pictures = [], []
+    pictures = []
     with style.styled():
-        for first in range(0, len(found), AT_ONCE):
-            some = found[first : first + AT_ONCE]
-            shown = ", ".join(sorted({str(run.path) for *_, run in some}))
-            with guard(shown, "a table"):
-                drawn += render_all([plot.draw(run) for _, plot, _, run in some])
+        drawn = draw_all([partial(_drawn, plot, run) for _, plot, _, run in found])
     for (number, plot, label, run), (svg, png) in zip(found, drawn, strict=True):
         figure = f"Fig. {number}. " if number < HEADLINE and is_of_thesis(run.rig) else ""
         title = f"{figure}{plot.title} ({label})"
         pictures.append(Picture(f"figure-{number}-{label}", number, title, svg, png))
     return pictures
+
+
+def _drawn(plot: Plot, run: Run) -> Drawn:
+    with guard(run.path, "a table"):
+        return style.render(plot.draw(run))

@@ -1,4 +1,4 @@
-"""Figures 20, 22, 30, 32, 34: motor constant, breakaway, torque against speed [7.1.1-7.2.2]."""
+"""Figures 20, 22, 30, 32, 34: torque constant, breakaway, torque against speed [7.1.1-7.2.2]."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from rigtool.runfile import Run, Table
 
 
-@plot(20, "calibrate-kt", "Motor constant as function of motor temperature", "torque_constant")
-def draw_motor_constant(run: Run, table: Table) -> Figure:
-    """Fig. 20: motor constant against motor temperature, with the fitted line."""
+@plot(20, "calibrate-kt", "Torque constant as function of motor temperature", "torque_constant")
+def draw_torque_constant(run: Run, table: Table) -> Figure:
+    """Fig. 20: torque constant against motor temperature, with the fitted line."""
     degc, constant = table["temperature"], table["torque_constant"]
-    figure, axes = style.one_panel("motor temperature [°C]", "motor constant [mN m/A]")
+    figure, axes = style.one_panel("motor temperature [°C]", "torque constant [mN m/A]")
     axes.errorbar(
         degc,
         MILLI * constant,
@@ -157,7 +157,7 @@ STRIBECK_ZONE = 5.0
 """The Stribeck zone is drawn up to this multiple of the Stribeck velocity."""
 
 
-@plot(FIRST_OWN_NUMBER + 6, "calibrate-kt", "Residuals of the motor constant", "torque_constant")
+@plot(FIRST_OWN_NUMBER + 6, "calibrate-kt", "Residuals of the torque constant", "torque_constant")
 def draw_constant_residuals(run: Run, table: Table) -> Figure:
     """Measured constant over the fitted line, by temperature, with expanded uncertainty."""
     degc, line = table["temperature"], _line_of(run, table["temperature"])

@@ -1,44 +1,55 @@
-"""Figures drawn on two cores: matplotlib takes a tenth of a second for each, most of it Python.
+"""Figures made and drawn on two cores: matplotlib takes a tenth of a second for each, most of it
+Python.
 
-A forked copy of the process has all figures at once, without a start of its own. Where a fork is
-not safe or not of use (other threads, one core, few figures, not Linux), one process draws all.
+A forked copy of the process has all runs at once, without a start of its own. The process begins
+with the first figure, its copy with the last; each marks what it takes, until they meet. Where a
+fork is not safe or not of use (other threads, one core, few figures, not Linux), one draws all.
 """
 
 from __future__ import annotations
 
+import mmap
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rigtool.interrupts import SIGNALS, held
-from rigtool.report.figures.style import render
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 FEWEST = 4
 """Figures from which a second process takes less time than it costs."""
 
 Drawn = tuple[str, bytes]
+Figures = Sequence[Callable[[], Drawn]]
+"""A function for each figure, which makes and draws it."""
 
 
-def render_all(figures: Sequence[Figure]) -> list[Drawn]:
-    """Return each figure as SVG and PNG, byte for byte as `render` does."""
+def draw_all(figures: Figures) -> list[Drawn]:
+    """Return each figure as SVG and PNG, whichever process drew it."""
     if len(figures) < FEWEST or not _may_fork():
-        return [render(figure) for figure in figures]
-    with _second_process(figures[1::2]) as receiver:
-        own = [render(figure) for figure in figures[::2]]
-        try:
-            others = receiver.recv()
-        except (EOFError, OSError):  # the copy ended early, for want of memory for example
-            others = [render(figure) for figure in figures[1::2]]
-    drawn: list[Drawn] = [*own, *others]
-    drawn[::2], drawn[1::2] = own, others
+        return [draw() for draw in figures]
+    taken = mmap.mmap(-1, len(figures))  # both processes see it
+    with _second_process(figures, taken) as receiver:
+        drawn = _draw_until_met(figures, range(len(figures)), taken)
+        with suppress(EOFError, OSError):  # the copy ended early, for want of memory for example
+            drawn |= receiver.recv()
+        return [drawn[n] if n in drawn else figures[n]() for n in range(len(figures))]
+
+
+def _draw_until_met(figures: Figures, order: Iterable[int], taken: mmap.mmap) -> dict[int, Drawn]:
+    """Draw figures in this order, until one is taken by the other process; return them by number.
+
+    Where both take the last one at the same time, it is drawn twice, equally.
+    """
+    drawn = {}
+    for number in order:
+        if taken[number]:
+            break
+        taken[number] = 1
+        drawn[number] = figures[number]()
     return drawn
 
 
@@ -50,7 +61,7 @@ def _may_fork() -> bool:
 
 
 @contextmanager
-def _second_process(figures: Sequence[Figure]) -> Iterator[Connection]:
+def _second_process(figures: Figures, taken: mmap.mmap) -> Iterator[Connection]:
     """Draw figures in a copy of this process, which is gone when the context is left."""
     import multiprocessing
 
@@ -61,7 +72,7 @@ def _second_process(figures: Sequence[Figure]) -> Iterator[Connection]:
             copy = os.fork()
             if not copy:
                 receiver.close()  # or a copy whose original was killed would wait for a reader
-                _draw_and_exit(figures, sender)
+                _draw_and_exit(figures, taken, sender)
         sender.close()
         yield receiver
     finally:
@@ -71,13 +82,13 @@ def _second_process(figures: Sequence[Figure]) -> Iterator[Connection]:
         receiver.close()
 
 
-def _draw_and_exit(figures: Sequence[Figure], sender: Connection) -> None:
+def _draw_and_exit(figures: Figures, taken: mmap.mmap, sender: Connection) -> None:
     """Send what is drawn and end the copy; files that are open stay to the original."""
     code = 1
     try:
         for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)  # the original decides, and ends the copy
-        sender.send([render(figure) for figure in figures])
+        sender.send(_draw_until_met(figures, reversed(range(len(figures))), taken))
         code = 0
     finally:
         os._exit(code)

@@ -60,10 +60,13 @@ _STYLE: dict[Any, Any] = {
 def styled() -> Iterator[None]:
     """Set matplotlib's defaults and the style, for figures made and saved in this context.
 
-    Raises `UsageError` where the user's own settings keep matplotlib from starting.
+    All that draws is imported here, before a process is copied. Raises `UsageError` where the
+    user's own settings keep matplotlib from starting.
     """
     try:
         import matplotlib
+        import matplotlib.backends.backend_agg
+        import matplotlib.backends.backend_svg
     except (OSError, ValueError) as error:
         raise UsageError(f"matplotlib: {error}: correct MPLBACKEND or its matplotlibrc") from None
     from cycler import cycler

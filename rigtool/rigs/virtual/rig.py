@@ -188,7 +188,7 @@ class VirtualRig(Rig):
         closed_loop = not isinstance(motion, OpenLoop)
         if closed_loop:
             here = self._closed_loop_setpoint()
-            origin = here if task.start is None else task.start
+            origin = float(here if task.start is None else task.start)
         else:
             self._setpoint = None
         parameters = self._parameters(task.load)

@@ -25,6 +25,7 @@ from rigtool.runfile.importers.conditions import unchanged_parts
 from rigtool.runfile.importers.contradictions import contradictions
 from rigtool.runfile.importers.convert import intervals, irregular, longest, stem, to_si
 from rigtool.runfile.importers.maps import read_map
+from rigtool.runfile.importers.one_axis import on_one_axis
 from rigtool.runfile.importers.plan import is_binary, plan
 from rigtool.runfile.importers.raw import Array, Importer, Raw
 from rigtool.runfile.importers.text import read_text
@@ -225,9 +226,10 @@ def understand(
     Raises `RunFileError` for a bad file.
     """
     raw, known, notes = _read(source, mapping, skip_bad)
+    raw, filled = on_one_axis(source, raw, known)
     signals, raw = to_si(source, raw, known, skip_bad)
     uneven = irregular(intervals(signals["time"], raw))
-    notes += [note for note in (uneven, _left_out_note(raw)) if note]
+    notes += [note for note in (*filled, uneven, _left_out_note(raw)) if note]
     notes += [*contradictions(longest(signals, raw), known), *_slips(known)]
     return signals, raw, known, notes
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import warnings
 import zipfile
 import zlib
@@ -26,6 +27,7 @@ from rigtool.runfile.importers.raw import (
     Array,
     ColumnKey,
     Raw,
+    has_own_lines,
     missing_column,
     require_good,
     require_objects,
@@ -36,6 +38,9 @@ from rigtool.runfile.storage import open_file
 
 _DIRECTORY_ENTRY = 46
 """Bytes that a member takes at least in the directory of a zip archive."""
+
+_COLUMN = re.compile(r"(.+)\(:, ?(\d{1,9})\)")
+"""A column of a matrix, as MATLAB writes it."""
 
 _NESTED = (1, 2, 3)
 """Classes of MATLAB's cells, structures and objects."""
@@ -55,15 +60,17 @@ def read_arrays(
     arrays = load_arrays(path)
     found: dict[ColumnKey, Array] = {}
     for column in columns:
-        if isinstance(column, str):
+        part = _COLUMN.fullmatch(column) if isinstance(column, str) else None
+        if isinstance(column, str) and (column in arrays or part is None):
             if column not in arrays:
                 raise missing_column(path, column, list(arrays), len(arrays))
             found[column] = _vector(path, column, arrays[column])
         else:
-            matrix = _matrix(path, arrays, variable)
-            if column > matrix.shape[1]:
+            of, number = (variable, int(column)) if part is None else (part[1], int(part[2]))
+            matrix = _matrix(path, arrays, of)
+            if not 1 <= number <= matrix.shape[1]:
                 raise missing_column(path, column, [], matrix.shape[1])
-            found[column] = matrix[:, column - 1]
+            found[column] = matrix[:, number - 1]
     lengths = {str(column): len(values) for column, values in found.items()}
     if len(set(lengths.values())) > 1:
         raise RunFileError(f"{path}: columns differ in length: {lengths}: they have no common time")
@@ -73,7 +80,11 @@ def read_arrays(
     bad = {
         int(index) + 1: f"column {column!r} is {values[index]}"
         for column, values in found.items()
-        for index in np.flatnonzero(~np.isfinite(values))
+        for index in np.flatnonzero(
+            np.isinf(values)
+            if has_own_lines(int(np.isnan(values).sum()), count)
+            else ~np.isfinite(values)
+        )
     }
     if not skip_bad:
         require_good(path, "sample", bad)
@@ -204,6 +215,8 @@ def _flat(prefix: str, values: Mapping[str, Any]) -> dict[str, Any]:
     for name, value in values.items():
         if isinstance(value, Mapping):
             found |= _flat(f"{prefix}{name}.", value)
+        elif isinstance(value, list) and all(isinstance(part, Mapping) for part in value):
+            found |= _flat(prefix, {f"{name}({n})": part for n, part in enumerate(value, 1)})
         else:
             found[prefix + name] = value
     return found

@@ -14,9 +14,13 @@ from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import Condition, Mapping
 from rigtool.runfile.importers.convert import stem
 from rigtool.runfile.importers.raw import Raw
+from rigtool.runfile.schema import TIME
 
 MOST_PARTS = 1000
 """A column that changes more often is a signal, no condition."""
+
+COUNTERS, NEARLY = (2**16, 2**32), 0.01
+"""Ranges of clocks that count, and the part of it by which the fall of one differs."""
 
 FEWEST_SAMPLES = 2
 """In a part: a single sample between two changes is left out."""
@@ -90,7 +94,10 @@ def unchanged_parts(path: Path, raw: Raw, mapping: Mapping) -> tuple[list[Part],
     by_column = [item for item in mapping.conditions if item.column is not None]
     if raw.starts:
         lines = ", ".join(map(str, raw.starts[:5])) + (", ..." if len(raw.starts) > 5 else "")
-        notes.append(f"time starts anew at {raw.what} {lines}: a recording begins there")
+        notes.append(
+            f"time starts anew at {raw.what} {lines}: a recording begins there"
+            + _overflow(raw, mapping)
+        )
     if not by_column:
         return [Part(a, b, whole) for a, b in pairwise(raw.edges)], notes
     values = [_values(path, raw, item) for item in by_column]
@@ -115,6 +122,17 @@ def unchanged_parts(path: Path, raw: Raw, mapping: Mapping) -> tuple[list[Part],
     if left_out:
         notes.append(f"{left_out} samples alone between two changes of a condition were left out")
     return found, [*notes, *_stated(found, by_column)]
+
+
+def _overflow(raw: Raw, mapping: Mapping) -> str:
+    """Return a hint where the time falls by the range of a counter."""
+    clock = raw.columns[mapping.signals[TIME].column]
+    first = np.searchsorted(raw.line, raw.starts)
+    fallen = clock[first - 1] - clock[first]
+    for size in COUNTERS:
+        if np.all(np.abs(fallen / size - 1) < NEARLY):
+            return f"; if the clock overflows there, state wraps_at = {size} for `{TIME}`"
+    return ""
 
 
 def _values(path: Path, raw: Raw, condition: Condition) -> np.ndarray:

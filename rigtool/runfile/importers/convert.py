@@ -12,6 +12,7 @@ import numpy as np
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import Mapping
 from rigtool.runfile.importers.contradictions import require_same_motion
+from rigtool.runfile.importers.one_axis import unwrapped
 from rigtool.runfile.importers.raw import Array, Raw, require_good
 from rigtool.runfile.schema import TIME
 
@@ -125,9 +126,7 @@ def _signal(raw: Raw, mapping: Mapping, name: str) -> Array:
     signal = mapping.signals[name]
     values = raw.columns[signal.column]
     if signal.wraps_at is not None:
-        # A step of more than half the range is the counter's overflow.
-        turns = np.round(np.diff(values) / signal.wraps_at)
-        values = values - signal.wraps_at * np.concatenate([[0.0], np.cumsum(turns)])
+        values = unwrapped(values, signal.wraps_at)
     with np.errstate(over="ignore"):  # found by `to_si`
         si: Array = (signal.scale * values + signal.offset) * (signal.sign * mapping.factor(name))
     return si

@@ -27,6 +27,10 @@ MINUS = "\u2212"
 COMMENTS = "#%;!"
 """Characters that begin the line of names in some files."""
 
+_WORD = re.compile(r"\W*(?!nan|inf)[^\W\d_]{2}", re.IGNORECASE)
+_STAMP = re.compile(r"^([\d:.]+) -> (?=[^,;\n]*([,;]))", re.MULTILINE)
+"""What a terminal puts before a line; and the delimiter of the line."""
+
 CONTROL = 0.05
 """Part of control characters from which on a file is no text."""
 
@@ -92,6 +96,8 @@ def split_lines(text: str, comment: str | None) -> Lines:
     """Return the lines of a text without comments and empty lines; ends of any system."""
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if " -> " in text:
+        text = _STAMP.sub(r"\1\2", text)
     whole = text.endswith("\n")
     everything = text.split("\n")
     if comment is not None and comment in text:
@@ -160,9 +166,13 @@ def _readings(line: str, delimiter: str) -> Iterator[list[str]]:
 def before_numbers(lines: Lines, marks: Marks, places: Sequence[int], at: int = 0) -> int:
     """Return how many of the first lines hold no number in the places of columns, `at` or more.
 
-    A damaged line holds some.
+    A damaged line holds some. Behind the names, lines that begin with a word are no numbers either,
+    unless the last one does.
     """
+    worded = at > 0 and not _WORD.match(lines.text[-1])
     for number, line in enumerate(lines.text[at : at + LOOKED_AT], start=at):
+        if worded and _WORD.match(line):
+            continue
         fields = fields_of(line, marks.delimiter)
         here = [plain(fields[place], marks.decimal) for place in places if place < len(fields)]
         if any(NUMBER.fullmatch(text) or text.lower() == "nan" or is_date(text) for text in here):

@@ -59,7 +59,7 @@ def _around(source: Path, mapping: Mapping) -> tuple[Array, Array, int]:
     angle = np.arange(count) * (2 * math.pi / count)
     if known.angle is not None:
         angle = np.mod(_angle_of(raw[known.angle.column], known.angle), 2 * math.pi)
-    sampled = np.isfinite(values)
+    sampled = np.isfinite(values) & np.isfinite(angle)
     if known.missing is not None:
         sampled &= values != known.missing
     if np.count_nonzero(sampled) < 2:

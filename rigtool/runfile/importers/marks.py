@@ -25,6 +25,9 @@ LOOKED_AT = 50
 MOSTLY = 0.3
 """Smallest part of numbers among the fields of lines of measurements."""
 
+BLANK = ("", "nan", "null", "none")
+"""What programs write, in lower case, where a column has no value on a line."""
+
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")
 """Digits that points may divide into thousands."""
@@ -64,6 +67,7 @@ def marks_of(lines: Sequence[str], layout: FileLayout) -> Marks:
             for row in rows
             if len(row) == usual
             for field in row
+            if field.strip()
         ]
         # A mark that splits numbers leaves text, or makes more fields of which some are no number.
         part = float(np.mean(numbers)) if numbers else 0.0

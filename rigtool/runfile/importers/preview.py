@@ -89,7 +89,8 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
     remedy = "no mapping states columns: write [signals] for these, and give it by --map"
     if is_binary(source):
         arrays = load_arrays(source)
-        return [*(f"{name or 'array'}: {np.shape(a)}" for name, a in arrays.items()), remedy]
+        what = {n: repr(a) if isinstance(a, str) else str(np.shape(a)) for n, a in arrays.items()}
+        return [*(f"{name or 'array'}: {text}" for name, text in what.items()), remedy]
     layout = FileLayout() if mapping is None else mapping.file
     lines = split_lines(text_of(source, read_bytes(source)), layout.comment)
     marks = marks_of(lines.text[len(lines.text) // 2 :], layout)

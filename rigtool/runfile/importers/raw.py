@@ -49,6 +49,10 @@ NO_TEXT = {
 }
 """First bytes of files that people give for text, and what they are."""
 
+OWN_LINES, FEWEST_BLANK = 0.05, 10
+"""Part and number of blanks in a column from which on its samples have lines of their own; fewer
+blanks are damage."""
+
 LISTED_LINES = 5
 """Most bad lines that a message lists."""
 
@@ -101,6 +105,11 @@ class Importer:
     recognises: Callable[[Path], bool]
     read: Callable[[Path, Mapping, bool], tuple[Raw, Mapping, list[str]]]
     endings: tuple[str, ...] = ()
+
+
+def has_own_lines(blank: int, count: int) -> bool:
+    """Return whether a column with blanks on so many lines was sampled on the others."""
+    return max(OWN_LINES * count, FEWEST_BLANK) <= blank < count
 
 
 def require_good(path: Path, what: str, bad: dict[int, str]) -> None:

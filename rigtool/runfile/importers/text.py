@@ -22,7 +22,9 @@ from rigtool.recipe.mapping import FileLayout
 from rigtool.recipe.units import DATE
 from rigtool.runfile.importers.dates import is_date, seconds_of
 from rigtool.runfile.importers.header import Lines, header_of, split_lines, text_of
+from rigtool.runfile.importers.labels import labelled
 from rigtool.runfile.importers.marks import (
+    BLANK,
     NUMBER,
     THOUSANDS,
     WHITESPACE,
@@ -39,6 +41,7 @@ from rigtool.runfile.importers.raw import (
     Array,
     ColumnKey,
     Raw,
+    has_own_lines,
     missing_column,
     read_bytes,
     require_good,
@@ -68,6 +71,9 @@ def read_text(
     if (longest := max(map(len, lines.text), default=0)) > MAX_LINE:
         raise RunFileError(f"{path}: a line has {longest} characters, above {MAX_LINE}: {BINARY}")
     asked = list(columns) or mapping.columns
+    if (found := labelled(lines, {str(column) for column in asked})) is not None:
+        names, lines, marks = found
+        return read_numbers(path, lines, marks, asked, names, skip_bad, words_of(mapping)), []
     marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
     head, names = header_of(path, lines, marks, layout, asked)
     notes = marks.notes(layout)
@@ -180,8 +186,10 @@ def _columns(
         numbers_of, other = words[column]
         values = numbers_of([text for text, _ in fields])
         said[column] = {n: v for (_, n), v in zip(fields, values.tolist(), strict=True)}
+        blank = {number for text, number in fields if text.lower() in BLANK}
+        blank = blank if has_own_lines(len(blank), len(fields)) else set()
         for (text, number), value in zip(fields, values, strict=True):
-            if not np.isfinite(value):
+            if not np.isfinite(value) and number not in blank:
                 bad[number] = f"column {at + 1} holds {text[:40]!r}, {other}"
     rows, asked = good(), list(numeric.values())
     table = _parse([line for line, _ in rows], split, decimal, asked) if asked else []
@@ -239,10 +247,15 @@ def _parse_exactly(
     """Return the columns of the lines, each with its number, that hold numbers; add the others to
     `bad`."""
     found = []
-    for line, number in rows:
-        fields = line.split(delimiter)
+    parts = [line.split(delimiter) for line, _ in rows]
+    blanks = [sum(unquoted(part[index]).lower() in BLANK for part in parts) for index in indices]
+    sparse = {i for i, n in zip(indices, blanks, strict=True) if has_own_lines(n, len(rows))}
+    for fields, (_, number) in zip(parts, rows, strict=True):
         row = []
         for index in indices:
+            if index in sparse and unquoted(fields[index]).lower() in BLANK:
+                row.append(np.nan)
+                continue
             text = plain(fields[index], decimal)
             thousands = decimal != "." and THOUSANDS.fullmatch(unquoted(fields[index]))
             good = NUMBER.fullmatch(text) and not thousands

@@ -52,6 +52,7 @@ def read(library, samples):
     return library.add(samples)
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("motion", ["strokes", "free", "rest"])
 def test_readings_are_those_of_python(libraries, samples, motion):
     wanted = expected(instrument(), samples[motion])

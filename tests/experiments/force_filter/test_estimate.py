@@ -78,6 +78,7 @@ def test_blocks_of_any_length_give_the_same(recording):
     assert len(whole.torque) == (len(signals.low) - 1) // STEP
 
 
+@pytest.mark.compiles
 def test_torque_is_found_and_its_uncertainty_holds(recording):
     signals, truth, _ = recording
     causal = Filter(PLANT, UNCERTAINTY, STEP, BAND).add(signals)

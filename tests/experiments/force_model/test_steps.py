@@ -40,7 +40,8 @@ def test_counts_come_back_from_means(averaged):
     encoder = exact.reshape(-1, averaged).mean(axis=1)
     grid = FilterSteps.of(averaged * dt)
     found = grid.counts(encoder)
-    truth = exact[np.round(np.arange(len(found)) * grid.sample_time / dt).astype(int)]
+    middle = (np.arange(len(found)) + 0.5) * grid.sample_time / dt
+    truth = exact[np.round(middle).astype(int)]
     assert np.abs(found - truth).max() <= (0 if averaged == 1 else 1)
     assert np.mean(found != truth) < 0.02
 

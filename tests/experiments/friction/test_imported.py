@@ -13,6 +13,7 @@ from rigtool.recipe.mapping import load_mapping
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
 from tests.experiments.imported_runs import take
+from tests.thorough import thorough
 
 ROOT = Path(__file__).parents[3]
 DATA = ROOT / ".." / "shared" / "data"
@@ -135,7 +136,7 @@ def test_strokes_at_other_speeds_in_each_direction_give_offset_and_inertia(tmp_p
         assert abs(found.value - expected) < 3 * found.u, name
 
 
-@pytest.mark.parametrize("settling", [0, 1])
+@pytest.mark.parametrize("settling", [1, *thorough(0)])
 def test_holds_in_both_directions_with_settling_left_out(tmp_path, settling):
     outcome = analyse(take(tmp_path, HELD, holds(settling)), tmp_path / "f.h5")
     table = outcome.tables["holds"]

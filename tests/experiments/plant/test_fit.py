@@ -47,6 +47,12 @@ def test_an_amplifiers_lag_is_told_from_the_plant():
     assert fit.model.inertia == pytest.approx(RIGID.inertia, rel=1e-4, abs=0)
 
 
+def test_friction_does_not_take_the_place_of_a_slow_amplifier():
+    """Its phase at high lines, a third power of frequency, would be fitted by friction."""
+    fit = fitted(RIGID, 0, noise=1e-6, lag=200e-6)
+    assert fit.model.viscous == pytest.approx(RIGID.viscous, rel=5e-3, abs=0)
+
+
 def test_uncertainties_are_what_repetition_shows():
     """Deviations from the truth over their u, for many realisations.
 

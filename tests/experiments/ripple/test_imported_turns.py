@@ -14,11 +14,20 @@ from rigtool.experiments.ripple.imported_turns import (
     find_turns,
     reduction,
     refined_speed,
-    turn_spectrum,
 )
-from rigtool.experiments.ripple.orders import Sampling, Spectrum
+from rigtool.experiments.ripple.orders import (
+    EVERYWHERE,
+    Ripple,
+    Sampling,
+    Spectrum,
+    spectrum,
+)
 
 POSITIONS = 500
+
+
+def orders_of(waveforms, orders, sampling=EVERYWHERE):
+    return spectrum(Ripple(waveforms, sampling), orders)
 
 
 def turning(turns=3.0, speed=0.2, start=0.37, seed=1, orders=((7, 0.8, 0.3), (28, 0.2, -1.0))):
@@ -37,19 +46,19 @@ def test_orders_come_back_with_amplitude_and_phase(speed):
     found = find_turns(*turning(speed=speed), POSITIONS)
     assert found.speed == pytest.approx(2 * math.pi * speed, rel=1e-3, abs=0)
     assert len(found.torque) == 3
-    spectrum = turn_spectrum(fill(found.torque)[0], 100)
+    found_orders = orders_of(fill(found.torque)[0], 100)
     for order, amplitude, phase in ((7, 0.8, 0.3), (28, 0.2, -1.0)):
-        assert spectrum.amplitude[order - 1] == pytest.approx(amplitude, rel=5e-3, abs=0)
-        assert spectrum.phase[order - 1] == pytest.approx(phase, rel=0, abs=0.01)
-    assert spectrum.strongest() == 7
+        assert found_orders.amplitude[order - 1] == pytest.approx(amplitude, rel=5e-3, abs=0)
+        assert found_orders.phase[order - 1] == pytest.approx(phase, rel=0, abs=0.01)
+    assert found_orders.strongest() == 7
 
 
 def test_the_ripple_of_the_motion_is_told_apart_from_its_speed():
     time, angle, torque = turning()
     moved = angle + 1e-3 / (2 * np.pi) * np.cos(2 * np.pi * 12 * angle)
-    spectrum = turn_spectrum(fill(find_turns(time, moved, torque, POSITIONS).deviation)[0], 50)
-    assert spectrum.strongest() == 12
-    assert spectrum.amplitude[11] == pytest.approx(1e-3, rel=0.02, abs=0)
+    found_orders = orders_of(fill(find_turns(time, moved, torque, POSITIONS).deviation)[0], 50)
+    assert found_orders.strongest() == 12
+    assert found_orders.amplitude[11] == pytest.approx(1e-3, rel=0.02, abs=0)
 
 
 def test_what_is_before_the_steady_motion_is_left_out():
@@ -58,7 +67,7 @@ def test_what_is_before_the_steady_motion_is_left_out():
     away = np.exp(-time / 0.05) * np.cos(40 * time)
     found = find_turns(time, angle + away, torque - 5 * away, POSITIONS)
     assert 0.05 < found.settled < 0.6
-    amplitude = turn_spectrum(fill(found.torque)[0], 20).amplitude
+    amplitude = orders_of(fill(found.torque)[0], 20).amplitude
     assert amplitude[6] == pytest.approx(0.8, rel=0.03, abs=0)
 
 
@@ -69,9 +78,9 @@ def test_any_order_any_start_either_direction(order, phase, start, backwards):
     found = find_turns(
         *turning(turns=2.0, speed=speed, start=start, orders=((order, 1.0, phase),)), POSITIONS
     )
-    spectrum = turn_spectrum(fill(found.torque)[0], 80)
-    assert spectrum.strongest() == order
-    error = math.remainder(spectrum.phase[order - 1] - phase, 2 * math.pi)
+    found_orders = orders_of(fill(found.torque)[0], 80)
+    assert found_orders.strongest() == order
+    error = math.remainder(found_orders.phase[order - 1] - phase, 2 * math.pi)
     assert abs(error) < 0.05
 
 
@@ -95,7 +104,7 @@ def test_a_gap_of_all_turns_is_bridged_and_told():
 def test_one_turn_has_the_noise_of_the_orders_around():
     random = np.random.default_rng(3)
     floors = [
-        turn_spectrum(random.normal(size=(1, POSITIONS)), 100).noise_floor.mean() for _ in range(20)
+        orders_of(random.normal(size=(1, POSITIONS)), 100).noise_floor.mean() for _ in range(20)
     ]
     # White noise of unit variance: each order's rms amplitude is sqrt(4/n), sinc aside.
     assert np.mean(floors) == pytest.approx(math.sqrt(4 / POSITIONS), rel=0.06, abs=0)
@@ -126,7 +135,7 @@ def test_few_samples_a_turn_are_fitted_over_many_turns(samples):
     found = find_turns(np.arange(count) / 1000, angle, torque, POSITIONS)
     assert found.orders >= 24
     assert len(found.torque) * found.turns_a_row == pytest.approx(turns, abs=1, rel=0)
-    fitted = turn_spectrum(found.torque, found.orders)
+    fitted = orders_of(found.torque, found.orders)
     u = fitted.noise_floor / math.sqrt(2)
     expected = noise * math.sqrt(2 / count)
     assert np.sqrt(np.mean(u**2)) == pytest.approx(expected, rel=0.3, abs=0)
@@ -162,12 +171,12 @@ def evenly(samples, turns, orders, noise=0.0, start=0.13):
 def test_cells_leave_no_pattern_of_their_own(samples):
     """Orders that are not there: cells that hold two samples, then three, would show some 1 %."""
     found = find_turns(*evenly(samples, 6.0, ((24, 0.5, 0.0), (150, 0.3, 1.0))), 2500)
-    spectrum = turn_spectrum(fill(found.torque)[0], found.orders, Sampling(found.step))
+    found_orders = orders_of(fill(found.torque)[0], found.orders, Sampling(found.step))
     assert found.orders == 500
     for order, amplitude in ((24, 0.5), (150, 0.3)):
-        assert spectrum.amplitude[order - 1] == pytest.approx(amplitude, rel=2e-4, abs=0)
-        spectrum.amplitude[order - 1] = 0
-    assert spectrum.amplitude.max() < 2e-4
+        assert found_orders.amplitude[order - 1] == pytest.approx(amplitude, rel=2e-4, abs=0)
+        found_orders.amplitude[order - 1] = 0
+    assert found_orders.amplitude.max() < 2e-4
 
 
 @given(st.integers(1, 59))
@@ -186,8 +195,8 @@ def test_orders_that_samples_at_the_same_angles_do_not_tell_apart(order):
 
 def test_an_alias_is_in_the_turns():
     found = find_turns(*evenly(60.0, 80, ((36, 0.3, 0.0),), noise=0.01), POSITIONS)
-    spectrum = turn_spectrum(found.torque, found.orders)
-    assert spectrum.strongest() == 24
+    found_orders = orders_of(found.torque, found.orders)
+    assert found_orders.strongest() == 24
     assert found.leak[23] == pytest.approx(1, rel=1e-6, abs=0)
     assert found.alias[23] in (36, 84)
 

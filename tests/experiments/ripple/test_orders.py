@@ -152,7 +152,7 @@ def test_two_revolutions_do_not_show_the_scatter_of_their_scatter():
     waveforms = np.random.default_rng(1).normal(size=(2, 64))
     assert remove_offset(waveforms).rms().non_repeatable_u is None
     with pytest.raises(InsufficientDataError, match="1 revolution"):
-        Ripple(waveforms[:1])
+        Ripple(waveforms[:1]).rms()
 
 
 @settings(max_examples=50, deadline=None)

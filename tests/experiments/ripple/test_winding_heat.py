@@ -5,13 +5,13 @@ from scipy.integrate import solve_ivp
 
 from rigtool.experiments.ripple.winding_heat import TurnCurrents, winding_heat
 
-TURN = 5.0
+TURN, RUN_UP = 5.0, 6.0
 TAU, GAIN = 30.0, 1.5e-3
 
 
 def held(amperes, noise, rng, *, start=0.0, before=0.0, count=20):
     """Turns that hold a constant torque, and the fall of k at their edges, by an ODE solver."""
-    edges = start + TURN * np.arange(count + 1)
+    edges = start + RUN_UP + TURN * np.arange(count + 1)
     heat = solve_ivp(
         lambda t, h: ((amperes / (1 - GAIN * h)) ** 2 - h) / TAU,
         (start, edges[-1]),
@@ -21,7 +21,8 @@ def held(amperes, noise, rng, *, start=0.0, before=0.0, count=20):
     ).y[0]
     middle = 1 - GAIN * (heat[1:] + heat[:-1]) / 2
     current = amperes / middle + noise * rng.standard_normal(count)
-    return TurnCurrents(edges, current, steady=True, housing=0.0), GAIN * heat
+    recorded = (start, float(edges[-1]))
+    return TurnCurrents(recorded, edges, current, steady=True, housing=0.0), GAIN * heat
 
 
 def test_the_fall_is_found_for_each_recording_with_the_heat_left_by_the_one_before():
@@ -31,7 +32,7 @@ def test_the_fall_is_found_for_each_recording_with_the_heat_left_by_the_one_befo
         hot = fell[-1] / GAIN * np.exp(-2.0 / TAU)
         second, again = held(1.0, 2e-3, rng, start=first.passed[-1] + 2.0, before=hot)
         found = winding_heat([second, first])  # in any order
-        assert found[1].u < 0.05 * fell.mean()
+        assert found[1].u < 0.08 * fell.mean()
         pulls.append((found[1].fall.mean() - fell.mean()) / found[1].u)
         pulls.append((found[0].fall.mean() - again.mean()) / found[0].u)
     assert 0.7 < np.std(pulls) < 1.4
@@ -39,9 +40,8 @@ def test_the_fall_is_found_for_each_recording_with_the_heat_left_by_the_one_befo
 
 
 def test_turns_without_a_constant_torque_show_no_heat():
-    turns = TurnCurrents(
-        TURN * np.arange(5), np.array([1.0, 1.1, 1.2, 1.3]), steady=False, housing=0.0
-    )
+    edges, current = TURN * np.arange(5), np.array([1.0, 1.1, 1.2, 1.3])
+    turns = TurnCurrents((0.0, 20.0), edges, current, steady=False, housing=0.0)
     (found,) = winding_heat([turns])
     assert found.u == 0.0
     assert not found.fall.any()

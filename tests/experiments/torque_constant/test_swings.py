@@ -55,10 +55,10 @@ def test_friction_follows_each_swing():
     x, y, s = 1.3, 0.4, 0.7
     swings = np.zeros((2, 1, 2))
     swings[:, 0, 1] = x, -y
-    a, b = friction_state(swings, np.array([s]), 1.0)
+    a, b = friction_state(swings, s, 1.0)
     up = 1 - np.exp(-x / s)
-    assert_allclose(a[0, 0, 1], -1 + (up + 1) * np.exp(-y / s), rtol=1e-12)
-    assert_allclose(b[0, 0, 1], np.exp(-(x + y) / s), rtol=1e-12)
+    assert_allclose(a[0, 1], -1 + (up + 1) * np.exp(-y / s), rtol=1e-12)
+    assert_allclose(b[0, 1], np.exp(-(x + y) / s), rtol=1e-12)
 
 
 @pytest.mark.parametrize("exponent", [0.6, 1.0, 1.7])
@@ -83,9 +83,9 @@ def test_the_law_of_friction_is_that_of_its_exponent(exponent):
             reached.append(z)
         return reached
 
-    a, b = friction_state(swings, np.array([0.7]), exponent)
-    assert_allclose(a[0, 0], along(0.0), atol=1e-8)
-    assert_allclose(b[0, 0], np.subtract(along(1e-4), along(-1e-4)) / 2e-4, atol=1e-5)
+    a, b = friction_state(swings, 0.7, exponent)
+    assert_allclose(a[0], along(0.0), atol=1e-8)
+    assert_allclose(b[0], np.subtract(along(1e-4), along(-1e-4)) / 2e-4, atol=1e-5)
 
 
 def test_noise_of_courses_is_taken_off_and_swings_are_kept():

@@ -141,7 +141,7 @@ def test_ripple_that_few_angles_may_not_show_has_no_uncertainty():
     assert few.value < 1e-3
     assert few.u is None
     assert "6 rotor angles do not show all orders" in few.reason
-    enough = analyse(sixth, sixth.record((20, 50), angles=9, shifted=False)).ripple
+    enough = analyse(sixth, sixth.record((20, 50), angles=13, shifted=False)).ripple
     assert abs(enough.value - 0.006 / np.sqrt(2)) < 3 * enough.u
 
 

@@ -71,5 +71,5 @@ def test_the_title_states_what_the_report_holds(commands, title, make, open_all,
 def test_figures_of_another_rig_are_not_called_by_numbers_of_the_thesis(make, open_all):
     report = build_report(open_all(make("calibrate-kt", sets=("rig.name=left-bench",))))
     first, second = report.pictures
-    assert first.title.startswith("Motor constant")
-    assert second.title.startswith("Residuals of the motor constant")
+    assert first.title.startswith("Torque constant")
+    assert second.title.startswith("Residuals of the torque constant")

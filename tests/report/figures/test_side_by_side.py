@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import threading
+from functools import partial
 
 import pytest
 
@@ -11,21 +12,29 @@ from rigtool.report.figures import side_by_side
 
 BOTH_WAYS = """
 import os
+from functools import partial
 from rigtool.report.figures import side_by_side, style
 
 side_by_side._may_fork = lambda: True  # on one core as well
 forks, fork = [], os.fork
 os.fork = lambda: forks.append(1) or fork()
 
-def drawn(draw):
-    figures = [style.one_panel("x", f"y{number}")[0] for number in range(5)]
-    return draw(figures)
+def drawn(number):
+    return style.render(style.one_panel("x", f"y{number}")[0])
 
+figures = [partial(drawn, number) for number in range(5)]
+by = [lambda number=number: (number, os.getpid()) for number in range(500)]
 with style.styled():
-    alone = drawn(lambda figures: [style.render(figure) for figure in figures])
-    assert drawn(side_by_side.render_all) == alone and len(forks) == 1
-    side_by_side._draw_and_exit = lambda figures, sender: os._exit(1)
-    assert drawn(side_by_side.render_all) == alone and len(forks) == 2
+    alone = [draw() for draw in figures]
+    assert side_by_side.draw_all(figures) == alone and len(forks) == 1
+    numbers, processes = zip(*side_by_side.draw_all(by))
+    assert numbers == tuple(range(500))
+    assert len(set(processes)) == 1 or processes[0] == os.getpid() != processes[-1]
+    side_by_side._draw_and_exit = lambda figures, taken, sender: os._exit(1)
+    assert side_by_side.draw_all(figures) == alone and len(forks) == 3
+    take_all = lambda figures, taken, sender: taken.write(b"1" * 5) and os._exit(1)
+    side_by_side._draw_and_exit = take_all
+    assert side_by_side.draw_all(figures) == alone and len(forks) == 4
 try:
     os.wait()
 except ChildProcessError:
@@ -43,13 +52,13 @@ def test_two_processes_draw_what_one_draws_also_where_the_second_ends_early():
 
 
 def test_a_process_with_threads_is_not_forked(monkeypatch):
-    monkeypatch.setattr(side_by_side, "render", lambda figure: figure)
     monkeypatch.setattr(side_by_side, "_second_process", None)  # a fork would fail
     done = threading.Event()
     thread = threading.Thread(target=done.wait)
     thread.start()
     try:
-        assert side_by_side.render_all(list(range(6))) == list(range(6))
+        figures = [partial(int, number) for number in range(6)]
+        assert side_by_side.draw_all(figures) == list(range(6))
     finally:
         done.set()
         thread.join()

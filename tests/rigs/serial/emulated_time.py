@@ -8,6 +8,7 @@ device looks around. How fast the machine is, and what else runs on it, changes 
 
 import contextlib
 import errno
+import functools
 import importlib
 import itertools
 import math
@@ -404,17 +405,27 @@ def server_kind(world, name):
     return EmulatedServer
 
 
+@functools.cache
+def users(wanted, loaded):
+    """Return pairs of a module and what it uses of these; `loaded` modules, else it looks anew."""
+    where = {module: getattr(module, "__file__", None) or "" for module in sys.modules.values()}
+    return [
+        (module, real)
+        for module, path in where.items()
+        if path.startswith(REPLACED) and path != __file__
+        for real in wanted
+        if vars(module).get(real.__name__) is real
+    ]
+
+
 @contextlib.contextmanager
 def emulated_time(monkeypatch):
     """Yield a `World`; who opens a port or starts a thread from now on lives in it."""
     world = World()
     replaced = world.modules()
-    for module in list(sys.modules.values()):
-        where = getattr(module, "__file__", None) or ""
-        if where.startswith(REPLACED) and where != __file__:
-            for real, emulated in replaced.items():
-                if vars(module).get(real.__name__) is real:
-                    monkeypatch.setattr(module, real.__name__, emulated)
+    for module, real in users(tuple(replaced), len(sys.modules)):
+        if vars(module).get(real.__name__) is real:
+            monkeypatch.setattr(module, real.__name__, replaced[real])
     monkeypatch.setattr(server, "PtyServer", server_kind(world, "/dev/pts/"))
     monkeypatch.setattr(server, "TcpServer", server_kind(world, "socket://127.0.0.1:"))
     monkeypatch.setattr(serial, "serial_for_url", world.open_port)

@@ -22,6 +22,7 @@ from tests.rigs.serial.emulators.canopen import CiA402Emulator, Epos4CanEmulator
 from tests.rigs.serial.emulators.instruments import Mark10Emulator
 from tests.rigs.serial.emulators.simplefoc import SimpleFocEmulator
 from tests.rigs.serial.emulators.vesc import VescEmulator
+from tests.thorough import thorough
 
 ROOT = Path(__file__).parents[3]
 SLCAN = "can:slcan:{}?bitrate=1000000"
@@ -177,7 +178,7 @@ def quick(monkeypatch, world):
     world.tick = 0.02
 
 
-@pytest.fixture(params=DRIVES)
+@pytest.fixture(params=[name for name in DRIVES if name != "maxon-can"] + thorough("maxon-can"))
 def bench(request, quick, tmp_path, capsys, monkeypatch):
     """Each drive with its recipe filled in, and a calibration that was measured on it."""
     found = Bench(request.param, tmp_path, capsys, monkeypatch)

@@ -165,3 +165,22 @@ def test_a_map_around_the_turn(tmp_path):
         table = run.table("map")
     np.testing.assert_allclose(table["position"], np.arange(16) * np.pi / 8, rtol=1e-15, atol=0)
     np.testing.assert_allclose(table["current"], np.arange(1, 17) * 1e-3, rtol=1e-15, atol=0)
+
+
+def test_arrays_of_structures_and_columns_of_matrices(tmp_path):
+    """What scopes of Simulink and recorders of test benches store: `a(2).b` and `a.b(:,2)`."""
+    time, encoder, current = columns()
+    traces = np.zeros((1, 2), dtype=[("Name", "O"), ("Data", "O")])
+    for n, values in enumerate((time, encoder)):
+        traces[0, n] = (f"trace {n}", values[None, :])
+    more = np.column_stack([encoder, current])
+    savemat(tmp_path / "a.mat", {"rec": {"Y": traces, "more": more}})
+    names = {"t": "rec.Y(1).Data", "q": "rec.Y(2).Data", "i": "rec.more(:,2)"}
+    text = NAMED
+    for name, column in names.items():
+        text = text.replace(f'"{name}"', f'"{column}"')
+    take(tmp_path / "a.mat", tmp_path / "a.h5", text)
+    check(tmp_path / "a.h5")
+    for wrong in ("rec.more(:,3)", "rec.Y(3).Data"):
+        with pytest.raises(RunFileError, match=r"has no column 'rec\."):
+            take(tmp_path / "a.mat", tmp_path / "b.h5", text.replace(names["i"], wrong))

@@ -140,7 +140,7 @@ def test_a_speed_in_a_unit_of_another_axis_is_none_of_the_motor(tmp_path):
         (HEAD.partition("\n;")[0] + "\n", "without names and units"),
         (HEAD.replace("ms;rpm;%;inc;V", "ms;rpm;%;inc"), "4 units for 5 columns"),
         (HEAD.replace("\nms;", "\nfurlong;"), "'furlong', an unknown unit"),
-        (HEAD.replace("rpm;%;inc;V", "a;b;c;d"), "no channel in a known unit"),
+        (HEAD.replace("rpm;%;inc;V", "a;b;c;e"), "no channel in a known unit"),
     ],
 )
 def test_a_damaged_header(tmp_path, head, message):

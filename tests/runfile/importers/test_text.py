@@ -409,3 +409,55 @@ def test_a_name_that_may_be_a_slip_gets_a_note(tmp_path):
     text = NAMED.replace("current =", "curent =")
     (done,) = take(tmp_path / "a.csv", tmp_path / "a.h5", text).done
     assert any("signal curent has no fixed meaning: if it is current" in n for n in done.notes)
+
+
+LABELLED = [
+    "t:{t},i:{i}",
+    "t={t} i={i} state=OK",
+    '{{"t": {t}, "i": {i}, "mode": "on"}}',
+    "i(4): {i}, t(1): {t}",
+]
+
+
+@pytest.mark.parametrize("line", LABELLED)
+def test_lines_that_name_each_number(tmp_path, line):
+    """What boards, loggers and JSON write, behind a greeting."""
+    rows = "".join(line.format(t=n, i=n / 8 - 1) + "\n" for n in range(40))
+    (tmp_path / "a.txt").write_text("Motor ready.\n" + rows)
+    take(tmp_path / "a.txt", tmp_path / "a.h5", NAMED)
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "current"), np.arange(40) / 8 - 1)
+    lost = rows.replace(f"{5 / 8 - 1}", "")
+    (tmp_path / "a.txt").write_text(lost)
+    with pytest.raises(RunFileError, match="line 6: column"):
+        take(tmp_path / "a.txt", tmp_path / "b.h5", NAMED)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "Name;t;Name;i\nSampleTime[ms];1;SampleTime[ms];1\nOffset;0;Offset;0\n",
+        "channel names:;t;;i\ndt:;0.1;;0.1\ndata:;;;\n",
+    ],
+)
+def test_properties_of_channels_behind_their_names(tmp_path, head):
+    """Recorders list numbers of each channel between its name and its samples."""
+    (tmp_path / "a.csv").write_text(head + "".join(f"0;{n};0;{n + 1}\n" for n in range(9)))
+    take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED)
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "current"), np.arange(9) + 1)
+
+
+def test_a_delimiter_before_each_line_and_the_stamp_of_a_terminal(tmp_path):
+    text = NAMED.replace('"t"', "2").replace('"i"', "3")
+    (tmp_path / "a.txt").write_text("".join(f"\t{n}\t{n + 1}\n" for n in range(9)))
+    take(tmp_path / "a.txt", tmp_path / "a.h5", text)
+    (tmp_path / "b.txt").write_text("".join(f"10:00:0{n}.0 -> {n},{n + 1}\n" for n in range(9)))
+    take(tmp_path / "b.txt", tmp_path / "b.h5", text)
+    for name in "ab":
+        np.testing.assert_array_equal(read(tmp_path / f"{name}.h5", "current"), np.arange(9) + 1)
+
+
+def test_a_clock_that_overflows_is_named(tmp_path):
+    rows = [f"{(2**16 - 150 + 10 * n) % 2**16},{n}\n" for n in range(30)]
+    (tmp_path / "a.csv").write_text("t,i\n" + "".join(rows))
+    (done,) = take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED).done
+    assert "state wraps_at = 65536 for `time`" in "".join(done.notes)

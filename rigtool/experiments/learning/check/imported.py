@@ -14,12 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
-from rigtool.experiments.imported import (
-    is_linear,
-    position_of,
-    recordings_of,
-    require_one_rig,
-)
+from rigtool.experiments.imported import position_of, rotary_recordings
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.outcome import Outcome
@@ -31,14 +26,17 @@ from rigtool.experiments.ripple.imported_groups import (
     turns_of,
 )
 from rigtool.experiments.ripple.imported_maps import SAME_MAP_VARIANCE, SIGNIFICANT_SHIFT
-from rigtool.experiments.ripple.imported_turns import (
-    fill,
-    neighbours_floor,
-    reduction,
-    turn_spectrum,
-)
+from rigtool.experiments.ripple.imported_turns import fill, reduction
 from rigtool.experiments.ripple.map_shift import Match, match_maps
-from rigtool.experiments.ripple.orders import HIGHEST_ORDER, POSITIONS, Spectrum, cell_centres
+from rigtool.experiments.ripple.orders import (
+    HIGHEST_ORDER,
+    POSITIONS,
+    Spectrum,
+    cell_centres,
+    neighbours_floor,
+    remove_offset,
+    spectrum,
+)
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.numerics.arrays import Array, ComplexArray
 from rigtool.quantity import Quantity
@@ -59,10 +57,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     Raises `UsageError` for runs of several conditions or speeds, or where the map has another unit;
     `InsufficientDataError` where it was learned at another speed.
     """
-    recordings = recordings_of(runs)
-    require_one_rig(recordings)
-    if is_linear(recordings[0]):
-        raise UsageError(f"{runs[0].path}: is of a linear axis, that has no turns to compare")
+    recordings = rotary_recordings(runs, "that has no turns to compare")
     learned, effort = learned_table_from(tables), effort_of(recordings[0], kt)
     if effort.unit != learned.unit:
         raise UsageError(
@@ -137,7 +132,7 @@ class _Compared:
 
     def results(self, unit: str, name: str) -> dict[str, Quantity]:
         """Return the part that the map would have removed, in all and by order, and its shift."""
-        (before, before_u), (after, after_u) = _rms(self.shown), _rms(self.left)
+        (before, before_u), (after, after_u) = self.shown.rms(), self.left.rms()
         ratio = after / before
         ratio_u = math.hypot(after_u / before, ratio * before_u / before)
         results = {
@@ -166,8 +161,7 @@ class _Compared:
     def strongest(self) -> list[int]:
         """Return the strongest orders of the map that the run shows, too."""
         strength = np.where(self.shown.clear, np.abs(self.mapped), 0.0)
-        order = np.argsort(-strength, kind="stable")[:ORDERS_REPORTED]
-        return [int(i) + 1 for i in order if strength[i] > 0]
+        return self.shown.ranked(ORDERS_REPORTED, strength)
 
     def table(self, unit: str) -> Table:
         """Return all orders."""
@@ -242,7 +236,7 @@ def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: 
     expected = np.real(cells @ (mapped * np.sinc(order / POSITIONS) * group.sampling.gain(order)))
     remaining, _ = fill(torque - expected)
     means = remaining.mean(axis=1)
-    shown = turn_spectrum(remaining + expected, mapped.size, group.sampling)
+    shown = spectrum(remove_offset(remaining + expected, group.sampling), mapped.size)
     there = shown.amplitude * np.exp(1j * shown.phase)
     left = there - mapped
     # The rest is noise of the runs and of the map, or a change: neighbouring orders show the noise.
@@ -287,10 +281,3 @@ def _orders_of(learned: LearnedTable, speed: float) -> Orders:
     found = np.fft.rfft(table.torque[_row(learned, speed)])[1 : orders + 1] * (2 / count)
     turned: Orders = found * np.exp(-1j * order * table.position[0])
     return turned
-
-
-def _rms(spectrum: Spectrum) -> tuple[float, float]:
-    """Return the rms of all orders and its standard uncertainty."""
-    rms = float(np.linalg.norm(spectrum.amplitude)) / math.sqrt(2)
-    weighted = float(np.linalg.norm(spectrum.amplitude * spectrum.noise_floor))
-    return rms, weighted / (2 * math.sqrt(2) * rms) if rms > 0 else 0.0

@@ -97,9 +97,9 @@ def force_rig(world, name, period, rev_per_s, *more, **options):
     ("name", "period", "rev_per_s", "stiffness"),
     [
         ("toy", 0.01, 1.0, 0.2),  # steps of speed make 4 mN m while it turns around
-        ("moteus", 0.01, 0.5, 0.06),
         ("maxon", 0.01, 1.0, 0.06),
         *thorough(
+            ("moteus", 0.01, 0.5, 0.06),
             ("toy", 0.01, 1.0, 0.06),
             ("toy", 0.01, 0.4, 0.06),
             ("toy", 0.004, 1.0, 0.06),

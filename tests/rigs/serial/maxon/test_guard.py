@@ -23,6 +23,7 @@ from tests.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4E
 from tests.rigs.serial.maxon.test_driver import maxon_rig
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
 from tests.rigs.serial.target.test_driver_faults import wait_until
+from tests.thorough import thorough
 
 ROOT = Path(__file__).parents[4]
 KT = ROOT / "tests" / "fixtures" / "kt.h5"
@@ -74,7 +75,7 @@ def until_it_turns(device, process):
 
 
 @pytest.mark.real_time
-@pytest.mark.parametrize("make_device", [Epos4Emulator, Epos2Emulator, DesEmulator])
+@pytest.mark.parametrize("make_device", [Epos4Emulator, DesEmulator, *thorough(Epos2Emulator)])
 def test_killed_program_leaves_it_off(make_device):
     device = make_device()
     with serve(device) as server, program(sys.executable, "-c", TURNS, server.port) as process:
