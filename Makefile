@@ -12,7 +12,7 @@
 # make bench          speed and memory of what users wait for
 # make accuracy       force over time and contacts against what acted, on virtual rigs that are learned
 # make coverage       whether stated intervals hold, on virtual rigs drawn anew
-# make coverage-short a few minutes of it, with an exit code
+# make coverage-short five minutes of it, with an exit code
 # make fixtures       the runs in tests/fixtures, stored anew
 # make release-check  tests, site, source distribution, wheel: what a release needs
 # make clean          removes build

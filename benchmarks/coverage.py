@@ -46,7 +46,18 @@ FAR = 5.0
 UNLIKELY = 1e-3
 """Probability of so few intervals that hold, if they hold in 95 %, below which a row fails."""
 
-SHORT = {"calibrate-kt, 3 x 2": 4, "fft-ripple, near": 2, "identify-plant, pulley, near": 2}
+SHORT = {
+    "calibrate-kt, 4 x 3": 8,
+    "calibrate-kt, 3 x 2": 8,
+    "calibrate-kt, friction x 4": 8,
+    "calibrate-kt, far": 8,
+    "calibrate-kt, wrong bench": 8,
+    "stribeck, near": 4,
+    "fft-ripple, near": 4,
+    "identify-plant, pulley, near": 4,
+    "identify-plant, pulley, far": 8,
+    "measure-force, pulley": 2,
+}
 """Rigs of each design in the short form."""
 
 

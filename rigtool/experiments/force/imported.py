@@ -23,7 +23,7 @@ from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_a
 from rigtool.experiments.imported_load.learning import levels_of
 from rigtool.experiments.imported_load.loop import DOUBTED, REFUSED
 from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
-from rigtool.experiments.imported_load.region import reached
+from rigtool.experiments.imported_load.region import SLACK, reached
 from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
@@ -31,6 +31,9 @@ from rigtool.runfile import Column, Run, Table
 
 MOST_BEYOND = 0.25
 """Part of the way beyond the learned stroke from which on the encoder was zeroed elsewhere."""
+
+FEW = 1e-3
+"""Part of the samples at either end of the way that do not show how far strokes go."""
 
 FAST = 0.25
 """Strokes count as moving fast from this speed of the output on, rad/s, as by O'Neill et al., IEEE
@@ -57,6 +60,8 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
     measured = [Measured(one, model.estimate(one.effort, one.path)) for one in read]
     _require_stroke(measured, model, tables)
     notes = [*_require_inside(measured, model), *_also_learned(runs, tables)]
+    measured, remarks = of_this_zero(measured, model)
+    notes += remarks
     measured, remarks = _of_this_mounting(measured, model, tables)
     rows = [_reading(item) for item in measured]
     results, found = over_time_tables(rows, model.scales.torque, model.bandwidth_hz)
@@ -85,6 +90,35 @@ def _require_stroke(measured: Sequence[Measured], model: LoadModel, tables: Run)
             f"{low:.4g} to {high:.4g} rad of the motor: the encoder was zeroed elsewhere, or the "
             "tables are of another instrument or mounting; learn tables from runs of this one"
         )
+
+
+def of_this_zero(
+    measured: Sequence[Measured], model: LoadModel
+) -> tuple[list[Measured], list[str]]:
+    """Return the estimates with u widened where strokes leave the learned one, and a note.
+
+    They are longer, or the encoder was zeroed elsewhere, by as much as they leave it. In the second
+    case the torque is that at positions moved back: the difference is added to u as a standard
+    uncertainty, the largest of a run where one of the two has no value.
+    """
+    paths = [item.signals.path for item in measured]
+    place = np.concatenate([model.place(path)[path.regular] for path in paths])
+    lowest, highest = np.quantile(place, [FEW, 1 - FEW])
+    back = max(-lowest, 0.0) if -lowest > highest - 1 else -max(highest - 1, 0.0)
+    if abs(back) <= SLACK:
+        return list(measured), []
+    back *= model.scales.high - model.scales.low
+    found = []
+    for item in measured:
+        moved = model.estimate(item.signals.effort, item.signals.path.moved(back))
+        apart = np.abs(moved.moving - item.estimate.moving)
+        largest = float(np.max(apart, where=np.isfinite(apart), initial=0.0))
+        doubt = np.nan_to_num(apart, nan=largest)
+        found.append(Measured(item.signals, item.estimate.widened(doubt=doubt)))
+    return found, [
+        f"strokes leave the learned one by {abs(back):.3g} rad of the motor: they are longer, or "
+        "the encoder was zeroed elsewhere; u holds what that changes"
+    ]
 
 
 def _of_this_mounting(
@@ -128,8 +162,8 @@ def _of_this_mounting(
 
 
 def _misfit(item: Measured, model: LoadModel) -> float:
-    path, torque = item.signals.path, item.estimate.moving / model.scales.torque
-    return model.loop.misfit(model.place(path), path.speed > 0, torque)
+    path = item.signals.path
+    return model.loop.misfit(model.place(path), path.speed > 0, item.estimate.compared)
 
 
 def _require_learned_here(runs: Sequence[Run], tables: Run) -> None:

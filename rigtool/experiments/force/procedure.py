@@ -41,6 +41,10 @@ from rigtool.runfile import RecordingSpec, Run, RunWriter
 HYSTERESIS, SHIFT = "hysteresis", "shift"
 
 
+HIDDEN_DOF = 4.5
+"""Degrees of freedom of the ripple of so few angles that it states no uncertainty: it is known to a
+third of its size or so (GUM G.4.2)."""
+
 # -- measuring
 
 
@@ -210,7 +214,8 @@ def _constant_at_one_angle(mean: Quantity, kt: Run) -> Quantity:
     if "torque_constant_ripple" in kt.results:
         ripple = kt.result("torque_constant_ripple", "1")
         name = "torque constant at one rotor angle"
-        lines.append(Component(name, 1.0, "1", ripple.value, ripple.dof, mean.value))
+        dof = HIDDEN_DOF if ripple.u is None else ripple.dof
+        lines.append(Component(name, 1.0, "1", ripple.value, dof, mean.value))
     return combined(mean.value, mean.unit, lines)
 
 

@@ -119,8 +119,12 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
     model, reach = model_and_reach(tables, kt, recipe)
     read = [read_recording(r, recipe, kt, model, reach) for r in recorded if r.size]
     if not any(r.parts for r in read):
+        blocks = ((n, b) for n in NEEDED for r in recorded for b in r.blocks(n, finite=False))
+        unknown = dict.fromkeys(name for name, block in blocks if np.isnan(block).any())
+        why = f" (NaN is in {', '.join(unknown)})" if unknown else ""
         raise InsufficientDataError(
-            f"{run.path}: no recording has {SHORTEST:g} s without a gap: record for longer"
+            f"{run.path}: no recording has {SHORTEST:g} s without a gap{why}: record for longer, "
+            "without gaps"
         )
     _require_values(read, recorded, reach)
     observed = not all(r.has("position_setpoint") for r in recorded)

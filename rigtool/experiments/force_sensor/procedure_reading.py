@@ -34,7 +34,7 @@ from rigtool.experiments.force_sensor.results_over_time import (
 from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
 from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
-from rigtool.numerics.arrays import Array
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising, rising_steps
 from rigtool.numerics.lowpass import delayed, lowpass
 from rigtool.numerics.memory import give_back
@@ -117,7 +117,8 @@ def read_recording(
             read += stretch.seconds
     (first,) = recording.read("time", 0, 1)
     (last,) = recording.read("time", recording.size - 1)
-    lost = last + interval - first - read if breaks or not parts else 0.0
+    lost, unended = last + interval - first - read, 2 * instrument.grid.step_time
+    lost = lost if breaks or not parts or lost > unended else 0.0
     return Recorded(recording.name, tuple(parts), breaks, lost)
 
 
@@ -134,7 +135,7 @@ def unbroken_blocks(
 ) -> Iterator[tuple[Array, bool]]:
     """Yield the channels (c, n), time first, and whether a sample is missing before them.
 
-    Samples with NaN are left out.
+    Samples with NaN are left out; a reference may be NaN, and informs nothing.
     """
     names = (*NEEDED, REFERENCE) if recording.has(REFERENCE) else NEEDED
     grid, interval = instrument.grid, instrument.interval
@@ -145,7 +146,8 @@ def unbroken_blocks(
         time = np.concatenate([before, samples[0]])
         rising_steps(time, number - before.size)
         number += samples.shape[1]
-        good = np.concatenate([before == before, np.isfinite(samples).all(axis=0)])
+        good = np.isfinite(samples[: len(NEEDED)]).all(axis=0)
+        good = np.concatenate([before == before, good])
         for span in unbroken(time, good, interval):
             begins = span.start > 0 or not before.size
             rows = slice(max(0, span.start - before.size), span.stop - before.size)
@@ -268,8 +270,10 @@ class Stretch:
         time: Any = self._began + step_time * np.arange(1.0, self._steps + 1, every)
         torque, u, ripple = self._whole()
         give_back()
-        reference = self._taken("reference") if referred else None
         rate, corner_hz = 1 / step_time, self._instrument.corner_hz
+        reference, judged = None, np.empty(0, dtype=np.bool_)
+        if referred and np.isfinite(found := self._taken("reference")).any():
+            reference, judged = filled(found, round(rate / corner_hz))
         torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
         inside, rows = states != State.OUTSIDE, slice(None, None, every)
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
@@ -287,12 +291,16 @@ class Stretch:
                 self._taken("causal_states")[::every].astype(np.int32),
                 None
                 if reference is None
-                else held_lowpass(rate, reference, corner_hz)[::every].copy(),
+                else np.where(judged, held_lowpass(rate, reference, corner_hz), np.nan)[rows],
                 self._limited,
-                None if reference is None else delayed(rate, reference, corner_hz)[::every].copy(),
+                None
+                if reference is None
+                else np.where(judged, delayed(rate, reference, corner_hz), np.nan)[rows],
                 contacts,
                 every,
-                response=None if reference is None else Spectra.of(torque, reference, inside, rate),
+                response=None
+                if reference is None
+                else Spectra.of(torque, reference, inside & judged, rate),
                 passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
             )
         ]
@@ -333,6 +341,16 @@ class Stretch:
         scales = instrument.model.scales[0]
         u = standard_uncertainty(scales, deviation, torque[::every], kinds)
         return torque, u, np.concatenate(added)
+
+
+def filled(reference: Array, reach: int) -> tuple[Array, Mask]:
+    """Return a reference (n,) with what is NaN in it interpolated, and where it is known for all of
+    `reach` steps on both sides, which is what a low-pass takes in (n,)."""
+    from scipy.ndimage import minimum_filter1d
+
+    known, place = np.isfinite(reference), np.arange(len(reference))
+    whole: Array = np.interp(place, place[known], reference[known])
+    return whole, minimum_filter1d(known, 2 * reach + 1)
 
 
 def held_lowpass(rate: float, values: Array, corner_hz: float) -> Array:

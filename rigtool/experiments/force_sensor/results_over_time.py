@@ -374,12 +374,11 @@ def _notes(
         limit = any(part.limited for r in recordings for part in r.parts)
         why = ", or about a current at its limit" if limit else ""
         notes.append(f"no value in {outside:.1%} of the time: outside what was learned{why}")
-    if breaks := sum(r.breaks for r in recordings):
-        lost = sum(r.lost for r in recordings)
+    if lost := sum(r.lost for r in recordings):
         notes.append(
-            f"{breaks} times samples are missing or NaN: {lost:.3g} s have no value, and the "
-            "filter begins anew"
+            f"samples are missing or NaN: {lost:.3g} s have no value, and the filter begins anew "
+            f"behind them (gaps between samples: {sum(r.breaks for r in recordings)})"
         )
     if limited := sum(part.limited for r in recordings for part in r.parts):
-        notes.append(f"{limited} samples have a current at its limit: no value there")
+        notes.append(f"samples with a current at its limit: {limited}; no value there")
     return notes

@@ -117,8 +117,8 @@ class Sensor:
         """
         encoder, current, warm, *others = samples
         constant, slope = self._instrument.torque_constant
-        limited = self._instrument.limited(current)
-        known = [encoder, current, constant + slope * warm]
+        limited, most = self._instrument.limited(current), self._instrument.current_limit
+        known = [encoder, np.clip(current, -most, most), constant + slope * warm]
         signals, riding = self._sampler.add(
             np.array([*known, warm, limited, *others], dtype=np.float64), last=last
         )

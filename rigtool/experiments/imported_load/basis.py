@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -84,6 +84,10 @@ class ShaftPath:
     rate: float
     rows: slice
     bandwidth_hz: float
+
+    def moved(self, by: float) -> ShaftPath:
+        """Return the path with another zero of the position."""
+        return replace(self, position=self.position + by, fine_position=self.fine_position + by)
 
     def thin(self, fine: Array) -> Array:
         """Return signals (..., m) low-passed, at the rows (..., n)."""

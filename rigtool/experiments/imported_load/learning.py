@@ -30,7 +30,6 @@ from rigtool.experiments.imported_load.region import (
     NARROW,
     cell_means,
     learn_region,
-    spacing_of,
 )
 from rigtool.experiments.imported_load.side import Fit, HeldOut, Rows, groups_for
 from rigtool.numerics.arrays import Array, Mask
@@ -50,6 +49,9 @@ have: differences of that size do not show how effort grows with load."""
 
 APART_SPEED = 0.1
 """Part of the highest speed by which speeds differ, at least."""
+
+FEWEST_LEFT = 3
+"""Levels without the last that show how well the model holds beyond them, at least."""
 
 ALIKE = 1.96 / 1.44
 """Ratio of factors on u: an interval narrower by this holds 85 instead of 95 %."""
@@ -114,11 +116,8 @@ def level_numbers(values: Sequence[float], apart: float = APART) -> list[int]:
 
 def levels_of(signals: Sequence[LoadSignals]) -> list[int]:
     """Return the number of the load level of each recording, by its mean reference torque."""
-    means = []
-    for item in signals:
-        moving = item.path.regular
-        means.append(float(np.mean(item.sensor[moving])) if moving.any() else 0.0)
-    return level_numbers(means)
+    torques = [item.sensor[item.path.regular] for item in signals]
+    return level_numbers([float(np.mean(own)) if own.size else 0.0 for own in torques])
 
 
 def learn_load_model(
@@ -153,7 +152,7 @@ def learn_load_model(
     torque, speed, place, recording = _both(rows, "torque", "speed", "place", "recording")
     error, u, resolved, slope = _both(held, "error", "u", "resolved", "slope")
     direction = int(np.sign(np.mean(slope) * np.mean(torque))) or 1
-    spacing = spacing_of(torque, levels)
+    spacing = float(np.ptp(torque)) / (levels - 1)
     measured = np.where(resolved, torque + error, np.nan)
     model = LoadModel(
         scales=scales,
@@ -190,7 +189,8 @@ def _fit(rows: Rows, folds: Numbers, levels: int, pace: Numbers, prior: Side | N
         )
     ways = [rows.recording % FOLDS]
     if levels > 2:
-        ways = [level, _turns(folds)[rows.recording]]
+        turns = _turns(folds)
+        ways = [level, turns[rows.recording]] if turns.any() else [level]
     if pace.max() > 1:  # speeds beyond the others are outside: those at the ends stay
         ways.append(np.where((paces == 0) | (paces == pace.max()), -1, paces))
     names = groups_for(tuple(rows.functions), levels) if prior is None else prior.groups
@@ -220,7 +220,8 @@ def _margins(sides: Sequence[Side], direction: int) -> Array:
     """Return how far beyond the levels the torque is given, (2, 2), in spacings, see `region`.
 
     Where the last level, left out, asks for an interval like those of the others, the model holds a
-    whole spacing beyond what it was learned from. Not above the heaviest load while it drives the
+    whole spacing beyond what it was learned from. Three levels do not show that: two are left, and
+    these carry no curvature. Not above the heaviest load while it drives the
     motor: friction takes more and more of it, and the effort hardly depends on the load any more.
     """
     margins = np.full((2, 2), NARROW)
@@ -229,7 +230,8 @@ def _margins(sides: Sequence[Side], direction: int) -> Array:
         for end in (0, -1):
             others = np.delete(side.factors, end)
             driving = sign != direction and end == heaviest
-            if others.size > 1 and not driving and side.factors[end] <= ALIKE * others.max():
+            carried = others.size > FEWEST_LEFT + 1  # the end stands twice
+            if carried and not driving and side.factors[end] <= ALIKE * others.max():
                 row[end] = MARGIN
     return margins
 

@@ -23,7 +23,7 @@ from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State, States
 from rigtool.experiments.imported_load.basis import LOAD_POWER, Scales, ShaftPath, motion_functions
 from rigtool.experiments.imported_load.loop import StrokeLoop
-from rigtool.experiments.imported_load.region import Region, of_known_strokes, reached
+from rigtool.experiments.imported_load.region import DRIVEN, Region, of_known_strokes, reached
 from rigtool.numerics.arrays import Array, Mask
 
 SIGNS = (1, -1)
@@ -48,12 +48,14 @@ class TorqueEstimate:
 
     Near standstill, and so soon after a reversal that effort hardly depends on the load yet, the
     torque is the middle of a dead band and u that of a rectangular distribution (GUM 4.3.7).
-    Outside what was learned, and where nothing bounds the torque, both are NaN.
+    Outside what was learned, and where nothing bounds the torque, both are NaN. `compared` shows
+    the mounting: without unit, it has opening strokes besides that may be of heavier loads.
     """
 
     torque: Array
     u: Array
     states: States
+    compared: Array
 
     @property
     def inside(self) -> Mask:
@@ -66,9 +68,9 @@ class TorqueEstimate:
         """The torque of these rows, NaN in others."""
         return np.where(self.inside, self.torque, np.nan)
 
-    def widened(self, factor: float) -> TorqueEstimate:
-        """Return the estimate with u times a factor while moving."""
-        return replace(self, u=np.where(self.inside, factor, 1.0) * self.u)
+    def widened(self, factor: float = 1.0, doubt: Array | float = 0.0) -> TorqueEstimate:
+        """Return the estimate with u times a factor, and more doubt (n,), N m, while moving."""
+        return replace(self, u=np.where(self.inside, np.hypot(factor * self.u, doubt), self.u))
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +79,8 @@ class Side:
 
     `weights` (k,) and their `covariance` (k, k) are without unit; `scatter` (3,) is the logarithm
     of the scatter's variance: constant, by the logarithm of speed, by torque; `factors` (l,)
-    multiply uncertainties at torques `levels` (l,), which rise: between two the larger. `slope` is
-    the usual one of effort by torque.
+    multiply uncertainties at torques `levels` (l,), which rise; between two they go in a line.
+    `slope` is the usual one of effort by torque.
     """
 
     groups: tuple[str, ...]
@@ -91,11 +93,7 @@ class Side:
 
     def factor(self, torque: Array) -> Array:
         """Return the factor on uncertainties at torques (n,)."""
-        above = np.searchsorted(self.levels, torque)
-        last = len(self.levels) - 1
-        found: Array = np.maximum(
-            self.factors[np.clip(above - 1, 0, last)], self.factors[np.clip(above, 0, last)]
-        )
+        found: Array = np.interp(torque, self.levels, self.factors)
         return found
 
     def design(self, functions: Mapping[str, Array]) -> DesignMatrix:
@@ -153,7 +151,12 @@ class LoadModel:
         place = self.place(path)
         moving = path.regular & reached(place) & ~hidden
         known = self.region.holds(place, speed, torque) & moving
-        known = of_known_strokes(known, moving, np.where(still, 0.0, np.sign(speed)))
+        way = np.where(still, 0.0, np.sign(speed))
+        usual = moving & self.region.moves(place, speed)
+        most = of_known_strokes(known, usual, way, DRIVEN) | (self.direction * speed >= 0)
+        known = of_known_strokes(known, moving, way)
+        compared = np.where(known, torque, np.nan)
+        known &= most
         states = np.where(self.direction * speed >= 0, State.AGAINST, State.WITH)
         states[hidden] = np.where(still, State.STILL, State.REVERSED)[hidden]
         low, high = self._dead_band(effort, path, hidden)
@@ -162,7 +165,7 @@ class LoadModel:
         torque = np.where(known, torque, (low + high) / 2)
         u = np.where(known, u, (high - low) / math.sqrt(12))
         torque, u = np.where(states == State.OUTSIDE, np.nan, unit * np.stack([torque, u]))
-        return TorqueEstimate(torque, u, states)
+        return TorqueEstimate(torque, u, states, compared)
 
     def _dead_band(self, effort: Array, path: ShaftPath, hidden: Mask) -> tuple[Array, Array]:
         """Return the torques (n,), without unit, between which the load is where friction may act

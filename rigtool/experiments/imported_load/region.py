@@ -26,9 +26,10 @@ MARGIN, NARROW = 0.75, 0.25
 level when that was left out, and where not. The second is for scatter, not for other loads."""
 
 
-MOSTLY = 0.5
-"""Part of a stroke that must be inside: a heavier load passes the learned ones while it comes, and
-scatter alone takes some of its samples among them."""
+MOSTLY, DRIVEN = 0.5, 0.8
+"""Parts of a stroke that must be inside: a heavier load passes the learned ones while it comes, and
+scatter alone takes some of its samples among them. The second is of torques at learned speeds while
+the load drives the motor: effort hardly depends on heavy loads there, so many seem lighter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,17 +42,22 @@ class Region:
     lowest: Array
     highest: Array
 
-    def holds(self, place: Array, speed: Array, torque: Array) -> Mask:
-        """Return which points (n,) are inside; NaN is outside."""
+    def moves(self, place: Array, speed: Array) -> Mask:
+        """Return which points (n,) are at learned places and speeds."""
         side, cell = (speed < 0).astype(int), cells_of(place)
         magnitude = np.abs(speed)
         inside: Mask = (
             reached(place)
             & (magnitude >= self.slowest[side, cell])
             & (magnitude <= self.fastest[side, cell])
-            & (torque >= self.lowest[side, cell])
-            & (torque <= self.highest[side, cell])
         )
+        return inside
+
+    def holds(self, place: Array, speed: Array, torque: Array) -> Mask:
+        """Return which points (n,) are inside; NaN is outside."""
+        side, cell = (speed < 0).astype(int), cells_of(place)
+        within = (torque >= self.lowest[side, cell]) & (torque <= self.highest[side, cell])
+        inside: Mask = self.moves(place, speed) & within
         return inside
 
 
@@ -61,14 +67,14 @@ def reached(place: Array) -> Mask:
     return found
 
 
-def of_known_strokes(known: Mask, moving: Mask, direction: Array) -> Mask:
-    """Return which of the `known` rows (n,) belong to strokes of which most is known.
+def of_known_strokes(known: Mask, moving: Mask, direction: Array, share: float = MOSTLY) -> Mask:
+    """Return which of the `known` rows (n,) belong to strokes of which such a share is known.
 
     `moving` (n,) marks rows that count, `direction` (n,) changes from one stroke to the next.
     """
     stroke = np.cumsum(np.diff(direction, prepend=direction[:1]) != 0)
     inside, every = (np.bincount(stroke, rows) for rows in (known & moving, moving))
-    found: Mask = known & (inside >= MOSTLY * every)[stroke]
+    found: Mask = known & (inside >= share * every)[stroke]
     return found
 
 
@@ -87,11 +93,6 @@ def cell_means(place: Array, values: Array, rows: Mask, fewest: int = 1) -> Arra
     total = np.bincount(cell, weights=values[rows], minlength=CELLS)
     means: Array = np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
     return means
-
-
-def spacing_of(torque: Array, levels: int) -> float:
-    """Return the mean spacing of the levels by the torques (n,) that were learned."""
-    return float(np.ptp(torque)) / max(levels - 1, 1)
 
 
 def learn_region(place: Array, speed: Array, torque: Array, margins: Array) -> Region:

@@ -224,8 +224,7 @@ class Fit:
 
         `ratios` (n,) of residual and its standard uncertainty, one for each way of leaving out; the
         widest counts. Recordings repeat the measurement: by their number r, Student's t with r - 1
-        degrees of freedom stands for the normal distribution. No level counts on fewer errors than
-        the levels show on average.
+        degrees of freedom stands for the normal distribution.
 
         The lowest and the highest level stand twice: outermost as they were left out, for torques
         beyond them; then by the other ways, as none of the torques within is beyond the others.
@@ -240,14 +239,12 @@ class Fit:
             own = self.level == level
             parts = [ratio[own & np.isfinite(ratio)] for ratio in ratios]
             asked = [float(np.quantile(part, COVERAGE)) if part.size else 0.0 for part in parts]
-            widest = max(asked), max(asked[loads_left_out:])
+            widest = max(asked), max(asked[loads_left_out:] or asked)
             factors = np.multiply(wider / COVERAGE_FACTOR, widest)
             rows.append((float(self.rows.torque[own].mean()), *factors))
         levels, left_out, learned = np.array(sorted(rows)).T
-        within = left_out.copy()
-        within[[0, -1]] = learned[[0, -1]]
-        within = np.maximum(within, within.mean())
-        ends = np.maximum(left_out[[0, -1]], within[[0, -1]])
+        ends = np.maximum(left_out, learned)[[0, -1]]
+        within = np.concatenate([learned[:1], left_out[1:-1], learned[-1:]])
         return np.pad(levels, 1, mode="edge"), np.concatenate([ends[:1], within, ends[1:]])
 
 
@@ -346,7 +343,17 @@ def _fit_scatter(residual: Array, speed: Array, torque: Array) -> Array:
 
 def prior_of(prior: Side, names: Sequence[str], size: Array, penalty: Array) -> tuple[Array, Array]:
     """Return penalty and centre where a prior model supplies what two loads do not show: the
-    curvature of effort over load. All else is learned from the rows."""
-    bends = np.concatenate([np.full(size_of(name), LOAD_POWER.get(name, 0) > 1) for name in names])
-    held = np.where(bends, HELD, 1.0)
-    return penalty * np.sqrt(np.outer(held, held)), np.where(bends, prior.weights * size, 0.0)
+    curvature of effort over load. All else is learned from the rows.
+
+    The curvature w counts as far as the prior's recordings agree on it, with their covariance C:
+    max(0, 1 - tr C / |w|^2) (W. James, C. Stein, Proc. 4th Berkeley Symp. 1 361-379, 1961).
+    """
+    held, centre, start = np.ones(len(size)), np.zeros(len(size)), 0
+    for name in names:
+        own = slice(start, start := start + size_of(name))
+        if LOAD_POWER.get(name, 0) > 1:
+            weights, square = prior.weights[own], float(np.sum(prior.weights[own] ** 2))
+            doubt = float(np.trace(prior.covariance[own, own]))
+            centre[own] = weights * size[own] * max(0.0, 1 - doubt / max(square, 1e-300))
+            held[own] = HELD
+    return penalty * np.sqrt(np.outer(held, held)), centre

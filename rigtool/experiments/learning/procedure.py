@@ -121,8 +121,20 @@ PROCEDURE = Procedure(
     ),
 )
 
+
+def _analyse_by_load(runs: Sequence[Run], recipe: Recipe, **inputs: Run | None) -> Outcome:
+    """Learn as `analyse` from a stored run of implementation D; `UsageError` for any other."""
+    if (name := recipe.ilc_learn.implementation) != "D":
+        raise UsageError(
+            f"--implementation D: {runs[0].path} was recorded with implementation {name}, without "
+            "known loads: leave the option out, or measure again from the recipe"
+        )
+    return analyse(runs, recipe, **inputs)  # type: ignore[arg-type]
+
+
 BY_LOAD = replace(
     PROCEDURE,
+    analyse=_analyse_by_load,
     analyse_imported=analyse_imported_loads,
     imported_settings={"measure_force.lowpass_hz": "bandwidth_hz"},
 )

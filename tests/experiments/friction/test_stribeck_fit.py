@@ -384,6 +384,15 @@ def test_an_amplifier_with_steps_is_refused():
         )
 
 
+def test_a_set_point_that_shakes_is_not_blamed_on_the_amplifier():
+    rng = np.random.default_rng(1)
+    slow, fast = 0.02 * rng.standard_normal(20000), 0.2 * rng.standard_t(5, 20000)
+    with pytest.raises(InsufficientDataError, match="set point shakes by"):
+        require_linear_at_low_current(
+            current_setpoint=slow + fast, current=slow + 0.8 * np.tanh(fast), friction_current=0.005
+        )
+
+
 def test_count_is_the_encoders():
     # the helper quantises like the encoder that it stands for
     signals = Motor(noise=0.0).hold([3.0])

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force.imported import Measured, of_this_zero
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.imported_load.basis import (
     GROUPS,
@@ -19,8 +20,9 @@ from rigtool.experiments.imported_load.basis import (
 )
 from rigtool.experiments.imported_load.learning import learn_load_model, level_numbers
 from rigtool.experiments.imported_load.loop import REFUSED
-from rigtool.experiments.imported_load.model import FLAT, HIGHEST_POWER, SIGNS
+from rigtool.experiments.imported_load.model import FLAT, HIGHEST_POWER, SIGNS, Side
 from rigtool.experiments.imported_load.region import of_known_strokes
+from rigtool.experiments.imported_load.side import prior_of
 from tests.experiments.imported_load.loaded_drive import (
     BANDWIDTH_HZ,
     MU,
@@ -171,6 +173,19 @@ def test_each_load_level_has_a_factor_of_its_own():
         assert asked[0] / asked[1] > before[0] / before[1]
 
 
+def test_between_two_levels_the_factor_goes_in_a_line(learned):
+    side = learned.model.sides[0]
+    middle, expected = side.levels[2:4].mean(), side.factors[2:4].mean()
+    assert side.factor(np.array([middle])) == pytest.approx(expected)
+
+
+def test_one_recording_of_each_load_is_enough():
+    model = learn_load_model(observations(frequencies=(0.2,))).model
+    error, u = errors(model, (0.03, 0.05), frequencies=(0.2,))
+    assert np.mean(np.abs(error) <= 1.96 * u) > 0.8
+    assert np.median(u) < 5e-3
+
+
 def test_repeats_of_one_load_are_one_level():
     assert level_numbers([11.2, 11.6, 11.9, 11.3, 11.7]) == [0] * 5
     assert level_numbers([11.2, 11.6, 14.0, 13.9, 11.3]) == [0, 0, 1, 1, 0]
@@ -187,6 +202,9 @@ def test_strays_of_a_stroke_beyond_what_was_learned_have_no_value():
     np.testing.assert_array_equal(found[:12], known[:12])
     assert not found[12:22].any()
     assert found[22:].all()
+    stricter = of_known_strokes(known, moving, direction, share=0.8)
+    assert not stricter[:22].any()  # three of ten samples of the first are outside
+    assert stricter[22:].all()
 
 
 def test_tables_of_another_mounting_are_found_out(learned):
@@ -194,8 +212,7 @@ def test_tables_of_another_mounting_are_found_out(learned):
 
     def misfit(item):
         estimate = learned.model.estimate(item.effort, item.path)
-        torque = estimate.moving / learned.model.scales.torque
-        return loop.misfit(learned.model.place(item.path), item.path.speed > 0, torque)
+        return loop.misfit(learned.model.place(item.path), item.path.speed > 0, estimate.compared)
 
     for load in (0.03, 0.05, 0.07):
         own = observe(load, 0.2, seed=21)
@@ -205,6 +222,27 @@ def test_tables_of_another_mounting_are_found_out(learned):
         assert misfit(rubbing) > loop.limit(REFUSED)
         tilted = replace(own, effort=own.effort + 0.03 * way * own.path.position / 20)
         assert misfit(tilted) > loop.limit(REFUSED)
+
+
+@pytest.mark.parametrize("zero", [-3.0, 3.0])
+def test_u_holds_another_zero_of_the_encoder(learned, zero):
+    model = learned.model
+    items = [observe(load, 0.2, zero=zero, seed=41) for load in (0.03, 0.05)]
+    measured = [Measured(item, model.estimate(item.effort, item.path)) for item in items]
+    wider, notes = of_this_zero(measured, model)
+    held = {"before": [], "after": []}
+    for name, found in (("before", measured), ("after", wider)):
+        for item, one in zip(items, found, strict=True):
+            error, used = one.estimate.torque - item.sensor, one.estimate.inside
+            held[name].append(np.mean(np.abs(error) <= 1.96 * one.estimate.u, where=used))
+    assert np.mean(held["before"]) < 0.85 < 0.95 < np.mean(held["after"])
+    assert "leave the learned one by 3" in notes[0]
+
+
+def test_strokes_as_learned_have_the_zero_that_was_learned(learned):
+    item = observe(0.05, 0.2)
+    measured = [Measured(item, learned.model.estimate(item.effort, item.path))]
+    assert of_this_zero(measured, learned.model) == (measured, [])
 
 
 def test_one_direction_alone_is_not_compared(learned):
@@ -232,6 +270,17 @@ def test_a_prior_knows_what_two_loads_do_not_show():
             used = estimate.inside
             squares[name].append(np.mean((estimate.torque - item.reference)[used] ** 2))
     assert np.mean(squares["helped"]) < 0.5 * np.mean(squares["alone"])
+
+
+def test_a_prior_counts_as_far_as_its_recordings_agree():
+    names, size = ("offset", "load", "load_squared"), np.ones(47)
+    weights, penalty = np.ones(47), np.eye(47)
+    for doubt, left in ((0.0, 1.0), (0.5, 0.5), (2.0, 0.0)):
+        prior = Side(names, weights, doubt * np.eye(47), np.zeros(3), *np.zeros((2, 3)), 1.0)
+        held, centre = prior_of(prior, names, size, penalty)
+        np.testing.assert_allclose(centre[42:], left)  # the curvature; all else is learned anew
+        np.testing.assert_array_equal(centre[:42], 0)
+        assert (np.diag(held)[42:] > np.diag(held)[:42].max()).all()
 
 
 def with_curve(item):

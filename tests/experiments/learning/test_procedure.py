@@ -299,3 +299,10 @@ def test_a_broken_table_is_refused(learned):
         )
         with pytest.raises(RunFileError, match="must rise"):
             lookup_table_from(stand_in)
+
+
+@pytest.mark.parametrize("name", ["A", "C"])
+def test_a_run_without_known_loads_is_not_analysed_as_if_it_had_them(name):
+    recipe, _ = load_recipe(RECIPE, [f"ilc_learn.implementation={name}"])
+    with pytest.raises(UsageError, match=f"recorded with implementation {name}, without known"):
+        ilc_learn.BY_LOAD.analyse([SimpleNamespace(path="c.h5")], recipe, kt=None)
