@@ -98,7 +98,7 @@ def refusing(bench: Bench) -> Trial:
     found = run(
         line,
         _strike(bench.luck, folder) if struck else None,
-        frozenset({*CODES, 130, 143} if struck else CODES),
+        frozenset({*CODES, 129, 130, 143} if struck else CODES),
         None if struck else _before(bench.luck),
     )
     faults = list(found.faults)

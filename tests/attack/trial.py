@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rigtool import cli
+from rigtool.interrupts import SIGNALS
 
 HANG = 20
 """Seconds of the processor after which a command hangs."""
@@ -104,8 +105,8 @@ def _command(
         sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
         sys.argv = ["rigtool", *line]
         # What arrives before the command handles signals, or after its end, is not its own.
-        signal.signal(signal.SIGINT, _leave)
-        signal.signal(signal.SIGTERM, _leave)
+        for number in SIGNALS:
+            signal.signal(number, _leave)
         os.write(begun, b".")
         if before is not None:
             before()
