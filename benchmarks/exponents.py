@@ -56,7 +56,7 @@ def fitted(sizes: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[flo
 def samples(folder: Path) -> Iterator[tuple[str, str, list[Case]]]:
     """Yield recordings of growing length at 8 kHz."""
     for command, setting, sizes in (
-        ("fft-ripple", "revolutions", (50, 150, 450, 1350)),
+        ("fft-ripple", "revolutions", (50, 100, 200, 400)),
         ("measure-force", "cycles", (9, 27, 81, 243)),
     ):
         settings, inputs, _ = HOUR[command]

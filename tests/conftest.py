@@ -30,6 +30,11 @@ def pytest_collection_finish():
     gc.set_threshold(20_000, 10, 10)
 
 
+def pytest_collection_modifyitems(items):
+    """Put the longest tests first: no process is alone with one of them in the end."""
+    items.sort(key=lambda item: item.path.name != "test_pages.py")
+
+
 @pytest.fixture
 def world(request, monkeypatch):
     """The emulated time in which a test runs; None where the test is in real time."""

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from rigtool.numerics.angle_effects import fit_angle_effects
+from tests.thorough import thorough
 
 
 def test_orders_that_the_angles_resolve_are_found():
@@ -37,7 +38,7 @@ def test_unknown_angles_are_scatter():
     assert_allclose(np.sqrt(found.covariance[0, 0]), stats.sem(value), rtol=0.25)
 
 
-@pytest.mark.parametrize("count", [8, 12, 20])
+@pytest.mark.parametrize("count", [8, 20, *thorough(12)])
 def test_intervals_hold_the_mean_over_the_turn(count):
     rng = np.random.default_rng(7)
     angle = 2 * np.pi * np.arange(count) / count

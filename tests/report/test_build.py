@@ -105,10 +105,16 @@ def test_the_order_of_the_files_does_not_matter(make, open_all, no_figures):
     ]
 
 
-def test_every_figure_of_the_thesis_is_there(make, open_all):
+def test_every_figure_of_the_thesis_is_there(make, open_all, unrendered):
     report = build_report(open_all(*map(make, COMMANDS)))
     numbers = [20, *range(22, 29), 30, 32, 34, 35, 39, 40, 41, 50, 56, *range(58, 64), 76, 100, 107]
     assert [picture.number for picture in report.pictures] == numbers
+
+
+def test_figures_of_the_plant_are_drawn_to_the_end(make, open_all):
+    """Those of the other commands are in the report of the README's chain."""
+    report = build_report(open_all(make("identify-plant")))
+    assert report.pictures
     for picture in report.pictures:
         assert picture.png.startswith(b"\x89PNG")
         assert picture.svg.startswith("<?xml")

@@ -20,6 +20,7 @@ from rigtool.runfile import RunWriter, open_run
 from rigtool.runfile.outputs import own_name, require_output
 from rigtool.runfile.recovery import recover
 from tests.runfile.whole_run import SPECS, samples, write
+from tests.thorough import thorough
 
 
 def writer(path: Path, **options) -> RunWriter:
@@ -339,7 +340,7 @@ FILL = textwrap.dedent(
 )
 
 
-@pytest.mark.parametrize("limit", [100, 3000, 300_000, 600_000, 800_000, 1_000_000])
+@pytest.mark.parametrize("limit", [100, 300_000, 600_000, 1_000_000, *thorough(3000, 800_000)])
 def test_a_full_disk(tmp_path, limit):
     path = tmp_path / "run.h5"
     path.write_bytes(b"the earlier output")

@@ -24,7 +24,7 @@ class Match:
     """A map against a reference: correlation at equal angles, and after turning by `shift` rad.
 
     `scale` is the factor of the turned reference. `shift_u` is the standard uncertainty from the
-    differences between the two, with each order as an independent observation.
+    differences between the two: of each order by itself, or of all alike, whichever is larger.
     """
 
     correlation: float
@@ -70,14 +70,16 @@ def match_maps(reference: ComplexArray, other: ComplexArray) -> Match:
     turned = scale * reference * np.exp(-1j * order * shift)
     # Linear in a small turn: other - turned = -i k turned d. Only the part along the slope moves
     # the shift; its square replaces a common variance, as orders differ in their noise.
-    slope = -1j * order * turned
-    along = np.real(np.conj(slope) * (other - turned))
+    slope, apart = -1j * order * turned, other - turned
+    along = np.real(np.conj(slope) * apart)
     weight = np.abs(slope) ** 2
     # The shift follows the orders with most weight: their differences are too small by as much
     # (HC2, MacKinnon & White, J. Econometrics 29(3) 305-325, 1985).
     kept = np.maximum(1 - weight / weight.sum(), 1e-6)
-    shift_u = math.sqrt(float(np.sum(along**2 / kept))) / float(weight.sum())
-    return Match(correlation, shift, shift_u, best, scale)
+    own = float(np.sum(along**2 / kept)) / float(weight.sum()) ** 2
+    # One or two orders may hold nearly all weight, which is too few to show their own noise.
+    alike = float(np.mean(np.abs(apart) ** 2)) / 2 / float(weight.sum())
+    return Match(correlation, shift, math.sqrt(max(own, alike)), best, scale)
 
 
 def typical(maps: list[ComplexArray]) -> int:

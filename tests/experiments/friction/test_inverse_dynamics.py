@@ -131,6 +131,17 @@ def test_uncertainties_cover_what_is_beside_the_model(beside):
     assert np.all(np.mean(inside, axis=0) >= 0.86), np.mean(inside, axis=0)
 
 
+def test_an_effort_of_few_steps_is_in_the_uncertainty():
+    """Steps of the drive's current that noise does not cross move the mean of a direction."""
+    pulls, step = [], 0.3 * COULOMB
+    for seed in range(6):
+        time, position, torque = moving(seed=seed, amplitude=2.0)
+        torque += np.random.default_rng(seed).normal(0, 0.15 * step, len(time))
+        value, u = fit((time, position, step * np.round(torque / step))).estimate("coulomb")
+        pulls.append((value - COULOMB) / u)
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.2
+
+
 def test_uncertainties_are_not_larger_than_the_scatter_asks_for():
     """With nothing but noise beside the model, whatever its memory.
 

@@ -90,9 +90,15 @@ def test_the_inertia_that_is_there(folder, kt, seed):
     "overrides",
     [
         ("virtual.motor.inertia=3e-5", "rig.inertia.pulley=1.8e-5"),
-        ("virtual.motor.viscous_friction=3e-4", "virtual.motor.coulomb_friction=6e-3"),
-        ("rig.encoder_counts=16384", "virtual.amplifier.bandwidth_hz=700"),
         ("rig.sample_time=250e-6", "rig.controller.crossover_hz=40"),
+        pytest.param(
+            ("virtual.motor.viscous_friction=3e-4", "virtual.motor.coulomb_friction=6e-3"),
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param(
+            ("rig.encoder_counts=16384", "virtual.amplifier.bandwidth_hz=700"),
+            marks=pytest.mark.thorough,
+        ),
     ],
 )
 def test_other_rigs(folder, kt, overrides):
