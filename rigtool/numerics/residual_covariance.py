@@ -39,7 +39,7 @@ def long_run_covariance(design: Array, residual: Array, independent: float) -> t
 
 
 def cosine_transform(values: Array) -> Array:
-    """Return the sums over t of values (n, ...) times cos(pi j (t - 1/2) / n), j = 0..n-1.
+    """Return sums over t of values (n,) or (n, p) times cos(pi j (t - 1/2) / n), j = 0..n-1.
 
     The DCT-II from a real Fourier transform of n values (J. Makhoul, IEEE Trans. Acoust., Speech,
     Signal Process. 28(1) 27-34, 1980).
