@@ -113,9 +113,8 @@ def of_this_zero(
         moved = model.estimate(item.signals.effort, item.signals.path.moved(back))
         apart = np.abs(moved.moving - item.estimate.moving)
         largest = float(np.max(apart, where=np.isfinite(apart), initial=0.0))
-        doubt = np.where(item.estimate.inside, np.nan_to_num(apart, nan=largest), 0.0)
-        wider = replace(item.estimate, u=np.hypot(item.estimate.u, doubt))
-        found.append(Measured(item.signals, wider))
+        doubt = np.nan_to_num(apart, nan=largest)
+        found.append(Measured(item.signals, item.estimate.widened(doubt=doubt)))
     return found, [
         f"strokes leave the learned one by {abs(back):.3g} rad of the motor: they are longer, or "
         "the encoder was zeroed elsewhere; u holds what that changes"

@@ -30,7 +30,6 @@ from rigtool.experiments.imported_load.region import (
     NARROW,
     cell_means,
     learn_region,
-    spacing_of,
 )
 from rigtool.experiments.imported_load.side import Fit, HeldOut, Rows, groups_for
 from rigtool.numerics.arrays import Array, Mask
@@ -117,11 +116,8 @@ def level_numbers(values: Sequence[float], apart: float = APART) -> list[int]:
 
 def levels_of(signals: Sequence[LoadSignals]) -> list[int]:
     """Return the number of the load level of each recording, by its mean reference torque."""
-    means = []
-    for item in signals:
-        moving = item.path.regular
-        means.append(float(np.mean(item.sensor[moving])) if moving.any() else 0.0)
-    return level_numbers(means)
+    torques = [item.sensor[item.path.regular] for item in signals]
+    return level_numbers([float(np.mean(own)) if own.size else 0.0 for own in torques])
 
 
 def learn_load_model(
@@ -156,7 +152,7 @@ def learn_load_model(
     torque, speed, place, recording = _both(rows, "torque", "speed", "place", "recording")
     error, u, resolved, slope = _both(held, "error", "u", "resolved", "slope")
     direction = int(np.sign(np.mean(slope) * np.mean(torque))) or 1
-    spacing = spacing_of(torque, levels)
+    spacing = float(np.ptp(torque)) / (levels - 1)
     measured = np.where(resolved, torque + error, np.nan)
     model = LoadModel(
         scales=scales,

@@ -68,9 +68,9 @@ class TorqueEstimate:
         """The torque of these rows, NaN in others."""
         return np.where(self.inside, self.torque, np.nan)
 
-    def widened(self, factor: float) -> TorqueEstimate:
-        """Return the estimate with u times a factor while moving."""
-        return replace(self, u=np.where(self.inside, factor, 1.0) * self.u)
+    def widened(self, factor: float = 1.0, doubt: Array | float = 0.0) -> TorqueEstimate:
+        """Return the estimate with u times a factor, and more doubt (n,), N m, while moving."""
+        return replace(self, u=np.where(self.inside, np.hypot(factor * self.u, doubt), self.u))
 
 
 @dataclass(frozen=True, eq=False)

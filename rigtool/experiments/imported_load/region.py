@@ -56,11 +56,8 @@ class Region:
     def holds(self, place: Array, speed: Array, torque: Array) -> Mask:
         """Return which points (n,) are inside; NaN is outside."""
         side, cell = (speed < 0).astype(int), cells_of(place)
-        inside: Mask = (
-            self.moves(place, speed)
-            & (torque >= self.lowest[side, cell])
-            & (torque <= self.highest[side, cell])
-        )
+        within = (torque >= self.lowest[side, cell]) & (torque <= self.highest[side, cell])
+        inside: Mask = self.moves(place, speed) & within
         return inside
 
 
@@ -96,11 +93,6 @@ def cell_means(place: Array, values: Array, rows: Mask, fewest: int = 1) -> Arra
     total = np.bincount(cell, weights=values[rows], minlength=CELLS)
     means: Array = np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
     return means
-
-
-def spacing_of(torque: Array, levels: int) -> float:
-    """Return the mean spacing of the levels by the torques (n,) that were learned."""
-    return float(np.ptp(torque)) / max(levels - 1, 1)
 
 
 def learn_region(place: Array, speed: Array, torque: Array, margins: Array) -> Region:
