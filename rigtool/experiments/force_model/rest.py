@@ -181,14 +181,19 @@ class RestProblem:
         def cost(x: Array) -> Array:
             return np.append(self.errors(self.start + root @ x) / scale, x)
 
-        tried = [np.linalg.solve(root, one - self.start) for one in self.tried(friction)]
+        def slope(way: Array) -> Array:
+            there = cost(here + STEP * way) - left
+            if not np.all(np.isfinite(there)):  # beyond what is physically possible
+                there = left - cost(here - STEP * way)
+            return there / STEP
+
+        begun = [self.start, *self.tried(friction)]
+        tried = [np.linalg.solve(root, one - self.start) for one in begun]
         here = min(tried, key=lambda x: float(np.sum(np.hypot(1, cost(x)))))
         left = cost(here)
         damping = 0.0
         for _ in range(ROUNDS):
-            slopes = np.stack(
-                [(cost(here + STEP * e) - left) / STEP for e in np.eye(count)], axis=1
-            )
+            slopes = np.stack([slope(way) for way in np.eye(count)], axis=1)
             weight = np.ones(left.size)
             weight[:-count] = 1 / np.hypot(1, left[:-count] * np.sqrt(INDEPENDENT) / HUBER)
             information: Array = slopes.T @ (slopes * weight[:, None])

@@ -124,3 +124,14 @@ def test_uncertainty_shrinks_where_rest_shows_something(learned):
     bearing = len(NAMES) + list(FRICTIONS).index(Kind.BEARING)
     assert found.covariance[bearing, bearing] < truth.covariance[bearing, bearing]
     assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
+
+
+def test_a_slope_is_taken_on_the_side_that_is_physically_possible(monkeypatch):
+    def errors(self, parameters):
+        away = parameters - self.start
+        return np.full(50, np.inf) if away[0] > 0 else 1e-4 * (1 + np.resize(away, 50))
+
+    monkeypatch.setattr(RestProblem, "errors", errors)
+    found = learn_rest(model(), explored(model(), 0.5), UNCERTAINTY, 1e-3)
+    assert np.all(np.isfinite(found.length_u))
+    assert np.all(np.isfinite(found.covariance))
