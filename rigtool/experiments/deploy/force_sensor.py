@@ -197,6 +197,7 @@ def _states(instrument: SensorProperties) -> dict[str, Number]:
         "slow": reach.slow,
         "torque_limit": motion_states.BEYOND * reach.torque,
         "current_limit": AT_THE_LIMIT * instrument.current_limit,
+        "largest_current": instrument.current_limit,
         "cold": cold,
         "warm": warm,
         "lowest": max(math.ceil((low - margin) / count), -INT32),
