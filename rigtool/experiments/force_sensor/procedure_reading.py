@@ -348,7 +348,10 @@ def filled(reference: Array, reach: int) -> tuple[Array, Mask]:
     `reach` steps on both sides, which is what a low-pass takes in (n,)."""
     from scipy.ndimage import minimum_filter1d
 
-    known, place = np.isfinite(reference), np.arange(len(reference))
+    known = np.isfinite(reference)
+    if known.all():
+        return reference, known
+    place = np.arange(len(reference))
     whole: Array = np.interp(place, place[known], reference[known])
     return whole, minimum_filter1d(known, 2 * reach + 1)
 
