@@ -9,8 +9,8 @@ the host. The `target` runs whole motions by itself and has a rig of its own.
 
 Writing a driver
 ----------------
-A driver is a `drivers.Driver`, found in a module of `drivers.DRIVER_MODULES` or by an entry point; its
-`make_drive` returns a `drive.Drive`. The order of calls is
+A driver is a `drivers.Driver`, found in a module of `drivers.DRIVER_MODULES` or by an entry point;
+its `make_drive` returns a `drive.Drive`. The order of calls is
 
     connect, abilities, configure            nothing moves; `read` at any time from here on
     enable(mode), step, step, ..., halt      once for each motion

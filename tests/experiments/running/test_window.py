@@ -168,7 +168,8 @@ def imagined(tmp_path, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "module://tests.experiments.running.live_canvas")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("LIVE_PICTURE", str(tmp_path / "window.png"))
-    for patience in ("OPENING_TIME", "CLOSING_TIME"):  # a busy machine gives a nice process little time
+    # a busy machine gives a nice process little time
+    for patience in ("OPENING_TIME", "CLOSING_TIME"):
         monkeypatch.setattr(f"rigtool.experiments.running.terminal.{patience}", 600.0)
     return tmp_path / "window.txt"
 
