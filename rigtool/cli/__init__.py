@@ -58,17 +58,17 @@ COMMANDS = {
 """Commands in the order of use, each with the first line of its help. The command itself is the
 object `command` in the module that `module_name` names."""
 
-STORED = ("plot", "recover", "verify", "diff", "export")
+STORED_RUN_COMMANDS = ("plot", "recover", "verify", "diff", "export")
 """Commands on stored runs, whose modules are in a room of their own."""
 
-PLUGINS = "rigtool.commands"
+COMMAND_ENTRY_POINTS = "rigtool.commands"
 """Group of the entry points with which other packages add commands: each a `click.Command`."""
 
 
 def module_name(command: str) -> str:
     """Return the module of a command: underscores for hyphens, one behind a word of Python."""
     name = command.replace("-", "_")
-    if command in STORED:
+    if command in STORED_RUN_COMMANDS:
         return f"stored.{name}"
     return f"{name}_" if keyword.iskeyword(name) else name
 
@@ -132,7 +132,7 @@ def _added() -> dict[str, EntryPoint]:
     """Return the commands of other packages by name; those of rigtool cannot be replaced."""
     from rigtool.plugins import plugins
 
-    return plugins(PLUGINS, frozenset(COMMANDS))
+    return plugins(COMMAND_ENTRY_POINTS, frozenset(COMMANDS))
 
 
 @click.group(
@@ -155,7 +155,7 @@ def rigtool() -> None:
     """
 
 
-GARBAGE = 20_000
+OBJECTS_BETWEEN_COLLECTIONS = 20_000
 """New objects after which Python looks for cycles of garbage: by default 700, which took a
 twentieth of the start of a command, as imports make many objects and no garbage."""
 
@@ -165,7 +165,7 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
     arguments = list(sys.argv[1:] if argv is None else argv)
     output = Output(json="--json" in arguments)
     _keep_memory_of_blocks()
-    gc.set_threshold(GARBAGE)
+    gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
     # At exit nothing is garbage any more: a last search took up to a fifth of a command's time.
     atexit.register(gc.freeze)
     try:

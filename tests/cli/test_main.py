@@ -263,7 +263,7 @@ def test_inputs_that_were_not_given_are_left_out(tmp_path):
 
 
 def test_json_is_strict():
-    from rigtool.cli.output import SCHEMA, Output, quantity_document
+    from rigtool.cli.output import JSON_VERSION, Output, quantity_document
     from rigtool.quantity import Quantity
 
     results = {
@@ -272,7 +272,7 @@ def test_json_is_strict():
     }
     shown = {name: quantity_document(quantity) for name, quantity in results.items()}
     text = Output().text({"results": shown})
-    assert json.loads(text)["schema"] == SCHEMA
+    assert json.loads(text)["schema"] == JSON_VERSION
 
     def refuse(name: str) -> None:
         raise AssertionError(name)

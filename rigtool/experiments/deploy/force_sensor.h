@@ -117,7 +117,7 @@ struct rs_model {
     rs_real torque_start, bristle_start, speed_start;
     rs_real quiet_walk, slow_walk, step_walk, walk[RS_MOVING];
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
-    /* ripple of another power-up: experiments/force/power_up.py has the equations */
+    /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
     rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_certain, row_largest;

@@ -124,7 +124,7 @@ def colours(count: int) -> list[Any]:
     return [colormaps[COLOUR_MAP](index / (count - 1) * 0.92) for index in range(count)]
 
 
-def render(figure: Figure) -> tuple[str, bytes]:
+def render_figure(figure: Figure) -> tuple[str, bytes]:
     """Return the figure as SVG and PNG; equal figures give equal bytes.
 
     Each canvas draws once; `savefig` would draw and lay out the figure twice for each. The PNG

@@ -7,7 +7,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations, deviations, kept_by_mean
-from rigtool.experiments.force_model.learning import NAMES, learn_sliding
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Known
 from tests.experiments.force_model import known_plant as plant
 from tests.experiments.force_model.known_plant import strokes
@@ -68,7 +68,11 @@ def test_any_stiffness_is_found_from_the_same_begin(monkeypatch, factor):
     monkeypatch.setattr(plant, "STIFFNESS", factor * plant.STIFFNESS)
     records = [strokes(load, speed) for load in (0.0, 20e-3, 50e-3) for speed in SPEEDS]
     found = learn_sliding(records, KNOWN, plant.COUNT, CALM).learned
-    u = np.sqrt(found.covariance[NAMES.index("stiffness"), NAMES.index("stiffness")])
+    u = np.sqrt(
+        found.covariance[
+            SLIDING_PARAMETERS.index("stiffness"), SLIDING_PARAMETERS.index("stiffness")
+        ]
+    )
     assert u < 0.35
     assert np.log(found.shape.stiffness / plant.STIFFNESS) == pytest.approx(0, abs=max(0.03, 2 * u))
 
