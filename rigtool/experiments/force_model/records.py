@@ -38,19 +38,19 @@ GRID_HZ = 500.0
 SLOW_PERIOD = 3.0
 """Period from which on half of the grid is enough, s."""
 
-SLOWEST = 160.0
+SLIDING_COUNT_RATE = 160.0
 """Counts a second below which a rotor does not slide evenly."""
 
-FORGOTTEN = 25.0
+COUNTS_AFTER_TURN = 25.0
 """Counts after a turn that are left out: bristles are bent again, however long they are."""
 
-SMEARED = 0.04
+LOW_PASS_SPREAD = 0.04
 """Time over which the low-pass spreads a sample to either side, s."""
 
 FEWEST_CYCLES = 3
 """Of a recording whose first one is kept, though it runs in."""
 
-END = 0.3
+END_TIME = 0.3
 """Time left out at both ends of a motion that does not repeat, s: wrapping fades there."""
 
 
@@ -139,7 +139,7 @@ class Record:
         ]
         if not self.periodic:
             time = place * self.interval
-            used = used & (time >= END) & (time <= self.angle.size * self.interval - END)
+            used = used & (time >= END_TIME) & (time <= self.angle.size * self.interval - END_TIME)
         return used
 
 
@@ -254,9 +254,11 @@ def _sliding(
 
     More slowly the loop nudges the rotor from count to count, to and fro within them unseen.
     """
-    bent = bristle(angle, FORGOTTEN * count / 4, periodic)
-    slides = (np.abs(bent) > 1 - np.exp(-4.0)) & (setpoint_speed * np.sign(bent) > SLOWEST * count)
-    reach = round(SMEARED / interval)
+    bent = bristle(angle, COUNTS_AFTER_TURN * count / 4, periodic)
+    slides = (np.abs(bent) > 1 - np.exp(-4.0)) & (
+        setpoint_speed * np.sign(bent) > SLIDING_COUNT_RATE * count
+    )
+    reach = round(LOW_PASS_SPREAD / interval)
     around = np.pad(~slides, reach, mode="wrap")
     near = np.convolve(around, np.ones(2 * reach + 1), mode="valid")
     clear: NDArray[np.bool_] = near == 0

@@ -13,7 +13,11 @@ from rigtool.experiments.force_model.deviations import (
     kept_by_mean,
     repeating,
 )
-from rigtool.experiments.force_model.learning import NAMES, learn_sliding, stepped_shape
+from rigtool.experiments.force_model.learning import (
+    SLIDING_PARAMETERS,
+    learn_sliding,
+    stepped_shape,
+)
 from rigtool.experiments.force_model.model import Kind, Known
 from tests.experiments.force_model import known_plant as plant
 from tests.experiments.force_model.known_plant import strokes
@@ -45,7 +49,7 @@ def learned(fit):
 
 def test_no_shape_near_the_learned_one_costs_less(fit):
     _, least = fit.problem.cost(fit.learned.shape)
-    u = np.sqrt(np.diag(fit.learned.covariance))[: len(NAMES)]
+    u = np.sqrt(np.diag(fit.learned.covariance))[: len(SLIDING_PARAMETERS)]
     for way in (*np.diag(u), *-np.diag(u)):
         assert fit.problem.cost(stepped_shape(fit.learned.shape, way))[1] > least
 
@@ -53,9 +57,14 @@ def test_no_shape_near_the_learned_one_costs_less(fit):
 def test_a_longer_step_that_raises_the_cost_is_shortened(fit):
     problem, shape = fit.problem, fit.learned.shape
     normal = problem.normal(shape, fit.learned.coefficient).sum(axis=0)
-    normal[: len(NAMES), -1] += 100 * np.diag(normal)[: len(NAMES)]
-    steps = [problem.solved(normal, shape, len(NAMES), lift)[0] for lift in (0.0, 1.0, 100.0)]
-    lengths = [np.linalg.norm(step[: len(NAMES)] / problem.shape_spread) for step in steps]
+    normal[: len(SLIDING_PARAMETERS), -1] += 100 * np.diag(normal)[: len(SLIDING_PARAMETERS)]
+    steps = [
+        problem.solved(normal, shape, len(SLIDING_PARAMETERS), lift)[0]
+        for lift in (0.0, 1.0, 100.0)
+    ]
+    lengths = [
+        np.linalg.norm(step[: len(SLIDING_PARAMETERS)] / problem.shape_spread) for step in steps
+    ]
     assert lengths[0] > lengths[1] > 10 * lengths[2]
 
 
@@ -95,7 +104,11 @@ def test_any_stiffness_is_found_from_the_same_begin(monkeypatch, factor):
     monkeypatch.setattr(plant, "STIFFNESS", factor * plant.STIFFNESS)
     records = [strokes(load, speed) for load in (0.0, 20e-3, 50e-3) for speed in SPEEDS]
     found = learn_sliding(records, KNOWN, plant.COUNT, CALM).learned
-    u = np.sqrt(found.covariance[NAMES.index("stiffness"), NAMES.index("stiffness")])
+    u = np.sqrt(
+        found.covariance[
+            SLIDING_PARAMETERS.index("stiffness"), SLIDING_PARAMETERS.index("stiffness")
+        ]
+    )
     assert u < 0.35
     assert np.log(found.shape.stiffness / plant.STIFFNESS) == pytest.approx(0, abs=max(0.03, 2 * u))
 
@@ -126,7 +139,7 @@ def test_what_comes_back_in_each_pass_is_no_news(fit):
     again = [replace(record, passes=4) for record in fit.problem.records]
     found = learn_sliding(again, KNOWN, plant.COUNT, CALM).learned
     assert found.shape.stiffness == pytest.approx(fit.learned.shape.stiffness, rel=0.05)
-    of = NAMES.index("stiffness"), NAMES.index("stiffness")
+    of = SLIDING_PARAMETERS.index("stiffness"), SLIDING_PARAMETERS.index("stiffness")
     assert found.covariance[of] > 2 * fit.learned.covariance[of]
 
 
