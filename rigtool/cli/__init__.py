@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """For numpy and scipy, which are imported later. rigtool's matrices are small: more threads would
 only wait in busy loops, and rounding would depend on the number of cores."""
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+"""Or pydantic looks through the metadata of all installed packages for plugins of its own."""
 
 BLOCK_BYTES = 32 * 2**20
 """glibc keeps freed memory of at most this size: a block of samples, soon needed again."""
