@@ -163,6 +163,7 @@ twentieth of the start of a command, as imports make many objects and no garbage
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code; errors become messages on stderr."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    _open_closed_streams()
     output = Output(json="--json" in arguments)
     _keep_memory_of_blocks()
     gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
@@ -177,6 +178,14 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
             traceback.print_exc()
         sys.exit(_report(error, output))
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _open_closed_streams() -> None:
+    """Let standard streams that are closed lead nowhere: the next file that is opened would get
+    their number, and take what a library writes to them."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _require_text(arguments: Sequence[str]) -> None:

@@ -215,6 +215,16 @@ def test_a_signal_closes_the_file_and_says_so(tmp_path, number, code, word):
     assert os.listdir(tmp_path) == ["run.h5.part"]
 
 
+def test_a_closed_stderr_changes_nothing(tmp_path, monkeypatch):
+    recipe = str(ROOT / "recipes" / "briaire-2006.toml")
+    monkeypatch.setattr(sys, "stderr", None)
+    with pytest.raises(SystemExit) as end:
+        cli.main(["suspension", recipe, "--dry-run", "-o", str(tmp_path / "run.h5")])
+    with sys.stderr as nowhere:
+        assert nowhere.name == os.devnull
+    assert end.value.code == 0
+
+
 def test_options_arrive_together():
     found = {}
 

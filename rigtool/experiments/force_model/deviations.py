@@ -28,6 +28,9 @@ MIN_STROKE_ROWS = 20
 MIN_WHITE_NOISE = 1e-4
 """Smallest white noise, in parts of the friction; the search begins at 0.01."""
 
+DIFFERENT = 3.0
+"""Scatter of a motion's cycles, in that of most motions, above which they do not repeat."""
+
 SEARCH_RANGE = 12.0
 """Range of the logarithms in the search, either way."""
 
@@ -118,6 +121,16 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
             )
         )
     return found
+
+
+def repeating(records: Sequence[Record]) -> list[bool]:
+    """Return whose cycles differ by no more than friction does, judged by what most of them do.
+
+    Where the loop lets a load swing, no cycle is like another, and a model, which is not linear,
+    does not hold for their mean.
+    """
+    scatters = [record.scatter for record in records]
+    return [scatter <= DIFFERENT * float(np.median(scatters)) for scatter in scatters]
 
 
 def kept_by_mean(records: Sequence[Record], angle_ratio: float) -> float:

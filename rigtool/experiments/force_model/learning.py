@@ -54,14 +54,17 @@ SHAPE_SPREAD = {
 }
 """Prior standard deviation of the logarithm of each parameter."""
 
-DERIVATIVE_STEP = 0.02
-"""Step for derivatives by the logarithms."""
+DERIVATIVE_STEP = 0.002
+"""Step for derivatives by the logarithms: a tendon's stiffness is known to about that."""
 
 LONGEST_STEP = 0.7
 """Length of the longest step, in logarithms."""
 
 ROUNDS, ENOUGH = 15, 0.3
 """Most steps, and the length of the last step, in standard deviations."""
+
+LEAST_LIFT = 0.05
+"""First lift of a step that raised the cost."""
 
 REWEIGHED_STEP = 0.3
 """Step, in logarithms, from which on records are weighed one by one."""
@@ -141,18 +144,43 @@ def learn_sliding(
     tried = [_start(sizes, known, count, stretch) for stretch in TENDON_STRETCHES.tolist()]
     showing = _showing_tendon(records)
     scan = Problem(showing, terms, known, tried[0], deviation, sizes.friction)
-    shape = min(tried, key=scan.misfit)
+    shape = min(tried, key=lambda shape: scan.cost(shape)[1])
     problem = Problem(records, terms, known, shape, deviation, sizes.friction)
-    coefficient, covariance = problem.step(shape, None)
-    for _ in range(ROUNDS):
-        solution, covariance = problem.step(shape, coefficient)
-        step, coefficient = solution[: len(SLIDING_PARAMETERS)], solution[len(SLIDING_PARAMETERS) :]
-        shape = stepped_shape(shape, np.clip(step, -LONGEST_STEP, LONGEST_STEP))
-        problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < REWEIGHED_STEP)))
-        if np.all(np.abs(step) < ENOUGH * np.sqrt(np.diag(covariance))[: len(SLIDING_PARAMETERS)]):
-            break
+    shape, coefficient = _searched(problem, shape)
+    normal = problem.normal(shape, coefficient)
+    _, covariance = problem.solved(normal.sum(axis=0), shape, len(SLIDING_PARAMETERS))
     learned = LearnedModel(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
-    return SlidingFit(learned, problem, problem.normal(shape, coefficient))
+    return SlidingFit(learned, problem, normal)
+
+
+def _searched(problem: Problem, shape: Shape) -> tuple[Shape, Array]:
+    """Return the shape of least cost near one, and its coefficients (t,).
+
+    A step that raises the cost is taken anew, shorter (D. W. Marquardt, J. SIAM 11(2), 431, 1963):
+    where a load swings with little damping, the model is linear over a small part of a step only.
+    """
+    count, lift = len(SLIDING_PARAMETERS), 0.0
+    coefficient, cost = problem.cost(shape)
+    for _ in range(ROUNDS):
+        normal = problem.normal(shape, coefficient).sum(axis=0)
+        solution, covariance = problem.solved(normal, shape, count)
+        enough = ENOUGH * np.sqrt(np.diag(covariance))[:count]
+        while True:
+            lifted = solution if not lift else problem.solved(normal, shape, count, lift)[0]
+            step = np.clip(lifted[:count], -LONGEST_STEP, LONGEST_STEP)
+            there = stepped_shape(shape, step)
+            coefficient_there, cost_there = problem.cost(there)
+            if cost_there < cost or np.all(np.abs(step) < enough):
+                break
+            lift = max(4 * lift, LEAST_LIFT)
+        if cost_there < cost:
+            shape, coefficient = there, coefficient_there
+        if np.all(np.abs(step) < enough):
+            break
+        lift /= 4
+        problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < REWEIGHED_STEP)))
+        coefficient, cost = problem.cost(shape)
+    return shape, coefficient
 
 
 def _showing_tendon(records: Sequence[Record]) -> list[Record]:
@@ -227,7 +255,10 @@ class Problem:
         self.friction = friction
         self.spread = np.array([term.spread for term in terms])
         self.shape_spread = np.array([SHAPE_SPREAD[name] for name in SLIDING_PARAMETERS])
-        self.variance = np.full(len(records), (0.1 * friction) ** 2 * ROWS_PER_INDEPENDENT_ROW)
+        self._rows = ROWS_PER_INDEPENDENT_ROW * np.array(
+            [float(record.passes) for record in records]
+        )
+        self.variance = (0.1 * friction) ** 2 * self._rows
         self._at_shape: dict[int, tuple[RecordState, Array, Array, Array]] = {}
         self.strokes = [_strokes(record, start.housing_length) for record in records]
 
@@ -292,10 +323,13 @@ class Problem:
         first = 0 if coefficient is None else len(SLIDING_PARAMETERS)
         return self.solved(self.normal(shape, coefficient).sum(axis=0), shape, first)
 
-    def solved(self, normal: Array, shape: Shape, first: int) -> tuple[Array, Array]:
+    def solved(
+        self, normal: Array, shape: Shape, first: int, lift: float = 0.0
+    ) -> tuple[Array, Array]:
         """Solve a normal matrix (p + 1, p + 1) at a shape, the `first` parameters being its step.
 
-        Returns the solution (p,) and its covariance (p, p).
+        A `lift` adds that part of their own to the diagonal elements of the step, which shortens
+        it. Returns the solution (p,) and its covariance (p, p).
         """
         count = first + len(self.terms)
         scale = np.concatenate([self.shape_spread[:first], self.spread])
@@ -303,17 +337,20 @@ class Problem:
         prior = np.zeros(count)
         prior[:first] = -away[:first] / self.shape_spread[:first]
         left = normal[:count, :count] * np.outer(scale, scale) + np.eye(count)
+        left[range(first), range(first)] *= 1 + lift
         right = normal[:count, count] * scale + prior
         inverse: Array = np.asarray(np.linalg.inv(left), dtype=np.float64)
         solution = scale * (inverse @ right)
         covariance: Array = inverse * np.outer(scale, scale)
         return solution, covariance
 
-    def misfit(self, shape: Shape) -> float:
-        """Return the residual sum of squares of the best coefficients at a shape."""
+    def cost(self, shape: Shape) -> tuple[Array, float]:
+        """Return the best coefficients (t,) at a shape, and the sum of squares of what they leave
+        and of what they and the shape are from their priors, in standard deviations."""
         normal = self.normal(shape, None).sum(axis=0)
         solution, _ = self.solved(normal, shape, 0)
-        return float(normal[-1, -1] - normal[-1, :-1] @ solution)
+        away = (logarithms(shape) - logarithms(self.start)) / self.shape_spread
+        return solution, float(normal[-1, -1] - normal[-1, :-1] @ solution + away @ away)
 
     def weigh(self, shape: Shape, coefficient: Array, near: bool) -> None:
         """Weigh the records by what a model with coefficients (t,) leaves of them.
@@ -328,7 +365,7 @@ class Problem:
             ]
         )
         pooled = max(float(np.median(power)), (LEAST_RMS * self.friction) ** 2)
-        self.variance = np.maximum(pooled, power * near) * ROWS_PER_INDEPENDENT_ROW
+        self.variance = np.maximum(pooled, power * near) * self._rows
 
     def remaining(self, number: int, shape: Shape, coefficient: Array) -> Array:
         """Return the residuals of coefficients (t,) and strokes' deviations at used rows (r,)."""

@@ -14,7 +14,7 @@ from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
 from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.contacts import Trial, thresholds, trial
-from rigtool.experiments.force_model.deviations import deviations, kept_by_mean
+from rigtool.experiments.force_model.deviations import deviations, kept_by_mean, repeating
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import TIME_APART, Errors, scales
 from rigtool.experiments.force_model.learning import SlidingFit, learn_sliding
@@ -22,7 +22,12 @@ from rigtool.experiments.force_model.model import Known
 from rigtool.experiments.force_model.model import RecordState as Swing
 from rigtool.experiments.force_model.procedure_exploration import exploration
 from rigtool.experiments.force_model.records import LoadCase, Record, repeated, single
-from rigtool.experiments.force_model.rest import FILTER_SETTLING_TIME, Exploration, learn_rest
+from rigtool.experiments.force_model.rest import (
+    FILTER_SETTLING_TIME,
+    Exploration,
+    learn_rest,
+    learn_turns,
+)
 from rigtool.experiments.force_model.steps import FilterSteps, Sampler
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.lowpass import delayed, lowpass
@@ -88,7 +93,13 @@ def learn_force(
     rig = recipe.rig
     warm = float(np.mean([np.mean(recording.read("temperature")) for recording in strokes]))
     loaded = {r.name: stroke_record(r, recipe, kt, r.condition("force")) for r in strokes}
-    records = [*loaded.values(), *(_repeated(r, recipe, kt, warm, 0.0) for r in moves)]
+    records = [
+        mean if same else replace(_whole(*_known(r, recipe, kt)), passes=mean.cycles)
+        for r, mean, same in zip(
+            strokes, loaded.values(), repeating(list(loaded.values())), strict=True
+        )
+    ]
+    records += [_repeated(r, recipe, kt, warm, 0.0) for r in moves]
     own = _condition(recipe, kt, float(np.mean(explored.read("temperature"))), 0.0)
     signals = _signals(explored, recipe)
     interval = _interval(signals)
@@ -106,6 +117,13 @@ def learn_force(
     shown = Exploration(signals.encoder, signals.total, interval, own.torque_constant, own.count)
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
     rested = learn_rest(sliding.learned, shown, uncertainty, STEP_TIME)
+    if moves:
+        fastest = _signals(max(moves, key=lambda r: r.condition("speed")), recipe)
+        under = _condition(recipe, kt, warm, 0.0)
+        turns = Exploration(
+            fastest.encoder, fastest.total, _interval(fastest), under.torque_constant, own.count
+        )
+        rested = learn_turns(rested, turns, ForceModel(rested, deviating).untouched, STEP_TIME)
     model = ForceModel(rested, deviating)
     slowest = min(r.condition("speed") for r in strokes)
     if checks:
@@ -175,7 +193,7 @@ def _errors(
     judge = Judge(replace(UNLIMITED_REACH, slow=slow), under.count, grid.step_time)
     moments = Moments(causal.low, *moving, torque, zeros, zeros)
     kinds = judge.kinds(judge.states(moments), moments)
-    record = single(own.encoder, own.total, own.setpoint, _interval(own), under)
+    record = _whole(own, under)
     output = Swing.of(model.learned.shape, model.learned.known, record).output
     speed = np.gradient(output, record.interval)
     acting = under.moment * np.sin(output)
@@ -205,6 +223,11 @@ def stroke_record(recording: Recording, recipe: Recipe, kt: Run, force: float = 
     """
     temperature = float(np.mean(recording.read("temperature")))
     return _repeated(recording, recipe, kt, temperature, force)
+
+
+def _whole(own: LoopSignals, under: LoadCase) -> Record:
+    """Return a recording as one motion, whether or not it repeats."""
+    return single(own.encoder, own.total, own.setpoint, _interval(own), under)
 
 
 def _repeated(

@@ -10,7 +10,7 @@ second order forward and backward,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -62,7 +62,8 @@ class Record:
     where the rotor slides. `torque_constant` N m/A; the load's `moment` N m at 90
     degrees of the output and its `load_inertia` kg m2 about it. `cycles` is how many were averaged,
     0 for a motion that does not repeat. `torques` (cycles, rows) N m is what the motor puts out in
-    each of them, low-passed; empty where nothing repeats.
+    each of them, low-passed; empty where nothing repeats. `passes` is how often the rows go through
+    much the same: what a model misses comes back as often.
     """
 
     interval: float
@@ -74,11 +75,19 @@ class Record:
     load_inertia: float
     cycles: int
     torques: Array
+    passes: int = field(default=1, kw_only=True)
 
     @property
     def periodic(self) -> bool:
         """Whether the motion repeats."""
         return self.cycles > 0
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the cycles' torque, rms over all that count, N m; 0 of one."""
+        if self.cycles < 2:
+            return 0.0
+        return float(np.sqrt(self.torques[:, self.used].var(axis=0, ddof=1).mean()))
 
     @cached_property
     def speed(self) -> Array:

@@ -114,7 +114,8 @@ def require_learned(start: float | None, motion: Motion, reach: Reach, here: flo
     begin, size = here if start is None else start, max(1000, round(1000 * motion.duration))
     fastest, lowest, highest = 0.0, math.inf, -math.inf
     for first in range(0, size, CHECKED):
-        time = np.arange(first, min(first + CHECKED, size)) * (motion.duration / (size - 1))
+        rows = np.arange(first, min(first + CHECKED, size), dtype=np.float64)
+        time: Array = np.multiply(rows, motion.duration / (size - 1), dtype=np.float64)
         position, speed, _ = motion.setpoint(time)
         fastest = max(fastest, float(np.abs(speed).max()))
         lowest = min(lowest, begin + float(position.min()))
