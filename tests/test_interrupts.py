@@ -119,3 +119,15 @@ def test_an_interrupt_that_became_another_error_is_an_interrupt(number, error, n
     assert caught.value.__notes__ == ["samples are kept"]
     with pytest.raises(SystemError), handled():  # without a signal it stays what it is
         raise SystemError
+
+
+@pytest.mark.parametrize(("number", "error"), KINDS)
+def test_a_signal_while_another_is_swallowed_prints_nothing(number, error):
+    class Arguments(int):
+        exc_type = property(signal.raise_signal)  # in the frame of the hook; gives no type
+
+    with handled():
+        with pytest.raises(TypeError):
+            sys.unraisablehook(Arguments(number))
+        with pytest.raises(error):
+            raise_swallowed()

@@ -115,7 +115,11 @@ def _given(x: Array, y: Array, z: Array, amplitude: Array) -> tuple[Array, Array
     """Return logarithm of the probability, means and covariances of beta for each hypothesis.
 
     All in units of the stated errors; the hypotheses are amplitudes by excess, in sequence (h,).
+    An orthogonal transformation leaves as many values as there are columns; the others become zero.
     """
+    columns = np.linalg.qr(np.column_stack([y, x, z]), mode="r")
+    zeros = len(y) - len(columns)
+    y, x, z = columns[:, 0], columns[:, 1 : 1 + x.shape[1]], columns[:, 1 + x.shape[1] :]
     power, axes = np.linalg.eigh(z @ z.T)
     xs, ys = axes.T @ x, axes.T @ y
     grown = (amplitude[:, None] ** 2 * np.maximum(power, 0.0))[:, None, :]
@@ -128,7 +132,7 @@ def _given(x: Array, y: Array, z: Array, amplitude: Array) -> tuple[Array, Array
         np.sum(np.log(variance) + rest**2 / variance, axis=1) + np.linalg.slogdet(precision)[1]
     )
     prior = np.broadcast_to(
-        -EXCESS_POWER * np.log(ERROR_FACTORS), (len(amplitude), len(ERROR_FACTORS))
+        -(EXCESS_POWER + zeros) * np.log(ERROR_FACTORS), (len(amplitude), len(ERROR_FACTORS))
     )
     return probability + prior.ravel(), mean, within
 

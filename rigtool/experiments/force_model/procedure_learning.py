@@ -22,7 +22,12 @@ from rigtool.experiments.force_model.model import Known
 from rigtool.experiments.force_model.model import RecordState as Swing
 from rigtool.experiments.force_model.procedure_exploration import exploration
 from rigtool.experiments.force_model.records import LoadCase, Record, repeated, single
-from rigtool.experiments.force_model.rest import FILTER_SETTLING_TIME, Exploration, learn_rest
+from rigtool.experiments.force_model.rest import (
+    FILTER_SETTLING_TIME,
+    Exploration,
+    learn_rest,
+    learn_turns,
+)
 from rigtool.experiments.force_model.steps import FilterSteps, Sampler
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.lowpass import delayed, lowpass
@@ -112,6 +117,13 @@ def learn_force(
     shown = Exploration(signals.encoder, signals.total, interval, own.torque_constant, own.count)
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
     rested = learn_rest(sliding.learned, shown, uncertainty, STEP_TIME)
+    if moves:
+        fastest = _signals(max(moves, key=lambda r: r.condition("speed")), recipe)
+        under = _condition(recipe, kt, warm, 0.0)
+        turns = Exploration(
+            fastest.encoder, fastest.total, _interval(fastest), under.torque_constant, own.count
+        )
+        rested = learn_turns(rested, turns, ForceModel(rested, deviating).untouched, STEP_TIME)
     model = ForceModel(rested, deviating)
     slowest = min(r.condition("speed") for r in strokes)
     if checks:

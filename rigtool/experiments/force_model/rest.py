@@ -11,7 +11,7 @@ that everything else with them. Large errors count in proportion (P. J. Huber, A
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -21,7 +21,6 @@ from rigtool.experiments.force_filter.estimate import Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_model.drive import drive_of, plant_of
 from rigtool.experiments.force_model.learning import (
-    LENGTH_SPREAD,
     SLIDING_PARAMETERS,
     LearnedModel,
     logarithms,
@@ -31,15 +30,21 @@ from rigtool.experiments.force_model.model import Kind
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.lowpass import delayed
 
-SHOWN_SHAPE = ("tip_length", "stribeck_speed")
-SHOWN_KINDS = (
-    Kind.BEARING,
-    Kind.STRIBECK,
-    Kind.BEARING_DAMPING,
-    Kind.HOUSING,
-    Kind.HOUSING_SIDED,
+
+@dataclass(frozen=True)
+class Shown:
+    """Parameters of a `shape` and `kinds` of terms that a motion determines, besides lengths."""
+
+    shape: tuple[str, ...]
+    kinds: tuple[Kind, ...]
+
+
+BY_REST = Shown(
+    ("tip_length", "stribeck_speed"),
+    (Kind.BEARING, Kind.STRIBECK, Kind.BEARING_DAMPING, Kind.HOUSING, Kind.HOUSING_SIDED),
 )
-"""Terms that rest determines, besides lengths."""
+BY_TURNS = Shown(("grasper_inertia",), (Kind.INERTIA,))
+"""What rest and reversals determine, and what the turns of fast strokes do."""
 
 CORNER_HZ = 10.0
 FILTER_SETTLING_TIME = 1.0
@@ -97,8 +102,32 @@ def learn_rest(
 
     `step_time` s is that of the filter.
     """
-    problem = RestProblem(learned, exploration, uncertainty, step_time)
-    return problem.solution()
+    problem = RestProblem(learned, exploration, held(uncertainty), step_time, BY_REST)
+    return problem.solution(problem.tried())
+
+
+def held(uncertainty: Uncertainty) -> Uncertainty:
+    """Return the uncertainty with which rest is learned: of hardly any torque on the output."""
+    return replace(
+        uncertainty,
+        torque_rate=UNTOUCHED_RANDOM_WALK,
+        slow_torque_rate=UNTOUCHED_RANDOM_WALK,
+        step_torque_rate=UNTOUCHED_RANDOM_WALK,
+        speed_rate=SPEED_RATE,
+    )
+
+
+def learn_turns(
+    learned: LearnedModel, strokes: Exploration, uncertainty: Uncertainty, step_time: float
+) -> LearnedModel:
+    """Return the model with the inertia that the turns of fast strokes without load show.
+
+    Sliding shows the inertia little, as turns are left out there; here friction about a turn is
+    that which `learn_rest` found. `uncertainty` is that of a filter that expects no contact;
+    `step_time` s is that of the filter.
+    """
+    problem = RestProblem(learned, strokes, uncertainty, step_time, BY_TURNS)
+    return problem.solution([problem.start])
 
 
 class RestProblem:
@@ -110,24 +139,18 @@ class RestProblem:
         exploration: Exploration,
         uncertainty: Uncertainty,
         step_time: float,
+        shown: Shown,
     ) -> None:
-        self.learned = learned
-        self.uncertainty = replace(
-            uncertainty,
-            torque_rate=UNTOUCHED_RANDOM_WALK,
-            slow_torque_rate=UNTOUCHED_RANDOM_WALK,
-            step_torque_rate=UNTOUCHED_RANDOM_WALK,
-            speed_rate=SPEED_RATE,
-        )
+        self.learned, self.uncertainty = learned, uncertainty
         self._signals_of = _Inputs(exploration)
         self.step_samples = max(1, round(step_time / self._signals_of.sample_time))
         self._rate = rate = 1 / (self.step_samples * self._signals_of.sample_time)
         self._first, self._apart = round(FILTER_SETTLING_TIME * rate), max(1, round(rate / ROWS_HZ))
-        named = [SLIDING_PARAMETERS.index(name) for name in SHOWN_SHAPE]
+        named = [SLIDING_PARAMETERS.index(name) for name in shown.shape]
         listed = [
             len(SLIDING_PARAMETERS) + n
             for n, term in enumerate(learned.terms)
-            if term.kind in SHOWN_KINDS and term.order == 0
+            if term.kind in shown.kinds and term.order == 0
         ]
         self.shown = [*named, *listed]
         self.known = np.concatenate([logarithms(learned.shape), learned.coefficient])
@@ -136,8 +159,10 @@ class RestProblem:
         lengths = [learned.shape.bearing_length, learned.shape.housing_length]
         self.start = np.concatenate([np.log(lengths), self.known[self.shown]])
         self.covariance = np.zeros((len(self.start), len(self.start)))
-        self.covariance[:2, :2] = LENGTH_SPREAD**2 * np.eye(2)
+        self.covariance[:2, :2] = np.diag(learned.length_u**2)
         self.covariance[2:, 2:] = own
+        plant = plant_of(learned, self._signals_of.sample_time)
+        self.friction = plant.coulomb + plant.housing_friction
 
     def model(self, parameters: Array) -> LearnedModel:
         """Return the model with parameters (p,), all others moved as far as they go with them."""
@@ -160,29 +185,30 @@ class RestProblem:
         passed = Filter(plant, self.uncertainty, self.step_samples, CORNER_HZ).add(signals)
         return delayed(self._rate, passed.torque, CORNER_HZ)[self._first :: self._apart]
 
-    def tried(self, friction: float) -> Iterator[Array]:
-        """Yield parameters (p,) on a grid of lengths and of the bearing's share of friction N m."""
+    def tried(self) -> Iterator[Array]:
+        """Yield parameters (p,) on a grid of lengths and of the bearing's share of friction."""
         kinds = [
             self.learned.terms[n - len(SLIDING_PARAMETERS)].kind
             for n in self.shown
             if n >= len(SLIDING_PARAMETERS)
         ]
         bearing, housing = (
-            2 + len(SHOWN_SHAPE) + kinds.index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
+            2 + len(BY_REST.shape) + kinds.index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
         )
         for short, long, share in product(SHORT, LONG, SHARES):
             parameters = self.start.copy()
             parameters[:2] += np.log([short, long])
-            more = share * friction - parameters[bearing]
+            more = share * self.friction - parameters[bearing]
             parameters[[bearing, housing]] += [more, -more]
             yield parameters
 
-    def solution(self) -> LearnedModel:
-        """Return the model of least error; its covariance comes from both."""
+    def solution(self, begins: Iterable[Array]) -> LearnedModel:
+        """Return the model of least error, searched from the best of some parameters (p,).
+
+        Its covariance comes from both.
+        """
         root: Array = np.asarray(np.linalg.cholesky(self.covariance), dtype=np.float64)
-        plant = plant_of(self.learned, self._signals_of.sample_time)
-        friction = plant.coulomb + plant.housing_friction
-        scale = ROW_ERROR * friction * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
+        scale = ROW_ERROR * self.friction * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
         count = len(self.start)
 
         def cost(x: Array) -> Array:
@@ -194,7 +220,7 @@ class RestProblem:
                 there = left - cost(here - PARAMETER_STEP * way)
             return there / PARAMETER_STEP
 
-        begun = [self.start, *self.tried(friction)]
+        begun = [self.start, *begins]
         tried = [np.linalg.solve(root, one - self.start) for one in begun]
         here = min(tried, key=lambda x: float(np.sum(np.hypot(1, cost(x)))))
         left = cost(here)

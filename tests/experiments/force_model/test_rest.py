@@ -17,7 +17,14 @@ from rigtool.experiments.force_filter.plant import (
 from rigtool.experiments.force_model.drive import plant_of
 from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
-from rigtool.experiments.force_model.rest import Exploration, RestProblem, learn_rest
+from rigtool.experiments.force_model.rest import (
+    BY_REST,
+    Exploration,
+    RestProblem,
+    held,
+    learn_rest,
+    learn_turns,
+)
 from rigtool.numerics.compiled import compiled
 from tests.experiments.force_filter.plants import UNCERTAINTY
 
@@ -30,6 +37,7 @@ FRICTIONS = {
     Kind.HOUSING: (9e-3, 3e-3),
     Kind.HOUSING_SIDED: (0.3e-3, 0.3e-3),
     Kind.LOAD_FRICTION: (0.1, 1e-3),
+    Kind.INERTIA: (0.0, 8e-7),
 }
 """Coefficient of each, and how well sliding shows it."""
 
@@ -52,12 +60,12 @@ def model():
     return LearnedModel(TERMS, shape, known, coefficient, covariance, np.ones(2))
 
 
-def explored(truth, seconds=7.0, seed=4, period=0.9):
+def explored(truth, seconds=7.0, seed=4, period=0.9, sizes=(0.02, 0.4)):
     """Let a controller turn the shaft to and fro over fewer and more counts."""
     rng = np.random.default_rng(seed)
     count = round(seconds / STEP)
     time = np.arange(count) * STEP
-    wanted = np.where(time < seconds / 2, 0.02, 0.4) * np.sin(2 * np.pi * time / period) + 1.0
+    wanted = np.where(time < seconds / 2, *sizes) * np.sin(2 * np.pi * time / period) + 1.0
     plant = plant_of(truth, STEP)
     kept = np.exp(-STEP / UNCERTAINTY.friction_noise_time)
     noise = 0.1e-3 * np.sqrt(1 - kept**2) * rng.standard_normal(count)
@@ -84,7 +92,7 @@ def turned(wanted, noise, kept, record, friction_map):
 
 def error(model, motion):
     """Return the rms of the torque that is found where there is none, N m."""
-    problem = RestProblem(model, motion, UNCERTAINTY, 1e-3)
+    problem = RestProblem(model, motion, held(UNCERTAINTY), 1e-3, BY_REST)
     return float(np.sqrt(np.mean(problem.errors(problem.start) ** 2)))
 
 
@@ -136,3 +144,19 @@ def test_a_slope_is_taken_on_the_side_that_is_physically_possible(monkeypatch):
     found = learn_rest(model(), explored(model(), 0.5), UNCERTAINTY, 1e-3)
     assert np.all(np.isfinite(found.length_u))
     assert np.all(np.isfinite(found.covariance))
+
+
+def test_turns_of_fast_strokes_show_the_inertia():
+    truth = replace(model(), length_u=np.full(2, 0.1))
+    coefficient = truth.coefficient.copy()
+    coefficient[list(FRICTIONS).index(Kind.INERTIA)] = -8e-7
+    wrong = replace(truth, coefficient=coefficient)
+    strokes = explored(truth, seconds=4.0, period=0.2, sizes=(1.5, 1.5))
+    rate = UNCERTAINTY.torque_rate
+    untouched = replace(UNCERTAINTY, slow_torque_rate=rate, step_torque_rate=rate)
+    found = learn_turns(wrong, strokes, untouched, 1e-3)
+    before, after, true = (plant_of(one, STEP).inertia for one in (wrong, found, truth))
+    assert before == pytest.approx(0.96 * true)
+    assert after == pytest.approx(true, rel=0.007)
+    inertia = len(SLIDING_PARAMETERS) + list(FRICTIONS).index(Kind.INERTIA)
+    assert found.covariance[inertia, inertia] < truth.covariance[inertia, inertia] / 4
