@@ -33,7 +33,7 @@ from oracle import (
 )
 
 from rigtool.experiments.force_filter.estimate import Filter
-from rigtool.experiments.force_model.contacts import SETTLING, Contact, contacts, trial
+from rigtool.experiments.force_model.contacts import CONTACT_SETTLING_TIME, Contact, contacts, trial
 from rigtool.experiments.force_sensor.sensor import Sensor, SensorProperties
 from rigtool.recipe.virtual import Pulse
 
@@ -95,7 +95,7 @@ def counted(found: list[Contact], recorded: Recorded, within: float) -> Count:
     acts = np.abs(recorded.truth) > 0
     begins = np.flatnonzero(np.diff(acts.astype(np.int8)) > 0)
     ends = np.append(begins[1:], len(acts))
-    begins, ends = (own[begins * step_time > SETTLING] for own in (begins, ends))
+    begins, ends = (own[begins * step_time > CONTACT_SETTLING_TIME] for own in (begins, ends))
     delays = []
     for begin, end in zip(begins, ends, strict=True):
         first = [

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from rigtool.experiments.force.imported import FAST
+from rigtool.experiments.force.imported import FAST_SPEED
 from rigtool.experiments.force_model.paths import bristle
 from rigtool.experiments.imported_load.basis import LoadSignals, Scales, find_scales
 from rigtool.experiments.imported_load.imported_signals import read_all
@@ -101,7 +101,7 @@ def main() -> None:
     def show(name: str, torque: Sequence[np.ndarray]) -> None:
         parts = [t - one.sensor[own] for t, one, own in zip(torque, judge, rows, strict=True)]
         error = 1e3 * np.concatenate(parts)
-        cells = (error[speed > FAST], error[speed < -FAST], error)
+        cells = (error[speed > FAST_SPEED], error[speed < -FAST_SPEED], error)
         print(f"{name:40}", *(f"{math.sqrt(np.mean(cell**2)):8.2f}" for cell in cells), flush=True)
 
     print(f"{'rms error, mN m':40} {'closing':>8} {'opening':>8} {'moving':>8}")

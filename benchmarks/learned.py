@@ -41,9 +41,9 @@ from oracle import (
     sum_of,
 )
 
-from rigtool.experiments.force_filter.accuracy import JUDGED
-from rigtool.experiments.force_filter.estimate import PIECE
-from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach
+from rigtool.experiments.force_filter.accuracy import JUDGED_STATES
+from rigtool.experiments.force_filter.estimate import PIECE_STEPS
+from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, STATE_NAMES, Reach
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
@@ -177,7 +177,7 @@ def learned_scores(
 def read(instrument: SensorProperties, recorded: Recorded) -> TorqueRows:
     """Return the torque over a recording, as `measure-force` reads it."""
     samples = np.vstack([samples_of(recorded), recorded.channels["reference_torque"]])
-    piece = PIECE * STEP
+    piece = PIECE_STEPS * STEP
     with ThreadPoolExecutor(1) as workers:
         stretch = Stretch("", instrument, 0.0, samples.shape[1], workers)
         for first in range(0, samples.shape[1], piece):
@@ -190,9 +190,10 @@ def _cells(truth: Array, states: Array) -> dict[str, Array]:
     """Return which steps are in each band of load, of 60 mN m, and state of the reading."""
     band = np.searchsorted(np.array(LOADS) * LARGEST, np.abs(truth), side="right") - 1
     return {
-        f"from {1e3 * LARGEST * low:g} mN m, {NAMES[state]}": (band == number) & (states == state)
+        f"from {1e3 * LARGEST * low:g} mN m, {STATE_NAMES[state]}": (band == number)
+        & (states == state)
         for number, low in enumerate(LOADS[:-1])
-        for state in JUDGED
+        for state in JUDGED_STATES
     }
 
 
@@ -245,7 +246,10 @@ def measured(rig: str, seed: int, duration: float, store: Path | None) -> Found:
     swung = record(rig, seed, "strokes", SINE_TIME, "sine")
     for form, value in amplitude(swung, model, known, reach).items():
         over[f"sine of {SINE_HZ:g} Hz, {form}"] = value
-    for kind, name in [*((state, NAMES[state]) for state in JUDGED), (CREEPING, "creeping")]:
+    for kind, name in [
+        *((state, STATE_NAMES[state]) for state in JUDGED_STATES),
+        (CREEPING_KIND, "creeping"),
+    ]:
         factor, share = model.scales[0][kind].tolist()
         over[f"u over deviation, {name}"], over[f"u over torque, {name}"] = factor, share
     return rig, over, found

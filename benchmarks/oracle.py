@@ -35,7 +35,7 @@ from rigtool.recipe.virtual import Hand, Mass, Pulse, Ramp, Sine, Tissue
 from rigtool.rigs import Feedforward, Task, open_rig
 from rigtool.rigs.motion import Motion, Triangle
 from rigtool.rigs.virtual import hand
-from rigtool.rigs.virtual.layout import TICK
+from rigtool.rigs.virtual.layout import SLOW_STEP_SAMPLES
 from rigtool.rigs.virtual.maps import friction_map, rotor_map
 
 Array = NDArray[np.float64]
@@ -261,11 +261,16 @@ def _drive_torque(asked: Array, ripples: Array, dt: float, drive: Array, thermal
         change = ripple_step * (ripples[0, k] + mean * by_current - ripple)
         torque[k] = constant * warm * (mean + ripple + change / 2)
         ripple += change
-        if (k + 1) % TICK == 0:
+        if (k + 1) % SLOW_STEP_SAMPLES == 0:
             flow = (winding - housing) / to_housing
-            power = resistance * (1.0 + 0.00393 * (winding - 20.0)) * square / TICK
-            winding += TICK * dt * (power - flow) / winding_capacity
-            housing += TICK * dt * (flow - (housing - ambient) / to_ambient) / housing_capacity
+            power = resistance * (1.0 + 0.00393 * (winding - 20.0)) * square / SLOW_STEP_SAMPLES
+            winding += SLOW_STEP_SAMPLES * dt * (power - flow) / winding_capacity
+            housing += (
+                SLOW_STEP_SAMPLES
+                * dt
+                * (flow - (housing - ambient) / to_ambient)
+                / housing_capacity
+            )
             warm = 1.0 + coefficient * (winding - 20.0)
             square = 0.0
     return torque

@@ -2,8 +2,8 @@
 
 A handler that raises is not enough. Inside a weakref callback or a finaliser, Python prints the
 exception and goes on (`sys.unraisablehook`); inside a write, the exception leaves half-written
-data. So the handler also keeps the signal: `check`, called for each block of samples, raises what
-was swallowed, and inside `held` the signal waits until the block of code is left.
+data. So the handler also keeps the signal: `raise_swallowed`, called for each block of samples,
+raises what was swallowed, and inside `held` the signal waits until the block of code is left.
 """
 
 from __future__ import annotations
@@ -85,12 +85,12 @@ def handled() -> Iterator[None]:
 
 
 def _without_interrupts(unraisable: sys.UnraisableHookArgs) -> None:
-    """Print nothing of an interrupt that `check` is going to raise again."""
+    """Print nothing of an interrupt that `raise_swallowed` is going to raise again."""
     if not issubclass(unraisable.exc_type, KeyboardInterrupt | Terminated):
         sys.__unraisablehook__(unraisable)
 
 
-def check() -> None:
+def raise_swallowed() -> None:
     """Raise the `KeyboardInterrupt` or `Terminated` whose exception was swallowed, if any."""
     if _State.waiting is not None and not _State.depth:
         number, _State.waiting = _State.waiting, None

@@ -73,7 +73,7 @@ class Component:
         return abs(self.sensitivity) * self.u
 
 
-ROUNDING = 1e-9
+ROUNDING_PART = 1e-9
 """Part of an uncertainty below which a contribution is the rounding of a sum that cancels."""
 
 
@@ -117,7 +117,7 @@ def combined(value: float, unit: str, lines: Iterable[Component]) -> Quantity:
     """
     every = tuple(lines)
     u = math.hypot(*(line.contribution for line in every))
-    budget = tuple(line for line in every if line.contribution > ROUNDING * u)
+    budget = tuple(line for line in every if line.contribution > ROUNDING_PART * u)
     spread = sum(line.contribution**4 / line.dof for line in budget if line.dof)
     return Quantity(value, unit, u, u**4 / spread if spread > 0 else None, budget=budget)
 

@@ -163,7 +163,7 @@ def test_the_exit_codes_of_the_readme_are_those_of_the_help(capsys):
 
 def test_the_start_page_runs(folder, capsys, monkeypatch):
     # The chain of the README draws the figures of its report.
-    drawn = "rigtool.report.figures.style.render"
+    drawn = "rigtool.report.figures.style.render_figure"
     monkeypatch.setattr(drawn, lambda figure: ("<svg/>", b"\x89PNG"))
     lines = "\n".join(
         block

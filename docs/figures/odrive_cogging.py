@@ -83,7 +83,7 @@ def main(folder):
         ("odrive-maps", "maps.h5", turned_map),
     ):
         with open_run(Path(folder) / file) as run, style.styled():
-            svg, png = style.render(draw(run))
+            svg, png = style.render_figure(draw(run))
         (HERE / f"{name}.svg").write_text(svg)
         Path(folder, f"{name}.png").write_bytes(png)  # to look at
 

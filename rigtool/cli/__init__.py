@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 """For numpy and scipy, which are imported later. rigtool's matrices are small: more threads would
 only wait in busy loops, and rounding would depend on the number of cores."""
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+"""Or pydantic looks through the metadata of all installed packages for plugins of its own."""
 
 BLOCK_BYTES = 32 * 2**20
 """glibc keeps freed memory of at most this size: a block of samples, soon needed again."""
@@ -56,17 +58,17 @@ COMMANDS = {
 """Commands in the order of use, each with the first line of its help. The command itself is the
 object `command` in the module that `module_name` names."""
 
-STORED = ("plot", "recover", "verify", "diff", "export")
+STORED_RUN_COMMANDS = ("plot", "recover", "verify", "diff", "export")
 """Commands on stored runs, whose modules are in a room of their own."""
 
-PLUGINS = "rigtool.commands"
+COMMAND_ENTRY_POINTS = "rigtool.commands"
 """Group of the entry points with which other packages add commands: each a `click.Command`."""
 
 
 def module_name(command: str) -> str:
     """Return the module of a command: underscores for hyphens, one behind a word of Python."""
     name = command.replace("-", "_")
-    if command in STORED:
+    if command in STORED_RUN_COMMANDS:
         return f"stored.{name}"
     return f"{name}_" if keyword.iskeyword(name) else name
 
@@ -130,7 +132,7 @@ def _added() -> dict[str, EntryPoint]:
     """Return the commands of other packages by name; those of rigtool cannot be replaced."""
     from rigtool.plugins import plugins
 
-    return plugins(PLUGINS, frozenset(COMMANDS))
+    return plugins(COMMAND_ENTRY_POINTS, frozenset(COMMANDS))
 
 
 @click.group(
@@ -153,7 +155,7 @@ def rigtool() -> None:
     """
 
 
-GARBAGE = 20_000
+OBJECTS_BETWEEN_COLLECTIONS = 20_000
 """New objects after which Python looks for cycles of garbage: by default 700, which took a
 twentieth of the start of a command, as imports make many objects and no garbage."""
 
@@ -161,9 +163,10 @@ twentieth of the start of a command, as imports make many objects and no garbage
 def main(argv: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit with its code; errors become messages on stderr."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    _open_closed_streams()
     output = Output(json="--json" in arguments)
     _keep_memory_of_blocks()
-    gc.set_threshold(GARBAGE)
+    gc.set_threshold(OBJECTS_BETWEEN_COLLECTIONS)
     # At exit nothing is garbage any more: a last search took up to a fifth of a command's time.
     atexit.register(gc.freeze)
     try:
@@ -175,6 +178,14 @@ def main(argv: Sequence[str] | None = None) -> NoReturn:
             traceback.print_exc()
         sys.exit(_report(error, output))
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _open_closed_streams() -> None:
+    """Let standard streams that are closed lead nowhere: the next file that is opened would get
+    their number, and take what a library writes to them."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _require_text(arguments: Sequence[str]) -> None:

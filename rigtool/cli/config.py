@@ -21,11 +21,11 @@ def command() -> None:
     """
     from pathlib import Path
 
-    from rigtool.cli.defaults import KEYS, NAME, stated
+    from rigtool.cli.defaults import DEFAULT_KEYS, DEFAULTS_FILE, stated
 
     found, to = stated(), current_output()
-    file = Path(NAME).resolve()
+    file = Path(DEFAULTS_FILE).resolve()
     to.document(file=str(file) if file.exists() else None, defaults=found)
     to.note(f"{file}: {'' if file.exists() else 'is not there: '}{len(found)} defaults")
-    for key, meaning in KEYS.items():
+    for key, meaning in DEFAULT_KEYS.items():
         to.line(f"{key:7} {found.get(key, 'none'):24} {meaning}")

@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-NAME = "rigtool.toml"
+DEFAULTS_FILE = "rigtool.toml"
 
 COMMANDS = (
     *("calibrate-kt", "stribeck", "fft-ripple", "identify-plant"),
@@ -19,10 +19,10 @@ COMMANDS = (
 )
 """Commands that take the defaults: those that measure."""
 
-WRITE = {"calibrate-kt": "kt", "ilc-learn": "tables"}
+OUTPUT_KEYS = {"calibrate-kt": "kt", "ilc-learn": "tables"}
 """The key that names the output of a command."""
 
-KEYS = {
+DEFAULT_KEYS = {
     "recipe": "SOURCE of the commands that measure",
     "kt": "--kt, and the output of calibrate-kt",
     "tables": "--tables of measure-force, and the output of ilc-learn",
@@ -35,17 +35,23 @@ def stated() -> dict[str, str]:
 
     Raises `RecipeError` where it cannot be read, or a key is unknown or no text.
     """
-    if not Path(NAME).exists():
+    if not Path(DEFAULTS_FILE).exists():
         return {}
     from rigtool.errors import RecipeError
     from rigtool.recipe.load import parse_toml, read_document
 
-    data = parse_toml(read_document(NAME, "file of defaults", "docs/start.md"), NAME)
+    data = parse_toml(
+        read_document(DEFAULTS_FILE, "file of defaults", "docs/start.md"), DEFAULTS_FILE
+    )
     for key, value in data.items():
-        if key not in KEYS:
-            raise RecipeError(f"{NAME}: {key!r} is no default: use one of {', '.join(KEYS)}")
+        if key not in DEFAULT_KEYS:
+            raise RecipeError(
+                f"{DEFAULTS_FILE}: {key!r} is no default: use one of {', '.join(DEFAULT_KEYS)}"
+            )
         if not isinstance(value, str) or not value:
-            raise RecipeError(f'{NAME}: {key}: must be a text, e.g. {key} = "name", got {value!r}')
+            raise RecipeError(
+                f'{DEFAULTS_FILE}: {key}: must be a text, e.g. {key} = "name", got {value!r}'
+            )
     return data
 
 
@@ -57,7 +63,7 @@ def defaults_of(command: str) -> dict[str, Any]:
     given: dict[str, Any] = {name: found[name] for name in ("kt", "tables") if name in found}
     if "recipe" in found:
         given["sources"] = (found["recipe"],)
-    written = found.get(WRITE.get(command, ""))
+    written = found.get(OUTPUT_KEYS.get(command, ""))
     if written is None and "output" in found:
         written = str(Path(found["output"]) / f"{command}.h5")
     return given if written is None else {**given, "output": written}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from rigtool.cli.options import (
-    FILE,
+    FILE_ARGUMENT,
     Command,
     current_output,
     example,
@@ -22,16 +22,18 @@ from rigtool.cli.options import (
         "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --yes",
     ),
 )
-@click.argument("tables", type=FILE, metavar="TABLES.h5")
+@click.argument("tables", type=FILE_ARGUMENT, metavar="TABLES.h5")
 @click.option(
-    "--rig", required=True, type=FILE, metavar="RECIPE.toml", help="Recipe with the drive."
+    "--rig", required=True, type=FILE_ARGUMENT, metavar="RECIPE.toml", help="Recipe with the drive."
 )
 @click.option("--speed", type=float, help="One of the learned motor speeds, rad/s.")
 @run_option("--kt", "Run of calibrate-kt: torque to current.")
 @set_option
 @click.option("--dry-run", is_flag=True, help="Show what would be stored; change nothing.")
 @click.option("--yes", is_flag=True, help="Store without asking first.")
-@click.option("--spy", type=FILE, metavar="FILE", help="Write every byte on the serial line.")
+@click.option(
+    "--spy", type=FILE_ARGUMENT, metavar="FILE", help="Write every byte on the serial line."
+)
 def command(
     tables: str,
     rig: str,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
 
 
 @click.command(
@@ -16,11 +16,17 @@ from rigtool.cli.options import FILE, Command, current_output, example
         "rigtool import run07.csv --preview",
     ),
 )
-@click.argument("sources", nargs=-1, required=True, type=FILE, metavar="SOURCE...")
+@click.argument("sources", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="SOURCE...")
 @click.option(
-    "-o", "--output", type=FILE, metavar="RUN.h5|FOLDER", help="Run file, or folder for many."
+    "-o",
+    "--output",
+    type=FILE_ARGUMENT,
+    metavar="RUN.h5|FOLDER",
+    help="Run file, or folder for many.",
 )
-@click.option("--map", "map_path", type=FILE, metavar="MAP.toml", help="Meaning of the columns.")
+@click.option(
+    "--map", "map_path", type=FILE_ARGUMENT, metavar="MAP.toml", help="Meaning of the columns."
+)
 @click.option("--preview", is_flag=True, help="Show SOURCE as it would be read; write nothing.")
 @click.option("--skip-bad-lines", is_flag=True, help="Leave out bad lines and count them.")
 @click.option("--skip-bad-files", is_flag=True, help="Leave out bad files and name them.")
@@ -67,8 +73,8 @@ def command(
         to.written(item.output, f"run of import, {item.samples} samples{left_out}")
     notes = [f"left out: {first_of(error)}" for error in found.bad.values()]
     if others := found.of_other_names:
-        names = ", ".join(path.name for path in others[:LISTED])
-        more = f" and {len(others) - LISTED} more" if len(others) > LISTED else ""
+        names = ", ".join(path.name for path in others[:FILES_NAMED])
+        more = f" and {len(others) - FILES_NAMED} more" if len(others) > FILES_NAMED else ""
         notes.append(f"the mapping is not for {len(others)} files: {names}{more}")
     by_note: dict[str, list[str]] = {}
     for item in found.done:
@@ -86,5 +92,5 @@ def command(
     to.document(output=output, runs=runs_written, notes=notes)
 
 
-LISTED = 5
+FILES_NAMED = 5
 """Most files left out that a note names."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigtool.cli.options import FILE, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
 from rigtool.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
         "rigtool info kt.h5 --budget torque_constant_mean",
     ),
 )
-@click.argument("path", type=FILE, metavar="RUN.h5")
+@click.argument("path", type=FILE_ARGUMENT, metavar="RUN.h5")
 @click.option(
-    "--plot", type=FILE, metavar="FILE", help="Draw its default plot: .png, .svg or .pdf."
+    "--plot", type=FILE_ARGUMENT, metavar="FILE", help="Draw its default plot: .png, .svg or .pdf."
 )
 @click.option("--budget", metavar="RESULT", help="Show the uncertainty budget of a result.")
 def command(path: str, plot: str | None, budget: str | None) -> None:

@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from rigtool.experiments.procedure import Procedure
     from rigtool.runfile import Run
 
-Function = Callable[..., Any]
+CommandFunction = Callable[..., Any]
 
-FILE = click.Path()
+FILE_ARGUMENT = click.Path()
 """Type of arguments that name a file: a shell completes them."""
 
-HEADINGS = {
+OPTION_HEADINGS = {
     "How it measures and analyses": ("overrides", "seed", "dry_run"),
     "Rigs on a serial line only": ("yes", "spy"),
     "Output": (
@@ -45,7 +45,7 @@ HEADINGS = {
 }
 """Options by their parameter, under a heading of the help text; all other options come first."""
 
-WRITES = ("output", "plot")
+WRITING_OPTIONS = ("output", "plot")
 """Parameters of a command that writes a file."""
 
 
@@ -77,13 +77,16 @@ class Command(click.Command):
 
     def grouped(self, ctx: click.Context) -> dict[str, list[tuple[str, str]]]:
         """Return option and meaning by heading; --overwrite only where a file is written."""
-        groups: dict[str, list[tuple[str, str]]] = {"Options": [], **{h: [] for h in HEADINGS}}
-        writes = any(parameter.name in WRITES for parameter in self.params)
+        groups: dict[str, list[tuple[str, str]]] = {
+            "Options": [],
+            **{h: [] for h in OPTION_HEADINGS},
+        }
+        writes = any(parameter.name in WRITING_OPTIONS for parameter in self.params)
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is None or isinstance(parameter, click.Argument):
                 continue
-            heads = [head for head, names in HEADINGS.items() if parameter.name in names]
+            heads = [head for head, names in OPTION_HEADINGS.items() if parameter.name in names]
             if "--help" in parameter.opts:
                 heads = ["Output"]
             if writes or parameter.name != "overwrite":
@@ -101,19 +104,26 @@ def example(*lines: str) -> str:
     return "\n".join(["\b", "Example:", *(f"  {line}" for line in lines)])
 
 
-def source_arguments(function: Function) -> Function:
+def source_arguments(function: CommandFunction) -> CommandFunction:
     """Add `sources`, a tuple of one or more paths, and `output`, a path."""
     function = click.option(
-        "-o", "--output", required=True, type=FILE, metavar="RUN.h5", help="Run file to write."
+        "-o",
+        "--output",
+        required=True,
+        type=FILE_ARGUMENT,
+        metavar="RUN.h5",
+        help="Run file to write.",
     )(function)
-    return click.argument("sources", nargs=-1, required=True, type=FILE, metavar="SOURCE...")(
-        function
-    )
+    return click.argument(
+        "sources", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="SOURCE..."
+    )(function)
 
 
-def run_option(name: str, what: str, *, required: bool = False) -> Callable[[Function], Function]:
+def run_option(
+    name: str, what: str, *, required: bool = False
+) -> Callable[[CommandFunction], CommandFunction]:
     """Add an option that takes one run file; its path arrives as a string or None."""
-    return click.option(name, required=required, type=FILE, metavar="RUN.h5", help=what)
+    return click.option(name, required=required, type=FILE_ARGUMENT, metavar="RUN.h5", help=what)
 
 
 def _asked(name: str, value: bool) -> Callable[[click.Context, click.Parameter, bool], None]:
@@ -198,12 +208,12 @@ set_option = click.option(
 )
 
 
-def common_options(function: Function) -> Function:
+def common_options(function: CommandFunction) -> CommandFunction:
     """Add the options of measuring; they arrive together as `options`, a `CommonOptions`."""
 
     @click.option(
         "--spy",
-        type=FILE,
+        type=FILE_ARGUMENT,
         metavar="FILE",
         help="Log every byte on the serial line, with time stamps.",
     )

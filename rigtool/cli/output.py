@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rigtool.report.formats import ReportTable
     from rigtool.runfile import Recording, Run, Table
 
-SCHEMA = 1
+JSON_VERSION = 1
 """Version of the JSON documents; raised when a key changes its meaning or is removed."""
 
 
@@ -82,7 +82,7 @@ class Output:
         from rigtool import __version__
 
         document = {
-            "schema": SCHEMA,
+            "schema": JSON_VERSION,
             "version": __version__,
             "command": self.command,
             "rig": None,

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from rigtool.cli.options import FILE, Command, completed, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Command, completed, current_output, example
 from rigtool.cli.output import Output
 
 
@@ -21,10 +21,10 @@ def _names(path: str) -> list[str]:
 
 @click.command(cls=Command, epilog=example("rigtool recipe briaire-2006 -o rig.toml"))
 @click.argument("name", required=False, shell_complete=completed(_names))
-@click.option("-o", "--output", type=FILE, metavar="FILE.toml", help="Recipe to write.")
+@click.option("-o", "--output", type=FILE_ARGUMENT, metavar="FILE.toml", help="Recipe to write.")
 @click.option(
     "--firmware",
-    type=FILE,
+    type=FILE_ARGUMENT,
     metavar="FOLDER",
     help="With own-target: folder to write its firmware in C to.",
 )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rigtool.cli.options import FILE, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
 from rigtool.cli.output import table_document
 
 if TYPE_CHECKING:
@@ -15,8 +15,10 @@ if TYPE_CHECKING:
 
 
 @click.command(cls=Command, epilog=example("rigtool report kt.h5 tables.h5 force.h5 -o report"))
-@click.argument("paths", nargs=-1, required=True, type=FILE, metavar="RUN.h5...")
-@click.option("-o", "--output", required=True, type=FILE, metavar="FOLDER", help="Folder to write.")
+@click.argument("paths", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="RUN.h5...")
+@click.option(
+    "-o", "--output", required=True, type=FILE_ARGUMENT, metavar="FOLDER", help="Folder to write."
+)
 @click.option("--pdf", is_flag=True, help="Write report.pdf too (pip install rigtool[pdf]).")
 def command(paths: tuple[str, ...], output: str, pdf: bool) -> None:
     """Write tables, figures and one page from any run files.

@@ -18,7 +18,7 @@ import numpy as np
 from rigtool.control.position_loop import TransferFunction, double_integrator
 from rigtool.numerics.arrays import Array, ComplexArray
 
-IMAGES = 8
+SPECTRUM_IMAGES = 8
 """Images of the spectrum on either side that are summed; the rest is below 1e-7."""
 
 
@@ -80,7 +80,9 @@ class PlantModel:
         """
         motor = self.inertia * (1.0 if self.motor_side is None else self.motor_side)
         s = 2j * np.pi * np.asarray(frequency, dtype=np.float64)
-        images = s + 2j * np.pi / sample_time * np.arange(-IMAGES, IMAGES + 1)[:, None]
+        images = (
+            s + 2j * np.pi / sample_time * np.arange(-SPECTRUM_IMAGES, SPECTRUM_IMAGES + 1)[:, None]
+        )
         rest = (self.transfer(images) - 1 / (motor * images**2)) / (images * sample_time)
         whole = double_integrator(motor, sample_time).response(frequency)
         return np.asarray(whole - np.expm1(-s * sample_time) * rest.sum(axis=0))

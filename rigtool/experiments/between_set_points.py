@@ -35,7 +35,7 @@ RESOLUTION_SAMPLES = 8192
 CURRENT_ROUNDING = 1e-9
 """Currents that differ by less than this are equal, A."""
 
-REMEDY = "set rig.sample_time shorter, or turn more slowly"
+SET_POINT_REMEDY = "set rig.sample_time shorter, or turn more slowly"
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def unsampled_note(runs: Sequence[Run], torque_constant: float) -> tuple[str, ..
     return (
         f"current between set points differs by up to {current * 1e3:.3g} mA from that of the "
         f"samples, {abs(torque_constant * current) * 1e3:.3g} mN m, at {speed:.3g} rad/s: results "
-        f"from the samples are off by that; {REMEDY}",
+        f"from the samples are off by that; {SET_POINT_REMEDY}",
     )
 
 

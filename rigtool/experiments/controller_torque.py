@@ -32,7 +32,7 @@ from rigtool.runfile import Recording
 TABLE, SIGNAL = "table_current", "signal_current"
 """Channels of learned torque: by position, by time."""
 
-CHANNELS = (
+LOOP_CHANNELS = (
     "time",
     "current_setpoint",
     "feedforward_current",
@@ -104,7 +104,7 @@ def loop_signals(
 
 
 def _names(recording: Recording) -> list[str]:
-    return [SIGNAL if name == TABLE and recording.has(SIGNAL) else name for name in CHANNELS]
+    return [SIGNAL if name == TABLE and recording.has(SIGNAL) else name for name in LOOP_CHANNELS]
 
 
 def _checked(

@@ -18,7 +18,7 @@ from rigtool.runfile import Recording, Run
 RECORDING = "imported"
 """Name of the one recording of an imported run."""
 
-RIG = {
+RIG_CONDITIONS = {
     "encoder_counts",
     "torque_constant",
     "torque_constant_u",
@@ -107,7 +107,7 @@ def moves(recording: Recording) -> bool:
 
 def require_one_rig(recordings: Sequence[Recording]) -> None:
     """Raise `UsageError` where the known properties of the rig differ between recordings."""
-    first = {name: rig_property(recordings[0], name) for name in RIG}
+    first = {name: rig_property(recordings[0], name) for name in RIG_CONDITIONS}
     for recording in recordings:
         for name, value in first.items():
             if rig_property(recording, name) != value:

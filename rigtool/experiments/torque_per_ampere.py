@@ -40,9 +40,9 @@ from rigtool.quantity import (
     without,
 )
 from rigtool.runfile import Recording, Run
-from rigtool.runfile.schema import LARGEST
+from rigtool.runfile.schema import LARGEST_NUMBER
 
-ENDS = 1024
+END_SAMPLES = 1024
 """Samples at either end of a recording that show its temperatures, which change slowly."""
 
 
@@ -95,7 +95,7 @@ def torque_per_ampere_at(kt: Run, temperature_degc: float) -> Quantity:
 def _constant(kt: Run, name: str, unit: str = "N m/A") -> Quantity:
     """Return a result that other numbers are divided by; `RunFileError` where it is zero."""
     found = kt.result(name, unit)
-    if not abs(found.value) >= 1 / LARGEST:
+    if not abs(found.value) >= 1 / LARGEST_NUMBER:
         raise RunFileError(
             f"{kt.path}: {name} is {found.value:g} {unit}, which no torque can be read with: "
             "calibrate again"
@@ -143,7 +143,10 @@ def _at_ends(recording: Recording) -> tuple[Array, Array]:
         return np.empty(0), np.empty(0)
     first, last = (
         recording.read_stored("temperature", start, stop).astype(np.float64)
-        for start, stop in ((0, ENDS), (max(0, recording.size - ENDS), recording.size))
+        for start, stop in (
+            (0, END_SAMPLES),
+            (max(0, recording.size - END_SAMPLES), recording.size),
+        )
     )
     return first[np.isfinite(first)], last[np.isfinite(last)]  # NaN where no thermometer is there
 

@@ -22,7 +22,7 @@ from rigtool.numerics.arrays import Array
 LOWEST_ORDER, HIGHEST_ORDER = 4, 12
 """Range of K that is considered beside 0; with fewer, a few angles would pass for all orders."""
 
-EXCESS = np.geomspace(1.0, 300.0, 14)
+ERROR_FACTORS = np.geomspace(1.0, 300.0, 14)
 """Factors considered by which errors may exceed their stated uncertainty."""
 
 EXCESS_POWER = 1.0
@@ -34,16 +34,16 @@ FEWEST_DOF = 3.0
 ONE_SIGMA = 0.6827
 """Probability within one standard deviation of a normal distribution."""
 
-REACH = 5.0
+LARGEST_DEVIATION = 5.0
 """Largest standard deviation of an order that is considered, in units of the scatter."""
 
-NEGLIGIBLE = 1e-4
+NEGLIGIBLE_PROBABILITY = 1e-4
 """Probability below which a hypothesis adds nothing to the effect."""
 
-ROUNDING = 1e-18
+ROUNDING_PROBABILITY = 1e-18
 """Probability below which a hypothesis is lost in the rounding of a quantile, even of thousands."""
 
-AMPLITUDES = 24
+AMPLITUDE_COUNT = 24
 """Number of standard deviations of an order that are considered."""
 
 
@@ -86,7 +86,7 @@ def fit_angle_effects(
     # Amplitudes of interest are near the scatter that X leaves.
     rest = value - design @ np.linalg.lstsq(x, y, rcond=None)[0]
     spread = max(float(np.sqrt(np.mean(rest**2))), float(np.min(u)))
-    amplitude = spread * np.geomspace(1 / 30, REACH, AMPLITUDES)
+    amplitude = spread * np.geomspace(1 / 30, LARGEST_DEVIATION, AMPLITUDE_COUNT)
     parts = [_given(x, y, z[:, : 2 * order], amplitude) for order in highest]
     weight = np.concatenate([part[0] for part in parts])
     mean = np.concatenate([part[1] for part in parts])
@@ -119,7 +119,7 @@ def _given(x: Array, y: Array, z: Array, amplitude: Array) -> tuple[Array, Array
     power, axes = np.linalg.eigh(z @ z.T)
     xs, ys = axes.T @ x, axes.T @ y
     grown = (amplitude[:, None] ** 2 * np.maximum(power, 0.0))[:, None, :]
-    variance = (grown + EXCESS[None, :, None] ** 2).reshape(-1, len(y))  # (h, n)
+    variance = (grown + ERROR_FACTORS[None, :, None] ** 2).reshape(-1, len(y))  # (h, n)
     precision = np.einsum("ni,hn,nj->hij", xs, 1 / variance, xs)
     within = np.linalg.inv(precision)
     mean = np.einsum("hij,hj->hi", within, np.einsum("ni,hn->hi", xs, ys / variance))
@@ -127,7 +127,9 @@ def _given(x: Array, y: Array, z: Array, amplitude: Array) -> tuple[Array, Array
     probability = -0.5 * (
         np.sum(np.log(variance) + rest**2 / variance, axis=1) + np.linalg.slogdet(precision)[1]
     )
-    prior = np.broadcast_to(-EXCESS_POWER * np.log(EXCESS), (len(amplitude), len(EXCESS)))
+    prior = np.broadcast_to(
+        -EXCESS_POWER * np.log(ERROR_FACTORS), (len(amplitude), len(ERROR_FACTORS))
+    )
     return probability + prior.ravel(), mean, within
 
 
@@ -135,7 +137,7 @@ def _quantiles(probable: Array, mean: Array, std: Array, parts: tuple[float, ...
     """Return quantiles of a mixture of normal distributions, each (h,)."""
     from scipy.special import ndtr
 
-    seen = probable > ROUNDING
+    seen = probable > ROUNDING_PROBABILITY
     probable, mean, std = probable[seen], mean[seen], std[seen]
     low, high = (
         np.full(len(parts), (mean - 9 * std).min()),
@@ -178,12 +180,15 @@ def _effect(
     count, dim = z.shape[1], x.shape[1]
     every = np.concatenate([x, z], axis=1)
     effect = np.zeros(count)
-    shown = np.flatnonzero(probable > NEGLIGIBLE)
+    shown = np.flatnonzero(probable > NEGLIGIBLE_PROBABILITY)
     weight = probable[shown] / probable[shown].sum()
     deviation, std = np.zeros(len(shown)), np.zeros(len(shown))
     for index, number in enumerate(shown.tolist()):
-        place, case = divmod(number, len(amplitude) * len(EXCESS))
-        size, excess = amplitude[case // len(EXCESS)], EXCESS[case % len(EXCESS)]
+        place, case = divmod(number, len(amplitude) * len(ERROR_FACTORS))
+        size, excess = (
+            amplitude[case // len(ERROR_FACTORS)],
+            ERROR_FACTORS[case % len(ERROR_FACTORS)],
+        )
         order = highest[place]
         used = dim + 2 * order
         precision = every[:, :used].T @ every[:, :used] / excess**2

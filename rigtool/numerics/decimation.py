@@ -18,7 +18,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 
-REACH = 4
+HALF_LENGTH = 4
 """Half the length of the filter, in new samples."""
 
 KAISER_BETA = 10.0
@@ -38,7 +38,7 @@ class Decimator:
 
     def add(self, *signals: Array) -> None:
         """Take the next samples, (n,) of each signal."""
-        reach = REACH * self._factor
+        reach = HALF_LENGTH * self._factor
         begun = self._samples > reach
         self._samples += signals[0].size
         self._append(signals)
@@ -55,7 +55,7 @@ class Decimator:
         Raises `InsufficientDataError` where the signals are shorter than the filter.
         """
         if self._factor > 1:
-            reach = REACH * self._factor
+            reach = HALF_LENGTH * self._factor
             if self._samples <= reach:
                 raise InsufficientDataError(
                     f"{self._samples} samples are too few, {reach + 1} are needed: record for "
@@ -88,13 +88,13 @@ class Decimator:
             self._found.append(self._waiting.copy())
         else:
             rows = size // self._factor
-            count = max(0, rows - 2 * REACH + 1)
+            count = max(0, rows - 2 * HALF_LENGTH + 1)
             # Samples in rows of `factor`: a new sample is the sum over 2*REACH rows, each times its
             # part of the taps, and all rows times all parts is one product of matrices.
             table = self._waiting[:, : rows * self._factor].reshape(signals, rows, self._factor)
             parts = table @ self._taps
             found = parts[:, :count, 0].copy()
-            for row in range(1, 2 * REACH):
+            for row in range(1, 2 * HALF_LENGTH):
                 found += parts[:, row : row + count, row]
             self._found.append(found)
         left = size - count * self._factor
@@ -104,8 +104,8 @@ class Decimator:
 
 def _taps(factor: int) -> Array:
     """Return the filter by (place in a row, row), (factor, 2*REACH); its sum is one."""
-    half = REACH * factor - 1
+    half = HALF_LENGTH * factor - 1
     offset = np.arange(-half, half + 1)
     taps = np.sinc(offset / factor) * np.kaiser(offset.size, KAISER_BETA)
     taps = np.concatenate([[0.0], taps / taps.sum()])
-    return taps.reshape(2 * REACH, factor).T.copy()
+    return taps.reshape(2 * HALF_LENGTH, factor).T.copy()

@@ -6,7 +6,7 @@ import numpy as np
 
 from rigtool.numerics.arrays import Array
 
-SHORTEST = 3
+MIN_PLATEAU_VALUES = 3
 """Smallest number of values on a plateau."""
 
 
@@ -19,4 +19,8 @@ def find_plateaus(level: Array, step: float, largest: float) -> list[tuple[int, 
     flat = np.abs(np.diff(level)) <= step
     ends = np.flatnonzero(np.diff(np.concatenate([[False], flat, [False]]).astype(np.int8)))
     stretches = ((int(a), int(b) + 1) for a, b in ends.reshape(-1, 2))
-    return [(a, b) for a, b in stretches if b - a >= SHORTEST and np.ptp(level[a:b]) <= largest]
+    return [
+        (a, b)
+        for a, b in stretches
+        if b - a >= MIN_PLATEAU_VALUES and np.ptp(level[a:b]) <= largest
+    ]

@@ -6,7 +6,7 @@ import numpy as np
 
 from rigtool.numerics.arrays import Array
 
-BAND = 0.25
+BAND_WIDENING = 0.25
 """Part of the last part's range by which that range is widened on either side."""
 
 
@@ -16,6 +16,6 @@ def settled_from(signal: Array, last_part: int, resolution: float = 0.0) -> int:
     Deviations below `resolution`, in the unit of the signal, do not count.
     """
     low, high = np.min(signal[last_part:]), np.max(signal[last_part:])
-    margin = max(BAND * (high - low), resolution)
+    margin = max(BAND_WIDENING * (high - low), resolution)
     outside = (signal[:last_part] < low - margin) | (signal[:last_part] > high + margin)
     return int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 0

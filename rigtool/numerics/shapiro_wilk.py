@@ -16,12 +16,12 @@ from numpy.polynomial.polynomial import polyval
 
 from rigtool.numerics.arrays import Array
 
-LAST = (0.0, 0.221157, -0.147981, -2.07119, 4.434685, -2.706056)
+LAST_COEFFICIENTS = (0.0, 0.221157, -0.147981, -2.07119, 4.434685, -2.706056)
 NEXT_TO_LAST = (0.0, 0.042981, -0.293762, -1.752461, 5.682633, -3.582633)
 """Of 1 / sqrt(n): what the weights of the outer readings exceed those of the medians by."""
 
-FEW = ((0.544, -0.39978, 0.025054, -6.714e-4), (1.3822, -0.77857, 0.062767, -0.0020322))
-MANY = ((-1.5861, -0.31082, -0.083751, 0.0038915), (-0.4803, -0.082676, 0.0030302))
+FEW_VALUES = ((0.544, -0.39978, 0.025054, -6.714e-4), (1.3822, -0.77857, 0.062767, -0.0020322))
+MANY_VALUES = ((-1.5861, -0.31082, -0.083751, 0.0038915), (-0.4803, -0.082676, 0.0030302))
 """Mean, and logarithm of the deviation, of the transformed 1 - W: of n below 12, of log n above."""
 
 
@@ -45,9 +45,9 @@ def p_value(ordered: Array) -> float:
         gamma = -2.273 + 0.459 * count
         if y >= gamma:
             return 0.0
-        y, (mean, spread) = -math.log(gamma - y), (polyval(count, c) for c in FEW)
+        y, (mean, spread) = -math.log(gamma - y), (polyval(count, c) for c in FEW_VALUES)
     else:
-        mean, spread = (polyval(math.log(count), c) for c in MANY)
+        mean, spread = (polyval(math.log(count), c) for c in MANY_VALUES)
     return 0.5 * math.erfc((y - mean) / math.exp(spread) / math.sqrt(2))
 
 
@@ -60,7 +60,7 @@ def _weights(count: int) -> Array:
     if count == 3:
         return np.array([-math.sqrt(0.5), 0.0, math.sqrt(0.5)])
     square, u = float(medians @ medians), 1 / math.sqrt(count)
-    outer = [polyval(u, LAST) + medians[-1] / math.sqrt(square)]
+    outer = [polyval(u, LAST_COEFFICIENTS) + medians[-1] / math.sqrt(square)]
     if count > 5:
         outer.insert(0, polyval(u, NEXT_TO_LAST) + medians[-2] / math.sqrt(square))
     edge = len(outer)

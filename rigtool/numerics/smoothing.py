@@ -24,7 +24,7 @@ from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_rising
 
-REACH = 6.0
+KERNEL_REACH = 6.0
 """The kernel ends at this many standard deviations, where it is 1.5e-8 of its peak."""
 
 CUTOFF = math.sqrt(math.log(2)) / (2 * math.pi)
@@ -67,7 +67,7 @@ class KernelSmoother:
     @property
     def reach(self) -> int:
         """Half the length of the kernel in samples, a multiple of `every`."""
-        return self.every * math.ceil(REACH * self.width / self.step / self.every)
+        return self.every * math.ceil(KERNEL_REACH * self.width / self.step / self.every)
 
     def places(self, count: int) -> NDArray[np.intp]:
         """Return the indices, in a signal of `count` samples, of the smoothed samples."""

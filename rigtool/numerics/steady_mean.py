@@ -28,7 +28,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array
 
-PAYBACKS = np.linspace(-0.95, 1.0, 79)
+PAYBACK_VALUES = np.linspace(-0.95, 1.0, 79)
 """Values of p that are weighed by their likelihood; neighbours alike, p < 0, occur as well."""
 
 SLOWEST_WAVES, BY_CHANCE = 6, 0.01
@@ -63,7 +63,7 @@ def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
     """
     from scipy.special import chdtri
 
-    likelihood = np.zeros(len(PAYBACKS))
+    likelihood = np.zeros(len(PAYBACK_VALUES))
     variances, drifts = [], []
     for values in series:
         count = len(values)
@@ -75,7 +75,7 @@ def steady_us(series: Sequence[Array]) -> list[tuple[float, float]]:
             _sine_transform(each) for each in (values, np.ones(count), weights(count))
         )
         turn = np.pi * np.arange(1, count + 1) / (count + 1)
-        p = PAYBACKS[:, None]
+        p = PAYBACK_VALUES[:, None]
         power = 1 + p**2 - 2 * p * np.cos(turn)
         known = np.sum(ones**2 / power, axis=1)
         mean = np.sum(ones * waves / power, axis=1) / known

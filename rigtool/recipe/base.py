@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-BOUNDS = {
+UNIT_BOUNDS = {
     "N m s/rad": (1e-12, 1e3),
     "N m/rad": (1e-9, 1e9),
     "N m/A": (1e-4, 20.0),
@@ -46,7 +46,7 @@ BOUNDS = {
 A motor turns with at most 95,000 rpm; magnets and insulation of motors end below 250 degC; torque
 constants go from coreless motors of a gram to direct drives."""
 
-_UNIT = re.compile(rf"(?:^|, )({'|'.join(map(re.escape, BOUNDS))})(?=$|[ ,;])")
+_UNIT = re.compile(rf"(?:^|, )({'|'.join(map(re.escape, UNIT_BOUNDS))})(?=$|[ ,;])")
 
 
 def unit_of(description: str | None) -> str | None:
@@ -83,7 +83,7 @@ class Section(BaseModel):
                 raise ValueError(f"must be at most {cls.LARGEST_COUNT}")
             if unit is None or number == 0:
                 continue
-            low, high = BOUNDS[unit]
+            low, high = UNIT_BOUNDS[unit]
             if not low <= abs(number) <= high:
                 raise ValueError(f"must be from {low:g} to {high:g} {unit}, got {number:g}")
         return value

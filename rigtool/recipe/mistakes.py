@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 
 from rigtool.errors import did_you_mean
 
-EXPECTED = {
+EXPECTATIONS = {
     "float_type": "must be a number",
     "float_parsing": "must be a number",
     "finite_number": "must be a finite number",
@@ -79,8 +79,8 @@ def _message(item: ErrorDetails, model: type[BaseModel]) -> str:
         remedy = did_you_mean(key, known, "remove it or correct its spelling")
         return f"is not a key that this table knows; {remedy}"
     message = item["msg"].removeprefix("Value error, ")
-    if item["type"] in EXPECTED:
-        message = EXPECTED[item["type"]].format(**item.get("ctx", {}))
+    if item["type"] in EXPECTATIONS:
+        message = EXPECTATIONS[item["type"]].format(**item.get("ctx", {}))
     if item["type"] in WITHOUT_VALUE or isinstance(item["input"], dict) or ", got " in message:
         return message
     value = repr(item["input"])

@@ -34,7 +34,7 @@ COMMAND_ORDER = (
 )
 """Commands in the order in which a report shows their runs."""
 
-SUBJECTS = {
+RUN_SUBJECTS = {
     "calibrate-kt": "torque constant",
     "stribeck": "friction",
     "fft-ripple": "torque ripple",
@@ -134,7 +134,7 @@ def _title(commands: Sequence[str], rigs: Sequence[str]) -> str:
     if "measure-force" in commands:
         subject = "Force from motor current"
     else:
-        named = dict.fromkeys(SUBJECTS.get(command, command) for command in commands)
+        named = dict.fromkeys(RUN_SUBJECTS.get(command, command) for command in commands)
         *first, last = named or ["nothing"]
         subject = f"{', '.join(first)} and {last}" if first else last
         subject = subject[0].upper() + subject[1:]

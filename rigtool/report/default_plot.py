@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FORMATS = (".png", ".svg", ".pdf")
+PLOT_FORMATS = (".png", ".svg", ".pdf")
 
 _BINS = 2000
 _BLOCK = 2**17
 _GAP = 5
 """Times of a usual bin, beyond which nothing was recorded."""
 _MOST_LINES = 12
-ROW = "row"
+ROW_AXIS = "row"
 """Axis that numbers the rows of a table, and is no quantity."""
 
 _MOST_MARKS = 100
@@ -46,8 +46,8 @@ def write_plot(
     cannot be.
     """
     kind = Path(output).suffix
-    if kind not in FORMATS:
-        raise UsageError(f"{output}: cannot be drawn, use one of {', '.join(FORMATS)}")
+    if kind not in PLOT_FORMATS:
+        raise UsageError(f"{output}: cannot be drawn, use one of {', '.join(PLOT_FORMATS)}")
     output = require_output(output, overwrite=overwrite, inputs=[run.path])
     shown = chosen_name(run, name)
     picture = io.BytesIO()
@@ -118,7 +118,7 @@ def _draw_table(axes: Axes, table: Table) -> None:
     Along whole numbers, such as loads, a few points stand alone. No line passes zero speed, where
     friction changes its sign. Rows that have a time are drawn over it.
     """
-    if table.axes == (ROW,) and "time" in table.columns:
+    if table.axes == (ROW_AXIS,) and "time" in table.columns:
         return _draw_rows(axes, table)
     signal = table.columns[table.signal]
     along = table.axes[-1]

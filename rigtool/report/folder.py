@@ -12,7 +12,7 @@ from rigtool.report.formats import csv_table, latex_table, markdown_table, termi
 from rigtool.report.page import render_page, render_pdf
 from rigtool.runfile.outputs import own_folder, require_short
 
-ENTRIES = frozenset({"index.html", "report.pdf", "tables.txt", "tables", "figures"})
+REPORT_ENTRIES = frozenset({"index.html", "report.pdf", "tables.txt", "tables", "figures"})
 """Entries of a report's folder; a folder with any other entry is never replaced."""
 
 
@@ -50,7 +50,7 @@ def require_free(
     for name in inputs:
         if Path(os.path.realpath(name)).is_relative_to(os.path.realpath(target)):
             raise UsageError(f"{output}: holds {name}, an input of this report: give another name")
-    foreign = sorted(entry.name for entry in target.iterdir() if entry.name not in ENTRIES)
+    foreign = sorted(entry.name for entry in target.iterdir() if entry.name not in REPORT_ENTRIES)
     if foreign:
         raise UsageError(
             f"{output}: holds {foreign[0]!r}, which is no part of a report, and would be lost: "

@@ -18,7 +18,7 @@ from rigtool.quantity import format_number
 if TYPE_CHECKING:
     from rigtool.runfile import Table
 
-MISSING = "–"
+MISSING_TEXT = "–"
 """Text of a cell without a value."""
 
 MILLI = 1e3
@@ -51,7 +51,7 @@ class Cell:
     u: float | None = None
 
 
-NO_VALUE = Cell(MISSING, None)
+NO_VALUE = Cell(MISSING_TEXT, None)
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ _OVER_TIME = (
 _JUDGED = ("bandwidth", "rmse_closing", "rmse_opening", "rmse_moving", "coverage_95")
 """Results that are compared with what others published."""
 
-SECTIONS = 10
+TIME_SECTIONS = 10
 """Sections of the time of a force over time that the table shows."""
 
 _SPLITS = ("runs kept from learning", "random part of the samples")
@@ -59,7 +59,7 @@ def _over_time_table(run: Run, label: str) -> ReportTable:
     force = run.table("force")
     names = [name for name in (*(one.key for one in _OVER_TIME), "u") if name in force.columns]
     rows = []
-    for section in np.array_split(np.arange(force["torque"].size), SECTIONS):
+    for section in np.array_split(np.arange(force["torque"].size), TIME_SECTIONS):
         size = np.nan_to_num(np.abs(force["torque"][section]), nan=-1.0)
         if not size.size or size.max() < 0:
             continue

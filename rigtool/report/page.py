@@ -12,10 +12,10 @@ from rigtool.report.build import Report
 
 def render_page(report: Report) -> str:
     """Return the page as HTML with all figures in it; the same report gives the same text."""
-    return render("page.html", report=report, data_uri=_data_uri, minus=_minus) + "\n"
+    return render_template("page.html", report=report, data_uri=_data_uri, minus=_minus) + "\n"
 
 
-def render(template: str, **values: Any) -> str:
+def render_template(template: str, **values: Any) -> str:
     """Return a template of this folder filled with values; text in them is escaped."""
     from jinja2 import Environment, StrictUndefined
 

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.quantity import Quantity, display_unit, format_number
 from rigtool.report.figures import PLOTS, style, turns
-from rigtool.report.page import render
+from rigtool.report.page import render_template
 from rigtool.report.published import published_entry
 from rigtool.report.reproduction_values import Runs, evaluate, low_current_refusal
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from rigtool.runfile import Run
 
-SAME = 1e-3
+SAME_DIFFERENCE = 1e-3
 """Relative difference of numbers that count as the same."""
 
 LARGEST_SVG = 150_000
@@ -51,7 +51,7 @@ DRAWN_FROM_SIGNALS = {
 }
 """Figures drawn from signals, which need the calibration."""
 
-UNITS = {
+THESIS_UNITS = {
     "mA": 1e3,
     "mN": 1e3,
     "mm": 1e3,
@@ -246,7 +246,7 @@ def title(row: Mapping[str, Any]) -> str:
 
 def _picture(number: int, run: Run, kt: Run) -> tuple[str, bytes]:
     with style.styled():
-        svg, png = style.render(_draw(number, run, kt))
+        svg, png = style.render_figure(_draw(number, run, kt))
     if len(svg.encode()) > LARGEST_SVG:
         return f"figure-{number}.png", png
     return f"figure-{number}.svg", svg.encode()
@@ -266,7 +266,7 @@ def _compared(number: Mapping[str, Any], found: Quantity) -> ComparedNumber:
     published, section = published_of(number)
     factor, unit = display_unit(found.unit)
     if "unit" in number:
-        factor, unit = UNITS[number["unit"]], number["unit"]
+        factor, unit = THESIS_UNITS[number["unit"]], number["unit"]
     u = None if found.u is None else found.u * factor
     said = number.get("says")
     stated = "–" if published is None else f"{published * factor:.4g}".replace("e-0", "e-")
@@ -350,7 +350,7 @@ def _summary(shown: Sequence[PageRow]) -> str:
 
 def html(shown: Sequence[PageRow]) -> str:
     """Return the page as one HTML file with all pictures in it."""
-    return render(
+    return render_template(
         "reproduction.html",
         rows=shown,
         head=TABLE_HEAD,
@@ -413,8 +413,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def changed(stored: Mapping[str, Any], committed: Mapping[str, Any]) -> list[str]:
     """Return a line for each number that is not the committed one.
 
-    Equal are numbers within `SAME` of each other, or within a tenth of their standard uncertainty:
-    another computer rounds in another way.
+    Equal are numbers within `SAME_DIFFERENCE` of each other, or within a tenth of their standard
+    uncertainty: another computer rounds in another way.
     """
     lines = []
     for row in sorted(stored.keys() | committed.keys()):
@@ -425,7 +425,7 @@ def changed(stored: Mapping[str, Any], committed: Mapping[str, Any]) -> list[str
                 where = "is not committed" if there is None else "is committed, but not made"
                 lines.append(f"{row}: {name}: {where}: make pages")
                 continue
-            tolerance = max(SAME * abs(there["value"]), 0.1 * (there["u"] or 0.0))
+            tolerance = max(SAME_DIFFERENCE * abs(there["value"]), 0.1 * (there["u"] or 0.0))
             if not abs(here["value"] - there["value"]) <= tolerance:
                 lines.append(
                     f"{row}: {name}: is {here['value']:.6g}, committed is {there['value']:.6g} "

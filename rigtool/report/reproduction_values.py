@@ -10,7 +10,7 @@ right:
     force-pulley:std_torque_no_load       a result of another run
     recipe.rig.current_limit              a setting of the run's recipe
     0.02                                  a plain number
-    special.low_current_exit              see `SPECIAL`
+    special.low_current_exit              see `SPECIAL_VALUES`
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _operand(text: str, runs: Runs, run: str) -> Quantity:
     if text.startswith("recipe."):
         return _of_recipe(text.removeprefix("recipe."), runs[run])
     if text.startswith("special."):
-        return SPECIAL[text.removeprefix("special.")](runs, run)
+        return SPECIAL_VALUES[text.removeprefix("special.")](runs, run)
     match = _ADDRESS.fullmatch(text)
     if match is None:
         raise UsageError(f"{text!r}: is no address of a value (see {__name__})")
@@ -166,10 +166,10 @@ def _of_table(table: Table, column: str, where: str, reduce: str | None) -> Quan
 
 def low_current_refusal(runs: Runs, run: str) -> str:
     """Return why `stribeck` refuses the holds of a run, "" where it does not [App. C]."""
-    from rigtool.experiments.friction.procedure_analysis import HOLDS, coulomb_and_viscous
+    from rigtool.experiments.friction.procedure_analysis import HOLD_RECORDING, coulomb_and_viscous
 
     try:
-        coulomb_and_viscous(runs[run].recording(HOLDS), _recipe(runs[run]), runs["kt"])
+        coulomb_and_viscous(runs[run].recording(HOLD_RECORDING), _recipe(runs[run]), runs["kt"])
     except InsufficientDataError as error:
         return str(error)
     return ""
@@ -200,7 +200,7 @@ def _learned_speed(runs: Runs, run: str) -> Quantity:
     return Quantity(float(speeds.max()), "rad/s", reason=AS_SET)
 
 
-SPECIAL: dict[str, Callable[[Runs, str], Quantity]] = {
+SPECIAL_VALUES: dict[str, Callable[[Runs, str], Quantity]] = {
     "low_current_exit": _low_current_exit,
     "phase_advance_of_published_transfer": _phase_advance_of_published_transfer,
     "learned_speed": _learned_speed,

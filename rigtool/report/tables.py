@@ -36,7 +36,7 @@ _FORCE_COLUMNS = (
 )
 
 
-UNCORRECTED = "loads_uncorrected"
+UNCORRECTED_TABLE = "loads_uncorrected"
 """Table of the loads as the thesis reads them, in a run whose table `loads` is corrected."""
 
 
@@ -49,12 +49,12 @@ def force_tables(run: Run, label: str) -> list[ReportTable]:
     over_time = instrument_tables(run, label)
     if "loads" not in run.tables:
         return over_time
-    if UNCORRECTED not in run.tables:
+    if UNCORRECTED_TABLE not in run.tables:
         found = [force_table(run, label)]
     else:
         found = [
             three_times(run, label),
-            force_table(run, f"{label}, none", UNCORRECTED),
+            force_table(run, f"{label}, none", UNCORRECTED_TABLE),
             force_table(run, f"{label}, {correction_of(run)}"),
         ]
     return over_time + (found if is_of_thesis(run.rig) else [_as_own(table) for table in found])
@@ -99,7 +99,7 @@ def force_table(run: Run, label: str, table: str = "loads") -> ReportTable:
         columns=_FORCE_COLUMNS,
         rows=tuple(rows),
         note=_zero_note(run)
-        if table == UNCORRECTED or correction_of(run) != "full"
+        if table == UNCORRECTED_TABLE or correction_of(run) != "full"
         else _FULL_NOTE,
     )
 
@@ -111,7 +111,7 @@ def three_times(run: Run, label: str) -> ReportTable:
     """
     published = published_table(attachment_of(run) or "instrument")
     correction = correction_of(run)
-    ways = {"none": run.table(UNCORRECTED), correction: run.table("loads")}
+    ways = {"none": run.table(UNCORRECTED_TABLE), correction: run.table("loads")}
     columns = [
         ReportColumn("applied_force", "Force", "mN", "N"),
         ReportColumn("applied_torque", "Applied", "mN m", "N m"),
@@ -182,7 +182,7 @@ def results_table(run: Run, label: str) -> ReportTable:
     )
 
 
-HEADLINES = {
+HEADLINE_RESULTS = {
     "calibrate-kt": "torque_constant_mean",
     "stribeck": "coulomb_friction",
     "identify-plant": "inertia",
@@ -205,7 +205,7 @@ _BUDGET_COLUMNS = (
 
 def budget_tables(run: Run, label: str) -> list[ReportTable]:
     """Return the uncertainty budget of the run's headline result, where the run holds one."""
-    start = HEADLINES.get(run.command)
+    start = HEADLINE_RESULTS.get(run.command)
     named = [name for name, q in run.results.items() if start and name.startswith(start)]
     found = [name for name in named if run.results[name].budget]
     if not found:

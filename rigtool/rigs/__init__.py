@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rigtool.rigs.base import CHANNELS, NEEDS, Block, Feedforward, Load, Rig, Task
+from rigtool.rigs.base import CHANNELS, NEED_DESCRIPTIONS, Block, Feedforward, Load, Rig, Task
 
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
     from rigtool.rigs.operator import Operator
 
-__all__ = ["CHANNELS", "NEEDS", "Block", "Feedforward", "Load", "Rig", "Task", "open_rig"]
+__all__ = [
+    "CHANNELS",
+    "NEED_DESCRIPTIONS",
+    "Block",
+    "Feedforward",
+    "Load",
+    "Rig",
+    "Task",
+    "open_rig",
+]
 
 
 def open_rig(

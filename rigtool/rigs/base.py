@@ -38,7 +38,7 @@ CHANNELS = {
 """Unit, type in the file and meaning of each channel that a rig may offer."""
 
 
-NEEDS = {
+NEED_DESCRIPTIONS = {
     "closed_loop": "follow a set point of position",
     "open_loop": "follow a current with the position loop open",
     "observe": "record while a hand or another controller moves it",
@@ -161,8 +161,8 @@ class Rig(Protocol):
         return None
 
     def lacks(self, need: str) -> str | None:
-        """Return the reason why one of `NEEDS`, or a channel, is not offered; None where it is
-        offered."""
+        """Return the reason why one of `NEED_DESCRIPTIONS`, or a channel, is not offered; None
+        where it is offered."""
         return None
 
     def use_only(self, channels: Collection[str]) -> None:

@@ -28,7 +28,7 @@ from rigtool.runfile.recording import Recording
 if TYPE_CHECKING:
     import pandas as pd
 
-BLOCK = 16 * schema.CHUNK
+EXPORT_ROWS = 16 * schema.CHUNK
 """Rows of a block, whole chunks; a row group of a .parquet."""
 
 RESULT_COLUMNS = ("name", "value", "unit", "u", "dof", "reason")
@@ -121,8 +121,8 @@ def choose(run: Run, part: str | None) -> ExportedPart:
 
 
 def _recording(recording: Recording) -> Iterator[pd.DataFrame]:
-    for start in range(0, max(recording.size, 1), BLOCK):
-        stop = min(start + BLOCK, recording.size)
+    for start in range(0, max(recording.size, 1), EXPORT_ROWS):
+        stop = min(start + EXPORT_ROWS, recording.size)
         yield recording.to_pandas(start, stop)
 
 

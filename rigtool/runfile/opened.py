@@ -27,7 +27,7 @@ _CHUNK_CACHE = {"rdcc_nbytes": 2 * 8 * schema.CHUNK, "rdcc_nslots": 101}
 """Two chunks for each open signal: blocks end where chunks do, so that no chunk is read twice. The
 8 MiB of HDF5's default would only displace the samples from the processor's cache."""
 
-DAMAGED = "restore it from a copy, or make it anew"
+DAMAGED_REMEDY = "restore it from a copy, or make it anew"
 
 
 class OpenFile:
@@ -133,7 +133,7 @@ def require_schema(file: h5py.File, path: str | os.PathLike[str]) -> None:
         major = schema.parse_version(found)[0]
     except ValueError:
         raise RunFileError(
-            f"{path}: its schema version {found!r} is no version; {DAMAGED}"
+            f"{path}: its schema version {found!r} is no version; {DAMAGED_REMEDY}"
         ) from None
     if major > schema.VERSION[0]:
         raise RunFileError(
@@ -144,7 +144,7 @@ def require_schema(file: h5py.File, path: str | os.PathLike[str]) -> None:
 
 def _open_problem(path: Path, reason: str) -> str:
     if "truncated" in reason:
-        return f"is truncated: its end is missing; {DAMAGED}"
+        return f"is truncated: its end is missing; {DAMAGED_REMEDY}"
     if "already open for write" in reason or "consistency flags" in reason:
         return (
             "was not closed: it is being written, or its writer was killed; wait, or "
@@ -152,7 +152,7 @@ def _open_problem(path: Path, reason: str) -> str:
         )
     if "unable to lock file" in reason:
         return "is locked by another program: wait until that program has closed it"
-    return f"cannot be read as HDF5: {reason}; {DAMAGED}"
+    return f"cannot be read as HDF5: {reason}; {DAMAGED_REMEDY}"
 
 
 @contextmanager
@@ -163,4 +163,4 @@ def guard(path: str | os.PathLike[str], what: str) -> Iterator[None]:
     except RigtoolError:
         raise
     except Exception as error:  # damaged files make h5py raise nearly anything
-        raise RunFileError(f"{path}: {what} is damaged: {error}; {DAMAGED}") from error
+        raise RunFileError(f"{path}: {what} is damaged: {error}; {DAMAGED_REMEDY}") from error

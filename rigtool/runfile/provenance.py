@@ -26,7 +26,7 @@ from rigtool.inputs import open_input
 from rigtool.runfile import schema, tree
 from rigtool.runfile.objects import make_group, make_text
 
-PACKAGES = ("numpy", "scipy", "pandas", "h5py", "numba", "pydantic")
+RECORDED_PACKAGES = ("numpy", "scipy", "pandas", "h5py", "numba", "pydantic")
 
 _ENCODER = json.JSONEncoder(sort_keys=True)
 
@@ -98,7 +98,7 @@ def collect(
         argv=shlex.join(_printable(item) for item in argv or ["rigtool", *sys.argv[1:]]),
         python=platform.python_version(),
         platform=platform.platform(),
-        packages="\n".join(f"{name} {version(name)}" for name in PACKAGES),
+        packages="\n".join(f"{name} {version(name)}" for name in RECORDED_PACKAGES),
         recipe=recipe_text,
         recipe_resolved=recipe_resolved,
         seed=None if seed is None else str(seed),

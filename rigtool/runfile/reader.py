@@ -21,7 +21,7 @@ from rigtool.errors import RigtoolError, RunFileError
 from rigtool.quantity import Component, Quantity
 from rigtool.runfile import provenance, schema, tree
 from rigtool.runfile.model import Column, Table, description_of
-from rigtool.runfile.opened import DAMAGED, OpenFile, SharedFile, guard, require_schema
+from rigtool.runfile.opened import DAMAGED_REMEDY, OpenFile, SharedFile, guard, require_schema
 from rigtool.runfile.recording import Recording
 from rigtool.runfile.summary import html_of, recording_lines, result_lines, table_line
 
@@ -111,8 +111,8 @@ class Run:
             if column not in found.axes and found[column].shape != found.shape:
                 what = f"column {column} of table {name} has shape {found[column].shape}"
                 raise self._unusable(what, found.shape)
-            if not all(found.shape) or not np.all(np.abs(found[column]) <= schema.LARGEST):
-                limit = f"numbers up to {schema.LARGEST:g} everywhere"
+            if not all(found.shape) or not np.all(np.abs(found[column]) <= schema.LARGEST_NUMBER):
+                limit = f"numbers up to {schema.LARGEST_NUMBER:g} everywhere"
                 raise self._unusable(f"column {column} of table {name} lacks numbers", limit)
             if (stored := found.columns[column].unit) != unit:
                 raise self._unusable(f"column {column} of table {name} is in {stored!r}", unit)
@@ -131,8 +131,8 @@ class Run:
             )
         if unit is not None and found.unit != unit:
             raise self._unusable(f"result {name} is in {found.unit!r}", unit)
-        if unit is not None and not max(abs(found.value), found.u or 0.0) <= schema.LARGEST:
-            limit = f"numbers up to {schema.LARGEST:g}"
+        if unit is not None and not max(abs(found.value), found.u or 0.0) <= schema.LARGEST_NUMBER:
+            limit = f"numbers up to {schema.LARGEST_NUMBER:g}"
             raise self._unusable(f"result {name} is {found.value:g} with u {found.u}", limit)
         return found
 
@@ -212,7 +212,7 @@ def _require_hashes(
     record = provenance.record_sha256(root, content)
     if (stored.get("content_sha256"), stored["record_sha256"]) != (content, record):
         raise RunFileError(
-            f"{path}: does not match its own hash: it is damaged or was edited; {DAMAGED}"
+            f"{path}: does not match its own hash: it is damaged or was edited; {DAMAGED_REMEDY}"
         )
 
 

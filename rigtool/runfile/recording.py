@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
-BLOCK = 16 * schema.CHUNK
+BLOCK_SAMPLES = 16 * schema.CHUNK
 """Samples that `Recording.blocks` reads at a time: HDF5 opens each signal anew for a block."""
 
 
@@ -86,7 +86,7 @@ class Recording:
         start: int = 0,
         stop: int | None = None,
         finite: bool = True,
-        size: int = BLOCK,
+        size: int = BLOCK_SAMPLES,
     ) -> Iterator[tuple[Array, ...]]:
         """Read samples start..stop of several channels together, `size` samples at a time.
 
@@ -160,7 +160,7 @@ class Recording:
         """
         if self.size < 2:
             return None
-        intervals = np.sort(np.diff(self.read(schema.TIME, 0, min(self.size, BLOCK))))
+        intervals = np.sort(np.diff(self.read(schema.TIME, 0, min(self.size, BLOCK_SAMPLES))))
         # `np.median` imports masked arrays, a tenth of the time of `rigtool info`.
         interval = float(intervals[(len(intervals) - 1) // 2] + intervals[len(intervals) // 2]) / 2
         return 1 / interval if interval > 0 else None

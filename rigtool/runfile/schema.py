@@ -48,7 +48,7 @@ FILTERS: dict[str, Any] = {
 LIBVER = ("v110", "v110")
 """`latest` would mean HDF5 2.0, which h5dump 1.10 and MATLAB cannot read."""
 
-PAGES: dict[str, Any] = {"fs_strategy": "page", "fs_page_size": 4096}
+PAGE_SETTINGS: dict[str, Any] = {"fs_strategy": "page", "fs_page_size": 4096}
 """With these settings no object smaller than a page crosses the edge of a page ("paged
 aggregation", H5Pset_file_space_strategy). A kernel stops the write of a killed process between two
 pages of memory: a header that HDF5 rewrites in place is then the old one or the new one, never half
@@ -76,7 +76,7 @@ MAX_TEXT_BYTES = 2**26
 MAX_COMPRESSION = 1100
 """Deflate cannot shrink by more than 1032; a dataset that claims more is not in the file."""
 
-LARGEST = 1e30
+LARGEST_NUMBER = 1e30
 """Largest result or entry of a table that a command computes with, in SI units: far beyond any rig,
 and its powers stay numbers."""
 

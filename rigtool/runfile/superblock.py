@@ -75,12 +75,12 @@ def open_unclosed(path: Path) -> h5py.File:
         start = bytearray(stream.read(SUPERBLOCK_SIZE))
     if len(start) < SUPERBLOCK_SIZE or start[VERSION] != 3 or start[ADDRESS_SIZE] != 8:
         raise RunFileError(f"{path}: has no superblock as a run file has it: nothing to recover")
-    if checksum(bytes(start[:CHECKSUM])) != int.from_bytes(start[CHECKSUM:], "little"):
+    if metadata_checksum(bytes(start[:CHECKSUM])) != int.from_bytes(start[CHECKSUM:], "little"):
         raise RunFileError(f"{path}: its superblock is damaged: nothing to recover")
     start[FLAGS] = 0
     # The stored end of the file is the one at its creation; the file has grown since.
     start[END : END + 8] = path.stat().st_size.to_bytes(8, "little")
-    start[CHECKSUM:] = checksum(bytes(start[:CHECKSUM])).to_bytes(4, "little")
+    start[CHECKSUM:] = metadata_checksum(bytes(start[:CHECKSUM])).to_bytes(4, "little")
     shown = _Unclosed(path, bytes(start))
     try:
         return h5py.File(shown, "r")
@@ -104,12 +104,12 @@ def clear_times(path: Path) -> None:
         assert header[:6] == b"OHDR\x02\x20", "a file in pages has an extension with times"
         header[TIMES] = bytes(16)
         header += stream.read(header[MESSAGES - 1])
-        header += checksum(bytes(header)).to_bytes(4, "little")
+        header += metadata_checksum(bytes(header)).to_bytes(4, "little")
         stream.seek(address)
         stream.write(header)
 
 
-def checksum(data: bytes) -> int:
+def metadata_checksum(data: bytes) -> int:
     """Return HDF5's checksum of metadata: Jenkins' lookup3, initial value 0.
 
     (B. Jenkins, lookup3.c, May 2006, hashlittle, public domain.)

@@ -20,7 +20,7 @@ import h5py
 from numpy.typing import NDArray
 
 from rigtool.errors import RigtoolError, UsageError
-from rigtool.interrupts import check, held
+from rigtool.interrupts import held, raise_swallowed
 from rigtool.quantity import Quantity
 from rigtool.runfile import layout, provenance, schema, tree
 from rigtool.runfile.model import RecordingSpec, Table
@@ -44,7 +44,7 @@ from rigtool.runfile.superblock import clear_times
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
 
-HEADROOM = 2**18
+HEADROOM_BYTES = 2**18
 """Bytes reserved for what HDF5 itself writes beside the data."""
 
 SYNC_INTERVAL = 0.25
@@ -154,7 +154,7 @@ class RunWriter:
                 with storage_errors(self.path):
                     self._write(stream, stream.waiting - stream.waiting % stream.chunk)
                     self._sync()
-        check()
+        raise_swallowed()
 
     def note_line(self, report: str) -> None:
         """Keep with the run what happened on the serial line of its rig: JSON, from the rig."""
@@ -187,7 +187,7 @@ class RunWriter:
         notes: Sequence[str] = (),
     ) -> None:
         """Write results, tables (the first is what a viewer shows) and remarks; take the name."""
-        check()
+        raise_swallowed()
         with storage_errors(self.path), own_file(self.path) as new:
             self._close_streams()
             self._close_recorded()
@@ -249,7 +249,7 @@ class RunWriter:
         with self.part.open("xb") as stream:
             self._inode = os.fstat(stream.fileno()).st_ino
             reserve(stream.fileno(), self._head_size())
-        self._file = file = open_file(self.part, "w", libver=schema.LIBVER, **schema.PAGES)
+        self._file = file = open_file(self.part, "w", libver=schema.LIBVER, **schema.PAGE_SETTINGS)
         lock(file.id.get_vfd_handle())
         self._reserve(file, self._head_size())
         layout.write_head(file, self._command, self._rig, self._specs, self._provenance)
@@ -262,7 +262,7 @@ class RunWriter:
         channels = sum(len(spec.channels) + len(spec.conditions) for spec in self._specs)
         origin = self._provenance
         texts = (origin.recipe, origin.recipe_resolved, origin.mapping)
-        return HEADROOM + 4096 * channels + 4 * sum(len(text or "") for text in texts)
+        return HEADROOM_BYTES + 4096 * channels + 4 * sum(len(text or "") for text in texts)
 
     def _reserve(self, file: h5py.File, size: int) -> None:
         reserve(file.id.get_vfd_handle(), file.id.get_filesize() + size)
@@ -271,11 +271,11 @@ class RunWriter:
         assert self._file is not None
         size = stream.size(count)
         try:
-            self._reserve(self._file, self._unsynced + size + HEADROOM)
+            self._reserve(self._file, self._unsynced + size + HEADROOM_BYTES)
         except OSError:
             # What waits in HDF5's memory was counted uncompressed: write it, and look again.
             self._sync(force=True)
-            self._reserve(self._file, size + HEADROOM)
+            self._reserve(self._file, size + HEADROOM_BYTES)
         stream.write(count)
         self._unsynced += size
 

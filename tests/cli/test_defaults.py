@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import rigtool.cli as cli
-from rigtool.cli.output import SCHEMA
+from rigtool.cli.output import JSON_VERSION
 
 ROOT = Path(__file__).parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
@@ -81,7 +81,7 @@ def test_every_command_has_the_options_of_output(name, capsys):
     assert (code, document["error"]["exit_code"]) == (2, 2)
     assert "No such option" in document["error"]["message"]
     assert set(document) == KEYS | {"error"}
-    assert (document["schema"], document["command"]) == (SCHEMA, name)
+    assert (document["schema"], document["command"]) == (JSON_VERSION, name)
     assert "No such option" in err
 
 
@@ -106,7 +106,7 @@ def test_one_schema(line, tmp_path, monkeypatch, capsys):
     assert (code, err) == (0, "")
     document = json.loads(out)
     assert set(document) >= KEYS
-    assert document["schema"] == SCHEMA
+    assert document["schema"] == JSON_VERSION
     if "-o" in line:
         assert document["output"] == line.split()[-1]
 

@@ -157,7 +157,7 @@ def drive(bench, line):
 @pytest.mark.parametrize("line", list(examples()))
 def test_the_example_runs(bench, line, capsys, monkeypatch):
     # Tests of the report draw its figures.
-    drawn = "rigtool.report.figures.style.render"
+    drawn = "rigtool.report.figures.style.render_figure"
     monkeypatch.setattr(drawn, lambda figure: ("<svg/>", b"\x89PNG"))
     # Whatever is connected to this computer is asked nothing.
     monkeypatch.setattr("serial.tools.list_ports.comports", list)

@@ -215,6 +215,16 @@ def test_a_signal_closes_the_file_and_says_so(tmp_path, number, code, word):
     assert os.listdir(tmp_path) == ["run.h5.part"]
 
 
+def test_a_closed_stderr_changes_nothing(tmp_path, monkeypatch):
+    recipe = str(ROOT / "recipes" / "briaire-2006.toml")
+    monkeypatch.setattr(sys, "stderr", None)
+    with pytest.raises(SystemExit) as end:
+        cli.main(["suspension", recipe, "--dry-run", "-o", str(tmp_path / "run.h5")])
+    with sys.stderr as nowhere:
+        assert nowhere.name == os.devnull
+    assert end.value.code == 0
+
+
 def test_options_arrive_together():
     found = {}
 
@@ -263,7 +273,7 @@ def test_inputs_that_were_not_given_are_left_out(tmp_path):
 
 
 def test_json_is_strict():
-    from rigtool.cli.output import SCHEMA, Output, quantity_document
+    from rigtool.cli.output import JSON_VERSION, Output, quantity_document
     from rigtool.quantity import Quantity
 
     results = {
@@ -272,7 +282,7 @@ def test_json_is_strict():
     }
     shown = {name: quantity_document(quantity) for name, quantity in results.items()}
     text = Output().text({"results": shown})
-    assert json.loads(text)["schema"] == SCHEMA
+    assert json.loads(text)["schema"] == JSON_VERSION
 
     def refuse(name: str) -> None:
         raise AssertionError(name)

@@ -5,7 +5,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.controller_torque import (
-    CHANNELS,
+    LOOP_CHANNELS,
     SIGNAL,
     TABLE,
     controller_torque,
@@ -24,7 +24,7 @@ ASKED, MODELLED, LEARNED = 0.5, 0.125, 0.25
 def recorded(path, learned=TABLE, asked=ASKED, samples=1000):
     """Record constant currents, A, with the rotor at its set point; return what is read of it."""
     recipe, text = load_recipe(RECIPE, ())
-    names = [learned if name == TABLE else name for name in CHANNELS]
+    names = [learned if name == TABLE else name for name in LOOP_CHANNELS]
     angle = np.linspace(0, 2 * np.pi, samples)
     block = {
         "time": np.arange(samples) * 1e-3,

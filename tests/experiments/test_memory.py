@@ -67,7 +67,7 @@ def measure_force(cycles: int) -> tuple[str, list[str], list[object]]:
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the kernel counts it in /proc")
 @pytest.mark.parametrize(
-    ("procedure", "short", "long"), [(fft_ripple, 5, 95), (measure_force, 3, 18)]
+    ("procedure", "short", "long"), [(fft_ripple, 10, 95), (measure_force, 6, 20)]
 )
 def test_a_longer_run_at_the_full_rate_needs_hardly_more_memory(tmp_path, procedure, short, long):
     commands, paths = [], []

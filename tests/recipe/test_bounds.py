@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from rigtool.errors import RecipeError
 from rigtool.recipe import Recipe, load_recipe
-from rigtool.recipe.base import BOUNDS, unit_of
+from rigtool.recipe.base import UNIT_BOUNDS, unit_of
 
 RECIPE = "recipes/briaire-2006.toml"
 OWN_TARGET = "recipes/own-target.toml"
@@ -89,9 +89,9 @@ def test_units_are_those_of_the_end_of_a_description():
     assert unit_of("kilograms, miles") is None
 
 
-@pytest.mark.parametrize("unit", BOUNDS)
+@pytest.mark.parametrize("unit", UNIT_BOUNDS)
 def test_bounds_are_ordered_and_finite(unit):
-    low, high = BOUNDS[unit]
+    low, high = UNIT_BOUNDS[unit]
     assert 0 <= low < high < math.inf
 
 

@@ -334,6 +334,6 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make every figure, and store a stand-in for its picture."""
     monkeypatch.setattr(
-        "rigtool.report.figures.style.render",
+        "rigtool.report.figures.style.render_figure",
         lambda figure: ('<?xml version="1.0"?><svg/>', b"\x89PNG"),
     )

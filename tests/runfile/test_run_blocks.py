@@ -8,10 +8,10 @@ import pytest
 
 from rigtool.errors import RunFileError
 from rigtool.runfile import Recording, RunWriter, open_run
-from rigtool.runfile.recording import BLOCK
+from rigtool.runfile.recording import BLOCK_SAMPLES
 from tests.runfile.whole_run import SPECS
 
-SIZE = 2 * BLOCK + 1234
+SIZE = 2 * BLOCK_SAMPLES + 1234
 
 
 @pytest.fixture(scope="module")
@@ -31,17 +31,17 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recording]:
     ("start", "stop"),
     [
         (0, 100),
-        (0, BLOCK),
-        (BLOCK - 1, BLOCK + 1),
-        (BLOCK, 2 * BLOCK),
-        (7, 2 * BLOCK + 9),
+        (0, BLOCK_SAMPLES),
+        (BLOCK_SAMPLES - 1, BLOCK_SAMPLES + 1),
+        (BLOCK_SAMPLES, 2 * BLOCK_SAMPLES),
+        (7, 2 * BLOCK_SAMPLES + 9),
         (5, 5),
         (9, 3),
     ],
 )
 def test_blocks_join_to_what_was_asked_for(recording, start, stop):
     blocks = list(recording.blocks("torque", "time", start=start, stop=stop))
-    assert all(time[-1] // BLOCK == time[0] // BLOCK for _, time in blocks)
+    assert all(time[-1] // BLOCK_SAMPLES == time[0] // BLOCK_SAMPLES for _, time in blocks)
     for index, name in enumerate(("torque", "time")):
         joined = np.concatenate([np.zeros(0), *(block[index] for block in blocks)])
         np.testing.assert_array_equal(joined, recording.read(name, start, max(start, stop)))
@@ -54,7 +54,7 @@ def test_without_limits_everything_is_read(recording):
 
 def test_a_hole_ends_the_blocks_where_it_is(recording):
     blocks = recording.blocks("torque")
-    assert next(blocks)[0].size == next(blocks)[0].size == BLOCK
+    assert next(blocks)[0].size == next(blocks)[0].size == BLOCK_SAMPLES
     with pytest.raises(RunFileError, match=f"at sample {SIZE - 5}"):
         next(blocks)
 

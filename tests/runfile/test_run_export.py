@@ -54,7 +54,7 @@ def test_results_as_csv(run_path, tmp_path):
 
 
 def test_a_recording_as_parquet(run_path, tmp_path, monkeypatch):
-    monkeypatch.setattr("rigtool.runfile.export.BLOCK", 8192)
+    monkeypatch.setattr("rigtool.runfile.export.EXPORT_ROWS", 8192)
     path = exported(run_path, tmp_path / "a.parquet", "sweep")
     frame = pd.read_parquet(path)
     assert len(frame) == SIZE
@@ -95,7 +95,7 @@ def test_parquet_without_its_package_says_what_to_install(run_path, tmp_path, mo
 @pytest.mark.parametrize("ending", ["csv", "parquet"])
 def test_a_long_recording_is_exported_in_blocks(tmp_path, monkeypatch, ending):
     """No read is longer than a block, and blocks of any length join without a seam."""
-    monkeypatch.setattr("rigtool.runfile.export.BLOCK", 1000)
+    monkeypatch.setattr("rigtool.runfile.export.EXPORT_ROWS", 1000)
     path, longest = write(tmp_path / "run.h5", size=10_500), 0
     stored = Recording.read_stored
 

@@ -11,7 +11,7 @@ import pytest
 from rigtool.errors import RunFileError
 from rigtool.runfile import RunWriter, open_run
 from rigtool.runfile.recovery import recover
-from rigtool.runfile.superblock import CHECKSUM, SUPERBLOCK_SIZE, checksum
+from rigtool.runfile.superblock import CHECKSUM, SUPERBLOCK_SIZE, metadata_checksum
 from tests.runfile.test_run_damaged import cut, flipped, flipped_in_headers, overwritten, swapped
 from tests.runfile.whole_run import SPECS, samples
 
@@ -36,13 +36,13 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_checksum_is_the_published_one():
     """Values that lookup3.c states itself."""
-    assert checksum(b"") == 0xDEADBEEF
-    assert checksum(b"Four score and seven years ago") == 0x17770551
+    assert metadata_checksum(b"") == 0xDEADBEEF
+    assert metadata_checksum(b"Four score and seven years ago") == 0x17770551
 
 
 def test_the_checksum_is_that_of_hdf5(part):
     start = part.read_bytes()[:SUPERBLOCK_SIZE]
-    assert checksum(start[:CHECKSUM]) == int.from_bytes(start[CHECKSUM:], "little")
+    assert metadata_checksum(start[:CHECKSUM]) == int.from_bytes(start[CHECKSUM:], "little")
 
 
 def test_remains_come_back_and_stay_as_they_are(part, tmp_path):

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rigtool.cli.options import (
-    FILE,
+    FILE_ARGUMENT,
     Command,
     completed,
     current_output,
@@ -35,12 +35,12 @@ def _parts(path: str) -> list[str]:
         "rigtool export tables-loads.h5 --kt kt.h5 --format c-sensor -o sensor.h",
     ),
 )
-@click.argument("path", type=FILE, metavar="RUN.h5")
+@click.argument("path", type=FILE_ARGUMENT, metavar="RUN.h5")
 @click.option(
     "-o",
     "--output",
     required=True,
-    type=FILE,
+    type=FILE_ARGUMENT,
     metavar="FILE",
     help=".csv, .parquet, .mat, .nc, .h, .json.",
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE, Command, completed, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Command, completed, current_output, example
 
 
 def _names(path: str) -> list[str]:
@@ -24,12 +24,12 @@ def _names(path: str) -> list[str]:
         "rigtool plot friction.h5 figure-30",
     ),
 )
-@click.argument("path", type=FILE, metavar="RUN.h5")
+@click.argument("path", type=FILE_ARGUMENT, metavar="RUN.h5")
 @click.argument("name", required=False, shell_complete=completed(_names))
 @click.option(
     "-o",
     "--output",
-    type=FILE,
+    type=FILE_ARGUMENT,
     metavar="FILE",
     help="Picture to write: .png, .svg or .pdf.  [default: RUN-NAME.svg]",
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
 
 
 @click.command(
@@ -13,8 +13,8 @@ from rigtool.cli.options import FILE, Command, current_output, example
         "rigtool recover kt.h5.part", "rigtool recover kt.h5.part -o rescued.h5 --overwrite"
     ),
 )
-@click.argument("part", type=FILE, metavar="RUN.h5.part")
-@click.option("-o", "--output", type=FILE, metavar="RUN.h5", help="Run file to write.")
+@click.argument("part", type=FILE_ARGUMENT, metavar="RUN.h5.part")
+@click.option("-o", "--output", type=FILE_ARGUMENT, metavar="RUN.h5", help="Run file to write.")
 def command(part: str, output: str | None) -> None:
     """Make a run file from the remains of an interrupted run.
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
 
 
 @click.command(
     cls=Command, epilog=example("rigtool verify force.h5", "rigtool verify kt.h5 tables.h5")
 )
-@click.argument("paths", nargs=-1, required=True, type=FILE, metavar="RUN.h5...")
+@click.argument("paths", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="RUN.h5...")
 def command(paths: tuple[str, ...]) -> None:
     """Check run files and everything they were made from.
 

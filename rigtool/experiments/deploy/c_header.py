@@ -22,7 +22,7 @@ from rigtool.numerics.arrays import Array
 INT16 = 32767
 """Largest code of a table of 2-byte numbers."""
 
-WIDTH = 100
+LINE_WIDTH = 100
 """Characters of a line."""
 
 PERIODIC = """    float across = (position - {P}_START) / {P}_STEP;
@@ -194,7 +194,7 @@ def _numbers(values: Array | NDArray[np.int64]) -> list[str]:
 
 def _wrapped(numbers: Sequence[str]) -> str:
     widest = max(map(len, numbers)) + 2
-    each = max(1, (WIDTH - 4) // widest)
+    each = max(1, (LINE_WIDTH - 4) // widest)
     lines = [", ".join(numbers[i : i + each]) for i in range(0, len(numbers), each)]
     return ",\n".join(f"    {line}" for line in lines)
 

@@ -117,12 +117,12 @@ struct rs_model {
     rs_real torque_start, bristle_start, speed_start;
     rs_real quiet_walk, slow_walk, step_walk, walk[RS_MOVING];
     rs_real short_kept, long_kept, step_threshold, slow_threshold, least_variance;
-    /* ripple of another power-up: experiments/force/power_up.py has the equations */
+    /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
     rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
     rs_real row_begins, row_ends, row_changes, row_least, row_certain, row_largest;
     /* states */
-    rs_real sliding, slow, speed_limit, torque_limit, current_limit, cold, warm;
+    rs_real sliding, slow, speed_limit, torque_limit, current_limit, largest_current, cold, warm;
     int32_t lowest, highest; /* counts */
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
      * deviation s, by state, and while the rotor creeps */
@@ -1063,7 +1063,8 @@ static inline const struct rigtool_sensor_reading *rigtool_sensor_update(
         s->current = s->temperature = 0;
         s->limited = 0;
     }
-    s->current += sample.current;
+    s->current += RS_MATH(fmax)(
+        -rs_model.largest_current, RS_MATH(fmin)(sample.current, rs_model.largest_current));
     s->temperature += sample.temperature;
     s->limited |= RS_MATH(fabs)(sample.current) >= rs_model.current_limit;
     if (++s->collected < RS_AVERAGED)

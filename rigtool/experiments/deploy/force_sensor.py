@@ -170,7 +170,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "wave_gain": gain,
         "wave_mean": -own,
         "wave_variance": amplitude**2 / 2,
-        "wave_doubt": amplitude**2 / 2 * (power_up.WAVES * row_time / power_up.FORGOTTEN),
+        "wave_doubt": amplitude**2 / 2 * (power_up.WAVE_COUNT * row_time / power_up.FORGOTTEN),
         "row_noise": (power_up.NOISE * size) ** 2,
         "row_walk": (np.array(power_up.WALKS) * size) ** 2 * row_time,
         "row_reversal": (power_up.AFTER_REVERSAL * size) ** 2 * row_time / power_up.ROW_TIME,
@@ -180,9 +180,9 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "row_begins": power_up.BEGINS * row_time,
         "row_ends": power_up.ENDS * row_time,
         "row_changes": power_up.CHANGES * row_time,
-        "row_least": power_up.LEAST,
-        "row_certain": power_up.CERTAIN,
-        "row_largest": power_up.LARGEST**2,
+        "row_least": power_up.MIN_UNTOUCHED_PROBABILITY,
+        "row_certain": power_up.MAX_LOG_RATIO,
+        "row_largest": power_up.LARGEST_RIPPLE_RATIO**2,
     }
 
 
@@ -192,11 +192,12 @@ def _states(instrument: SensorProperties) -> dict[str, Number]:
     margin = motion_states.BEYOND_ANGLE * (high - low)
     cold, warm = np.clip(reach.temperature_degc, -1e4, 1e4)
     return {
-        "sliding": motion_states.SLIDING,
-        "speed_limit": motion_states.BEYOND * reach.speed,
+        "sliding": motion_states.SLIDING_DEFLECTION,
+        "speed_limit": motion_states.LARGEST_LEARNED_RATIO * reach.speed,
         "slow": reach.slow,
-        "torque_limit": motion_states.BEYOND * reach.torque,
+        "torque_limit": motion_states.LARGEST_LEARNED_RATIO * reach.torque,
         "current_limit": AT_THE_LIMIT * instrument.current_limit,
+        "largest_current": instrument.current_limit,
         "cold": cold,
         "warm": warm,
         "lowest": max(math.ceil((low - margin) / count), -INT32),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.deploy.position_map import PositionMap
 from rigtool.experiments.deploy.quantised_table import Loss, loss
-from rigtool.experiments.ripple.orders import CLEAR
+from rigtool.experiments.ripple.orders import SIGNIFICANT_RATIO
 from rigtool.numerics.arrays import Array
 
 
@@ -62,10 +62,11 @@ def fourier_series(turn: PositionMap, band: int | None) -> FourierSeries:
     held = np.flatnonzero(amplitude > rounding)
     highest = int(held[-1]) + 1 if held.size else highest
     floor = max(math.sqrt(2 / highest * float(np.mean(turn.u**2))), rounding)
-    clear = amplitude > CLEAR * floor
+    clear = amplitude > SIGNIFICANT_RATIO * floor
     if not clear.any():
         raise InsufficientDataError(
-            f"none of the orders 1 to {highest} exceeds the noise by a factor of {CLEAR:g} "
+            f"none of the orders 1 to {highest} exceeds the noise by a factor of "
+            f"{SIGNIFICANT_RATIO:g} "
             f"(the largest has {amplitude.max():.3g}, the noise floor is "
             f"{floor:.3g}): learn from more revolutions"
         )

@@ -21,15 +21,15 @@ from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.drivers import REPLAY, driver
+from rigtool.rigs.serial.drivers import REPLAY_DRIVER, driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.table_store import DriveTable, EncoderZero, TableStore
 from rigtool.runfile import Run
 
-TIMEOUT = 1.0
+FLASH_TIMEOUT = 1.0
 """Longest wait for an answer, s: a drive that writes its flash is busy."""
 
-WAVEFORMS = "residual_waveforms"
+WAVEFORM_TABLE = "residual_waveforms"
 """Table of a run with waveforms before, and with the learned table switched on."""
 
 TABLE_ON = "cogging table is on"
@@ -68,7 +68,7 @@ def deploy(
     settings = recipe.serial
     baud_rate = settings.baud_rate or usual_baud_rate
     with Line(
-        settings.port, baud_rate, timeout=TIMEOUT, spy=operator.spy, driver=settings.driver
+        settings.port, baud_rate, timeout=FLASH_TIMEOUT, spy=operator.spy, driver=settings.driver
     ) as line:
         store = make_table_store(line, recipe)
         identity = store.connect()
@@ -106,7 +106,7 @@ def _store_of(recipe: Recipe) -> tuple[Callable[[Line, Recipe], TableStore], int
             "a recipe with rig.source = serial"
         )
     name = recipe.serial.driver
-    if name == REPLAY:
+    if name == REPLAY_DRIVER:
         raise UsageError("serial.driver is replay: a record has no memory to store a table in")
     found = driver(name)
     if found.make_table_store is None:
@@ -149,9 +149,9 @@ def _ripple_remark(tables: Run, speed: float) -> str:
 
     Raises `InsufficientDataError` where it reduced nothing.
     """
-    if WAVEFORMS not in tables.tables:
+    if WAVEFORM_TABLE not in tables.tables:
         return "the table was not tried while it was learned: its effect on ripple is not known"
-    tried = tables.table(WAVEFORMS, speed="rad/s", before="N m", residual="N m")
+    tried = tables.table(WAVEFORM_TABLE, speed="rad/s", before="N m", residual="N m")
     distance = np.abs(np.abs(tried["speed"]) - abs(speed))
     next_to = distance == distance.min()
     before, after = (_ripple(tried[name][next_to]) for name in ("before", "residual"))

@@ -18,7 +18,7 @@ from rigtool.control.lookup_table import LookupTable
 from rigtool.experiments.deploy.position_map import TURN, PositionMap
 from rigtool.numerics.arrays import Array
 
-FINE = 2**16
+LOSS_POSITIONS = 2**16
 """Positions of the turn at which the loss is computed."""
 
 
@@ -120,7 +120,7 @@ def interpolated_codes(
     """
     stored = quantise(turn.at(_angles(count, 0.0)), largest_code, step)
     used = PositionMap(0.0, stored.values, np.zeros(count), 0.0, turn.speed, True)
-    fine = _angles(FINE, 0.5)
+    fine = _angles(LOSS_POSITIONS, 0.5)
     return Sampled(stored, loss(used.at(fine) - turn.at(fine)))
 
 
@@ -130,7 +130,7 @@ def held_values(turn: PositionMap, count: int) -> tuple[NDArray[np.float32], Los
     The values are those of the middles: at the beginnings they would come half a cell late.
     """
     values = turn.at(_angles(count, 0.5)).astype(np.float32)
-    fine = count * math.ceil(FINE / count)
+    fine = count * math.ceil(LOSS_POSITIONS / count)
     held = np.repeat(values.astype(np.float64), fine // count)
     return values, loss(held - turn.at(_angles(fine, 0.5)))
 

@@ -17,24 +17,24 @@ from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.runfile import Run
 from rigtool.runfile.export import write_new
 
-LEARNED = "ilc-learn"
+LEARNING_COMMAND = "ilc-learn"
 
-SENSOR = "c-sensor"
+SENSOR_FORMAT = "c-sensor"
 """Format of the force model that was learned beside the table."""
 
-FORMATS: Mapping[str, tuple[str, ...]] = {
+EXPORT_FORMATS: Mapping[str, tuple[str, ...]] = {
     "c": (".h",),
     "c-int16": (".h",),
     "table": (".csv", ".json", ".mat"),
     "moteus": (".cfg",),
     "odrive": (".csv", ".json"),
     "fourier": (".csv", ".json"),
-    SENSOR: (".h",),
+    SENSOR_FORMAT: (".h",),
 }
 """Formats of a learned table, and the endings of their files; the first format of an ending is what
 it means by itself."""
 
-MAPS = ("moteus", "odrive", "fourier")
+MAP_FORMATS = ("moteus", "odrive", "fourier")
 """Formats that hold the turn at one speed."""
 
 
@@ -45,15 +45,15 @@ def chosen_format(run: Run, output: Path, part: str | None, wanted: str | None) 
     """
     ending = output.suffix
     if wanted is None:
-        alone = run.command == LEARNED and ending == ".csv" and part is None
+        alone = run.command == LEARNING_COMMAND and ending == ".csv" and part is None
         if not alone and ending not in (".h", ".json", ".cfg"):
             return None
-        wanted = next(name for name, endings in FORMATS.items() if ending in endings)
+        wanted = next(name for name, endings in EXPORT_FORMATS.items() if ending in endings)
     if part is not None:
         raise UsageError(f"--part {part}: --format {wanted} holds the learned table; leave one out")
-    if ending not in FORMATS[wanted]:
+    if ending not in EXPORT_FORMATS[wanted]:
         raise UsageError(
-            f"{output}: --format {wanted} is written as {' or '.join(FORMATS[wanted])}, not "
+            f"{output}: --format {wanted} is written as {' or '.join(EXPORT_FORMATS[wanted])}, not "
             f"{ending or 'without ending'!r}"
         )
     return wanted
@@ -73,16 +73,16 @@ def export_table(
     `speed`, rad/s, and `kt`, current to torque, are for the formats that need them. Raises
     `UsageError` where they are missing or do not apply.
     """
-    if wanted == SENSOR:
+    if wanted == SENSOR_FORMAT:
         if speed is not None:
-            raise UsageError(f"--speed is for {', '.join(MAPS)}: {wanted} holds all speeds")
+            raise UsageError(f"--speed is for {', '.join(MAP_FORMATS)}: {wanted} holds all speeds")
         text, notes, inputs = sensor(run, kt)
         write_new(output, overwrite, lambda path: _write(path, text), inputs)
         return notes
     learned = learned_table_from(run)
     remarks: list[str] = []
     contents: str | dict[str, Any]
-    if wanted in MAPS:
+    if wanted in MAP_FORMATS:
         turn = in_unit(position_map(learned.table, learned.u, speed), learned, wanted, kt)
         contents, lost = _map_text(learned, turn, wanted, output)
         if turn.mean:
@@ -93,7 +93,9 @@ def export_table(
     else:
         for option, value in (("--speed", speed), ("--kt", kt)):
             if value is not None:
-                raise UsageError(f"{option} is for {', '.join(MAPS)}: {wanted} holds all speeds")
+                raise UsageError(
+                    f"{option} is for {', '.join(MAP_FORMATS)}: {wanted} holds all speeds"
+                )
         contents, lost = _table_contents(learned, output, wanted)
     inputs = [run.path] if kt is None else [run.path, kt.path]
     write_new(output, overwrite, lambda path: _write(path, contents), inputs)

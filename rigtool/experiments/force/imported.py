@@ -19,11 +19,11 @@ from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_sensor.results_over_time import TorqueRows, over_time_tables
 from rigtool.experiments.imported import RECORDING
 from rigtool.experiments.imported_load.basis import LoadSignals
-from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_all
+from rigtool.experiments.imported_load.imported_signals import REFERENCE_CHANNEL, read_all
 from rigtool.experiments.imported_load.learning import levels_of
 from rigtool.experiments.imported_load.loop import DOUBTED, REFUSED
 from rigtool.experiments.imported_load.model import LoadModel, TorqueEstimate
-from rigtool.experiments.imported_load.region import SLACK, reached
+from rigtool.experiments.imported_load.region import POSITION_SLACK, reached
 from rigtool.experiments.imported_load.stored import load_model_from
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
@@ -35,7 +35,7 @@ MOST_BEYOND = 0.25
 FEW = 1e-3
 """Part of the samples at either end of the way that do not show how far strokes go."""
 
-FAST = 0.25
+FAST_SPEED = 0.25
 """Strokes count as moving fast from this speed of the output on, rad/s, as by O'Neill et al., IEEE
 RA-L 3(4) 3027-3034, 2018."""
 
@@ -74,7 +74,7 @@ def analyse_imported(runs: Sequence[Run], *, tables: Run, kt: Run | None = None)
         found |= judged_tables
         notes += remarks
     else:
-        notes.append(f"not every run holds {REFERENCE}: the torque is not judged")
+        notes.append(f"not every run holds {REFERENCE_CHANNEL}: the torque is not judged")
     return Outcome(results, found, tuple(notes))
 
 
@@ -105,7 +105,7 @@ def of_this_zero(
     place = np.concatenate([model.place(path)[path.regular] for path in paths])
     lowest, highest = np.quantile(place, [FEW, 1 - FEW])
     back = max(-lowest, 0.0) if -lowest > highest - 1 else -max(highest - 1, 0.0)
-    if abs(back) <= SLACK:
+    if abs(back) <= POSITION_SLACK:
         return list(measured), []
     back *= model.scales.high - model.scales.low
     found = []
@@ -266,20 +266,22 @@ def _judged(
     measured: Sequence[Measured], rows: Sequence[TorqueRows], model: LoadModel
 ) -> tuple[dict[str, Quantity], dict[str, Table], list[str]]:
     """Return results, tables and notes of the comparison with the sensor: of strokes."""
-    fast = [model.direction * m.signals.output_speed / FAST for m in measured]
+    fast = [model.direction * m.signals.output_speed / FAST_SPEED for m in measured]
     pairs = [(m.signals, m.estimate.moving, f > 1) for m, f in zip(measured, fast, strict=True)]
     strokes = read_strokes(pairs)
     results, notes = scatter_results(strokes)
     error = np.concatenate([m.estimate.moving - m.signals.sensor for m in measured])
     speed = np.concatenate(fast)
-    reason = f"itself a measure of uncertainty; NaN: no such stroke is faster than {FAST:g} rad/s"
+    reason = (
+        f"itself a measure of uncertainty; NaN: no such stroke is faster than {FAST_SPEED:g} rad/s"
+    )
     for name, own in (("closing", speed > 1), ("opening", speed < -1)):
         rms = accuracy(error, np.isfinite(error), own).rmse
         results[f"rmse_{name}"] = Quantity(rms, "N m", reason=reason)
     table = stroke_loads(strokes, levels_of([item.signals for item in measured]))
     if table is None:
         notes.append(
-            f"no closing stroke passes the middle of the stroke faster than {FAST:g} rad/s: "
+            f"no closing stroke passes the middle of the stroke faster than {FAST_SPEED:g} rad/s: "
             "there is no table of loads"
         )
     return results, {} if table is None else {"loads": table}, notes

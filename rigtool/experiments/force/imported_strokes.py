@@ -13,16 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.force.results import COLUMNS, LoadRow, loads_table
+from rigtool.experiments.force.results import LOAD_COLUMNS, LoadRow, loads_table
 from rigtool.experiments.imported_load.basis import LoadSignals
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.quantity import Quantity
 from rigtool.runfile import Table
 
-CELLS = 25
+STROKE_CELLS = 25
 """Positions along the stroke at which repeats are compared."""
 
-REPEATS = 2
+MIN_REPEATS = 2
 """Strokes, or runs, that have a scatter."""
 
 
@@ -54,7 +54,7 @@ def read_strokes(items: Sequence[tuple[LoadSignals, Array, Mask]]) -> list[Strok
     if not places:
         return []
     low, high = min(p.min() for p in places), max(p.max() for p in places)
-    grid = low + (np.arange(2 * CELLS + 1) / (2 * CELLS)) * (high - low)
+    grid = low + (np.arange(2 * STROKE_CELLS + 1) / (2 * STROKE_CELLS)) * (high - low)
     strokes = []
     for (signals, measured, _), parts in zip(items, found, strict=True):
         rows = np.full((2, len(parts), len(grid)), np.nan)
@@ -97,7 +97,7 @@ def stroke_loads(strokes: Sequence[Strokes], numbers: Sequence[int]) -> Table | 
     about = (
         f"closing strokes where the load is at {place:.4g} rad; torque against closing is positive"
     )
-    return loads_table(rows, {k: v for k, v in {**COLUMNS, **_OWN}.items() if v}, about)
+    return loads_table(rows, {k: v for k, v in {**LOAD_COLUMNS, **_OWN}.items() if v}, about)
 
 
 _OWN = {
@@ -120,9 +120,9 @@ def _row(torque: Array, sensor: Array, errors: Array) -> LoadRow:
     """
     runs, mean = len(errors), float(torque.mean())
     shown = Quantity(mean, "N m", reason="of one run: its scatter is not known")
-    if runs >= REPEATS:
+    if runs >= MIN_REPEATS:
         shown = Quantity(mean, "N m", float(errors.std(ddof=1)) / math.sqrt(runs), float(runs - 1))
-    std = float(torque.std(ddof=1)) if torque.size >= REPEATS else math.nan
+    std = float(torque.std(ddof=1)) if torque.size >= MIN_REPEATS else math.nan
     applied = Quantity(float(sensor.mean()), "N m", reason="by the sensor")
     # S / sqrt(2 (n - 1)) for normal readings (GUM E.4.3)
     std_u = std / math.sqrt(2 * max(torque.size - 1, 1))
@@ -138,7 +138,7 @@ def scatter_results(strokes: Sequence[Strokes]) -> tuple[dict[str, Quantity], li
             means.append(float(np.nanmean(error)))
         for cell in error.T:
             known = cell[np.isfinite(cell)]
-            if known.size >= REPEATS:
+            if known.size >= MIN_REPEATS:
                 squares += float(np.sum((known - known.mean()) ** 2))
                 dof += known.size - 1
     found, notes = {}, []
@@ -146,7 +146,7 @@ def scatter_results(strokes: Sequence[Strokes]) -> tuple[dict[str, Quantity], li
     if dof:
         within = math.sqrt(squares / dof)
         found["scatter_between_strokes"] = Quantity(within, "N m", reason=reason)
-    if len(means) >= REPEATS:
+    if len(means) >= MIN_REPEATS:
         between = float(np.std(means, ddof=1))
         found["scatter_between_runs"] = Quantity(between, "N m", reason=reason)
     if len(found) == 2:

@@ -23,7 +23,7 @@ from rigtool.experiments.force.results_method import (
     require_slow_strokes,
     resolution_u,
 )
-from rigtool.experiments.force_model.procedure_learning import CHANNELS, stroke_record
+from rigtool.experiments.force_model.procedure_learning import LOADED_CHANNELS, stroke_record
 from rigtool.experiments.force_sensor.procedure_over_time import (
     analyse_over_time,
     require_calibration,
@@ -62,7 +62,7 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
             (HYSTERESIS, settings.hysteresis_force, settings.extra_cycles),
             (SHIFT, settings.shift_force, settings.extra_cycles),
         ]
-    recorded = channels(*CHANNELS)
+    recorded = channels(*LOADED_CHANNELS)
     return tuple(
         RecordingSpec(
             name,

@@ -68,7 +68,8 @@ class LoadReadings:
 
 @dataclass(frozen=True)
 class LoadRow:
-    """One load of Table 8 or 9, as `COLUMNS` describes its numbers; NaN where there is no value."""
+    """One load of Table 8 or 9, as `LOAD_COLUMNS` describes its numbers; NaN where there is no
+    value."""
 
     applied_force: float
     applied: Quantity
@@ -101,7 +102,7 @@ class LoadRow:
         return math.nan if number is None else float(number)
 
 
-COLUMNS = {
+LOAD_COLUMNS = {
     "applied_force": ("N", ""),
     "applied_torque": ("N m", "at the angle of the reading"),
     "applied_torque_u": ("N m", "standard uncertainty: weights, length, angle ratio"),
@@ -204,7 +205,7 @@ def loads_outcome(
     )
     tables = {
         "loads": loads_table(
-            rows, COLUMNS, "torque read from current while rising, by load; the first has none"
+            rows, LOAD_COLUMNS, "torque read from current while rising, by load; the first has none"
         ),
         "values": _values_table(loads),
         "probability_plot": probability,

@@ -18,7 +18,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force.results import (
-    COLUMNS,
+    LOAD_COLUMNS,
     LoadReadings,
     LoadRow,
     loads_table,
@@ -39,12 +39,12 @@ from rigtool.quantity import Component, Quantity, combined, error_line, inherite
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
-BEYOND = 1.05
+LARGEST_LOAD_RATIO = 1.05
 """Loads up to this many times the largest learned one are still read."""
 
 LOAD_FRICTION = "friction that grows with load"
 SPEED_SLACK = 1.01
-ITERATIONS = 50
+MAX_ITERATIONS = 50
 
 
 # -- load
@@ -66,10 +66,10 @@ def without_load_friction(
     for load in loads[1:]:
         shown = load.values - zero
         torque = shown.copy()
-        for _ in range(ITERATIONS):
+        for _ in range(MAX_ITERATIONS):
             added = rising_load(tables, recipe, disturbance.model, torque)
             torque = shown - added.friction
-        inside = float(torque.mean()) <= BEYOND * disturbance.torque
+        inside = float(torque.mean()) <= LARGEST_LOAD_RATIO * disturbance.torque
         u = math.hypot(added.u.mean(), added.remains.mean())
         us.append(u if inside else math.nan)
         found.append(replace(load, values=zero + torque))
@@ -124,7 +124,7 @@ def _with_rows(
     notes: tuple[str, ...],
 ) -> Outcome:
     """Return an outcome with corrected rows, and those of the thesis under a name of their own."""
-    units = COLUMNS | (WHOLE_COLUMNS if isinstance(rows[-1], WholeRow) else {})
+    units = LOAD_COLUMNS | (WHOLE_COLUMNS if isinstance(rows[-1], WholeRow) else {})
     columns = {name: (unit, described.get(name, text)) for name, (unit, text) in units.items()}
     outside = sum(math.isnan(row.mean.value) for row in rows)
     count = Quantity(float(outside), "1", reason="a count")
@@ -133,7 +133,9 @@ def _with_rows(
         {
             **base.tables,
             "loads": loads_table(rows, columns, about),
-            "loads_uncorrected": loads_table(thesis, COLUMNS, "the same loads, --correction none"),
+            "loads_uncorrected": loads_table(
+                thesis, LOAD_COLUMNS, "the same loads, --correction none"
+            ),
         },
         notes,
     )
@@ -239,7 +241,7 @@ def _outside(disturbance: Disturbance, reading: LoadReading | InsufficientDataEr
     """Return the reason why a reading has no value, empty where it has one."""
     if isinstance(reading, InsufficientDataError):
         return str(reading)
-    if reading.moment <= BEYOND * disturbance.torque:
+    if reading.moment <= LARGEST_LOAD_RATIO * disturbance.torque:
         return ""
     return (
         f"the load is {reading.moment * 1e3:.4g} mN m, learned were loads up to "

@@ -15,7 +15,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.between_set_points import (
-    REMEDY,
+    SET_POINT_REMEDY,
     UNSAMPLED_LIMIT,
     UnsampledCurrent,
     setpoint_resolution,
@@ -27,24 +27,25 @@ from rigtool.recipe import Recipe
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Recording, Run
 
-UNSTEADY = 0.3
+MAX_SPEED_DEVIATION = 0.3
 """Part by which the speed at the reading, low-passed as the torque, may differ from its set point:
 with more, the reading shows the ends of the stroke rather than the angle of the reading."""
 
-SLOW = 0.5
+MAX_CYCLES_IN_PERIOD = 0.5
 """Up-and-downs in a period of the low-pass: with more, it removes the strokes themselves."""
 
-NOTEWORTHY = 0.01
+NOTED_PART_OF_LOAD = 0.01
 """Part of the smallest load from which on the current that samples miss gets a note."""
 
 
 def require_slow_strokes(recipe: Recipe, motion: Triangle) -> None:
     """Raise `InsufficientDataError` where the strokes are too fast for the low-pass."""
     cutoff, rate = recipe.measure_force.lowpass_hz, 0.5 / motion.stroke_time
-    if rate > SLOW * cutoff:
+    if rate > MAX_CYCLES_IN_PERIOD * cutoff:
         raise InsufficientDataError(
             f"loads go up and down {rate:.3g} times a second, and the low-pass of {cutoff:g} Hz "
-            f"lets {SLOW * cutoff:.3g} pass: set measure_force.speed_rev_per_s lower, or "
+            f"lets {MAX_CYCLES_IN_PERIOD * cutoff:.3g} pass: set measure_force.speed_rev_per_s "
+            "lower, or "
             "lowpass_hz higher"
         )
 
@@ -70,10 +71,10 @@ def lacking_torque(
     if lacking > limit:
         raise InsufficientDataError(
             f"{text}: more than {limit * 1e3:.3g} mN m, {UNSAMPLED_LIMIT:.0%} of the largest load; "
-            f"{REMEDY}"
+            f"{SET_POINT_REMEDY}"
         )
-    if lacking > NOTEWORTHY * min(applied, default=0.0):
-        return lacking, (f"{text}, which is in the uncertainty of each load: {REMEDY}",)
+    if lacking > NOTED_PART_OF_LOAD * min(applied, default=0.0):
+        return lacking, (f"{text}, which is in the uncertainty of each load: {SET_POINT_REMEDY}",)
     return lacking, ()
 
 
@@ -92,7 +93,7 @@ def unsteady_torque(
 
     J is fitted to the samples: where set points of speed come in steps, a current that is
     sampled right after each step is larger than its mean while the shaft accelerates. Raises
-    `InsufficientDataError` where v at the reading is off by more than `UNSTEADY`.
+    `InsufficientDataError` where v at the reading is off by more than `MAX_SPEED_DEVIATION`.
     """
     settings = recipe.measure_force
     place = math.radians(settings.measure_angle)
@@ -100,11 +101,12 @@ def unsteady_torque(
     wanted = 2 * math.pi * settings.speed_rev_per_s
     found = float(readings(angle, speed, cycles, place).mean())
     part = abs(1 - found / wanted)
-    if part > UNSTEADY:
+    if part > MAX_SPEED_DEVIATION:
         raise InsufficientDataError(
             f"the output passes {settings.measure_angle:g} deg at {found:.3g} rad/s in the mean "
             f"over what a low-pass of {settings.lowpass_hz:g} Hz remembers, its set point is "
-            f"{wanted:.3g} rad/s (limit: {UNSTEADY:.0%} off): the ends of the stroke are in the "
+            f"{wanted:.3g} rad/s (limit: {MAX_SPEED_DEVIATION:.0%} off): the ends of the stroke "
+            "are in the "
             "reading; set speed_rev_per_s lower, lowpass_hz higher, or measure_angle to the middle "
             "of the stroke (in a soft loop the rotor lags behind the load and moves the middle)"
         )

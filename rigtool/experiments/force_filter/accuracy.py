@@ -16,10 +16,10 @@ from rigtool.numerics.arrays import Array
 COVERAGE_FACTOR = 1.96
 """Coverage factor of a 95 % interval, normal distribution (GUM 6.2.2)."""
 
-BANDS = (0.0, 0.01, 0.05, 0.2, 1.0)
+LOAD_BAND_EDGES = (0.0, 0.01, 0.05, 0.2, 1.0)
 """Edges of the bands of load, in parts of the largest learned torque."""
 
-JUDGED = (State.AGAINST, State.WITH, State.REVERSED, State.STILL)
+JUDGED_STATES = (State.AGAINST, State.WITH, State.REVERSED, State.STILL)
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,16 @@ def by_band_and_state(
     states: States,
     largest: float,
 ) -> list[list[Accuracy]]:
-    """Return the accuracy in each of `BANDS` (rows) and states `JUDGED` (columns).
+    """Return the accuracy in each of `LOAD_BAND_EDGES` (rows) and states `JUDGED_STATES` (columns).
 
     `largest` N m is the largest torque that was learned; all others (n,), see `accuracy`.
     """
     band = np.clip(
-        np.searchsorted(BANDS, np.abs(reference) / largest, side="right") - 1, 0, len(BANDS) - 2
+        np.searchsorted(LOAD_BAND_EDGES, np.abs(reference) / largest, side="right") - 1,
+        0,
+        len(LOAD_BAND_EDGES) - 2,
     )
     return [
-        [accuracy(error, covered, (band == number) & (states == state)) for state in JUDGED]
-        for number in range(len(BANDS) - 1)
+        [accuracy(error, covered, (band == number) & (states == state)) for state in JUDGED_STATES]
+        for number in range(len(LOAD_BAND_EDGES) - 1)
     ]

@@ -6,8 +6,8 @@ it, so that step k is the estimate at the end of its samples. Both forms have th
 each time over `BLOCK` and the `AHEAD` that follows it.
 
 A step of the torque shows some time after it began. What is smoothed is therefore filtered once
-more, with the noise of the torque open `BEFORE` it showed (`Again`): a random walk without jumps
-spreads a load that comes at rest over the rest before it.
+more, with the noise of the torque open `ONSET_TIME` it showed (`Again`): a random walk without
+jumps spreads a load that comes at rest over the rest before it.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from rigtool.experiments.force_filter import kalman, passed, smoother
 from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.kalman import Uncertainty
-from rigtool.experiments.force_filter.linear import WIDE
+from rigtool.experiments.force_filter.linear import ROW_LENGTH
 from rigtool.experiments.force_filter.plant import STATES, TORQUE, Plant, as_record
 from rigtool.numerics.arrays import Array
 
-PIECE = 8192
+PIECE_STEPS = 8192
 """Steps that are filtered at a time where the smoother keeps what the filter did."""
 
-BEFORE = 30e-3
+ONSET_TIME = 30e-3
 """Time that a change of the torque takes to show, s."""
 
 BLOCK, AHEAD = 64.0, 20.0
@@ -149,14 +149,15 @@ class Filter:
 
 
 class Again:
-    """The filter once more, `BEFORE` behind, for the smoother; samples are added as they come."""
+    """The filter once more, `ONSET_TIME` behind, for the smoother; samples are added as they
+    come."""
 
     def __init__(
         self, plant: Plant, uncertainty: Uncertainty, step_samples: int, corner_hz: float
     ) -> None:
         self._filter = Filter(plant, uncertainty, step_samples, corner_hz)
         self._size = step_samples
-        self._behind = max(1, round(BEFORE / (step_samples * plant.sample_time)))
+        self._behind = max(1, round(ONSET_TIME / (step_samples * plant.sample_time)))
         self._signals: Signals | None = None
         self._levels = np.empty(0)
         self._begun = False
@@ -210,12 +211,12 @@ class Smoother:
 
     def _backwards(self, ahead: float) -> tuple[Array, Array]:
         """Smooth the waiting steps, and hand out all but at least the last `ahead` of them."""
-        rows = np.zeros(STATES * WIDE)
+        rows = np.zeros(STATES * ROW_LENGTH)
         done: deque[tuple[Array, Array]] = deque()
         behind = 0
         for causal, spread, kept in reversed(self._waiting):
             torque, deviation = causal.copy(), spread.copy()
-            smoother.backwards(rows, self._kept, kept, torque, deviation)
+            smoother.smooth_steps(rows, self._kept, kept, torque, deviation)
             if behind >= ahead:
                 done.appendleft((torque, deviation))
             behind += len(deviation)
@@ -247,9 +248,9 @@ def smoothed(
     step_time = step_samples * plant.sample_time
     later = Smoother(uncertainty, step_time)
     found = []
-    for first in range(0, signals.low.size, PIECE * step_samples):
-        piece = _part(signals, first, first + PIECE * step_samples)
-        last = first + PIECE * step_samples >= signals.low.size
+    for first in range(0, signals.low.size, PIECE_STEPS * step_samples):
+        piece = _part(signals, first, first + PIECE_STEPS * step_samples)
+        last = first + PIECE_STEPS * step_samples >= signals.low.size
         found.append(later.add(again.add(piece, causal.add(piece), last=last)))
     found.append(later.finish())
     torque, deviation = (np.concatenate(parts) for parts in zip(*found, strict=True))

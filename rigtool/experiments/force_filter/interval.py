@@ -15,10 +15,10 @@ import math
 
 from rigtool.numerics.compiled import compiled
 
-FARTHEST = 35.0
+FARTHEST_EDGE = 35.0
 """Edge, in standard deviations, from which on the normal's tail is below what a double holds."""
 
-NARROWEST = 1e-2
+NARROWEST_INTERVAL = 1e-2
 """Width in standard deviations below which the density's logarithm is a straight line."""
 
 
@@ -43,9 +43,9 @@ def truncated(alpha: float, beta: float) -> tuple[float, float]:
     if alpha + beta < 0.0:  # by symmetry: above zero the tails are those that erfc resolves
         mean, variance = truncated(-beta, -alpha)
         return -mean, variance
-    if beta - alpha < NARROWEST or alpha > FARTHEST:
+    if beta - alpha < NARROWEST_INTERVAL or alpha > FARTHEST_EDGE:
         width = min(beta - alpha, 1.0)  # beyond 1 nothing is left of a tail that far out
-        mean, variance = _exponential(alpha + min(width, NARROWEST) / 2.0, width)
+        mean, variance = _exponential(alpha + min(width, NARROWEST_INTERVAL) / 2.0, width)
         return alpha + mean, variance
     tail = 0.5 * (math.erfc(alpha / math.sqrt(2.0)) - math.erfc(beta / math.sqrt(2.0)))
     low, high = _density(alpha) / tail, _density(beta) / tail

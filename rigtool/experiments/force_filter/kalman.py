@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.interval import truncated
-from rigtool.experiments.force_filter.linear import WIDE, forwards
+from rigtool.experiments.force_filter.linear import ROW_LENGTH, forwards
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     BRISTLE,
     COSINE,
-    FACTORS,
+    FACTOR_COUNT,
     GRASPER,
     GRASPER_SPEED,
     HOUSING,
@@ -55,7 +55,7 @@ SHORT, LONG = 6e-3, 0.1
 STEP_THRESHOLD, SLOW_THRESHOLD = 4e-3, 10e-3
 """Sums (standard deviations times s) from which on a step, or a slow change, is under way."""
 
-SPARE = passed.JOINT * WIDE
+SPARE_ROW = passed.JOINT_STATES * ROW_LENGTH
 """A row behind the joint covariance, to compute with."""
 
 LEAST_VARIANCE = 1e-3
@@ -65,8 +65,8 @@ STATE = np.dtype(
     [
         ("mean", "f8", (STATES,)),
         # of the states and of q, in rows of WIDE columns; and q, see `passed`
-        ("covariance", "f8", (passed.JOINT, WIDE)),
-        ("passed", "f8", (passed.ORDER,)),
+        ("covariance", "f8", (passed.JOINT_STATES, ROW_LENGTH)),
+        ("passed", "f8", (passed.LOW_PASS_ORDER,)),
         ("direction", "f8"),
         # of a step and of a slow change: leaky sum of corrections, time left at its level
         ("step_sum", "f8"),
@@ -139,7 +139,7 @@ def _level(s: Record) -> float:
 @compiled
 def _at(i: int, j: int) -> int:
     """Return where an element of the covariance is."""
-    return i * WIDE + j
+    return i * ROW_LENGTH + j
 
 
 @compiled
@@ -150,7 +150,7 @@ def _propagate(rows: Array, turned: Array, factors: Array, samples: int, kept: f
     `kept` is what remains of the noise; `turned` (12 * WIDE,) is overwritten.
     """
     for k in range(samples):
-        forwards(rows, WIDE, factors, k)
+        forwards(rows, ROW_LENGTH, factors, k)
     for m in range(STATES):
         for i in range(MOVING_STATES):
             turned[_at(m, i)] = rows[_at(i, m)]
@@ -160,9 +160,9 @@ def _propagate(rows: Array, turned: Array, factors: Array, samples: int, kept: f
         for j in range(i + 1):
             rows[_at(i, j)] = rows[_at(j, i)] = turned[_at(i, j)]
         rows[_at(i, NOISE)] *= kept
-        for j in range(MOVING_STATES, passed.JOINT):
+        for j in range(MOVING_STATES, passed.JOINT_STATES):
             rows[_at(j, i)] = rows[_at(i, j)]
-    for j in range(MOVING_STATES, passed.JOINT):
+    for j in range(MOVING_STATES, passed.JOINT_STATES):
         rows[_at(NOISE, j)] *= kept
         rows[_at(j, NOISE)] = rows[_at(NOISE, j)]
     rows[_at(NOISE, NOISE)] *= kept
@@ -219,7 +219,7 @@ def _predict(
         for i in (SINE, COSINE, LOAD):
             deviation = u.load_stroke if i == LOAD else u.stroke
             x[i] = 0.0
-            for j in range(passed.JOINT):
+            for j in range(passed.JOINT_STATES):
                 rows[_at(i, j)] = rows[_at(j, i)] = 0.0
             rows[_at(i, i)] = deviation * deviation
         return True
@@ -234,24 +234,24 @@ def _remove(rows: Array, gain: Array, scale: float) -> None:
     g4, g5, g6, g7 = scale * gain[4], scale * gain[5], scale * gain[6], scale * gain[7]
     g8, g9, g10, g11 = scale * gain[8], scale * gain[9], scale * gain[10], scale * gain[11]
     g12, g13 = scale * gain[12], scale * gain[13]
-    for j in range(WIDE):
-        rows[SPARE + j] = scale * gain[j]
-    for j in range(WIDE):
-        g = rows[SPARE + j]
+    for j in range(ROW_LENGTH):
+        rows[SPARE_ROW + j] = scale * gain[j]
+    for j in range(ROW_LENGTH):
+        g = rows[SPARE_ROW + j]
         rows[j] -= g0 * g
-        rows[WIDE + j] -= g1 * g
-        rows[2 * WIDE + j] -= g2 * g
-        rows[3 * WIDE + j] -= g3 * g
-        rows[4 * WIDE + j] -= g4 * g
-        rows[5 * WIDE + j] -= g5 * g
-        rows[6 * WIDE + j] -= g6 * g
-        rows[7 * WIDE + j] -= g7 * g
-        rows[8 * WIDE + j] -= g8 * g
-        rows[9 * WIDE + j] -= g9 * g
-        rows[10 * WIDE + j] -= g10 * g
-        rows[11 * WIDE + j] -= g11 * g
-        rows[12 * WIDE + j] -= g12 * g
-        rows[13 * WIDE + j] -= g13 * g
+        rows[ROW_LENGTH + j] -= g1 * g
+        rows[2 * ROW_LENGTH + j] -= g2 * g
+        rows[3 * ROW_LENGTH + j] -= g3 * g
+        rows[4 * ROW_LENGTH + j] -= g4 * g
+        rows[5 * ROW_LENGTH + j] -= g5 * g
+        rows[6 * ROW_LENGTH + j] -= g6 * g
+        rows[7 * ROW_LENGTH + j] -= g7 * g
+        rows[8 * ROW_LENGTH + j] -= g8 * g
+        rows[9 * ROW_LENGTH + j] -= g9 * g
+        rows[10 * ROW_LENGTH + j] -= g10 * g
+        rows[11 * ROW_LENGTH + j] -= g11 * g
+        rows[12 * ROW_LENGTH + j] -= g12 * g
+        rows[13 * ROW_LENGTH + j] -= g13 * g
 
 
 @compiled
@@ -275,11 +275,11 @@ def _update(
     mean, left = truncated((low - x[ANGLE]) / deviation, (low + width - x[ANGLE]) / deviation)
     left = max(left, LEAST_VARIANCE)
     weight, shift = 1.0 - left, mean * deviation
-    for i in range(WIDE):
+    for i in range(ROW_LENGTH):
         gain[i] = rows[_at(ANGLE, i)] / variance
     for i in range(STATES):
         x[i] += gain[i] * shift
-    for i in range(passed.ORDER):
+    for i in range(passed.LOW_PASS_ORDER):
         s.passed[i] += gain[STATES + i] * shift
     _remove(rows, gain, math.sqrt(variance * max(weight, 0.0)))
     for i in (BRISTLE, HOUSING, TIP):
@@ -318,13 +318,17 @@ def run(
     """
     s, p, u = state[0], plant[0], uncertainty[0]
     samples = torque.shape[1]
-    rows, turned = np.zeros(SPARE + WIDE), np.zeros(STATES * WIDE)
-    gain, shared, factors = np.empty(WIDE), np.empty(STATES), np.empty((samples, FACTORS))
+    rows, turned = np.zeros(SPARE_ROW + ROW_LENGTH), np.zeros(STATES * ROW_LENGTH)
+    gain, shared, factors = (
+        np.empty(ROW_LENGTH),
+        np.empty(STATES),
+        np.empty((samples, FACTOR_COUNT)),
+    )
     span = samples * p.sample_time
     memory = math.exp(-span / SHORT), math.exp(-span / LONG)
     kept = math.exp(-span / u.friction_noise_time)
-    for i in range(passed.JOINT):
-        for j in range(WIDE):
+    for i in range(passed.JOINT_STATES):
+        for j in range(ROW_LENGTH):
             rows[_at(i, j)] = s.covariance[i, j]
     for k in range(torque.shape[0]):
         began = _predict(
@@ -351,13 +355,13 @@ def run(
         if steps is not None:
             derivative, fresh, correction, weight, variance, gains, torque_row, passed_row = steps
             for i in range(samples):
-                for j in range(FACTORS):
+                for j in range(FACTOR_COUNT):
                     derivative[k * samples + i, j] = factors[i, j]
             fresh[k] = began
             correction[k], weight[k], variance[k] = moved, informed, before
             for i in range(STATES):
                 gains[k, i], torque_row[k, i] = gain[i], rows[_at(TORQUE, i)]
                 passed_row[k, i] = shared[i]
-    for i in range(passed.JOINT):
-        for j in range(WIDE):
+    for i in range(passed.JOINT_STATES):
+        for j in range(ROW_LENGTH):
             s.covariance[i, j] = rows[_at(i, j)]

@@ -9,7 +9,7 @@ each other one is the sum of two, and the last rows stay. `plant.advance` gives 
     angle' = angle + f23 w',   a' = a + f23 v'
 
 and on a bare shaft, f24 > 0, instead a' = f24 angle', v' = f24 w'. Matrices are flat, rows of
-`WIDE` columns one behind the other: so a processor does eight columns at once.
+`ROW_LENGTH` columns one behind the other: so a processor does eight columns at once.
 """
 
 from __future__ import annotations
@@ -31,11 +31,17 @@ from rigtool.experiments.force_filter.plant import (
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-WIDE = 16
+ROW_LENGTH = 16
 
-THETA, W, Z, H = ANGLE * WIDE, SPEED * WIDE, BRISTLE * WIDE, HOUSING * WIDE
-A, V, T = GRASPER * WIDE, GRASPER_SPEED * WIDE, TIP * WIDE
-S, C, L, N, M = SINE * WIDE, COSINE * WIDE, LOAD * WIDE, NOISE * WIDE, TORQUE * WIDE
+THETA, W, Z, H = ANGLE * ROW_LENGTH, SPEED * ROW_LENGTH, BRISTLE * ROW_LENGTH, HOUSING * ROW_LENGTH
+A, V, T = GRASPER * ROW_LENGTH, GRASPER_SPEED * ROW_LENGTH, TIP * ROW_LENGTH
+S, C, L, N, M = (
+    SINE * ROW_LENGTH,
+    COSINE * ROW_LENGTH,
+    LOAD * ROW_LENGTH,
+    NOISE * ROW_LENGTH,
+    TORQUE * ROW_LENGTH,
+)
 """Where the rows begin."""
 
 
@@ -52,7 +58,7 @@ def _read(factors: Array, k: int) -> tuple[float, ...]:
 
 @compiled
 def forwards(rows: Array, columns: int, factors: Array, k: int) -> None:
-    """Advance the first `columns` of a flat matrix (n,), 12 rows of `WIDE`, by sample k of
+    """Advance the first `columns` of a flat matrix (n,), 12 rows of `ROW_LENGTH`, by sample k of
     `factors` (samples, `FACTORS`)."""
     found = _read(factors, k)
     w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10 = found[:11]

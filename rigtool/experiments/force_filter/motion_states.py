@@ -3,12 +3,12 @@
 With rotor speed w, deflection h of the long bristle (`plant`) and torque M on the output,
 
     still        the encoder passes one edge at most within `STILL_TIME`
-    reversed     h sign(w) < `SLIDING`: friction is not yet that of sliding
+    reversed     h sign(w) < `SLIDING_DEFLECTION`: friction is not yet that of sliding
     against      M w >= 0,   with   M w < 0
     outside      angle, speed, torque or temperature beyond what was learned
 
 How large the error is depends besides on whether a rotor that slides creeps: with less than
-`SLOW` of the slowest speed that was learned under load it sticks and slips.
+`CREEP_SPEED_RATIO` of the slowest speed that was learned under load it sticks and slips.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ LIMIT_TIME = 0.1
 SPEED_TIME = 0.05
 """Time over which a speed is averaged before the comparison with learned speeds, s."""
 
-SLIDING = 0.9
+SLIDING_DEFLECTION = 0.9
 """Part of its deflection at which friction is that of sliding."""
 
-BEYOND = 1.1
+LARGEST_LEARNED_RATIO = 1.1
 """Multiple of the learned speed and torque up to which values are given."""
 
-SLOW = 0.4999
+CREEP_SPEED_RATIO = 0.4999
 """Part of the slowest speed learned under load, below which a sliding rotor creeps. A little less
 than half: at half of a round speed, rounding would choose the side."""
 
@@ -57,12 +57,12 @@ class State(IntEnum):
     STILL = 4
 
 
-CREEPING = len(State)
+CREEPING_KIND = len(State)
 """Behind the states, the kind of a step at which the rotor slides and creeps."""
 
-KINDS = CREEPING + 1
+KIND_COUNT = CREEPING_KIND + 1
 
-NAMES = {
+STATE_NAMES = {
     State.OUTSIDE: "outside what was learned: no value",
     State.AGAINST: "moving against the load",
     State.WITH: "moving with the load",
@@ -92,8 +92,8 @@ class Reach:
         found: NDArray[np.bool_] = (
             (angle < low - margin)
             | (angle > high + margin)
-            | (np.abs(speed) > BEYOND * self.speed)
-            | (np.abs(torque) > BEYOND * self.torque)
+            | (np.abs(speed) > LARGEST_LEARNED_RATIO * self.speed)
+            | (np.abs(torque) > LARGEST_LEARNED_RATIO * self.torque)
             | (temperature_degc < cold)
             | (temperature_degc > warm)
         )
@@ -151,7 +151,7 @@ class Judge:
         way = self._highest(low, STILL_TIME) + self._highest(-low, STILL_TIME)
         direction = np.sign(moments.speed)
         found = np.where(moments.torque * direction >= 0, State.AGAINST, State.WITH)
-        found[moments.housing * direction < SLIDING] = State.REVERSED
+        found[moments.housing * direction < SLIDING_DEFLECTION] = State.REVERSED
         found[way < 1.5 * self.count] = State.STILL
         outside = self.reach.left_by(
             low, self._mean_speed(low), moments.torque, moments.temperature_degc
@@ -162,10 +162,10 @@ class Judge:
         return states
 
     def kinds(self, states: States, moments: Moments) -> States:
-        """Return the kind of error at each step: the state, or `CREEPING`, (m,)."""
+        """Return the kind of error at each step: the state, or `CREEPING_KIND`, (m,)."""
         sliding = (states == State.AGAINST) | (states == State.WITH)
         slow = np.abs(self._mean_speed(moments.low)) < self.reach.slow
-        found: States = np.where(sliding & slow, CREEPING, states).astype(np.int32)
+        found: States = np.where(sliding & slow, CREEPING_KIND, states).astype(np.int32)
         return found
 
     def _highest(self, values: Array, span: float) -> Array:

@@ -13,18 +13,18 @@ import math
 
 import numpy as np
 
-from rigtool.experiments.force_filter.linear import WIDE, M
+from rigtool.experiments.force_filter.linear import ROW_LENGTH, M
 from rigtool.experiments.force_filter.plant import STATES, TORQUE
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 from rigtool.numerics.recursion import butterworth
 
-ORDER = 2
+LOW_PASS_ORDER = 2
 
-JOINT = STATES + ORDER
-"""States and q together: rows of their covariance, of which each has `WIDE` columns."""
+JOINT_STATES = STATES + LOW_PASS_ORDER
+"""States and q together: rows of their covariance, of which each has `ROW_LENGTH` columns."""
 
-Q = STATES * WIDE
+FIRST_OF_Q = STATES * ROW_LENGTH
 """Where the rows of q begin."""
 
 
@@ -44,20 +44,23 @@ def delay(corner_hz: float) -> float:
 def predict(q: Array, rows: Array, low_pass: Array, torque: float) -> None:
     """Advance q (2,), and its rows and columns of the joint covariance (14 * WIDE,), by a step,
     before x; `torque` N m is what the filter finds."""
-    a, b, c = low_pass[0, 0], low_pass[0, 1], low_pass[0, ORDER]
-    d, e, f = low_pass[1, 0], low_pass[1, 1], low_pass[1, ORDER]
+    a, b, c = low_pass[0, 0], low_pass[0, 1], low_pass[0, LOW_PASS_ORDER]
+    d, e, f = low_pass[1, 0], low_pass[1, 1], low_pass[1, LOW_PASS_ORDER]
     q[0], q[1] = a * q[0] + b * q[1] + c * torque, d * q[0] + e * q[1] + f * torque
-    for j in range(WIDE):
-        first, second, third = rows[Q + j], rows[Q + WIDE + j], rows[M + j]
-        rows[Q + j] = a * first + b * second + c * third
-        rows[Q + WIDE + j] = d * first + e * second + f * third
-    for i in (Q, Q + WIDE):
+    for j in range(ROW_LENGTH):
+        first, second, third = rows[FIRST_OF_Q + j], rows[FIRST_OF_Q + ROW_LENGTH + j], rows[M + j]
+        rows[FIRST_OF_Q + j] = a * first + b * second + c * third
+        rows[FIRST_OF_Q + ROW_LENGTH + j] = d * first + e * second + f * third
+    for i in (FIRST_OF_Q, FIRST_OF_Q + ROW_LENGTH):
         first, second, third = rows[i + STATES], rows[i + STATES + 1], rows[i + TORQUE]
         rows[i + STATES] = a * first + b * second + c * third
         rows[i + STATES + 1] = d * first + e * second + f * third
-    rows[Q + STATES + 1] = rows[Q + WIDE + STATES]
+    rows[FIRST_OF_Q + STATES + 1] = rows[FIRST_OF_Q + ROW_LENGTH + STATES]
     for n in range(STATES):
-        rows[n * WIDE + STATES], rows[n * WIDE + STATES + 1] = rows[Q + n], rows[Q + WIDE + n]
+        rows[n * ROW_LENGTH + STATES], rows[n * ROW_LENGTH + STATES + 1] = (
+            rows[FIRST_OF_Q + n],
+            rows[FIRST_OF_Q + ROW_LENGTH + n],
+        )
 
 
 @compiled
@@ -65,12 +68,20 @@ def output(
     x: Array, q: Array, rows: Array, low_pass: Array, shared: Array, first: int
 ) -> tuple[float, float]:
     """Return mean and variance of y; `shared` (n,) receives, from `first`, that of y and x."""
-    a, b, d = low_pass[ORDER, 0], low_pass[ORDER, 1], low_pass[ORDER, ORDER]
+    a, b, d = (
+        low_pass[LOW_PASS_ORDER, 0],
+        low_pass[LOW_PASS_ORDER, 1],
+        low_pass[LOW_PASS_ORDER, LOW_PASS_ORDER],
+    )
     for n in range(STATES):
-        shared[first + n] = a * rows[Q + n] + b * rows[Q + WIDE + n] + d * rows[M + n]
+        shared[first + n] = (
+            a * rows[FIRST_OF_Q + n] + b * rows[FIRST_OF_Q + ROW_LENGTH + n] + d * rows[M + n]
+        )
     mean = a * q[0] + b * q[1] + d * x[TORQUE]
     variance = d * shared[first + TORQUE]
     for i in (STATES, STATES + 1):
         weight = a if i == STATES else b
-        variance += weight * (a * rows[Q + i] + b * rows[Q + WIDE + i] + d * rows[M + i])
+        variance += weight * (
+            a * rows[FIRST_OF_Q + i] + b * rows[FIRST_OF_Q + ROW_LENGTH + i] + d * rows[M + i]
+        )
     return mean, variance

@@ -40,7 +40,7 @@ STATES = 12
 MOVING_STATES = 7
 """The first states change within a sample; the others only from step to step."""
 
-FACTORS = 25
+FACTOR_COUNT = 25
 """Numbers by which a sample multiplies small changes of the states: `linear`."""
 
 
@@ -168,7 +168,7 @@ def advance(
 ) -> None:
     """Advance the states x (12,) by one sample under a drive torque [N m].
 
-    `factors`, where it is not None, receives as row k the `FACTORS` by which the sample
+    `factors`, where it is not None, receives as row k the `FACTOR_COUNT` by which the sample
     multiplies small changes of x (`linear`); speeds within their spread [rad/s] of zero have no
     certain direction.
     """

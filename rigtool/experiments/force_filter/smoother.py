@@ -15,13 +15,13 @@ import math
 
 import numpy as np
 
-from rigtool.experiments.force_filter.linear import THETA, WIDE, C, L, N, S
+from rigtool.experiments.force_filter.linear import ROW_LENGTH, THETA, C, L, N, S
 from rigtool.experiments.force_filter.linear import backwards as multiply_back
-from rigtool.experiments.force_filter.plant import ANGLE, FACTORS, STATES
+from rigtool.experiments.force_filter.plant import ANGLE, FACTOR_COUNT, STATES
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 
-ADJOINT = STATES
+ADJOINT_COLUMN = STATES
 """Column of the adjoint, behind those of L."""
 
 
@@ -35,7 +35,7 @@ def room(count: int, samples: int) -> tuple[Array, ...]:
     """
     numbers = [np.empty(count) for _ in range(4)]
     rows = [np.empty((count, STATES)) for _ in range(3)]
-    return (np.empty((count * samples, FACTORS)), *numbers, *rows)
+    return (np.empty((count * samples, FACTOR_COUNT)), *numbers, *rows)
 
 
 @compiled
@@ -44,7 +44,7 @@ def _times(symmetric: Array, weights: Array, k: int, product: Array) -> None:
     for j in range(0, STATES, 4):  # a processor does four columns at once
         a = b = c = d = 0.0
         for m in range(STATES):
-            weight, place = weights[k, m], m * WIDE + j
+            weight, place = weights[k, m], m * ROW_LENGTH + j
             a += weight * symmetric[place]
             b += weight * symmetric[place + 1]
             c += weight * symmetric[place + 2]
@@ -60,13 +60,13 @@ def _before_update(
     _times(rows, gain, k, column)
     total = square = 0.0
     for i in range(STATES):
-        total += gain[k, i] * rows[i * WIDE + ADJOINT]
+        total += gain[k, i] * rows[i * ROW_LENGTH + ADJOINT_COLUMN]
         square += gain[k, i] * column[i]
-    rows[THETA + ADJOINT] -= g * total + correction
+    rows[THETA + ADJOINT_COLUMN] -= g * total + correction
     for i in range(STATES):
         if i != ANGLE:
-            rows[i * WIDE + ANGLE] -= g * column[i]
-            rows[THETA + i] = rows[i * WIDE + ANGLE]
+            rows[i * ROW_LENGTH + ANGLE] -= g * column[i]
+            rows[THETA + i] = rows[i * ROW_LENGTH + ANGLE]
     rows[THETA + ANGLE] += g * (g * square - 2.0 * column[ANGLE]) + g / s2
 
 
@@ -85,7 +85,7 @@ def _before_prediction(
 
 
 @compiled
-def backwards(
+def smooth_steps(
     rows: Array,
     kept: float,
     steps: tuple[Array, ...],
@@ -95,9 +95,9 @@ def backwards(
     """Smooth m steps; `torque` (m,) and `deviation` (m,) of the torque behind the low-pass hold the
     filter's and receive the smoothed.
 
-    `rows` (12 * WIDE,) are those of the information L, with the adjoint as their column `ADJOINT`,
-    after the last step, zero at the end of a recording, and are changed into those before the
-    first. `kept` is what a step leaves of friction noise.
+    `rows` (12 * WIDE,) are those of the information L, with the adjoint as their column
+    `ADJOINT_COLUMN`, after the last step, zero at the end of a recording, and are changed into
+    those before the first. `kept` is what a step leaves of friction noise.
     """
     factors, fresh, correction, weight, variance, gain, torque_row, passed_row = steps
     column, samples = np.empty(STATES), factors.shape[0] // max(len(torque), 1)
@@ -106,7 +106,7 @@ def backwards(
         _times(here, passed_row, k, column)
         shift = reduction = 0.0
         for i in range(STATES):
-            shift += torque_row[k, i] * here[i * WIDE + ADJOINT]
+            shift += torque_row[k, i] * here[i * ROW_LENGTH + ADJOINT_COLUMN]
             reduction += passed_row[k, i] * column[i]
         torque[k] -= shift
         deviation[k] = math.sqrt(max(deviation[k] ** 2 - reduction, 0.0))
@@ -115,12 +115,12 @@ def backwards(
         _before_prediction(here, factors, k, samples, kept, drawn, STATES + 1)
         for i in range(STATES):
             for j in range(STATES):
-                there[i * WIDE + j] = here[j * WIDE + i]
-            there[i * WIDE + ADJOINT] = here[i * WIDE + ADJOINT]
+                there[i * ROW_LENGTH + j] = here[j * ROW_LENGTH + i]
+            there[i * ROW_LENGTH + ADJOINT_COLUMN] = here[i * ROW_LENGTH + ADJOINT_COLUMN]
         _before_prediction(there, factors, k, samples, kept, drawn, STATES)
         for i in range(STATES):
             for j in range(i):
-                there[i * WIDE + j] = there[j * WIDE + i]
+                there[i * ROW_LENGTH + j] = there[j * ROW_LENGTH + i]
         here, there = there, here
     for i in range(len(rows)):
         rows[i] = here[i]

@@ -2,7 +2,7 @@
 
 The torque M is that of the causal filter whose random walk is always that of no contact, since
 levels that adapt widen the deviation just when something touches. Two tests look at it, after a
-first-order low-pass of `LAG`:
+first-order low-pass of `JUMP_LAG`:
 
     jump    |M(t) - M(t - WINDOW)|       errors that last longer than the window cancel
     level   |M(t)| / u(t)                what comes slowly; u is the filter's deviation of M
@@ -10,11 +10,11 @@ first-order low-pass of `LAG`:
 Where a part of M is in doubt by d (ripple of another power-up), the level's u is sqrt(u^2 + d^2),
 and a jump counts by u over that: as much as u, it is what errors of a jump are in proportion to.
 
-Errors depend on the `MotionKind`: steady motion, within `AFTER` of a reversal, and rest. In each,
-the highest values in blocks of WINDOW (longer than the errors of a jump remember) where nothing
-touches give the threshold of a test at a rate of false alarms: an exponential tail above the
-quantile t at `TAIL` (J. Pickands, Ann. Stat. 3(1) 119-131, 1975, shape 0), whose mean m is known
-from the n values that exceed it alone (predictive distribution; prior 1 / m):
+Errors depend on the `MotionKind`: steady motion, within `REVERSAL_TIME` of a reversal, and rest. In
+each, the highest values in blocks of WINDOW (longer than the errors of a jump remember) where
+nothing touches give the threshold of a test at a rate of false alarms: an exponential tail above
+the quantile t at `TAIL_QUANTILE` (J. Pickands, Ann. Stat. 3(1) 119-131, 1975, shape 0), whose mean
+m is known from the n values that exceed it alone (predictive distribution; prior 1 / m):
 
     P(x > t + y) = (1 - TAIL) (1 + y / (n m))^-n
 
@@ -41,27 +41,27 @@ from rigtool.numerics.recursion import Biquad, filtered
 
 Single = NDArray[np.float32]
 
-WINDOW = 0.06
+JUMP_WINDOW = 0.06
 """Time of a jump, s: a hand's or a tool's touch rises within it."""
 
-LAG = 0.01
+JUMP_LAG = 0.01
 """Time constant of the low-pass, s."""
 
-AFTER = 3 * WINDOW
+REVERSAL_TIME = 3 * JUMP_WINDOW
 """Time after a reversal in which its errors are not over, s: a jump looks back by one window."""
 
-STROKE = 1.0
+LEVEL_MEMORY = 1.0
 """Memory of the level's errors, s, and the longest time from begin to finding."""
 
 FALSE_ALARMS = 1 / 3600
 """Rate of false alarms of all tests in a motion of one kind, Hz: one an hour."""
 
-TAIL = 0.9
+TAIL_QUANTILE = 0.9
 
-FEWEST = 50
+MIN_BLOCKS = 50
 """Blocks of a motion without which there is no threshold, and no contact is found in it."""
 
-SETTLING = 2.0
+CONTACT_SETTLING_TIME = 2.0
 """Time at the begin of a stretch without tests, s: the filter does not know the history."""
 
 
@@ -105,20 +105,22 @@ def trial(
 
     `doubt` N m is the standard deviation of what was taken off its torque.
     """
-    kept = math.exp(-step_time / LAG)
+    kept = math.exp(-step_time / JUMP_LAG)
     low_pass = Biquad(1 - kept, 0.0, 0.0, -kept, 0.0)
     smooth: Single = filtered(low_pass, torque).astype(np.float32)
-    window = round(WINDOW / step_time)
+    window = round(JUMP_WINDOW / step_time)
     jump: Single = np.zeros(len(smooth), dtype=np.float32)
     jump[window:] = smooth[window:] - smooth[: len(smooth) - window]
     whole = np.hypot(deviation, doubt)
     jump *= deviation
     jump /= whole
     motion = np.full(len(smooth), MotionKind.STEADY, dtype=np.int8)
-    motion[highest(states == State.REVERSED, round(AFTER / step_time), 0)] = MotionKind.REVERSED
+    motion[highest(states == State.REVERSED, round(REVERSAL_TIME / step_time), 0)] = (
+        MotionKind.REVERSED
+    )
     motion[states == State.STILL] = MotionKind.STILL
     motion[highest(states == State.OUTSIDE, window, 0)] = -1
-    motion[: round(SETTLING / step_time)] = -1
+    motion[: round(CONTACT_SETTLING_TIME / step_time)] = -1
     level: Single = np.divide(smooth, whole, dtype=np.float32)
     return Trial(smooth, jump, level, motion, step_time)
 
@@ -130,10 +132,10 @@ def thresholds(untouched: Sequence[Trial], rate: float = FALSE_ALARMS) -> Array:
     """
     found = np.full((len(MotionKind), 2), np.inf)
     for motion in MotionKind:
-        for number, (name, memory) in enumerate((("jump", WINDOW), ("level", STROKE))):
+        for number, (name, memory) in enumerate((("jump", JUMP_WINDOW), ("level", LEVEL_MEMORY))):
             highest = [_highest(test, getattr(test, name), motion, memory) for test in untouched]
             values = np.concatenate([np.zeros(0), *highest])
-            if len(values) >= FEWEST:
+            if len(values) >= MIN_BLOCKS:
                 found[motion, number] = _exceeded(values, rate / 2 * memory)
     return found
 
@@ -149,18 +151,18 @@ def _highest(test: Trial, values: Single, motion: MotionKind, memory: float) -> 
 
 def _exceeded(values: Array, probability: float) -> float:
     """Return what values like these (n,) exceed with a probability, by the tail's distribution."""
-    start = float(np.quantile(values, TAIL))
+    start = float(np.quantile(values, TAIL_QUANTILE))
     beyond = values[values > start] - start
     if not len(beyond):
         return start
     count = len(beyond)
-    return start + float(beyond.sum()) * (((1 - TAIL) / probability) ** (1 / count) - 1)
+    return start + float(beyond.sum()) * (((1 - TAIL_QUANTILE) / probability) ** (1 / count) - 1)
 
 
 def contacts(test: Trial, limits: Array) -> list[Contact]:
     """Return the contacts in a stretch, by thresholds (3, 2) as `thresholds` gives them."""
-    longest = round(STROKE / test.step_time)
-    window = round(WINDOW / test.step_time)
+    longest = round(LEVEL_MEMORY / test.step_time)
+    window = round(JUMP_WINDOW / test.step_time)
     levels = np.ascontiguousarray(limits)  # one kind of array: compiled once
     rows = _contacts(test.torque, test.jump, test.level, test.motion, levels, window, longest)
     return [Contact(*row) for row in rows]

@@ -19,16 +19,19 @@ from rigtool.experiments.force_model.records import ROWS_HZ, Record
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import MIN_READINGS, steady_us
 
-APART = 5
+ROWS_APART = 5
 """Rows from one that is compared to the next: f hardly changes between them."""
 
-SHORTEST = 20
+MIN_STROKE_ROWS = 20
 """Fewest compared rows with which a stroke shows slow deviations."""
 
-LEAST = 1e-4
+MIN_WHITE_NOISE = 1e-4
 """Smallest white noise, in parts of the friction; the search begins at 0.01."""
 
-SPAN = 12.0
+DIFFERENT = 3.0
+"""Scatter of a motion's cycles, in that of most motions, above which they do not repeat."""
+
+SEARCH_RANGE = 12.0
 """Range of the logarithms in the search, either way."""
 
 
@@ -68,7 +71,9 @@ def deviations(records: Sequence[Record], angle_ratio: float, torque_factor: flo
     white = (0.05 * size) ** 2
 
     def cost(x: Array) -> float:
-        stroke, load, noise, memory = np.exp(2 * np.clip(x - start, -SPAN, SPAN) + 2 * start)
+        stroke, load, noise, memory = np.exp(
+            2 * np.clip(x - start, -SEARCH_RANGE, SEARCH_RANGE) + 2 * start
+        )
         memory = np.sqrt(memory)
         total = 0.01 * float(np.sum((x - start) ** 2))
         for s in strokes:
@@ -102,8 +107,8 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
         if len(cut) == 1:  # the period cuts this stroke in two: it ends in the next cycle
             late, early = rows[cut[0] + 1 :], rows[: cut[0] + 1]
             rows, own = np.append(late, early), np.hstack([left[:-1, late], left[1:, early]])
-        rows, own = rows[::APART], own[:, ::APART]
-        if len(rows) < SHORTEST:
+        rows, own = rows[::ROWS_APART], own[:, ::ROWS_APART]
+        if len(rows) < MIN_STROKE_ROWS:
             continue
         a = angle[rows]
         carried = np.abs(record.moment * np.sin(a)) / torque_factor
@@ -116,6 +121,16 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
             )
         )
     return found
+
+
+def repeating(records: Sequence[Record]) -> list[bool]:
+    """Return whose cycles differ by no more than friction does, judged by what most of them do.
+
+    Where the loop lets a load swing, no cycle is like another, and a model, which is not linear,
+    does not hold for their mean.
+    """
+    scatters = [record.scatter for record in records]
+    return [scatter <= DIFFERENT * float(np.median(scatters)) for scatter in scatters]
 
 
 def kept_by_mean(records: Sequence[Record], angle_ratio: float) -> float:
@@ -131,7 +146,7 @@ def kept_by_mean(records: Sequence[Record], angle_ratio: float) -> float:
         speed, sine = record.rows(record.speed), np.sin(record.rows(record.angle) / angle_ratio)
         for sign in (1.0, -1.0):
             rows = record.used & (speed * sign > 0)
-            if rows.sum() >= SHORTEST:
+            if rows.sum() >= MIN_STROKE_ROWS:
                 series.append(record.torques[:, rows] @ sine[rows] / np.sum(sine[rows] ** 2))
     shares = [
         u**2 * len(own) / own.var(ddof=1)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from rigtool.experiments.force_filter.kalman import Uncertainty
-from rigtool.experiments.force_filter.motion_states import KINDS
+from rigtool.experiments.force_filter.motion_states import KIND_COUNT
 from rigtool.experiments.force_filter.plant import Plant
 from rigtool.experiments.force_model.contacts import MotionKind
 from rigtool.experiments.force_model.deviations import Deviations
@@ -28,7 +28,7 @@ class ForceModel:
 
     learned: LearnedModel
     deviations: Deviations
-    scales: Array = field(default_factory=lambda: np.ones((2, KINDS, 2)) * (1.0, 0.0))
+    scales: Array = field(default_factory=lambda: np.ones((2, KIND_COUNT, 2)) * (1.0, 0.0))
     limits: Array = field(default_factory=lambda: np.full((len(MotionKind), 2), np.inf))
 
     @property

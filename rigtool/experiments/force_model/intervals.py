@@ -10,9 +10,9 @@ Stat. Assoc. 102(477) 359-378, 2007, section 6.2), in units of s:
 
 c is from errors without load, or from all where these are too few, and g from all, given c. The
 score is least where 95 % of the errors are within h, whatever their tails: friction's are heavy
-after reversals and at rest. All that lies within `INDEPENDENT` counts as one error; normal errors
-of deviation s, `EXPECTED` in number, count besides. While the rotor slides, s follows from hundreds
-of strokes, so that they are many there.
+after reversals and at rest. All that lies within `INDEPENDENT_TIME` counts as one error; normal
+errors of deviation s, `EXPECTED` in number, count besides. While the rotor slides, s follows from
+hundreds of strokes, so that they are many there.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
-from rigtool.experiments.force_filter.motion_states import CREEPING, KINDS, State, States
+from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, KIND_COUNT, State, States
 from rigtool.numerics.arrays import Array
 
-APART = 20e-3
+TIME_APART = 20e-3
 """Time from one compared step to the next, s."""
 
-INDEPENDENT = 1.0
+INDEPENDENT_TIME = 1.0
 """Time that one independent error is worth, s: a stroke's own friction is one error."""
 
 EXPECTED, SLIDING_EXPECTED = 2.0, 50.0
 """Errors of deviation s that count as if they had been seen; while the rotor slides."""
 
-COVERAGE = 0.95
+INTERVAL_COVERAGE = 0.95
 """Of an interval that is `COVERAGE_FACTOR` u wide to either side."""
 
-FEWEST = 100
+MIN_STEPS = 100
 """Compared steps of a kind without which its factors are those of all kinds."""
 
-TOGETHER = ((State.AGAINST, State.WITH), (State.REVERSED,), (State.STILL,), (CREEPING,))
+KINDS_TOGETHER = ((State.AGAINST, State.WITH), (State.REVERSED,), (State.STILL,), (CREEPING_KIND,))
 """Kinds that have one c and g."""
 
 FACTORS, SHARES, GRID, PRECISION = (0.2, 20.0), (1e-4, 1.0), 12, 1e-3
@@ -60,7 +60,7 @@ class Errors:
     kinds: States
 
 
-def standard_uncertainty(scales: Array, deviation: Array, torque: Array, kinds: States) -> Array:
+def uncertainty_of_kinds(scales: Array, deviation: Array, torque: Array, kinds: States) -> Array:
     """Return u (m,) N m by c and g of each kind, (kinds, 2)."""
     factor, share = scales[kinds].T
     u: Array = np.hypot(factor * deviation, share * torque)
@@ -74,12 +74,12 @@ def scales(parts: Sequence[Errors]) -> Array:
     )
     torque = np.concatenate([part.torque for part in parts])
     kinds = np.concatenate([part.kinds for part in parts])
-    found = np.ones((2, KINDS, 2)) * (1.0, 0.0)
+    found = np.ones((2, KIND_COUNT, 2)) * (1.0, 0.0)
     of_all: dict[float, Array] = {}
-    for together in TOGETHER:
+    for together in KINDS_TOGETHER:
         chosen = np.isin(kinds, together)
         expected = SLIDING_EXPECTED if State.AGAINST in together else EXPECTED
-        if chosen.sum() >= FEWEST:
+        if chosen.sum() >= MIN_STEPS:
             own = _of_both(error[:, chosen], deviation[:, chosen], torque[chosen], expected)
         else:
             if expected not in of_all:
@@ -99,7 +99,7 @@ def _of_least_score(error: Array, deviation: Array, torque: Array, expected: flo
     """Return c and g, (2,), of errors (n,)."""
     errors, loads = np.abs(error / deviation), np.abs(torque / deviation)
     free = loads == 0
-    if free.sum() < FEWEST:
+    if free.sum() < MIN_STEPS:
         free[:] = True
 
     own = errors[free]
@@ -110,8 +110,12 @@ def _of_least_score(error: Array, deviation: Array, torque: Array, expected: flo
 
 def _score(errors: Array, u: Array, expected: float = 0.0, factor: float = 1.0) -> float:
     """Return the score of errors (n,), and of those that are expected, with a factor for u."""
-    half, edge, penalty = COVERAGE_FACTOR * u, COVERAGE_FACTOR * factor, 2 / (1 - COVERAGE)
-    seen = float(np.sum(2 * half + penalty * np.maximum(errors - half, 0))) * APART / INDEPENDENT
+    half, edge, penalty = COVERAGE_FACTOR * u, COVERAGE_FACTOR * factor, 2 / (1 - INTERVAL_COVERAGE)
+    seen = (
+        float(np.sum(2 * half + penalty * np.maximum(errors - half, 0)))
+        * TIME_APART
+        / INDEPENDENT_TIME
+    )
     density = math.exp(-(edge**2) / 2) / math.sqrt(2 * math.pi)
     beyond = density - edge * math.erfc(edge / math.sqrt(2)) / 2
     return seen + expected * (2 * edge + penalty * 2 * beyond)

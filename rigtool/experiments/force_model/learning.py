@@ -33,11 +33,13 @@ from rigtool.experiments.force_model.model import (
     terms_for,
 )
 from rigtool.experiments.force_model.paths import bristle
-from rigtool.experiments.force_model.records import SLOWEST, Record
+from rigtool.experiments.force_model.records import SLIDING_COUNT_RATE, Record
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import STANDARD_GRAVITY
 
-NAMES = tuple(f.name for f in fields(Shape) if f.name not in ("bearing_length", "housing_length"))
+SLIDING_PARAMETERS = tuple(
+    f.name for f in fields(Shape) if f.name not in ("bearing_length", "housing_length")
+)
 """Parameters of a shape that sliding determines."""
 
 SHAPE_SPREAD = {
@@ -52,29 +54,32 @@ SHAPE_SPREAD = {
 }
 """Prior standard deviation of the logarithm of each parameter."""
 
-STEP = 0.02
-"""Step for derivatives by the logarithms."""
+DERIVATIVE_STEP = 0.002
+"""Step for derivatives by the logarithms: a tendon's stiffness is known to about that."""
 
-LONGEST = 0.7
+LONGEST_STEP = 0.7
 """Length of the longest step, in logarithms."""
 
 ROUNDS, ENOUGH = 15, 0.3
 """Most steps, and the length of the last step, in standard deviations."""
 
-NEAR = 0.3
+LEAST_LIFT = 0.05
+"""First lift of a step that raised the cost."""
+
+REWEIGHED_STEP = 0.3
 """Step, in logarithms, from which on records are weighed one by one."""
 
 LENGTH_SPREAD = 1.0
 """Prior standard deviation of the logarithm of a bristle's length."""
 
-STRETCHES = np.geomspace(1e-2, 1.0, 9)
+TENDON_STRETCHES = np.geomspace(1e-2, 1.0, 9)
 """Stretches of the tendon under the largest load, rad: the search begins at the best."""
 
 DAMPING_RATIO, GRASPER_HZ, LOAD_ARM = 0.1, 70.0, 0.02
 """Where it begins besides: the damping ratio under the largest load, the resonance of the bare
 output, and how far out a load hangs, m."""
 
-INDEPENDENT = 30.0
+ROWS_PER_INDEPENDENT_ROW = 30.0
 """Rows that one independent row is worth: friction's own noise lasts longer than a row."""
 
 LEAST_RMS = 2e-3
@@ -85,8 +90,8 @@ LEAST_RMS = 2e-3
 class LearnedModel:
     """A learned model.
 
-    `covariance` is that of the logarithms of the shape, in the order of `NAMES`, then of the
-    coefficients; `length_u` (2,) that of the logarithms of the two bristles' lengths.
+    `covariance` is that of the logarithms of the shape, in the order of `SLIDING_PARAMETERS`, then
+    of the coefficients; `length_u` (2,) that of the logarithms of the two bristles' lengths.
     """
 
     terms: tuple[Term, ...]
@@ -112,12 +117,12 @@ class SlidingFit:
         `chosen` (records,) is in the order of `problem.records`.
         """
         model, normal = self.learned, self.normal[np.asarray(chosen)].sum(axis=0)
-        solution, covariance = self.problem.solved(normal, model.shape, len(NAMES))
-        step = np.clip(solution[: len(NAMES)], -LONGEST, LONGEST)
+        solution, covariance = self.problem.solved(normal, model.shape, len(SLIDING_PARAMETERS))
+        step = np.clip(solution[: len(SLIDING_PARAMETERS)], -LONGEST_STEP, LONGEST_STEP)
         return replace(
             model,
             shape=stepped_shape(model.shape, step),
-            coefficient=solution[len(NAMES) :],
+            coefficient=solution[len(SLIDING_PARAMETERS) :],
             covariance=covariance,
         )
 
@@ -136,21 +141,46 @@ def learn_sliding(
     records = [record for record in records if record.used.any()]
     sizes = sizes_of(records, known)
     terms = terms_for(sizes, known)
-    tried = [_start(sizes, known, count, stretch) for stretch in STRETCHES.tolist()]
+    tried = [_start(sizes, known, count, stretch) for stretch in TENDON_STRETCHES.tolist()]
     showing = _showing_tendon(records)
     scan = Problem(showing, terms, known, tried[0], deviation, sizes.friction)
-    shape = min(tried, key=scan.misfit)
+    shape = min(tried, key=lambda shape: scan.cost(shape)[1])
     problem = Problem(records, terms, known, shape, deviation, sizes.friction)
-    coefficient, covariance = problem.step(shape, None)
-    for _ in range(ROUNDS):
-        solution, covariance = problem.step(shape, coefficient)
-        step, coefficient = solution[: len(NAMES)], solution[len(NAMES) :]
-        shape = stepped_shape(shape, np.clip(step, -LONGEST, LONGEST))
-        problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < NEAR)))
-        if np.all(np.abs(step) < ENOUGH * np.sqrt(np.diag(covariance))[: len(NAMES)]):
-            break
+    shape, coefficient = _searched(problem, shape)
+    normal = problem.normal(shape, coefficient)
+    _, covariance = problem.solved(normal.sum(axis=0), shape, len(SLIDING_PARAMETERS))
     learned = LearnedModel(terms, shape, known, coefficient, covariance, np.full(2, LENGTH_SPREAD))
-    return SlidingFit(learned, problem, problem.normal(shape, coefficient))
+    return SlidingFit(learned, problem, normal)
+
+
+def _searched(problem: Problem, shape: Shape) -> tuple[Shape, Array]:
+    """Return the shape of least cost near one, and its coefficients (t,).
+
+    A step that raises the cost is taken anew, shorter (D. W. Marquardt, J. SIAM 11(2), 431, 1963):
+    where a load swings with little damping, the model is linear over a small part of a step only.
+    """
+    count, lift = len(SLIDING_PARAMETERS), 0.0
+    coefficient, cost = problem.cost(shape)
+    for _ in range(ROUNDS):
+        normal = problem.normal(shape, coefficient).sum(axis=0)
+        solution, covariance = problem.solved(normal, shape, count)
+        enough = ENOUGH * np.sqrt(np.diag(covariance))[:count]
+        while True:
+            lifted = solution if not lift else problem.solved(normal, shape, count, lift)[0]
+            step = np.clip(lifted[:count], -LONGEST_STEP, LONGEST_STEP)
+            there = stepped_shape(shape, step)
+            coefficient_there, cost_there = problem.cost(there)
+            if cost_there < cost or np.all(np.abs(step) < enough):
+                break
+            lift = max(4 * lift, LEAST_LIFT)
+        if cost_there < cost:
+            shape, coefficient = there, coefficient_there
+        if np.all(np.abs(step) < enough):
+            break
+        lift /= 4
+        problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < REWEIGHED_STEP)))
+        coefficient, cost = problem.cost(shape)
+    return shape, coefficient
 
 
 def _showing_tendon(records: Sequence[Record]) -> list[Record]:
@@ -198,7 +228,7 @@ def _start(sizes: Sizes, known: Known, count: float, stretch: float) -> Shape:
         bearing_length=count,
         housing_length=6 * count,
         tip_length=6 * count,
-        stribeck_speed=2 * SLOWEST * count,
+        stribeck_speed=2 * SLIDING_COUNT_RATE * count,
         ripple_time=0.03,
         stiffness=stiffness,
         damping=2 * DAMPING_RATIO * math.sqrt(stiffness * load * LOAD_ARM / STANDARD_GRAVITY),
@@ -224,8 +254,11 @@ class Problem:
         self.start, self.deviation = start, deviation
         self.friction = friction
         self.spread = np.array([term.spread for term in terms])
-        self.shape_spread = np.array([SHAPE_SPREAD[name] for name in NAMES])
-        self.variance = np.full(len(records), (0.1 * friction) ** 2 * INDEPENDENT)
+        self.shape_spread = np.array([SHAPE_SPREAD[name] for name in SLIDING_PARAMETERS])
+        self._rows = ROWS_PER_INDEPENDENT_ROW * np.array(
+            [float(record.passes) for record in records]
+        )
+        self.variance = (0.1 * friction) ** 2 * self._rows
         self._at_shape: dict[int, tuple[RecordState, Array, Array, Array]] = {}
         self.strokes = [_strokes(record, start.housing_length) for record in records]
 
@@ -287,13 +320,16 @@ class Problem:
 
     def step(self, shape: Shape, coefficient: Array | None) -> tuple[Array, Array]:
         """Return the best [shape's step, coefficients] and their covariance."""
-        first = 0 if coefficient is None else len(NAMES)
+        first = 0 if coefficient is None else len(SLIDING_PARAMETERS)
         return self.solved(self.normal(shape, coefficient).sum(axis=0), shape, first)
 
-    def solved(self, normal: Array, shape: Shape, first: int) -> tuple[Array, Array]:
+    def solved(
+        self, normal: Array, shape: Shape, first: int, lift: float = 0.0
+    ) -> tuple[Array, Array]:
         """Solve a normal matrix (p + 1, p + 1) at a shape, the `first` parameters being its step.
 
-        Returns the solution (p,) and its covariance (p, p).
+        A `lift` adds that part of their own to the diagonal elements of the step, which shortens
+        it. Returns the solution (p,) and its covariance (p, p).
         """
         count = first + len(self.terms)
         scale = np.concatenate([self.shape_spread[:first], self.spread])
@@ -301,17 +337,20 @@ class Problem:
         prior = np.zeros(count)
         prior[:first] = -away[:first] / self.shape_spread[:first]
         left = normal[:count, :count] * np.outer(scale, scale) + np.eye(count)
+        left[range(first), range(first)] *= 1 + lift
         right = normal[:count, count] * scale + prior
         inverse: Array = np.asarray(np.linalg.inv(left), dtype=np.float64)
         solution = scale * (inverse @ right)
         covariance: Array = inverse * np.outer(scale, scale)
         return solution, covariance
 
-    def misfit(self, shape: Shape) -> float:
-        """Return the residual sum of squares of the best coefficients at a shape."""
+    def cost(self, shape: Shape) -> tuple[Array, float]:
+        """Return the best coefficients (t,) at a shape, and the sum of squares of what they leave
+        and of what they and the shape are from their priors, in standard deviations."""
         normal = self.normal(shape, None).sum(axis=0)
         solution, _ = self.solved(normal, shape, 0)
-        return float(normal[-1, -1] - normal[-1, :-1] @ solution)
+        away = (logarithms(shape) - logarithms(self.start)) / self.shape_spread
+        return solution, float(normal[-1, -1] - normal[-1, :-1] @ solution + away @ away)
 
     def weigh(self, shape: Shape, coefficient: Array, near: bool) -> None:
         """Weigh the records by what a model with coefficients (t,) leaves of them.
@@ -326,7 +365,7 @@ class Problem:
             ]
         )
         pooled = max(float(np.median(power)), (LEAST_RMS * self.friction) ** 2)
-        self.variance = np.maximum(pooled, power * near) * INDEPENDENT
+        self.variance = np.maximum(pooled, power * near) * self._rows
 
     def remaining(self, number: int, shape: Shape, coefficient: Array) -> Array:
         """Return the residuals of coefficients (t,) and strokes' deviations at used rows (r,)."""
@@ -345,10 +384,13 @@ def measured(record: Record, known: Known) -> Array:
 
 
 def slopes(predicted: Prediction, state: RecordState) -> Array:
-    """Return derivatives of a prediction by the logarithms of `NAMES` (p, n), N m."""
-    here, units = predicted.along(state), np.eye(len(NAMES))
-    moves = [predicted.torque(stepped_shape(state.shape, STEP * unit)) - here for unit in units]
-    return np.stack(moves) / STEP
+    """Return derivatives of a prediction by the logarithms of `SLIDING_PARAMETERS` (p, n), N m."""
+    here, units = predicted.along(state), np.eye(len(SLIDING_PARAMETERS))
+    moves = [
+        predicted.torque(stepped_shape(state.shape, DERIVATIVE_STEP * unit)) - here
+        for unit in units
+    ]
+    return np.stack(moves) / DERIVATIVE_STEP
 
 
 def _strokes(record: Record, length: float) -> NDArray[np.intp]:
@@ -373,11 +415,11 @@ def _strokes(record: Record, length: float) -> NDArray[np.intp]:
 
 
 def logarithms(shape: Shape) -> Array:
-    """Return the logarithms of a shape in the order of `NAMES`."""
-    return np.log([getattr(shape, name) for name in NAMES])
+    """Return the logarithms of a shape in the order of `SLIDING_PARAMETERS`."""
+    return np.log([getattr(shape, name) for name in SLIDING_PARAMETERS])
 
 
 def stepped_shape(shape: Shape, step: Array) -> Shape:
     """Return a shape whose logarithms are moved by a step (p,)."""
     values = np.exp(logarithms(shape) + step)
-    return replace(shape, **dict(zip(NAMES, values.tolist(), strict=True)))
+    return replace(shape, **dict(zip(SLIDING_PARAMETERS, values.tolist(), strict=True)))

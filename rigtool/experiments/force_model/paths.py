@@ -18,10 +18,10 @@ from rigtool.numerics.compiled import compiled
 LONGEST_STEP = 2.5e-4
 """And under a load in s: half of it is what the torque carried comes late."""
 
-SETTLING = 2.0
+SWING_SETTLING_TIME = 2.0
 """Time after which a swing is taken to repeat itself, s."""
 
-STEP = 0.15
+RESONANCE_STEP = 0.15
 """Longest step of the tendon's integration, in radians of its resonance."""
 
 
@@ -60,7 +60,7 @@ def tendon(
     `angle` (n,) is the motor's at the output, `inertia` kg m2 and `moment` N m those of what hangs
     on the output.
     """
-    longest = STEP / math.sqrt(stiffness / inertia)
+    longest = RESONANCE_STEP / math.sqrt(stiffness / inertia)
     if moment:
         longest = min(longest, LONGEST_STEP)
     finer = max(1, math.ceil(interval / longest))
@@ -75,7 +75,7 @@ def tendon(
         tip_friction,
         tip_length,
         moment,
-        1 + math.ceil(SETTLING / (interval * angle.size)) if periodic else 1,
+        1 + math.ceil(SWING_SETTLING_TIME / (interval * angle.size)) if periodic else 1,
         carried,
         output,
     )

@@ -13,10 +13,10 @@ import numpy as np
 
 from rigtool.rigs.motion import SpeedProfile
 
-TRIANGLES = (3, 6, 12, 25, 50, 100)
+TRIANGLE_COUNTS = (3, 6, 12, 25, 50, 100)
 """Counts of the encoder from end to end, in turn."""
 
-LEGS = 6
+TRIANGLE_STROKES = 6
 """Strokes of each triangle."""
 
 LEG_TIME = 0.35
@@ -24,19 +24,19 @@ LEG_TIME = 0.35
 
 HOLD_TIME = 1.0
 
-SLOWEST = 0.1
+FREE_SPEED = 0.1
 """Speed of free motion, rad/s of the motor."""
 
 ACCELERATION_TIME = 0.1
 """Time from standstill to speed, s."""
 
-PAUSES = 0.15
+PAUSE_SHARE = 0.15
 """Share of free motion's moves that are followed by a pause of up to `HOLD_TIME`."""
 
-SHORTEST = 1e-6
+SHORTEST_PIECE = 1e-6
 """Piece of the motion, s: shorter ones are rounding of longer ones."""
 
-SEED = 20060607
+MOTION_SEED = 20060607
 
 
 def exploration(
@@ -49,21 +49,21 @@ def exploration(
     """
     path = _Path(low)
     path.go((low + high) / 2, fastest / 4)
-    for counts in TRIANGLES:
-        for leg in range(LEGS):
-            length = counts * count * (0.5 if leg in (0, LEGS - 1) else 1.0)
+    for counts in TRIANGLE_COUNTS:
+        for leg in range(TRIANGLE_STROKES):
+            length = counts * count * (0.5 if leg in (0, TRIANGLE_STROKES - 1) else 1.0)
             path.go(path.angle + (-1) ** leg * length, counts * count / LEG_TIME)
     path.hold(HOLD_TIME)
-    rng = np.random.default_rng([SEED, number])
+    rng = np.random.default_rng([MOTION_SEED, number])
     begun = path.times[-1]
     while path.times[-1] < begun + time:
-        speed = math.exp(rng.uniform(math.log(SLOWEST), math.log(fastest)))
+        speed = math.exp(rng.uniform(math.log(FREE_SPEED), math.log(fastest)))
         way = math.exp(rng.uniform(math.log(count), math.log(high - low)))
         way = min(way, speed * time / 10)
         room_up, room_down = high - path.angle, path.angle - low
         up = rng.uniform() < room_up / (room_up + room_down)
         path.go(path.angle + (min(way, room_up) if up else -min(way, room_down)), speed)
-        if rng.uniform() < PAUSES:
+        if rng.uniform() < PAUSE_SHARE:
             path.hold(rng.uniform(0.1, HOLD_TIME))
     path.hold(HOLD_TIME)
     return SpeedProfile(tuple(path.times), tuple(path.speeds))
@@ -93,6 +93,6 @@ class _Path:
         self._add(time, 0.0)
 
     def _add(self, time: float, speed: float) -> None:
-        if time > SHORTEST:
+        if time > SHORTEST_PIECE:
             self.times.append(self.times[-1] + time)
             self.speeds.append(speed)

@@ -8,21 +8,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rigtool.experiments.controller_torque import CHANNELS as LOOP_CHANNELS
+from rigtool.experiments.controller_torque import LOOP_CHANNELS as LOOP_CHANNELS
 from rigtool.experiments.controller_torque import LoopSignals, loop_signals, naming
 from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
-from rigtool.experiments.force_filter.motion_states import SLOW, Judge, Moments, Reach
+from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.contacts import Trial, thresholds, trial
-from rigtool.experiments.force_model.deviations import deviations, kept_by_mean
+from rigtool.experiments.force_model.deviations import deviations, kept_by_mean, repeating
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.intervals import APART, Errors, scales
+from rigtool.experiments.force_model.intervals import TIME_APART, Errors, scales
 from rigtool.experiments.force_model.learning import SlidingFit, learn_sliding
 from rigtool.experiments.force_model.model import Known
 from rigtool.experiments.force_model.model import RecordState as Swing
 from rigtool.experiments.force_model.procedure_exploration import exploration
 from rigtool.experiments.force_model.records import LoadCase, Record, repeated, single
-from rigtool.experiments.force_model.rest import SETTLING, Exploration, learn_rest, learn_turns
+from rigtool.experiments.force_model.rest import (
+    FILTER_SETTLING_TIME,
+    Exploration,
+    learn_rest,
+    learn_turns,
+)
 from rigtool.experiments.force_model.steps import FilterSteps, Sampler
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.lowpass import delayed, lowpass
@@ -31,7 +36,7 @@ from rigtool.recipe import Recipe
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.runfile import Recording, Run
 
-CHANNELS = (*LOOP_CHANNELS, "temperature")
+LOADED_CHANNELS = (*LOOP_CHANNELS, "temperature")
 """Channels that are recorded under a hanging load."""
 
 FREE_TIME = 14.0
@@ -47,7 +52,7 @@ COMPARED_SPEEDS = 2
 """Of the strokes under known loads, the slowest: errors of those without load and of those with the
 largest one show what u is, too."""
 
-ANYWHERE = Reach((-math.inf, math.inf), math.inf, math.inf, (-math.inf, math.inf))
+UNLIMITED_REACH = Reach((-math.inf, math.inf), math.inf, math.inf, (-math.inf, math.inf))
 
 
 def exploring(recipe: Recipe, number: int = 0) -> SpeedProfile:
@@ -88,7 +93,13 @@ def learn_force(
     rig = recipe.rig
     warm = float(np.mean([np.mean(recording.read("temperature")) for recording in strokes]))
     loaded = {r.name: stroke_record(r, recipe, kt, r.condition("force")) for r in strokes}
-    records = [*loaded.values(), *(_repeated(r, recipe, kt, warm, 0.0) for r in moves)]
+    records = [
+        mean if same else replace(_whole(*_known(r, recipe, kt)), passes=mean.cycles)
+        for r, mean, same in zip(
+            strokes, loaded.values(), repeating(list(loaded.values())), strict=True
+        )
+    ]
+    records += [_repeated(r, recipe, kt, warm, 0.0) for r in moves]
     own = _condition(recipe, kt, float(np.mean(explored.read("temperature"))), 0.0)
     signals = _signals(explored, recipe)
     interval = _interval(signals)
@@ -117,7 +128,7 @@ def learn_force(
     slowest = min(r.condition("speed") for r in strokes)
     if checks:
         compared = [*checks, *_compared(strokes)]
-        errors = [_errors(r, recipe, kt, model, SLOW * slowest) for r in compared]
+        errors = [_errors(r, recipe, kt, model, CREEP_SPEED_RATIO * slowest) for r in compared]
         model = replace(model, scales=scales(errors))
     unloaded = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
     tried = [_trial(r, recipe, kt, model) for r in (explored, *unloaded)]
@@ -160,7 +171,7 @@ def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel) -> 
         for u in (model.uncertainty, model.untouched)
     )
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(causal.low))
-    judge = Judge(ANYWHERE, under.count, grid.step_time, causal=True)
+    judge = Judge(UNLIMITED_REACH, under.count, grid.step_time, causal=True)
     states = judge.states(Moments(causal.low, *moving, causal.passed, zeros, zeros))
     return trial(untouched.torque, untouched.deviation, states, grid.step_time)
 
@@ -179,10 +190,10 @@ def _errors(
     causal = Filter(*filtered).add(signals)
     torque, deviation = smoothed(*filtered, signals)
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(torque))
-    judge = Judge(replace(ANYWHERE, slow=slow), under.count, grid.step_time)
+    judge = Judge(replace(UNLIMITED_REACH, slow=slow), under.count, grid.step_time)
     moments = Moments(causal.low, *moving, torque, zeros, zeros)
     kinds = judge.kinds(judge.states(moments), moments)
-    record = single(own.encoder, own.total, own.setpoint, _interval(own), under)
+    record = _whole(own, under)
     output = Swing.of(model.learned.shape, model.learned.known, record).output
     speed = np.gradient(output, record.interval)
     acting = under.moment * np.sin(output)
@@ -191,7 +202,10 @@ def _errors(
     truth = np.interp(time, (0.5 + np.arange(len(acting))) * record.interval, acting)
     later = lowpass(1 / grid.step_time, torque - truth, corner_hz)
     at_once = causal.passed - delayed(1 / grid.step_time, truth, corner_hz)
-    margin, every = round(SETTLING / grid.step_time), max(1, round(APART / grid.step_time))
+    margin, every = (
+        round(FILTER_SETTLING_TIME / grid.step_time),
+        max(1, round(TIME_APART / grid.step_time)),
+    )
     chosen = slice(margin, -margin, every)
     return Errors(
         np.stack([later, at_once])[:, chosen],
@@ -209,6 +223,11 @@ def stroke_record(recording: Recording, recipe: Recipe, kt: Run, force: float = 
     """
     temperature = float(np.mean(recording.read("temperature")))
     return _repeated(recording, recipe, kt, temperature, force)
+
+
+def _whole(own: LoopSignals, under: LoadCase) -> Record:
+    """Return a recording as one motion, whether or not it repeats."""
+    return single(own.encoder, own.total, own.setpoint, _interval(own), under)
 
 
 def _repeated(

@@ -10,7 +10,7 @@ second order forward and backward,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -38,19 +38,19 @@ GRID_HZ = 500.0
 SLOW_PERIOD = 3.0
 """Period from which on half of the grid is enough, s."""
 
-SLOWEST = 160.0
+SLIDING_COUNT_RATE = 160.0
 """Counts a second below which a rotor does not slide evenly."""
 
-FORGOTTEN = 25.0
+COUNTS_AFTER_TURN = 25.0
 """Counts after a turn that are left out: bristles are bent again, however long they are."""
 
-SMEARED = 0.04
+LOW_PASS_SPREAD = 0.04
 """Time over which the low-pass spreads a sample to either side, s."""
 
 FEWEST_CYCLES = 3
 """Of a recording whose first one is kept, though it runs in."""
 
-END = 0.3
+END_TIME = 0.3
 """Time left out at both ends of a motion that does not repeat, s: wrapping fades there."""
 
 
@@ -62,7 +62,8 @@ class Record:
     where the rotor slides. `torque_constant` N m/A; the load's `moment` N m at 90
     degrees of the output and its `load_inertia` kg m2 about it. `cycles` is how many were averaged,
     0 for a motion that does not repeat. `torques` (cycles, rows) N m is what the motor puts out in
-    each of them, low-passed; empty where nothing repeats.
+    each of them, low-passed; empty where nothing repeats. `passes` is how often the rows go through
+    much the same: what a model misses comes back as often.
     """
 
     interval: float
@@ -74,11 +75,19 @@ class Record:
     load_inertia: float
     cycles: int
     torques: Array
+    passes: int = field(default=1, kw_only=True)
 
     @property
     def periodic(self) -> bool:
         """Whether the motion repeats."""
         return self.cycles > 0
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the cycles' torque, rms over all that count, N m; 0 of one."""
+        if self.cycles < 2:
+            return 0.0
+        return float(np.sqrt(self.torques[:, self.used].var(axis=0, ddof=1).mean()))
 
     @cached_property
     def speed(self) -> Array:
@@ -130,7 +139,7 @@ class Record:
         ]
         if not self.periodic:
             time = place * self.interval
-            used = used & (time >= END) & (time <= self.angle.size * self.interval - END)
+            used = used & (time >= END_TIME) & (time <= self.angle.size * self.interval - END_TIME)
         return used
 
 
@@ -245,9 +254,11 @@ def _sliding(
 
     More slowly the loop nudges the rotor from count to count, to and fro within them unseen.
     """
-    bent = bristle(angle, FORGOTTEN * count / 4, periodic)
-    slides = (np.abs(bent) > 1 - np.exp(-4.0)) & (setpoint_speed * np.sign(bent) > SLOWEST * count)
-    reach = round(SMEARED / interval)
+    bent = bristle(angle, COUNTS_AFTER_TURN * count / 4, periodic)
+    slides = (np.abs(bent) > 1 - np.exp(-4.0)) & (
+        setpoint_speed * np.sign(bent) > SLIDING_COUNT_RATE * count
+    )
+    reach = round(LOW_PASS_SPREAD / interval)
     around = np.pad(~slides, reach, mode="wrap")
     near = np.convolve(around, np.ones(2 * reach + 1), mode="valid")
     clear: NDArray[np.bool_] = near == 0

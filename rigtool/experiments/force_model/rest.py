@@ -21,7 +21,7 @@ from rigtool.experiments.force_filter.estimate import Filter, Signals
 from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_model.drive import drive_of, plant_of
 from rigtool.experiments.force_model.learning import (
-    NAMES,
+    SLIDING_PARAMETERS,
     LearnedModel,
     logarithms,
     stepped_shape,
@@ -47,30 +47,30 @@ BY_TURNS = Shown(("grasper_inertia",), (Kind.INERTIA,))
 """What rest and reversals determine, and what the turns of fast strokes do."""
 
 CORNER_HZ = 10.0
-SETTLING = 1.0
+FILTER_SETTLING_TIME = 1.0
 """Settling time of the filter at its begin, s."""
 
 ROWS_HZ = 50.0
-ERROR = 0.03
+ROW_ERROR = 0.03
 """Error of a row, in parts of the friction."""
 
-INDEPENDENT = 20.0
+ROWS_PER_INDEPENDENT_ROW = 20.0
 """Rows that one independent row is worth: a stroke's deviation lasts for all of it."""
 
 SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2)
 """Where the search begins: lengths of both bristles in parts of what they were said to be, and the
 short one's share of the friction; the best of all."""
 
-HUBER = 2.0
-ROUNDS = 8
-ENOUGH = 0.01
+HUBER_THRESHOLD = 2.0
+MAX_ITERATIONS = 8
+SMALLEST_GAIN = 0.01
 """Part of the cost below which a gain ends the search."""
 
-STEP = 0.05
-LONGEST = 2.0
+PARAMETER_STEP = 0.05
+LONGEST_PARAMETER_STEP = 2.0
 """Longest step of a parameter, in standard deviations of its prior."""
 
-HELD = 1e-3
+UNTOUCHED_RANDOM_WALK = 1e-3
 """Random walk of the torque here, N m per square root of a second: nothing acts, and what a filter
 that expects contacts would take for one is an error of the model."""
 
@@ -79,7 +79,7 @@ SPEED_RATE = 2.0
 speed can lose a count and not find back: errors then leap where a parameter hardly changes, and the
 search stops at the next leap."""
 
-THINNED = 2
+SAMPLES_PER_STEP = 2
 """Samples of the loop in one sample of the filter here, which halves the time."""
 
 
@@ -110,9 +110,9 @@ def held(uncertainty: Uncertainty) -> Uncertainty:
     """Return the uncertainty with which rest is learned: of hardly any torque on the output."""
     return replace(
         uncertainty,
-        torque_rate=HELD,
-        slow_torque_rate=HELD,
-        step_torque_rate=HELD,
+        torque_rate=UNTOUCHED_RANDOM_WALK,
+        slow_torque_rate=UNTOUCHED_RANDOM_WALK,
+        step_torque_rate=UNTOUCHED_RANDOM_WALK,
         speed_rate=SPEED_RATE,
     )
 
@@ -145,10 +145,10 @@ class RestProblem:
         self._signals_of = _Inputs(exploration)
         self.step_samples = max(1, round(step_time / self._signals_of.sample_time))
         self._rate = rate = 1 / (self.step_samples * self._signals_of.sample_time)
-        self._first, self._apart = round(SETTLING * rate), max(1, round(rate / ROWS_HZ))
-        named = [NAMES.index(name) for name in shown.shape]
+        self._first, self._apart = round(FILTER_SETTLING_TIME * rate), max(1, round(rate / ROWS_HZ))
+        named = [SLIDING_PARAMETERS.index(name) for name in shown.shape]
         listed = [
-            len(NAMES) + n
+            len(SLIDING_PARAMETERS) + n
             for n, term in enumerate(learned.terms)
             if term.kind in shown.kinds and term.order == 0
         ]
@@ -167,10 +167,13 @@ class RestProblem:
     def model(self, parameters: Array) -> LearnedModel:
         """Return the model with parameters (p,), all others moved as far as they go with them."""
         every = self.known + self.follows @ (parameters[2:] - self.known[self.shown])
-        shape = stepped_shape(self.learned.shape, every[: len(NAMES)] - self.known[: len(NAMES)])
+        shape = stepped_shape(
+            self.learned.shape,
+            every[: len(SLIDING_PARAMETERS)] - self.known[: len(SLIDING_PARAMETERS)],
+        )
         lengths = np.exp(parameters[:2]).tolist()
         shape = replace(shape, bearing_length=lengths[0], housing_length=lengths[1])
-        return replace(self.learned, shape=shape, coefficient=every[len(NAMES) :])
+        return replace(self.learned, shape=shape, coefficient=every[len(SLIDING_PARAMETERS) :])
 
     def errors(self, parameters: Array) -> Array:
         """Return the torque that the filter finds although none acts, low-passed (r,), N m."""
@@ -184,7 +187,11 @@ class RestProblem:
 
     def tried(self) -> Iterator[Array]:
         """Yield parameters (p,) on a grid of lengths and of the bearing's share of friction."""
-        kinds = [self.learned.terms[n - len(NAMES)].kind for n in self.shown if n >= len(NAMES)]
+        kinds = [
+            self.learned.terms[n - len(SLIDING_PARAMETERS)].kind
+            for n in self.shown
+            if n >= len(SLIDING_PARAMETERS)
+        ]
         bearing, housing = (
             2 + len(BY_REST.shape) + kinds.index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
         )
@@ -201,29 +208,36 @@ class RestProblem:
         Its covariance comes from both.
         """
         root: Array = np.asarray(np.linalg.cholesky(self.covariance), dtype=np.float64)
-        scale = ERROR * self.friction * np.sqrt(INDEPENDENT)
+        scale = ROW_ERROR * self.friction * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
         count = len(self.start)
 
         def cost(x: Array) -> Array:
             return np.append(self.errors(self.start + root @ x) / scale, x)
 
-        tried = [np.linalg.solve(root, one - self.start) for one in begins]
+        def slope(way: Array) -> Array:
+            there = cost(here + PARAMETER_STEP * way) - left
+            if not np.all(np.isfinite(there)):  # beyond what is physically possible
+                there = left - cost(here - PARAMETER_STEP * way)
+            return there / PARAMETER_STEP
+
+        begun = [self.start, *begins]
+        tried = [np.linalg.solve(root, one - self.start) for one in begun]
         here = min(tried, key=lambda x: float(np.sum(np.hypot(1, cost(x)))))
         left = cost(here)
         damping = 0.0
-        for _ in range(ROUNDS):
-            slopes = np.stack(
-                [(cost(here + STEP * e) - left) / STEP for e in np.eye(count)], axis=1
-            )
+        for _ in range(MAX_ITERATIONS):
+            slopes = np.stack([slope(way) for way in np.eye(count)], axis=1)
             weight = np.ones(left.size)
-            weight[:-count] = 1 / np.hypot(1, left[:-count] * np.sqrt(INDEPENDENT) / HUBER)
+            weight[:-count] = 1 / np.hypot(
+                1, left[:-count] * np.sqrt(ROWS_PER_INDEPENDENT_ROW) / HUBER_THRESHOLD
+            )
             information: Array = slopes.T @ (slopes * weight[:, None])
             before = float(weight @ left**2)
             gained = 0.0
             while damping < 100.0:
                 lifted = information + damping * np.diag(np.diag(information))
                 change = -np.linalg.solve(lifted, slopes.T @ (weight * left))
-                change *= min(1.0, LONGEST / float(np.abs(change).max()))
+                change *= min(1.0, LONGEST_PARAMETER_STEP / float(np.abs(change).max()))
                 there = cost(here + change)
                 gained = before - float(weight @ there**2)
                 if gained > 0:
@@ -231,7 +245,7 @@ class RestProblem:
                     left, damping = there, damping / 4
                     break
                 damping = max(4 * damping, 0.1)
-            if gained < ENOUGH * before:
+            if gained < SMALLEST_GAIN * before:
                 break
         return self._learned(np.asarray(here, dtype=np.float64), root, information)
 
@@ -250,15 +264,18 @@ def plant_is_sound(plant: object) -> bool:
 
 
 class _Inputs:
-    """What the filter takes, means of `THINNED` samples of the loop."""
+    """What the filter takes, means of `SAMPLES_PER_STEP` samples of the loop."""
 
     def __init__(self, exploration: Exploration) -> None:
-        size = len(exploration.encoder) // THINNED
-        self.sample_time = THINNED * exploration.sample_time
+        size = len(exploration.encoder) // SAMPLES_PER_STEP
+        self.sample_time = SAMPLES_PER_STEP * exploration.sample_time
         self._exploration = exploration
-        thinned = exploration.current[: size * THINNED].reshape(size, THINNED)
+        thinned = exploration.current[: size * SAMPLES_PER_STEP].reshape(size, SAMPLES_PER_STEP)
         self._current = thinned.mean(axis=1)
-        self._low = exploration.encoder[THINNED // 2 : size * THINNED : THINNED] * exploration.count
+        self._low = (
+            exploration.encoder[SAMPLES_PER_STEP // 2 : size * SAMPLES_PER_STEP : SAMPLES_PER_STEP]
+            * exploration.count
+        )
 
     def under(self, model: LearnedModel) -> Signals:
         """Return the filter's input where a model holds."""

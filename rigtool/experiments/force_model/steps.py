@@ -29,7 +29,7 @@ changed errors by less than they scatter from rig to rig."""
 STEP_TIME = 1e-3
 """Time from one angle that the filter takes in to the next, s."""
 
-CONTEXT = 4096
+CONTEXT_SAMPLES = 4096
 """Recorded samples on either side from which angles between counts are interpolated."""
 
 
@@ -92,7 +92,7 @@ class Sampler:
     """
 
     def __init__(
-        self, grid: FilterSteps, count: float, drive: MotorMap, context: int = CONTEXT
+        self, grid: FilterSteps, count: float, drive: MotorMap, context: int = CONTEXT_SAMPLES
     ) -> None:
         self._grid, self._count, self._drive = grid, count, drive
         self._context = context - context % grid.averaged

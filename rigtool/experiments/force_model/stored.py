@@ -7,11 +7,11 @@ from dataclasses import asdict, fields
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.force_filter.motion_states import KINDS
+from rigtool.experiments.force_filter.motion_states import KIND_COUNT
 from rigtool.experiments.force_model.contacts import MotionKind
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import NAMES, LearnedModel
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -21,12 +21,12 @@ from rigtool.runfile import Column, Run, Table
 TERMS, COVARIANCE = "force_terms", "force_covariance"
 SCALES, LIMITS = "force_scales", "contact_thresholds"
 
-PREFIX = "model_"
+MODEL_PREFIX = "model_"
 """Prefix of results that belong to the model."""
 
 OFFSET = "offset_current"
 
-UNITS = {
+MODEL_UNITS = {
     "bearing_length": "rad",
     "housing_length": "rad",
     "tip_length": "rad",
@@ -64,21 +64,23 @@ _ABOUT = {
 def model_results(model: ForceModel) -> dict[str, Quantity]:
     """Return shape and deviations of a model as results."""
     scatter = {
-        name: Quantity(value, UNITS[name], reason="a measure of scatter itself")
+        name: Quantity(value, MODEL_UNITS[name], reason="a measure of scatter itself")
         for name, value in asdict(model.deviations).items()
     }
     offset = model.learned.known.offset
     scatter[OFFSET] = Quantity(offset, "A", reason="that of the calibration")
-    named = {PREFIX + name: result for name, result in scatter.items()}
+    named = {MODEL_PREFIX + name: result for name, result in scatter.items()}
     return shape_results(model.learned) | named
 
 
 def shape_results(learned: LearnedModel) -> dict[str, Quantity]:
     """Return the shape of a model as results, with standard uncertainty."""
-    relative = dict(zip(NAMES, np.sqrt(np.diag(learned.covariance)).tolist(), strict=False))
+    relative = dict(
+        zip(SLIDING_PARAMETERS, np.sqrt(np.diag(learned.covariance)).tolist(), strict=False)
+    )
     relative["bearing_length"], relative["housing_length"] = learned.length_u.tolist()
     return {
-        PREFIX + name: Quantity(value, UNITS[name], value * relative[name])
+        MODEL_PREFIX + name: Quantity(value, MODEL_UNITS[name], value * relative[name])
         for name, value in asdict(learned.shape).items()
     }
 
@@ -86,7 +88,7 @@ def shape_results(learned: LearnedModel) -> dict[str, Quantity]:
 def model_tables(model: ForceModel) -> dict[str, Table]:
     """Return coefficients and covariance of a model: what `model_from` reads back."""
     learned = model.learned
-    us = np.sqrt(np.diag(learned.covariance))[len(NAMES) :]
+    us = np.sqrt(np.diag(learned.covariance))[len(SLIDING_PARAMETERS) :]
     every = np.arange(len(learned.covariance))
     return {
         TERMS: Table(
@@ -108,7 +110,9 @@ def model_tables(model: ForceModel) -> dict[str, Table]:
         COVARIANCE: Table(
             ("parameter", "other_parameter"),
             {
-                "parameter": Column(every, "1", "logarithms of " + ", ".join(NAMES) + "; terms"),
+                "parameter": Column(
+                    every, "1", "logarithms of " + ", ".join(SLIDING_PARAMETERS) + "; terms"
+                ),
                 "other_parameter": Column(every, "1"),
                 "covariance": Column(learned.covariance, "1", "SI units of both"),
             },
@@ -119,7 +123,9 @@ def model_tables(model: ForceModel) -> dict[str, Table]:
             ("state",),
             {
                 "state": Column(
-                    np.arange(KINDS), "1", f"as in table force; {KINDS - 1} sliding, but creeping"
+                    np.arange(KIND_COUNT),
+                    "1",
+                    f"as in table force; {KIND_COUNT - 1} sliding, but creeping",
                 ),
                 **{
                     name + part: Column(model.scales[form, :, column], "1", f"{about}, {of}")
@@ -161,7 +167,7 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
     table, rig = run.table(TERMS), recipe.rig
 
     def value(name: str) -> float:
-        return run.result(PREFIX + name).value
+        return run.result(MODEL_PREFIX + name).value
 
     try:
         terms = tuple(
@@ -171,20 +177,20 @@ def model_from(run: Run, recipe: Recipe) -> ForceModel:
             )
         )
         shape = Shape(**{field.name: value(field.name) for field in fields(Shape)})
-        lengths = [run.result(PREFIX + f"{name}_length") for name in ("bearing", "housing")]
+        lengths = [run.result(MODEL_PREFIX + f"{name}_length") for name in ("bearing", "housing")]
         covariance = run.table(COVARIANCE)["covariance"]
         learned = LearnedModel(
             terms,
             shape,
             Known(rig.angle_ratio, rig.torque_factor, rig.nominal_inertia, value(OFFSET)),
             table["coefficient"],
-            covariance.reshape(len(NAMES) + len(terms), -1),
+            covariance.reshape(len(SLIDING_PARAMETERS) + len(terms), -1),
             np.array([(length.u or 0.0) / length.value for length in lengths]),
         )
         deviations = Deviations(**{field.name: value(field.name) for field in fields(Deviations)})
         scales = run.table(SCALES)
         factors = np.array([[scales[name + part] for part in _OF_SCALES] for name in _FORMS])
-        factors = factors.astype(np.float64).swapaxes(1, 2).reshape(2, KINDS, 2)
+        factors = factors.astype(np.float64).swapaxes(1, 2).reshape(2, KIND_COUNT, 2)
         limits = run.table(LIMITS)
         finite = np.array([limits["jump"], limits["level"]], dtype=np.float64).T
         found = np.where(np.isnan(finite), np.inf, finite).reshape(len(MotionKind), 2)

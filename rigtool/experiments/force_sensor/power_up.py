@@ -10,7 +10,7 @@ the learning, beta = 0, or another: c + beta then has the learned amplitudes A w
     beta ~ N(-c, A^2 / 2).
 
 A weak force that repeats with the angle looks like ripple. Once an order of c + beta is more than
-`LARGEST` times A it is none, and the second hypothesis begins anew.
+`LARGEST_RIPPLE_RATIO` times A it is none, and the second hypothesis begins anew.
 
 Under each hypothesis a Kalman filter reads M^ row by row. Where nothing touches, M is what strokes
 deviate by: about zero, and drawn anew by a reversal. So the mean of the ripple along the part of a
@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter import passed
-from rigtool.experiments.force_filter.motion_states import SLIDING
+from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
@@ -48,7 +48,7 @@ square root of a second, and what M may change by over a reversal and where it l
 BEGINS, ENDS, CHANGES = 0.2, 0.7, 2.0
 """Rates at which contacts begin, end, and leap or change their walk, 1/s."""
 
-LEAST = 1e-6
+MIN_UNTOUCHED_PROBABILITY = 1e-6
 """Probability that nothing touches, below which a row does not count."""
 
 MEMORY, FORGOTTEN = 2.0, 60.0
@@ -56,25 +56,25 @@ MEMORY, FORGOTTEN = 2.0, 60.0
 of the ripple grows by what it was at first: strokes pay back what others deviate by, a weak contact
 may be taken for ripple, and rows are not as independent as the equations have it."""
 
-CERTAIN = 50.0
+MAX_LOG_RATIO = 50.0
 """Largest logarithm of both likelihoods' ratio: no weight is closer to 0 or 1."""
 
-LARGEST = 3.0
+LARGEST_RIPPLE_RATIO = 3.0
 """Largest ratio of an order's amplitude at another power-up to the learned one."""
 
 PARAMETERS = np.dtype([(name, "f8") for name in ("lag", "factor", "gain", "steps", "time", "size")])
 
-WAVES = 2 * len(RIPPLE_ORDERS)
+WAVE_COUNT = 2 * len(RIPPLE_ORDERS)
 
 STATE = np.dtype(
     [
-        ("waves", "f8", (WAVES,)),
+        ("waves", "f8", (WAVE_COUNT,)),
         # the row that is being filled, and how many of its steps there are, and slide
-        ("row", "f8", (WAVES + 1,)),
+        ("row", "f8", (WAVE_COUNT + 1,)),
         ("filled", "f8"),
         ("slid", "f8"),
-        ("mean", "f8", (WAVES + 1,)),
-        ("covariance", "f8", (WAVES + 1, WAVES + 1)),
+        ("mean", "f8", (WAVE_COUNT + 1,)),
+        ("covariance", "f8", (WAVE_COUNT + 1, WAVE_COUNT + 1)),
         ("touched", "f8"),  # the probability that something touches
         # without other ripple; logarithm of the likelihoods' ratio
         ("plain", "f8"),
@@ -85,11 +85,11 @@ STATE = np.dtype(
         ("level", "f8", (2,)),
         ("level_variance", "f8", (2,)),
         ("fast", "f8"),
-        ("learned", "f8", (WAVES,)),
+        ("learned", "f8", (WAVE_COUNT,)),
         # variance of what a power-up draws; the wave whose doubt grows next
-        ("drawn", "f8", (WAVES,)),
+        ("drawn", "f8", (WAVE_COUNT,)),
         ("doubted", "f8"),
-        ("passed", "f8", (passed.ORDER,)),
+        ("passed", "f8", (passed.LOW_PASS_ORDER,)),
     ]
 )
 
@@ -134,7 +134,7 @@ class PowerUp:
         `angle` (m,) rad is the rotor's, `states` (m, 12) those of the causal filter.
         """
         way = np.sign(states[:, SPEED])
-        sliding = states[:, HOUSING] * way >= SLIDING
+        sliding = states[:, HOUSING] * way >= SLIDING_DEFLECTION
         return self._followed(self._state, angle, states[:, TORQUE], sliding)
 
     def whole(self, angle: Array, torque: Array) -> tuple[Array, Array, Array]:
@@ -197,21 +197,21 @@ def _follow(
     for k in range(angle.shape[0]):
         sine, cosine = math.sin(angle[k]), math.cos(angle[k])
         high, wide = sine, cosine  # of the orders, each from the one before
-        for j in range(0, WAVES, 2):
+        for j in range(0, WAVE_COUNT, 2):
             waves[j] += p.lag * (wide - waves[j])
             waves[j + 1] += p.lag * (high - waves[j + 1])
             high, wide = high * cosine + wide * sine, wide * cosine - high * sine
         if sliding.shape[0]:
-            for j in range(WAVES):
+            for j in range(WAVE_COUNT):
                 s.row[j] += p.factor * waves[j] / p.steps
-            s.row[WAVES] += torque[k] / p.steps
+            s.row[WAVE_COUNT] += torque[k] / p.steps
             s.slid += 1.0 if sliding[k] else 0.0
             s.filled += 1.0
             if s.filled >= p.steps:
                 _read(s, p)
         weight = 1.0 / (1.0 + math.exp(-s.other))
         mean, variance = 0.0, 0.0
-        for i in range(WAVES):
+        for i in range(WAVE_COUNT):
             mean += p.factor * waves[i] * s.mean[i]
             total = 0.5 * s.covariance[i, i] * waves[i]
             for j in range(i):
@@ -238,20 +238,20 @@ def _read(s: Record, p: Record) -> None:
     if slides:
         touching = _touching(s, p)
         likely = _by_ripple(s, p, touching)
-        plain, variance = s.row[WAVES] - s.plain, s.plain_variance + (NOISE * p.size) ** 2
+        plain, variance = s.row[WAVE_COUNT] - s.plain, s.plain_variance + (NOISE * p.size) ** 2
         free = -0.5 * (plain**2 / variance + math.log(variance))
         without, s.plain_touched = _weighed(s.plain_touched, free, touching)
         part = (1.0 - s.plain_touched) * s.plain_variance / variance
         s.plain += part * plain
         s.plain_variance *= 1.0 - part
-        s.other = min(max(s.other + likely - without, -CERTAIN), CERTAIN)
-        for i in range(0, WAVES, 2):
+        s.other = min(max(s.other + likely - without, -MAX_LOG_RATIO), MAX_LOG_RATIO)
+        for i in range(0, WAVE_COUNT, 2):
             first, second = s.mean[i] + s.learned[i], s.mean[i + 1] + s.learned[i + 1]
             square = s.learned[i] ** 2 + s.learned[i + 1] ** 2
-            if first * first + second * second > LARGEST**2 * square:
+            if first * first + second * second > LARGEST_RIPPLE_RATIO**2 * square:
                 _begin_anew(s)
                 break
-    for i in range(WAVES + 1):
+    for i in range(WAVE_COUNT + 1):
         s.row[i] = 0.0
     s.filled = s.slid = 0.0
 
@@ -268,25 +268,27 @@ def _pass_time(s: Record, p: Record, slides: bool) -> None:
         if not slides:  # part of the row is no sliding: friction may be off by a stroke's own
             s.level_variance[i] += (AFTER_REVERSAL * p.size) ** 2 * p.time / ROW_TIME
     kept = math.exp(-p.time / MEMORY) if slides else 0.0
-    s.mean[WAVES] *= kept
+    s.mean[WAVE_COUNT] *= kept
     s.plain *= kept
-    for i in range(WAVES):
-        s.covariance[i, WAVES] *= kept
-        s.covariance[WAVES, i] *= kept
+    for i in range(WAVE_COUNT):
+        s.covariance[i, WAVE_COUNT] *= kept
+        s.covariance[WAVE_COUNT, i] *= kept
     fresh = (1.0 - kept * kept) * p.size**2
-    s.covariance[WAVES, WAVES] = kept * kept * s.covariance[WAVES, WAVES] + fresh
+    s.covariance[WAVE_COUNT, WAVE_COUNT] = (
+        kept * kept * s.covariance[WAVE_COUNT, WAVE_COUNT] + fresh
+    )
     s.plain_variance = kept * kept * s.plain_variance + fresh
     if slides:
         one = int(s.doubted)  # in turn
-        s.covariance[one, one] += s.drawn[one] * WAVES * p.time / FORGOTTEN
-        s.doubted = (one + 1) % WAVES
+        s.covariance[one, one] += s.drawn[one] * WAVE_COUNT * p.time / FORGOTTEN
+        s.doubted = (one + 1) % WAVE_COUNT
 
 
 @compiled
 def _touching(s: Record, p: Record) -> float:
     """Return the logarithm of a row's likelihood where something touches, and take it in there."""
     noise, anew = (NOISE * p.size) ** 2, (CONTACT * p.size) ** 2
-    value, leap = s.row[WAVES], anew + noise
+    value, leap = s.row[WAVE_COUNT], anew + noise
     leaps = math.log(CHANGES * p.time) - 0.5 * (value**2 / leap + math.log(leap))
     slow = fast = 0.0
     for i in range(2):
@@ -317,24 +319,24 @@ def _weighed(probability: float, one: float, other: float) -> tuple[float, float
 @compiled
 def _by_ripple(s: Record, p: Record, touching: float) -> float:
     """Return the logarithm of a row's likelihood under other ripple, and take it in there."""
-    gain = np.empty(WAVES + 1)
-    value, s.row[WAVES] = s.row[WAVES], 1.0
+    gain = np.empty(WAVE_COUNT + 1)
+    value, s.row[WAVE_COUNT] = s.row[WAVE_COUNT], 1.0
     error, variance = value, (NOISE * p.size) ** 2
-    for i in range(WAVES + 1):
+    for i in range(WAVE_COUNT + 1):
         error -= s.row[i] * s.mean[i]
         gain[i] = 0.0
-        for j in range(WAVES + 1):
+        for j in range(WAVE_COUNT + 1):
             gain[i] += s.covariance[i, j] * s.row[j]
         variance += s.row[i] * gain[i]
     free = -0.5 * (error**2 / variance + math.log(variance))
     likely, s.touched = _weighed(s.touched, free, touching)
     part = (1.0 - s.touched) / variance
-    s.row[WAVES] = value
-    if s.touched > 1.0 - LEAST:
+    s.row[WAVE_COUNT] = value
+    if s.touched > 1.0 - MIN_UNTOUCHED_PROBABILITY:
         return likely
-    for i in range(WAVES + 1):
+    for i in range(WAVE_COUNT + 1):
         s.mean[i] += part * gain[i] * error
-        for j in range(WAVES + 1):
+        for j in range(WAVE_COUNT + 1):
             s.covariance[i, j] -= part * gain[i] * gain[j]
     return likely
 
@@ -343,8 +345,8 @@ def _by_ripple(s: Record, p: Record, touching: float) -> float:
 def _begin_anew(s: Record) -> None:
     """Forget another power-up's ripple: what was taken for it is too large."""
     s.other = min(s.other, 0.0)
-    for i in range(WAVES):
+    for i in range(WAVE_COUNT):
         s.mean[i] = -s.learned[i]
-        for j in range(WAVES + 1):
+        for j in range(WAVE_COUNT + 1):
             s.covariance[i, j] = s.covariance[j, i] = 0.0
         s.covariance[i, i] = s.drawn[i]

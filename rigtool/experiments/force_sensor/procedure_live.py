@@ -17,7 +17,7 @@ from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.steps import SAMPLE_TIME, unbroken
 from rigtool.experiments.force_sensor.procedure_over_time import model_and_reach, over_time
-from rigtool.experiments.force_sensor.procedure_reading import NEEDED, instrument_of
+from rigtool.experiments.force_sensor.procedure_reading import NEEDED_CHANNELS, instrument_of
 from rigtool.experiments.force_sensor.sensor import Sensor
 from rigtool.experiments.procedure import Procedure
 from rigtool.numerics.arrays import Array
@@ -31,7 +31,7 @@ def over_time_live(seconds: float, *, observed: bool, every: int) -> Procedure:
     return replace(over_time(seconds, observed=observed), follow=partial(LiveForce, every=every))
 
 
-TOGETHER = 8e-3
+BATCH_TIME = 8e-3
 """Samples that are taken together at least, s: each time costs about 1 ms of a core."""
 
 
@@ -54,7 +54,7 @@ class LiveForce:
         self._instrument = instrument_of(recipe, kt, model, reach, interval)
         self._every = every
         self._last = np.zeros(0)
-        self._waiting = np.empty((len(NEEDED), 0))
+        self._waiting = np.empty((len(NEEDED_CHANNELS), 0))
         self._begin(0.0)
 
     def _begin(self, time: float) -> None:
@@ -64,9 +64,9 @@ class LiveForce:
     def __call__(self, block: Mapping[str, Array]) -> dict[str, Array]:
         """Return rows (r,) of what these signals (n,) complete: `time` s, `torque`, `u`, `low` and
         `high` N m, and `state`; without a value NaN."""
-        new = np.array([_as_stored(name, block[name]) for name in NEEDED])
+        new = np.array([_as_stored(name, block[name]) for name in NEEDED_CHANNELS])
         samples = np.hstack([self._waiting, new])
-        if samples.shape[1] * self._instrument.interval < TOGETHER:
+        if samples.shape[1] * self._instrument.interval < BATCH_TIME:
             self._waiting, samples = samples, samples[:, :0]
         else:
             self._waiting = samples[:, :0]

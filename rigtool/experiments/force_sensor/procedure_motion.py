@@ -14,14 +14,17 @@ from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
 from rigtool.rigs.motion import Motion, SpeedProfile, Triangle
 
-POINTS = 32
+SINE_PIECES = 32
 """Pieces of constant acceleration in a period of the sine."""
 
-PIECES = 32
+PATH_PIECES = 32
 """Pieces of constant acceleration between two points of a path, whose speed is a parabola."""
 
-COLUMNS = ("time_s", "angle_deg")
+PATH_COLUMNS = ("time_s", "angle_deg")
 """Columns of a path's file."""
+
+CHECKED = 65536
+"""Points of a motion that are looked at at once: an hour has 3.6 million, in 600 MB."""
 
 AT_THE_EDGE = 1e-3
 """Relative excess of speed and range of angles that rounding of a recipe's numbers explains."""
@@ -43,7 +46,7 @@ def path_from_start(recipe: Recipe, seconds: float) -> tuple[float | None, Motio
         return float(angle[0]) * ratio, path(time, angle * ratio)
     if own.kind == "sine":
         periods = math.ceil(seconds * own.frequency_hz)
-        time = np.arange(periods * POINTS + 1) / (POINTS * own.frequency_hz)
+        time = np.arange(periods * SINE_PIECES + 1) / (SINE_PIECES * own.frequency_hz)
         speed = high * math.pi * own.frequency_hz * np.sin(2 * math.pi * own.frequency_hz * time)
         return 0.0, SpeedProfile(tuple(time.tolist()), tuple(speed.tolist()))
     stroke = Triangle(
@@ -66,7 +69,7 @@ def path(time: Array, angle: Array) -> SpeedProfile:
 
     spline = CubicSpline(time - time[0], angle, bc_type="clamped")
     fine = np.interp(
-        np.arange((len(time) - 1) * PIECES + 1) / PIECES, np.arange(len(time)), spline.x
+        np.arange((len(time) - 1) * PATH_PIECES + 1) / PATH_PIECES, np.arange(len(time)), spline.x
     )
     speed = spline(fine, 1)
     speed[[0, -1]] = 0.0
@@ -74,7 +77,7 @@ def path(time: Array, angle: Array) -> SpeedProfile:
 
 
 def path_of(file: Path) -> tuple[Array, Array]:
-    """Return times s and angles rad of the output from a file of these `COLUMNS`.
+    """Return times s and angles rad of the output from a file of these `PATH_COLUMNS`.
 
     Raises `RecipeError` for a file that cannot be read, or is no path.
     """
@@ -97,10 +100,10 @@ def path_of(file: Path) -> tuple[Array, Array]:
 
 def _numbers(text: str) -> Array:
     head, *lines = text.splitlines() or [""]
-    if tuple(name.strip() for name in head.split(",")) != COLUMNS:
-        raise ValueError(f"its first line must be {','.join(COLUMNS)}")
+    if tuple(name.strip() for name in head.split(",")) != PATH_COLUMNS:
+        raise ValueError(f"its first line must be {','.join(PATH_COLUMNS)}")
     rows = [[float(field) for field in line.split(",")] for line in lines if line.strip()]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), len(COLUMNS)).T
+    return np.array(rows, dtype=np.float64).reshape(len(rows), len(PATH_COLUMNS)).T
 
 
 def require_learned(start: float | None, motion: Motion, reach: Reach, here: float) -> None:
@@ -108,10 +111,15 @@ def require_learned(start: float | None, motion: Motion, reach: Reach, here: flo
 
     `here` rad is where the rotor is.
     """
-    time = np.linspace(0.0, motion.duration, max(1000, round(1000 * motion.duration)))
-    position, speed, _ = motion.setpoint(time)
-    position = position + (here if start is None else start)
-    fastest = float(np.abs(speed).max())
+    begin, size = here if start is None else start, max(1000, round(1000 * motion.duration))
+    fastest, lowest, highest = 0.0, math.inf, -math.inf
+    for first in range(0, size, CHECKED):
+        rows = np.arange(first, min(first + CHECKED, size), dtype=np.float64)
+        time: Array = np.multiply(rows, motion.duration / (size - 1), dtype=np.float64)
+        position, speed, _ = motion.setpoint(time)
+        fastest = max(fastest, float(np.abs(speed).max()))
+        lowest = min(lowest, begin + float(position.min()))
+        highest = max(highest, begin + float(position.max()))
     if fastest > reach.speed * (1 + AT_THE_EDGE):
         raise RecipeError(
             f"the motion of measure_force.motion reaches {fastest:.4g} rad/s at the motor, the "
@@ -120,9 +128,9 @@ def require_learned(start: float | None, motion: Motion, reach: Reach, here: flo
         )
     low, high = reach.angle
     margin = AT_THE_EDGE * (high - low)
-    if position.min() < low - margin or position.max() > high + margin:
+    if lowest < low - margin or highest > high + margin:
         raise RecipeError(
-            f"the motion of measure_force.motion covers {position.min():.4g} to "
-            f"{position.max():.4g} rad of the motor, the tables were learned from {low:.4g} to "
+            f"the motion of measure_force.motion covers {lowest:.4g} to "
+            f"{highest:.4g} rad of the motor, the tables were learned from {low:.4g} to "
             f"{high:.4g} rad: move within that, or learn with a larger angle"
         )

@@ -14,14 +14,14 @@ from functools import partial
 import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
-from rigtool.experiments.force_filter.motion_states import SLOW, Reach, State
+from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Reach, State
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.stored import model_from
 from rigtool.experiments.force_sensor.procedure_motion import path_from_start, require_learned
 from rigtool.experiments.force_sensor.procedure_reading import (
-    NEEDED,
-    REFERENCE,
-    SHORTEST,
+    NEEDED_CHANNELS,
+    REFERENCE_CHANNEL,
+    SHORTEST_STRETCH,
     read_recording,
 )
 from rigtool.experiments.force_sensor.results_over_time import Recorded, force_outcome
@@ -42,7 +42,7 @@ from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 OF_THE_LOOP = ("position_setpoint", "feedforward_current", "table_current")
 """Channels that are recorded besides where rigtool moves the rig."""
 
-HAND = 0.5
+HAND_PART_OF_FRICTION = 0.5
 """Part of the friction from which on a torque that drives an observed rig is that of a hand."""
 
 
@@ -67,9 +67,9 @@ def _recordings(recipe: Recipe, *, seconds: float, observed: bool) -> tuple[Reco
             f"{seconds:g} s cannot be recorded: at most measure_force.motion.time_max = "
             f"{own.time_max:g} s, and more than 0"
         )
-    names = NEEDED if observed else (*NEEDED, *OF_THE_LOOP)
+    names = NEEDED_CHANNELS if observed else (*NEEDED_CHANNELS, *OF_THE_LOOP)
     if recipe.rig.source == "virtual":
-        names = (*names, REFERENCE)
+        names = (*names, REFERENCE_CHANNEL)
     name = "observed" if observed else own.kind
     return (RecordingSpec(f"{name}_000", channels(*names), {}, own.record_every),)
 
@@ -110,20 +110,24 @@ def analyse_over_time(runs: Sequence[Run], recipe: Recipe, *, kt: Run, tables: R
     if len(runs) > 1:
         raise UsageError(f"{len(runs)} run files: measure-force takes one")
     run = runs[0]
-    recorded = [r for r in run.recordings.values() if all(r.has(name) for name in NEEDED)]
+    recorded = [r for r in run.recordings.values() if all(r.has(name) for name in NEEDED_CHANNELS)]
     if not recorded:
         raise RunFileError(
-            f"{run.path}: has no recording with the channels {', '.join(NEEDED)}: record one with "
+            f"{run.path}: has no recording with the channels {', '.join(NEEDED_CHANNELS)}: record "
+            "one with "
             "--record or --observe"
         )
     model, reach = model_and_reach(tables, kt, recipe)
     read = [read_recording(r, recipe, kt, model, reach) for r in recorded if r.size]
     if not any(r.parts for r in read):
-        blocks = ((n, b) for n in NEEDED for r in recorded for b in r.blocks(n, finite=False))
+        blocks = (
+            (n, b) for n in NEEDED_CHANNELS for r in recorded for b in r.blocks(n, finite=False)
+        )
         unknown = dict.fromkeys(name for name, block in blocks if np.isnan(block).any())
         why = f" (NaN is in {', '.join(unknown)})" if unknown else ""
         raise InsufficientDataError(
-            f"{run.path}: no recording has {SHORTEST:g} s without a gap{why}: record for longer, "
+            f"{run.path}: no recording has {SHORTEST_STRETCH:g} s without a gap{why}: record for "
+            "longer, "
             "without gaps"
         )
     _require_values(read, recorded, reach)
@@ -144,7 +148,10 @@ def _of_this_instrument(
     plant = model.plant(1.0)
     friction = plant.torque_factor * (plant.coulomb + plant.housing_friction)
     forms = zip(*(part.passes for r in read for part in r.parts), strict=True)
-    both = [unknown_friction(form, HAND * friction if observed else None) for form in forms]
+    both = [
+        unknown_friction(form, HAND_PART_OF_FRICTION * friction if observed else None)
+        for form in forms
+    ]
     found = max(filter(None, both), key=lambda one: one.size, default=None)
     if found is None:
         return list(read), [
@@ -220,7 +227,7 @@ def reach_of(tables: Run, kt: Run, recipe: Recipe) -> Reach:
         2 * math.pi * rig.angle_ratio * max(*own.speeds_rev_per_s, *own.loads.speeds_rev_per_s),
         max(own.loads.forces) * rig.load_arm,
         (-math.inf, math.inf) if calibrated is None else (min(calibrated), max(calibrated)),
-        SLOW * 2 * math.pi * rig.angle_ratio * min(own.loads.speeds_rev_per_s),
+        CREEP_SPEED_RATIO * 2 * math.pi * rig.angle_ratio * min(own.loads.speeds_rev_per_s),
     )
 
 

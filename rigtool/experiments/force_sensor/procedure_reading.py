@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.estimate import (
-    PIECE,
+    PIECE_STEPS,
     Filter,
     Smoother,
     without_delay,
@@ -23,7 +23,7 @@ from rigtool.experiments.force_filter.estimate import (
 from rigtool.experiments.force_filter.motion_states import Moments, Reach, State
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.intervals import standard_uncertainty
+from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
 from rigtool.experiments.force_model.steps import unbroken
 from rigtool.experiments.force_sensor.response import Spectra
 from rigtool.experiments.force_sensor.results_over_time import (
@@ -41,12 +41,12 @@ from rigtool.numerics.memory import give_back
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
-NEEDED = ("time", "encoder", "current_setpoint", "temperature")
+NEEDED_CHANNELS = ("time", "encoder", "current_setpoint", "temperature")
 """Channels that the torque is read from; `current_setpoint` is all of the motor's current."""
 
-REFERENCE = "reference_torque"
+REFERENCE_CHANNEL = "reference_torque"
 
-SHORTEST = 2.0
+SHORTEST_STRETCH = 2.0
 """Stretch without gaps that is analysed, s: the filter has to settle."""
 
 RATE_SAMPLES = 8192
@@ -137,16 +137,20 @@ def unbroken_blocks(
 
     Samples with NaN are left out; a reference may be NaN, and informs nothing.
     """
-    names = (*NEEDED, REFERENCE) if recording.has(REFERENCE) else NEEDED
+    names = (
+        (*NEEDED_CHANNELS, REFERENCE_CHANNEL)
+        if recording.has(REFERENCE_CHANNEL)
+        else NEEDED_CHANNELS
+    )
     grid, interval = instrument.grid, instrument.interval
-    piece = max(1, round(PIECE * grid.step_time / interval))
+    piece = max(1, round(PIECE_STEPS * grid.step_time / interval))
     before, number = np.zeros(0), 0
     for block in recording.blocks(*names, finite=False, size=BLOCK):
         samples = np.array(block)
         time = np.concatenate([before, samples[0]])
         rising_steps(time, number - before.size)
         number += samples.shape[1]
-        good = np.isfinite(samples[: len(NEEDED)]).all(axis=0)
+        good = np.isfinite(samples[: len(NEEDED_CHANNELS)]).all(axis=0)
         good = np.concatenate([before == before, good])
         for span in unbroken(time, good, interval):
             begins = span.start > 0 or not before.size
@@ -184,7 +188,7 @@ class Stretch:
         self._in_front = 0
         self._room = math.ceil(size * instrument.interval / step_time) + 1
         self._found: dict[str, NDArray[Any]] = {}
-        self._filled: dict[str, int] = dict.fromkeys(FOUND, 0)
+        self._filled: dict[str, int] = dict.fromkeys(ESTIMATED_TYPES, 0)
         self._steps = self._limited = 0
         self.seconds = 0.0
 
@@ -213,7 +217,7 @@ class Stretch:
         """Keep values behind those that were kept, in memory of the whole stretch's size that is
         used as it fills: pieces would lie between what is freed meanwhile."""
         if name not in self._found:
-            self._found[name] = np.empty(self._room, dtype=FOUND[name])
+            self._found[name] = np.empty(self._room, dtype=ESTIMATED_TYPES[name])
         first = self._filled[name]
         self._filled[name] = first + len(values)
         self._found[name][first : first + len(values)] = values
@@ -262,7 +266,7 @@ class Stretch:
         self._settle()
         give_back()
         step_time, every = self._instrument.grid.step_time, self._every
-        if self._steps * step_time < SHORTEST:
+        if self._steps * step_time < SHORTEST_STRETCH:
             return []
         self.seconds = self._steps * step_time
         contacts = self._contacts()
@@ -325,8 +329,8 @@ class Stretch:
         instrument, every = self._instrument, self._every
         torque, angle = self._taken("torque"), self._taken("angle")
         again, added, variances = self._sensor.power_up.again(), [], []
-        for first in range(0, len(torque), PIECE):
-            part = slice(first, first + PIECE)
+        for first in range(0, len(torque), PIECE_STEPS):
+            part = slice(first, first + PIECE_STEPS)
             ripple, variance, _ = again(angle[part].astype(np.float64), torque[part])
             torque[part] -= ripple
             added.append(ripple[-first % every :: every])
@@ -339,7 +343,7 @@ class Stretch:
         deviation = np.sqrt(deviation[::every].astype(float) ** 2 + np.concatenate(variances))
         kinds = self._taken("kinds")[::every]
         scales = instrument.model.scales[0]
-        u = standard_uncertainty(scales, deviation, torque[::every], kinds)
+        u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds)
         return torque, u, np.concatenate(added)
 
 
@@ -348,7 +352,10 @@ def filled(reference: Array, reach: int) -> tuple[Array, Mask]:
     `reach` steps on both sides, which is what a low-pass takes in (n,)."""
     from scipy.ndimage import minimum_filter1d
 
-    known, place = np.isfinite(reference), np.arange(len(reference))
+    known = np.isfinite(reference)
+    if known.all():
+        return reference, known
+    place = np.arange(len(reference))
     whole: Array = np.interp(place, place[known], reference[known])
     return whole, minimum_filter1d(known, 2 * reach + 1)
 
@@ -367,7 +374,7 @@ def weight_ahead(rate: float, size: int, corner_hz: float) -> Array:
     return held_lowpass(rate, np.repeat([0.0, 1.0], 4 * length), corner_hz)[3 * length : 4 * length]
 
 
-FOUND = {
+ESTIMATED_TYPES = {
     "torque": np.float64,
     "u": np.float32,
     "states": np.int8,

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array
 
-SEGMENT = 1.0
+SEGMENT_TIME = 1.0
 """Of a segment, s: a Hann window resolves 2 Hz."""
 
-RIGHT = 0.95
+RIGHT_AMPLITUDE = 0.95
 """Amplitude, relative to the true one, that is right."""
 
-KNOWN = 0.02
+MAX_AMPLITUDE_U = 0.02
 """Standard uncertainty of an amplitude up to which it counts."""
 
 HIGHEST_HZ = 100.0
@@ -47,7 +47,7 @@ class Spectra:
     def of(cls, torque: Array, reference: Array, valid: NDArray[np.bool_], rate: float) -> Spectra:
         """Return the sums of signals (m,) of a rate, Hz; segments that are not all valid do not
         count."""
-        size = round(SEGMENT * rate)
+        size = round(SEGMENT_TIME * rate)
         frequency: Array = np.fft.rfftfreq(size, 1 / rate).astype(np.float64)
         kept = frequency <= HIGHEST_HZ
         window = np.hanning(size)
@@ -90,23 +90,24 @@ class Spectra:
 
 
 def amplitude_bandwidth(parts: Sequence[Spectra]) -> tuple[float, float]:
-    """Return up to which frequency the amplitude is `RIGHT`, Hz, and its standard uncertainty.
+    """Return up to which frequency the amplitude is `RIGHT_AMPLITUDE`, Hz, and its standard
+    uncertainty.
 
     That is the highest frequency at which the amplitude is known, or where it falls below. NaN
     where nothing is known, or already the lowest known amplitude is wrong.
     """
     whole = reduce(Spectra.added, parts)
     ratio, u = whole.amplitude()
-    known = np.flatnonzero((u <= KNOWN) & (whole.frequency > 0))
+    known = np.flatnonzero((u <= MAX_AMPLITUDE_U) & (whole.frequency > 0))
     frequency, ratio, u = whole.frequency[known], ratio[known], u[known]
-    if not len(known) or ratio[0] < RIGHT:
+    if not len(known) or ratio[0] < RIGHT_AMPLITUDE:
         return math.nan, math.nan
-    spacing = 1 / SEGMENT
-    wrong = np.flatnonzero(ratio < RIGHT)
+    spacing = 1 / SEGMENT_TIME
+    wrong = np.flatnonzero(ratio < RIGHT_AMPLITUDE)
     if not len(wrong):
         return float(frequency[-1]), spacing / math.sqrt(12)
     after = wrong[0]
     before = after - 1
     slope = (ratio[before] - ratio[after]) / (frequency[after] - frequency[before])
-    crossing = frequency[before] + (ratio[before] - RIGHT) / slope
+    crossing = frequency[before] + (ratio[before] - RIGHT_AMPLITUDE) / slope
     return float(crossing), float(math.hypot(u[before] / slope, spacing / math.sqrt(12)))

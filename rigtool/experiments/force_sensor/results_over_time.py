@@ -11,15 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.experiments.force_filter.accuracy import (
-    BANDS,
     COVERAGE_FACTOR,
-    JUDGED,
+    JUDGED_STATES,
+    LOAD_BAND_EDGES,
     Accuracy,
     accuracy,
     by_band_and_state,
 )
-from rigtool.experiments.force_filter.motion_states import CREEPING, NAMES, Reach, State, States
-from rigtool.experiments.force_model.contacts import FALSE_ALARMS, WINDOW, Contact, MotionKind
+from rigtool.experiments.force_filter.motion_states import (
+    CREEPING_KIND,
+    STATE_NAMES,
+    Reach,
+    State,
+    States,
+)
+from rigtool.experiments.force_model.contacts import FALSE_ALARMS, JUMP_WINDOW, Contact, MotionKind
 from rigtool.experiments.force_sensor.response import Spectra, amplitude_bandwidth
 from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.outcome import Outcome
@@ -28,7 +34,7 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table
 
-ROWS = 20 / 3
+ROWS_PER_PERIOD = 20 / 3
 """Rows of the table in a period of the low-pass's corner: 20 in one of the bandwidth."""
 
 
@@ -83,7 +89,7 @@ class TorqueRows:
         if len(parts) == 1:
             return first
         together: dict[str, Any] = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in SIGNALS
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in FORCE_SIGNALS
         }
         for name in ("reference", "causal_reference"):
             if getattr(first, name) is not None:
@@ -93,10 +99,10 @@ class TorqueRows:
 
 def steps_of_a_row(step_time: float, corner_hz: float) -> int:
     """Return how many steps of `step_time` s are a row of the table."""
-    return max(1, int((1 / step_time) / (ROWS * corner_hz) * (1 + 1e-6)))
+    return max(1, int((1 / step_time) / (ROWS_PER_PERIOD * corner_hz) * (1 + 1e-6)))
 
 
-SIGNALS = (
+FORCE_SIGNALS = (
     "time",
     "torque",
     "u",
@@ -207,7 +213,7 @@ def _table(
 
     so_far = whole.causal_states != State.OUTSIDE
 
-    states = ", ".join(f"{state.value} {name}" for state, name in NAMES.items())
+    states = ", ".join(f"{state.value} {name}" for state, name in STATE_NAMES.items())
     columns = {
         "row": Column(np.arange(len(number)), "1"),
         "recording": Column(number, "1", "of this run, in order"),
@@ -252,8 +258,12 @@ def _judged(rows: TorqueRows, largest: float) -> tuple[dict[str, Quantity], Tabl
     assert rows.reference is not None
     results: dict[str, Quantity] = {}
     columns = {
-        "band": Column(np.array(BANDS[:-1]) * largest, "N m", "lower end of the load's band"),
-        "state": Column(np.array([int(state) for state in JUDGED]), "1", "as in table force"),
+        "band": Column(
+            np.array(LOAD_BAND_EDGES[:-1]) * largest, "N m", "lower end of the load's band"
+        ),
+        "state": Column(
+            np.array([int(state) for state in JUDGED_STATES]), "1", "as in table force"
+        ),
     }
     for prefix, torque, reference, half, states in (
         ("", rows.torque, rows.reference, rows.half, rows.states),
@@ -321,7 +331,7 @@ def _events(parts: Sequence[tuple[int, TorqueRows]]) -> dict[str, Table]:
     if not found:
         return {}
     numbers = np.array(found).T
-    u_time = np.full(len(found), WINDOW / math.sqrt(12))
+    u_time = np.full(len(found), JUMP_WINDOW / math.sqrt(12))
     columns = {
         "event": Column(np.arange(len(found)), "1"),
         "recording": Column(numbers[0].astype(np.int32), "1", "of this run, in order"),
@@ -352,7 +362,7 @@ def _contact_notes(limits: Array) -> list[str]:
     if not known:
         return ["contacts are not looked for: the tables hold no recordings without load"]
     return [
-        f"contacts are found by torques that rise within {WINDOW * 1e3:.0f} ms by more than "
+        f"contacts are found by torques that rise within {JUMP_WINDOW * 1e3:.0f} ms by more than "
         f"{', '.join(known)}: the tables show such errors less than once in "
         f"{1 / FALSE_ALARMS / 3600:.0f} h"
     ]
@@ -362,7 +372,7 @@ def _notes(
     recordings: Sequence[Recorded], known: NDArray[np.bool_], reach: Reach, scales: Array
 ) -> list[str]:
     low, high = reach.angle
-    named = [*((s, NAMES[s]) for s in JUDGED), (CREEPING, "creeping")]
+    named = [*((s, STATE_NAMES[s]) for s in JUDGED_STATES), (CREEPING_KIND, "creeping")]
     factors = ", ".join(f"{scales[s, 0]:.2f}, {scales[s, 1]:.1%} {name}" for s, name in named)
     notes = [
         f"torque was learned up to {reach.torque * 1e3:.4g} mN m, from {low:.4g} to {high:.4g} rad "

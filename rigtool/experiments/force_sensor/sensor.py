@@ -19,8 +19,8 @@ from rigtool.experiments.force_filter.kalman import Uncertainty
 from rigtool.experiments.force_filter.motion_states import Judge, Moments, Reach, States
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.intervals import standard_uncertainty
-from rigtool.experiments.force_model.steps import CONTEXT, FilterSteps, Sampler, Stepper
+from rigtool.experiments.force_model.intervals import uncertainty_of_kinds
+from rigtool.experiments.force_model.steps import CONTEXT_SAMPLES, FilterSteps, Sampler, Stepper
 from rigtool.experiments.force_sensor.power_up import PowerUp
 from rigtool.numerics.arrays import Array
 
@@ -103,7 +103,9 @@ class Sensor:
     def __init__(self, instrument: SensorProperties, *, context: bool = True) -> None:
         grid, model = instrument.grid, instrument.model
         self._instrument = instrument
-        self._sampler = Sampler(grid, instrument.count, model.drive, CONTEXT if context else 0)
+        self._sampler = Sampler(
+            grid, instrument.count, model.drive, CONTEXT_SAMPLES if context else 0
+        )
         self._stepper = Stepper(grid.step_samples)
         self._filter = instrument.filter(model.uncertainty)
         self.power_up = PowerUp(model, grid.step_time, instrument.corner_hz)
@@ -136,7 +138,7 @@ class Sensor:
             found[1],
         )
         states, kinds = self._states(moments)
-        u = standard_uncertainty(self._instrument.model.scales[1], deviation, torque, kinds)
+        u = uncertainty_of_kinds(self._instrument.model.scales[1], deviation, torque, kinds)
         doubt = np.sqrt(variance)
         return Sensed(estimate, torque, u, moments, states, found[2:], signals, less, doubt)
 

@@ -28,7 +28,7 @@ import numpy as np
 
 from rigtool.numerics.arrays import Array, Mask
 
-CELLS = 24
+ANGLE_CELLS = 24
 """Parts of the learned angle."""
 
 FEWEST_PASSES, FEWEST_CELLS = 4, 3
@@ -75,17 +75,19 @@ class Passes:
         way = np.where(sliding, np.sign(angle[after] - angle[before]), 0.0)
         edges = np.flatnonzero(np.diff(way, prepend=0.0, append=0.0))
         low, high = reach
-        cell = np.clip((angle - low) / (high - low) * CELLS, 0, CELLS - 1).astype(np.intp)
+        cell = np.clip((angle - low) / (high - low) * ANGLE_CELLS, 0, ANGLE_CELLS - 1).astype(
+            np.intp
+        )
         signs, found = [], []
         for first, last in itertools.pairwise(edges):
             if way[first]:
                 own = cell[first:last]
-                count = np.bincount(own, minlength=CELLS)
+                count = np.bincount(own, minlength=ANGLE_CELLS)
                 values = (torque[first:last], u[first:last])
-                sums = [np.bincount(own, value, minlength=CELLS) for value in values]
+                sums = [np.bincount(own, value, minlength=ANGLE_CELLS) for value in values]
                 signs.append(way[first])
                 found.append(np.where(count > 0, sums, np.nan) / np.maximum(count, 1))
-        both = np.array(found).reshape(-1, 2, CELLS)
+        both = np.array(found).reshape(-1, 2, ANGLE_CELLS)
         return cls(np.array(signs), both[:, 0], both[:, 1])
 
 

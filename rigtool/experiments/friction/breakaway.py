@@ -25,7 +25,7 @@ from rigtool.numerics.turn_mean import TurnMean, group_angles, mean_over_turn
 RAMP_END_DROP = 0.02
 """A ramp ends where the torque falls by this part of its highest value between two samples."""
 
-FEWEST = 16
+MIN_RAMP_SAMPLES = 16
 """Samples that a ramp needs."""
 
 BREAKAWAY_TIME = 0.05
@@ -52,7 +52,7 @@ def find_ramps(
     counts as breakaway, rad. A ramp begins where torque falls back or time has a gap. Raises
     `InsufficientDataError` where there is none.
     """
-    t, shaft, effort = require_signals(FEWEST, time=time, angle=angle, torque=torque)
+    t, shaft, effort = require_signals(MIN_RAMP_SAMPLES, time=time, angle=angle, torque=torque)
     size = np.abs(effort)
     step = float(np.median(np.diff(t)))
     fallen = np.diff(size) < -RAMP_END_DROP * size.max()
@@ -61,7 +61,7 @@ def find_ramps(
     ramps = []
     for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         part = slice(first, last)
-        if last - first < FEWEST or size[last - 1] <= 0.1 * size.max():
+        if last - first < MIN_RAMP_SAMPLES or size[last - 1] <= 0.1 * size.max():
             continue
         direction = 1.0 if effort[last - 1] > 0 else -1.0
         onset = _onset(t[part] - t[first], direction * shaft[part], threshold)
@@ -70,10 +70,10 @@ def find_ramps(
         ramps.append(TorqueRamp(first, last, position, direction, broke))
     if not ramps:
         longest = int(np.diff(edges).max())
-        found = "" if longest >= FEWEST else f"; the longest has {longest} samples"
+        found = "" if longest >= MIN_RAMP_SAMPLES else f"; the longest has {longest} samples"
         raise InsufficientDataError(
             "no ramp of torque was found: each must rise slowly from zero at standstill, with "
-            f"{FEWEST} samples or more{found}: lower stribeck.breakaway_rate, or shorten "
+            f"{MIN_RAMP_SAMPLES} samples or more{found}: lower stribeck.breakaway_rate, or shorten "
             "rig.sample_time"
         )
     return ramps

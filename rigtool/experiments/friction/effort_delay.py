@@ -26,13 +26,13 @@ from rigtool.experiments.friction.motion_terms import (
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import long_run_covariance
 
-SIGNIFICANT = 3.0
+SIGNIFICANT_RATIO = 3.0
 """Multiple of its uncertainty from which on a delay, or a difference by direction, is one."""
 
 DELAY_STEPS = 5
 """Gauss-Newton steps for the delay."""
 
-BEYOND = 2.0
+SECOND_ORDER_RATIO = 2.0
 """What a filter of first order changes, in terms of what it changes to second order at the delay
 that fits best: its time constant is longer than that delay."""
 
@@ -61,7 +61,7 @@ def on_time(
     square = _last(here, columns, weighted(here)[1])[1]
     explained = 1 - float(np.sum(residual**2)) / max(power, 1e-300)
     unstated = np.zeros(DELAY)
-    shown = delay**2 > SIGNIFICANT**2 * square
+    shown = delay**2 > SIGNIFICANT_RATIO**2 * square
     if shown and explained > DELAY_POWER:
         unstated[chosen] = _lag(here, delay, chosen, columns)
         return here, delay, unstated
@@ -118,7 +118,9 @@ def _lag(
         beyond = delay**2 / 2 * weight * np.concatenate(bent)
         part, square = _last(motions, np.column_stack([columns, beyond]), torque)
         alike = np.linalg.lstsq(columns, beyond, rcond=None)[0][:-1]
-        change = np.maximum(change, np.abs(alike) * _likely(part, square, 1 / 3) * BEYOND)
+        change = np.maximum(
+            change, np.abs(alike) * _likely(part, square, 1 / 3) * SECOND_ORDER_RATIO
+        )
     return change
 
 
@@ -137,7 +139,7 @@ def _likely(value: float, square: float, before: float) -> float:
     """Return the root mean square of a quantity that is measured with a variance, and had another
     variance around 0 before; a significant value is that of the measurement."""
     known = 1 / (1 + square / before)
-    shown = value**2 > SIGNIFICANT**2 * square
+    shown = value**2 > SIGNIFICANT_RATIO**2 * square
     return math.hypot(value if shown else known * value, math.sqrt((1 - known) * before))
 
 

@@ -29,10 +29,10 @@ from rigtool.numerics.settling import settled_from
 STEADY_ACCELERATION = 1e-3
 """Acceleration in a hold, relative to the highest speed, stays below this, 1/s."""
 
-ORDINATES = 24
+NOISE_ORDINATES = 24
 """Lowest Fourier components from which noise is taken."""
 
-CORNERS = np.append(np.geomspace(0.5, 200.0, 24), 1e9)
+NOISE_CORNERS = np.append(np.geomspace(0.5, 200.0, 24), 1e9)
 """Corners of the noise, K in cycles a hold; the last one is that of white noise."""
 
 SHAKING_TIME = 0.05
@@ -189,15 +189,15 @@ def _uncertainty(torque: Array, revolutions: int) -> tuple[float, float]:
     k = np.arange(1, len(power))
     if revolutions >= 2:
         k = k[k % revolutions != 0]
-    k = k[:ORDINATES]
+    k = k[:NOISE_ORDINATES]
     if not power[k].any():
         return 0.0, 2.0 * len(k)
-    shape = 1 + (k / CORNERS[:, None]) ** 2
+    shape = 1 + (k / NOISE_CORNERS[:, None]) ** 2
     level = (power[k] * shape).mean(axis=1)
     log_likelihood = np.log(shape).sum(axis=1) - len(k) * np.log(level)
     likelihood = np.exp(log_likelihood - log_likelihood.max())
     likelihood /= likelihood.sum()
-    cycles = 2 * np.pi * CORNERS
+    cycles = 2 * np.pi * NOISE_CORNERS
     log_u2 = np.log(level * (1 + np.expm1(-cycles) / cycles) / n)
     mean = float(likelihood @ log_u2)
     spread = float(likelihood @ (log_u2 - mean) ** 2) + 1 / len(k)

@@ -57,7 +57,7 @@ ON_STEPS = 0.5
 OTHER_SPEED = 0.5
 """Ratio of the speeds of a staircase at most: one speed with its scatter has no such steps."""
 
-SLOWEST = 0.005
+SLOWEST_PLATEAU = 0.005
 """Slowest speed of a plateau, relative to the highest: below, the shaft stands still."""
 
 UNITS_BY_EFFORT = {
@@ -160,7 +160,7 @@ def _steps(recording: Recording, time: Array, position: Array) -> list[tuple[int
         level = np.diff(position[samples]) / np.diff(time[samples])
         top = float(np.max(np.abs(level)))
         step, largest = 0.02 * top, 0.05 * top
-    slowest = SLOWEST * float(np.max(np.abs(level)))
+    slowest = SLOWEST_PLATEAU * float(np.max(np.abs(level)))
     found = [
         (int(samples[a]), int(samples[min(b, len(samples) - 1)]))
         for a, b in find_plateaus(level, step, largest)

@@ -10,7 +10,7 @@ import numpy as np
 from rigtool.experiments.friction.inverse_dynamics import Dynamics, identify_dynamics
 from rigtool.experiments.friction.motion_terms import SmoothedMotion
 from rigtool.experiments.friction.results import SAME_COULOMB, Findings
-from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, undivided
+from rigtool.experiments.friction.stribeck_fit import DIRECTION_NAMES, undivided
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
@@ -39,11 +39,11 @@ def add_dynamics(motions: Sequence[SmoothedMotion], found: Findings) -> None:
     offset, offset_u = dynamics.estimate("offset")
     found.add("friction_offset", (offset, offset_u), "N m", dof)
     unknown = undivided((offset, offset_u), max(coulomb, u, 1e-300)).unknown
-    for direction in DIRECTIONS.values():
+    for direction in DIRECTION_NAMES.values():
         found.add(f"coulomb_friction_{direction}", (coulomb, math.hypot(u, unknown)), "N m", dof)
     found.notes.append(SAME_COULOMB)
     if dynamics.by_direction:
-        for direction, sign in zip(DIRECTIONS.values(), ("", "-"), strict=True):
+        for direction, sign in zip(DIRECTION_NAMES.values(), ("", "-"), strict=True):
             value = dynamics.estimate("viscous", f"{sign}viscous_difference")
             found.add(f"viscous_friction_{direction}", value, "N m s/rad", dof)
         found.notes.append("viscous friction differs by direction: viscous_friction is the mean")

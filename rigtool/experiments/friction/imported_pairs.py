@@ -9,13 +9,13 @@ import numpy as np
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.friction.paired import MotionSignals, ParameterChange, changes, ratio
 from rigtool.experiments.friction.results import Findings
-from rigtool.experiments.friction.results_difference import RATIO
+from rigtool.experiments.friction.results_difference import RATIO_RESULT
 from rigtool.experiments.imported import is_linear, place, position_of, rig_property
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Recording, Run, Table
 
-RESULTS = {
+TERM_RESULTS = {
     "inertia": ("inertia_difference", "kg m2"),
     "viscous": ("viscous_friction_difference", "N m s/rad"),
     "coulomb": ("coulomb_friction_difference", "N m"),
@@ -28,7 +28,7 @@ RESULTS = {
 ONE_RANGE = 4 * np.pi
 """Largest range of the motor over which its own angle, without gear_ratio, is that of an arm."""
 
-POINTS = 2000
+MAX_TABLE_POINTS = 2000
 """Largest number of points of the table."""
 
 
@@ -57,7 +57,7 @@ def add_changes(
     except InsufficientDataError as error:
         raise InsufficientDataError(f"{place(recordings[0])}: {error}") from None
     change = all_changes[0]
-    for term, (name, unit) in RESULTS.items():
+    for term, (name, unit) in TERM_RESULTS.items():
         if (estimate := change.estimate(term)) is not None:
             found.add(name, estimate, unit, float(change.dof))
     if (gravity := change.gravity()) is not None:
@@ -67,9 +67,10 @@ def add_changes(
     )
     if reference is not None:
         value, u, dof = ratio(change, all_changes[1])
-        found.results[RATIO] = Quantity(value, "1", u, float(dof))
+        found.results[RATIO_RESULT] = Quantity(value, "1", u, float(dof))
         found.notes.append(
-            f"{RATIO} is that of this change to the change in {place(reference)}, both against "
+            f"{RATIO_RESULT} is that of this change to the change in {place(reference)}, both "
+            "against "
             f"{place(against)}, point by point: the scale of the effort cancels"
         )
     found.notes.extend(_notes(change, recordings[0], against))
@@ -105,7 +106,9 @@ def _notes(change: ParameterChange, recording: Recording, against: Recording) ->
         "joints that move alike; coupling to other joints of an arm that the change brings is not "
         "in u",
     ]
-    if lacking := [name for term, (name, _) in RESULTS.items() if change.estimate(term) is None]:
+    if lacking := [
+        name for term, (name, _) in TERM_RESULTS.items() if change.estimate(term) is None
+    ]:
         if is_linear(recording):
             lacking = [name for name in lacking if "gravity" not in name]
         if lacking:
@@ -116,7 +119,7 @@ def _notes(change: ParameterChange, recording: Recording, against: Recording) ->
 
 
 def _table(change: ParameterChange) -> Table:
-    part = slice(None, None, -(-len(change.time) // POINTS))
+    part = slice(None, None, -(-len(change.time) // MAX_TABLE_POINTS))
     used = np.where(change.used, 1.0, np.nan)
     return Table(
         ("time",),

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.friction.effort_delay import SIGNIFICANT, on_time
+from rigtool.experiments.friction.effort_delay import SIGNIFICANT_RATIO, on_time
 from rigtool.experiments.friction.model_doubt import (
     TIME_PARTS,
     curvature,
@@ -153,7 +153,7 @@ def identify_dynamics(motions: Sequence[SmoothedMotion]) -> Dynamics:
     found = _fit(motions, split, standstill, without)
     difference, u = found.estimate("viscous_difference")
     own = own_part(weighted(motions)[0][:, [*plain, SPLIT]], len(plain))
-    if abs(difference) < SIGNIFICANT * u or own < MIN_OWN_POWER:
+    if abs(difference) < SIGNIFICANT_RATIO * u or own < MIN_OWN_POWER:
         found = _fit(motions, [*plain, *late], standstill, without)
     found.parameters[DELAY] += delay
     found.covariance[range(DELAY), range(DELAY)] += change**2

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.residual_covariance import cosine_transform, long_run_covariance
 
-RANGES = 24
+RESIDUAL_RANGES = 24
 """Ranges of the quantity over which residuals are averaged, with as many samples each."""
 
 TIME_PARTS = 10
@@ -72,7 +72,7 @@ def structure(
     """
     total = max(float(np.sum(residual**2)), 1e-300)
     ranges = np.empty(len(over), dtype=np.intp)
-    ranges[np.argsort(over, kind="stable")] = np.arange(len(over)) * RANGES // len(over)
+    ranges[np.argsort(over, kind="stable")] = np.arange(len(over)) * RESIDUAL_RANGES // len(over)
     power = min(max(_common(ranges, times, residual), 0.0), total)
     patterns = _patterns(_sums(ranges, residual) / np.maximum(_sums(ranges), 1))
     doubt = np.zeros(design.shape[1])

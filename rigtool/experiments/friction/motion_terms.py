@@ -32,22 +32,22 @@ DYNAMICS_PARAMETERS = ("inertia", "viscous", "coulomb", "offset", "viscous_diffe
 
 SPLIT, DELAY = DYNAMICS_PARAMETERS.index("viscous_difference"), DYNAMICS_PARAMETERS.index("delay")
 
-NARROWEST = 2.0
+NARROWEST_KERNEL = 2.0
 """Smallest standard deviation of the kernel, in samples."""
 
-WIDEST = 1 / 40
+WIDEST_KERNEL = 1 / 40
 """Largest standard deviation of the kernel, relative to the recording."""
 
-GROWTH = 1.15
+KERNEL_RATIO = 1.15
 """Ratio of the widths of successive kernels."""
 
 NOISE_SHARE = 1e-3
 """Largest part of noise in the acceleration's power, which biases inertia by as much."""
 
-MOTION = 0.99
+MOTION_POWER = 0.99
 """Part of the speed's power below the frequency of the motion."""
 
-HARMONICS = 10
+KERNEL_HARMONICS = 10
 """Multiple of the motion's frequency that the kernel passes: sign(v) has harmonics."""
 
 NEAR_STANDSTILL = (0.05, 0.02, 0.01, 0.0)
@@ -57,7 +57,7 @@ the last one, all of the motion counts as sliding, and so does the noise."""
 SURE_SIGN = 5.0
 """Standard deviations of its noise beyond which the sign of a speed is known."""
 
-SLIDING = 0.98
+MIN_SLIDING_WEIGHT = 0.98
 """Smallest part of the kernel's weight on sliding samples."""
 
 MIN_SAMPLES = 50
@@ -122,7 +122,8 @@ def band_limit(
     ]
     sliding = np.stack(
         [
-            smoother((known & (np.abs(everywhere) >= limit)).astype(np.float64)) >= SLIDING
+            smoother((known & (np.abs(everywhere) >= limit)).astype(np.float64))
+            >= MIN_SLIDING_WEIGHT
             for limit in limits
         ]
     )
@@ -156,8 +157,8 @@ def _smoother(position: Array, step: float, density: float) -> KernelSmoother:
     Not narrower than the motion needs: the rest of the band is other dynamics. Where no
     kernel keeps the noise out, the kernel that passes the least of it.
     """
-    widest = max(len(position) * step * WIDEST, NARROWEST * step)
-    best, least = KernelSmoother(step, NARROWEST * step), math.inf
+    widest = max(len(position) * step * WIDEST_KERNEL, NARROWEST_KERNEL * step)
+    best, least = KernelSmoother(step, NARROWEST_KERNEL * step), math.inf
     width = best.width
     while width <= widest:
         smoother = KernelSmoother(step, width)
@@ -168,16 +169,18 @@ def _smoother(position: Array, step: float, density: float) -> KernelSmoother:
             best, least = smoother, share
         if share <= NOISE_SHARE:
             break
-        width *= GROWTH
+        width *= KERNEL_RATIO
     frequency = _highest_frequency(best(position, 1), best.every * step)
-    return KernelSmoother(step, max(best.width, min(CUTOFF / (HARMONICS * frequency), widest)))
+    return KernelSmoother(
+        step, max(best.width, min(CUTOFF / (KERNEL_HARMONICS * frequency), widest))
+    )
 
 
 def _highest_frequency(signal: Array, spacing: float) -> float:
-    """Return the frequency below which `MOTION` of a signal's power is, Hz."""
+    """Return the frequency below which `MOTION_POWER` of a signal's power is, Hz."""
     power = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(len(signal)))) ** 2
     total = np.cumsum(power)
-    first = int(np.searchsorted(total, MOTION * total[-1]))
+    first = int(np.searchsorted(total, MOTION_POWER * total[-1]))
     return max(first, 1) / (len(signal) * spacing)
 
 

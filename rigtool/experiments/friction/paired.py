@@ -28,7 +28,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.friction.model_doubt import TIME_PARTS, own_part, structure
-from rigtool.experiments.friction.motion_terms import MIN_SAMPLES, SLIDING, band_limit
+from rigtool.experiments.friction.motion_terms import MIN_SAMPLES, MIN_SLIDING_WEIGHT, band_limit
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.numerics.checks import require_signals
 from rigtool.numerics.residual_covariance import (
@@ -38,9 +38,9 @@ from rigtool.numerics.residual_covariance import (
 )
 from rigtool.numerics.smoothing import CUTOFF, KernelSmoother, resample
 
-TERMS = ("inertia", "viscous", "coulomb", "offset", "gravity_cosine", "gravity_sine")
+PAIRED_TERMS = ("inertia", "viscous", "coulomb", "offset", "gravity_cosine", "gravity_sine")
 
-DROPPED = (("gravity_cosine", "gravity_sine"), ("inertia",), ("viscous",), ("coulomb",))
+DROPPED_TERMS = (("gravity_cosine", "gravity_sine"), ("inertia",), ("viscous",), ("coulomb",))
 """Terms that a motion may not separate from the others, the first to go first."""
 
 MIN_OWN_POWER = 1e-4
@@ -50,17 +50,17 @@ separated has a large uncertainty, and what is left out is taken for another ter
 SAME_MOTION = 0.1
 """Largest rms difference of aligned positions, relative to their standard deviation."""
 
-NOISE = 0.2
+MAX_RELATIVE_U = 0.2
 """Largest relative u of a known change: noise alone fitted by p terms has 1/sqrt(p)."""
 
-OVERLAP = 0.5
+MIN_OVERLAP = 0.5
 """Part of the shorter run that is compared at least, where the peak of a correlation is not the
 highest."""
 
 FEW_PEAKS = 5
 """Peaks of the correlation of two motions from which they are aligned: the best fit counts."""
 
-ROUNDS = 20
+MAX_ALIGNMENT_STEPS = 20
 """Most steps of the alignment."""
 
 
@@ -150,7 +150,7 @@ def changes(first: MotionSignals, others: Sequence[MotionSignals]) -> list[Param
         columns = [motion.design[:, :4]]
         if angle is not None:
             columns += [smoother(np.cos(angle))[:, None], smoother(np.sin(angle))[:, None]]
-        there = smoother(known.astype(np.float64)) >= SLIDING
+        there = smoother(known.astype(np.float64)) >= MIN_SLIDING_WEIGHT
         rows.append(_Rows(np.column_stack(columns), motion.torque, motion.used & there))
     places = smoother.places(len(time))
     used: Mask = np.logical_and.reduce([row.used for row in rows])
@@ -178,7 +178,7 @@ def ratio(change: ParameterChange, known: ParameterChange) -> tuple[float, float
         seen[:, None], left, min(change.independent, known.independent)
     )
     own = long_run_covariance(seen[:, None], x - seen, known.independent)[0]
-    if not alike > 0 or float(own[0, 0]) > NOISE**2:
+    if not alike > 0 or float(own[0, 0]) > MAX_RELATIVE_U**2:
         raise InsufficientDataError(
             "the known change is not larger than the scatter: no ratio can be stated; give a run "
             "with a larger one"
@@ -212,23 +212,23 @@ def _change(
     gram = design.T @ design
     covariance = _scaled(covariance, gram, loss)
     fitted_noise = float(np.sum(covariance * gram))
-    doubt = _doubt(position, other.design[:, TERMS.index("viscous")], residual, design, used)
+    doubt = _doubt(position, other.design[:, PAIRED_TERMS.index("viscous")], residual, design, used)
     covariance = covariance + np.diag(doubt**2)
     return ParameterChange(
-        tuple(TERMS[i] for i in chosen),
+        tuple(PAIRED_TERMS[i] for i in chosen),
         parameters,
         covariance,
         dof,
         shift,
         time,
         position,
-        other.design[:, TERMS.index("viscous")],
+        other.design[:, PAIRED_TERMS.index("viscous")],
         difference,
         other.design[:, chosen] @ parameters,
         used,
         independent,
         fitted_noise,
-        other.design.shape[1] == len(TERMS),
+        other.design.shape[1] == len(PAIRED_TERMS),
     )
 
 
@@ -261,8 +261,8 @@ def _separated(design: Array) -> list[int]:
             "needed: record for longer"
         )
     chosen = list(range(design.shape[1]))
-    for names in DROPPED:
-        places = [TERMS.index(name) for name in names if TERMS.index(name) in chosen]
+    for names in DROPPED_TERMS:
+        places = [PAIRED_TERMS.index(name) for name in names if PAIRED_TERMS.index(name) in chosen]
         part = [own_part(design[:, chosen], chosen.index(place)) for place in places]
         if part and min(part) < MIN_OWN_POWER:
             chosen = [place for place in chosen if place not in places]
@@ -341,9 +341,9 @@ def _refined(
     The peak of a correlation leans towards more overlap.
     """
     step, rms = float(time[1] - time[0]), math.inf
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ALIGNMENT_STEPS):
         here = time[(time + shift >= other[0]) & (time + shift <= other[-1])]
-        if len(here) < max(MIN_SAMPLES, OVERLAP * min(len(time), len(other))):
+        if len(here) < max(MIN_SAMPLES, MIN_OVERLAP * min(len(time), len(other))):
             return math.inf, shift
         apart = np.interp(here + shift, other, moved) - np.interp(here, time, position)
         slope = np.gradient(np.interp(here, time, position), step)

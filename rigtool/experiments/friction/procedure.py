@@ -17,9 +17,9 @@ from rigtool.experiments.friction.imported import analyse_imported
 from rigtool.experiments.friction.procedure_analysis import (
     BREAKAWAY,
     BREAKAWAY_LOADED,
-    HOLDS,
+    HOLD_RECORDING,
     HOLDS_LOADED,
-    SWEEPS,
+    SWEEP_RECORDINGS,
     analyse,
     coulomb_and_viscous,
 )
@@ -72,7 +72,7 @@ def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     conditions[BREAKAWAY_LOADED] = conditions[HOLDS_LOADED] = {"radial_force": (force, "N")}
     return tuple(
         RecordingSpec(name, names, conditions.get(name, {}), every)
-        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
+        for name in (HOLD_RECORDING, *SWEEP_RECORDINGS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
     )
 
 
@@ -91,14 +91,14 @@ def measure(rig: Rig, recipe: Recipe, recorder: RunWriter, *, kt: Run) -> None:
     every = settings.record_every
     for direction in (1.0, -1.0):
         task = Task(hold_profile(settings, direction), record_every=every)
-        record(rig, task, recorder, HOLDS)
-    coulomb, viscous = coulomb_and_viscous(recorder.recording(HOLDS), recipe, kt)
+        record(rig, task, recorder, HOLD_RECORDING)
+    coulomb, viscous = coulomb_and_viscous(recorder.recording(HOLD_RECORDING), recipe, kt)
     compensations = (
         Feedforward(),
         Feedforward(coulomb=coulomb),
         Feedforward(coulomb=coulomb, viscous=viscous),
     )
-    for name, feedforward in zip(SWEEPS, compensations, strict=True):
+    for name, feedforward in zip(SWEEP_RECORDINGS, compensations, strict=True):
         task = Task(sweep_profile(settings), feedforward=feedforward, record_every=every)
         record(rig, task, recorder, name)
     shaft = _Shaft()

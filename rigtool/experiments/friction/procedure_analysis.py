@@ -10,7 +10,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.between_set_points import (
-    REMEDY,
+    SET_POINT_REMEDY,
     UNSAMPLED_LIMIT,
     UnsampledCurrent,
     setpoint_resolution,
@@ -56,10 +56,10 @@ from rigtool.runfile import Recording, Run, Table
 NOTED_SHARE = 0.1
 """Part of its limit above which unsampled torque gets a note."""
 
-SATURATED = "lower stribeck.speed_max, or the load on the shaft"
+SATURATED_REMEDY = "lower stribeck.speed_max, or the load on the shaft"
 
-HOLDS = "holds"
-SWEEPS = ("sweep", "sweep_coulomb", "sweep_viscous")
+HOLD_RECORDING = "holds"
+SWEEP_RECORDINGS = ("sweep", "sweep_coulomb", "sweep_viscous")
 BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED = "breakaway", "breakaway_loaded", "holds_loaded"
 
 
@@ -89,13 +89,13 @@ def analyse(
     """
     recordings = {
         name: [run.recording(name) for run in runs if _has(run, name)]
-        for name in (HOLDS, *SWEEPS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
+        for name in (HOLD_RECORDING, *SWEEP_RECORDINGS, BREAKAWAY, BREAKAWAY_LOADED, HOLDS_LOADED)
     }
     everything = [recording for parts in recordings.values() for recording in parts]
     found = Findings(Scale.of(kt, everything))
     found.notes.append(mean_constant_note(kt, everything))
     if not everything:
-        runs[0].recording(HOLDS)  # raises, naming the recordings that are there
+        runs[0].recording(HOLD_RECORDING)  # raises, naming the recordings that are there
     missing = [name for name, parts in recordings.items() if not parts]
     if missing:
         found.notes.append(f"not recorded, so without results: {', '.join(missing)}")
@@ -104,8 +104,8 @@ def analyse(
     curves = _sweeps(recordings, recipe, found)
     fits: dict[int, DirectionFit] = {}
     offset = None
-    if recordings[HOLDS]:
-        fits, holds, notes = _fit_holds(recordings[HOLDS], recipe, found.scale)
+    if recordings[HOLD_RECORDING]:
+        fits, holds, notes = _fit_holds(recordings[HOLD_RECORDING], recipe, found.scale)
         found.notes.extend(notes)
         found.tables["holds"] = holds_table(holds)
         offset = separate(fits, holds, [b for b in (unloaded, loaded) if b is not None])
@@ -124,7 +124,7 @@ def analyse(
     if fits:
         add_friction(fits, offset, found)
     if against is not None:
-        if not recordings[HOLDS]:
+        if not recordings[HOLD_RECORDING]:
             raise UsageError(f"{runs[0].path}: holds no constant speeds to compare by --against")
         add_curve_difference(found, against, reference)
     if (series := unloaded or loaded) is not None:
@@ -156,7 +156,7 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
     """Return the holds of a recording; raises `InsufficientDataError` where current saturates."""
     with naming(recording):
         asked = recording.read("current_setpoint")
-        require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED)
+        require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, SATURATED_REMEDY)
     followed = recording.has("position_setpoint")
     found = find_holds(
         time=recording.read("time"),
@@ -228,10 +228,10 @@ def _note_lacking(lacking: UnsampledCurrent, holds: Holds, found: Findings) -> N
     if abs(left_out[worst]) > limit:
         raise InsufficientDataError(
             f"{text}: more than {limit * 1e3:.3g} mN m, {UNSAMPLED_LIMIT:.0%} of the torque read "
-            f"as friction; {REMEDY}"
+            f"as friction; {SET_POINT_REMEDY}"
         )
     if abs(left_out[worst]) > NOTED_SHARE * limit:
-        found.notes.append(f"{text}, which is in the uncertainty of friction: {REMEDY}")
+        found.notes.append(f"{text}, which is in the uncertainty of friction: {SET_POINT_REMEDY}")
 
 
 def _fit_sweep(curve: TorqueSpeed) -> dict[int, DirectionFit]:
@@ -253,7 +253,7 @@ def _sweeps(
     curves = {}
     labels = ("no compensation", "Coulomb compensation", "Coulomb and viscous compensation")
     names = ("torque_speed", "torque_speed_coulomb", "torque_speed_viscous")
-    for recording_name, table, label in zip(SWEEPS, names, labels, strict=True):
+    for recording_name, table, label in zip(SWEEP_RECORDINGS, names, labels, strict=True):
         for recording in recordings[recording_name][:1]:
             curves[recording_name] = torque_speed_curve(
                 time=recording.read("time"),

@@ -10,7 +10,7 @@ import numpy as np
 
 from rigtool.experiments.friction.breakaway import Breakaway, TorqueRamp
 from rigtool.experiments.friction.holds import Holds
-from rigtool.experiments.friction.stribeck_fit import DIRECTIONS, DirectionFit, Offset
+from rigtool.experiments.friction.stribeck_fit import DIRECTION_NAMES, DirectionFit, Offset
 from rigtool.experiments.friction.sweep import TorqueSpeed
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
 from rigtool.numerics.arrays import Array
@@ -27,7 +27,7 @@ from rigtool.runfile import Column, Recording, Run, Table, dof_column
 Uncertain = tuple[float, float]
 """A value and its standard uncertainty."""
 
-SCATTER = "scatter"
+SCATTER_LINE = "scatter"
 """Line of a budget: scatter of the data, or of a fit to them."""
 
 MODEL_POINTS = 120
@@ -91,7 +91,9 @@ class Findings:
     def add(self, name: str, estimate: Uncertain, unit: str, dof: float | None = None) -> None:
         """Add a result that scales with the torque constant."""
         value, u = estimate
-        self.results[name] = self.scale.quantity(value, unit, [error_line(SCATTER, u, unit, dof)])
+        self.results[name] = self.scale.quantity(
+            value, unit, [error_line(SCATTER_LINE, u, unit, dof)]
+        )
 
 
 def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Findings) -> None:
@@ -108,7 +110,7 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fi
         if not offset.separated:
             found.notes.append(SAME_COULOMB if offset.unknown else NOT_SEPARATED)
     elif len(fits) == 1:
-        only = DIRECTIONS[next(iter(fits))]
+        only = DIRECTION_NAMES[next(iter(fits))]
         found.notes.append(
             f"only the {only} direction was held: a constant torque cannot be separated from "
             "Coulomb friction and is part of it"
@@ -117,7 +119,7 @@ def add_friction(fits: dict[int, DirectionFit], offset: Offset | None, found: Fi
     static = {s: v for s, f in fits.items() if (v := f.static) is not None}
     if len(velocity) < len(fits):
         lowest = max(fit.lowest for fit in fits.values())
-        without = " and ".join(DIRECTIONS[sign] for sign in fits if sign not in velocity)
+        without = " and ".join(DIRECTION_NAMES[sign] for sign in fits if sign not in velocity)
         found.notes.append(
             f"the data do not resolve a Stribeck effect in {without} direction: Coulomb and "
             f"viscous friction are a line above {lowest:.3g} rad/s"
@@ -146,7 +148,7 @@ def _add_directions(
 
     def state(name: str, value: float, u: float, sign: int | None) -> None:
         lines = [
-            error_line(SCATTER, u, unit, dof),
+            error_line(SCATTER_LINE, u, unit, dof),
             error_line("current between set points", common_u, unit),
         ]
         if offset is not None and sign is not None:
@@ -160,7 +162,7 @@ def _add_directions(
     u = math.hypot(*(u for _, u in values.values())) / len(values)
     state(name, mean, u, next(iter(values)) if len(values) == 1 else None)
     for sign, (value, own) in values.items():
-        state(f"{name}_{DIRECTIONS[sign]}", value, own, sign)
+        state(f"{name}_{DIRECTION_NAMES[sign]}", value, own, sign)
 
 
 def add_breakaway(unloaded: Breakaway, found: Findings) -> None:
@@ -200,7 +202,7 @@ def add_radial_breakaway(
         return
     value, u = float(added.mean()), float(added.std(ddof=1)) / math.sqrt(len(added))
     lines = [
-        error_line(SCATTER, u, "N m", float(len(added) - 1)),
+        error_line(SCATTER_LINE, u, "N m", float(len(added) - 1)),
         error_line("hung weights", value * weights_u, "N m"),
     ]
     found.results["radial_load_breakaway"] = found.scale.quantity(value, "N m", lines)
@@ -223,7 +225,7 @@ def add_radial_friction(
     before, after = unloaded[nearest[same]], loaded[same]
     value = float(np.mean(np.sign(after.speed) * (after.torque - before.torque)))
     lines = [error_line("hung weights", value * weights_u, "N m")]
-    for name, holds in ((SCATTER, before), ("scatter with the force", after)):
+    for name, holds in ((SCATTER_LINE, before), ("scatter with the force", after)):
         share = 1 / len(after.speed)
         parts = [
             error_line(name, u * share, "N m", dof)
@@ -248,7 +250,7 @@ def add_static_friction(
         found.add("static_friction", (mean.value, mean.u), "N m", mean.dof)
         if offset is not None:
             middle, (constant, u) = unloaded.middle, offset.offset
-            for sign, name in DIRECTIONS.items():
+            for sign, name in DIRECTION_NAMES.items():
                 value = mean.value + sign * (middle.value - constant)
                 total = math.hypot(mean.u, middle.u, u)
                 found.add(f"static_friction_{name}", (value, total), "N m", mean.dof)

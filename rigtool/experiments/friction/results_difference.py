@@ -12,14 +12,14 @@ from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Run, Table
 
-HOLDS = "holds"
+HOLD_TABLE = "holds"
 
-RATIO = "ratio_of_differences"
+RATIO_RESULT = "ratio_of_differences"
 
 SAME_SPEED = 0.01
 """Relative difference of speeds up to which they are one."""
 
-FEWEST = 3
+MIN_EXTRA_SPEEDS = 3
 """Common speeds beyond the number of parameters that show their scatter."""
 
 _Curve = tuple[Array, Array, Array]
@@ -36,17 +36,17 @@ def add_curve_difference(
     `UsageError` for a run without curve or in other units, `InsufficientDataError` for too few
     common speeds.
     """
-    mine = _curve(found.tables[HOLDS])
+    mine = _curve(found.tables[HOLD_TABLE])
     speed, difference, u = _minus(mine, _other(against, unit))
     sign = np.sign(speed)
     columns = {"coulomb_friction_difference": (sign, "N m")}
     columns["viscous_friction_difference"] = (speed, "N m s/rad")
     if sign.min() < sign.max():
         columns["friction_offset_difference"] = (np.ones(len(speed)), "N m")
-    if len(speed) < len(columns) + FEWEST:
+    if len(speed) < len(columns) + MIN_EXTRA_SPEEDS:
         raise InsufficientDataError(
             f"{len(speed)} speeds are common to {against.path} and this curve, "
-            f"{len(columns) + FEWEST} are needed: hold the same speeds in both"
+            f"{len(columns) + MIN_EXTRA_SPEEDS} are needed: hold the same speeds in both"
         )
     design = np.column_stack([values for values, _ in columns.values()]) / u[:, None]
     parameters = np.linalg.lstsq(design, difference / u, rcond=None)[0]
@@ -74,7 +74,7 @@ def add_curve_difference(
     if reference is not None:
         others = [_other(run, unit) for run in (against, reference)]
         try:
-            found.results[RATIO] = _ratio(mine, *others)
+            found.results[RATIO_RESULT] = _ratio(mine, *others)
         except InsufficientDataError as error:
             raise InsufficientDataError(f"{reference.path}: {error}") from None
 
@@ -93,9 +93,10 @@ def _ratio(mine: _Curve, base: _Curve, other: _Curve) -> Quantity:
     x, x_u = (values[at][both] for values in known[1:])
     y, y_u = (values[both] for values in this[1:])
     shared = np.array([base[2][np.argmin(np.abs(base[0] - one))] for one in this[0][both]])
-    if len(y) < 1 + FEWEST:
+    if len(y) < 1 + MIN_EXTRA_SPEEDS:
         raise InsufficientDataError(
-            f"{len(y)} speeds are common to all three runs, {1 + FEWEST} are needed: hold the same "
+            f"{len(y)} speeds are common to all three runs, {1 + MIN_EXTRA_SPEEDS} are needed: "
+            "hold the same "
             "speeds in all"
         )
     weight = 1 / (x_u**2 + y_u**2)
@@ -104,7 +105,7 @@ def _ratio(mine: _Curve, base: _Curve, other: _Curve) -> Quantity:
         weight = 1 / (y_u**2 + (value * x_u) ** 2 - 2 * value * shared**2)
         value = float(np.sum(weight * (x * y - shared**2)) / np.sum(weight * (x**2 - x_u**2)))
     power = float(np.sum(weight * (x**2 - x_u**2)))
-    if not power > FEWEST**2:
+    if not power > MIN_EXTRA_SPEEDS**2:
         raise InsufficientDataError(
             "the known change is not larger than its uncertainty: no ratio can be stated"
         )
@@ -120,13 +121,13 @@ def _curve(table: Table) -> _Curve:
 
 def _other(run: Run, unit: str) -> _Curve:
     run.require_command("stribeck")
-    if HOLDS not in run.tables:
+    if HOLD_TABLE not in run.tables:
         raise UsageError(f"{run.path}: holds no curve of constant speeds: give a run that has one")
-    if (stored := run.table(HOLDS).columns["torque"].unit) != unit:
+    if (stored := run.table(HOLD_TABLE).columns["torque"].unit) != unit:
         raise UsageError(
             f"{run.path} holds {stored}, this curve {unit}: analyse both with --kt, or both without"
         )
-    return _curve(run.table(HOLDS, "speed", torque=unit, u=unit))
+    return _curve(run.table(HOLD_TABLE, "speed", torque=unit, u=unit))
 
 
 def _minus(curve: _Curve, other: _Curve) -> _Curve:

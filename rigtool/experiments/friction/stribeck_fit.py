@@ -25,7 +25,7 @@ from rigtool.numerics.minimum import minimum
 HOLD_REPEAT_TOLERANCE = 5e-3
 """Holds whose speeds differ by less than this part repeat one speed."""
 
-DETERMINED = 3.0
+DETERMINED_RATIO = 3.0
 """Multiple of its uncertainty above which a Stribeck parameter is determined."""
 
 BUMP_SIGNIFICANCE = 2.0
@@ -44,11 +44,11 @@ FAR_BEYOND = 3.0
 """Multiple of the scatter of points from which on residuals are structure: scatter that is itself
 uncertain leaves less, which the uncertainty of the fit includes."""
 
-SHAPES = {2.0: 0.0, 1.0: 6.0}
+EXPONENT_LEADS = {2.0: 0.0, 1.0: 6.0}
 """Exponents d to try, each with the lead in the Akaike criterion that it needs: the Gaussian, and
 Tustin's, which extrapolates further towards standstill and so must be clearly better."""
 
-DIRECTIONS = {1: "positive", -1: "negative"}
+DIRECTION_NAMES = {1: "positive", -1: "negative"}
 
 ASYMMETRY_U_LIMIT = 0.1
 """Largest uncertainty of an asymmetry that is separated from a constant torque."""
@@ -121,10 +121,10 @@ def fit_directions(speed: Array, torque: Array, u: Array) -> dict[int, Direction
     effect, the shape with the lower sum of criteria is taken, since parameters of two models have
     no mean. Raises `InsufficientDataError` where a direction cannot be fitted.
     """
-    fits = _by_direction(speed, torque, u, SHAPES)
+    fits = _by_direction(speed, torque, u, EXPONENT_LEADS)
     shapes = {fit.exponent for fit in fits.values()} - {None}
     if len(shapes) > 1:
-        common = (_by_direction(speed, torque, u, {d: SHAPES[d]}) for d in SHAPES)
+        common = (_by_direction(speed, torque, u, {d: EXPONENT_LEADS[d]}) for d in EXPONENT_LEADS)
         fits = min(common, key=lambda found: sum(fit.criterion for fit in found.values()))
     require_explained(list(fits.values()))
     return fits
@@ -134,7 +134,7 @@ def _by_direction(
     speed: Array, torque: Array, u: Array, shapes: Mapping[float, float]
 ) -> dict[int, DirectionFit]:
     fits, reasons = {}, []
-    for sign in DIRECTIONS:
+    for sign in DIRECTION_NAMES:
         chosen = speed * sign > 0
         if not chosen.any():
             continue
@@ -142,14 +142,14 @@ def _by_direction(
         try:
             fits[sign] = fit_direction(*signals, shapes)
         except InsufficientDataError as error:
-            reasons.append(f"{DIRECTIONS[sign]} direction: {error}")
+            reasons.append(f"{DIRECTION_NAMES[sign]} direction: {error}")
     if reasons or not fits:
         raise InsufficientDataError("; ".join(reasons) or "no speed but zero was held")
     return fits
 
 
 def fit_direction(
-    speed: Array, torque: Array, u: Array, shapes: Mapping[float, float] = SHAPES
+    speed: Array, torque: Array, u: Array, shapes: Mapping[float, float] = EXPONENT_LEADS
 ) -> DirectionFit:
     """Fit friction in one direction by weighted least squares.
 
@@ -318,8 +318,8 @@ def _stribeck(v: Array, f: Array, weight: Array, exponent: float) -> DirectionFi
     covariance = fit.covariance
     rise_u = math.sqrt(covariance[0, 0] + covariance[2, 2] - 2 * covariance[0, 2])
     determined = (
-        static - coulomb > DETERMINED * rise_u
-        and vs > DETERMINED * math.sqrt(covariance[3, 3])
+        static - coulomb > DETERMINED_RATIO * rise_u
+        and vs > DETERMINED_RATIO * math.sqrt(covariance[3, 3])
         and 1.1 * slowest < vs < fastest / 1.1
         and np.count_nonzero(bump * weight > BUMP_SIGNIFICANCE) >= 3
     )

@@ -32,25 +32,25 @@ WORK_RATE = 5
 ROW_RATE = 50.0
 """Rows per second that are kept after the low-pass, at least: closer neighbours add nothing."""
 
-END = 1.0
+END_TIME = 1.0
 """Left out at each end of a recording, s, as by O'Neill et al., IEEE RA-L 3(4) 3027-3034, 2018."""
 
 SPEED_BAND = 2
 """The position passes this many times the bandwidth before it is differentiated."""
 
-STANDSTILL = 0.05
+STANDSTILL_PART = 0.05
 """Speeds below this part of the highest are near standstill: friction is undetermined there."""
 
-OUTLIER = 2.0
+OUTLIER_RATIO = 2.0
 """A speed beyond this many times the recording's 95th percentile is a transient, such as homing."""
 
-ORDERS = tuple(k / 2 for k in range(1, 9))
+ENCODER_ORDERS = tuple(k / 2 for k in range(1, 9))
 """Orders of the encoder's turn; halves are of teeth that meet again every second turn."""
 
-TURNS = 2.0
+MIN_TURNS = 2.0
 """Turns below which orders are left out: splines of position cover them."""
 
-LENGTHS = tuple(2.0**-k for k in range(3, 8))
+PRESLIDING_LENGTHS = tuple(2.0**-k for k in range(3, 8))
 """Lengths of pre-sliding, in parts of the stroke."""
 
 SPLINE_COUNT = {
@@ -137,7 +137,7 @@ class Scales:
     @property
     def lengths(self) -> tuple[float, ...]:
         """Lengths of pre-sliding in the unit of position."""
-        return tuple(part * (self.high - self.low) for part in LENGTHS)
+        return tuple(part * (self.high - self.low) for part in PRESLIDING_LENGTHS)
 
 
 def block_means(values: Array, size: int) -> Array:
@@ -147,13 +147,13 @@ def block_means(values: Array, size: int) -> Array:
     return means
 
 
-def follow(
+def path_of(
     time: ArrayLike, position: ArrayLike, bandwidth_hz: float, *signals: ArrayLike
 ) -> tuple[ShaftPath, list[Array]]:
     """Return the path of a recording, and other signals at its rows, low-passed without phase.
 
-    Signals are (n,), at a constant rate; rows leave out `END`. Raises `InsufficientDataError` where
-    rate or length do not carry the bandwidth.
+    Signals are (n,), at a constant rate; rows leave out `END_TIME`. Raises `InsufficientDataError`
+    where rate or length do not carry the bandwidth.
     """
     arrays = {f"signal {i}": signal for i, signal in enumerate(signals)}
     t, p, *rest = require_signals(20, time=time, position=position, **arrays)
@@ -184,10 +184,11 @@ def follow(
 
 def _without_ends(time: Array, factor: int) -> slice:
     """Return every `factor`th row but those at the ends; `time` (n,) s is that of all of them."""
-    inside = np.flatnonzero((time >= time[0] + END) & (time <= time[-1] - END))
+    inside = np.flatnonzero((time >= time[0] + END_TIME) & (time <= time[-1] - END_TIME))
     if not inside.size:
         raise InsufficientDataError(
-            f"{time[-1] - time[0]:.3g} s, of which {END:g} s at either end are left out: record "
+            f"{time[-1] - time[0]:.3g} s, of which {END_TIME:g} s at either end are left out: "
+            "record "
             "for longer"
         )
     return slice(factor * inside[0], factor * inside[-1] + 1, factor)
@@ -196,7 +197,7 @@ def _without_ends(time: Array, factor: int) -> slice:
 def _transient(speed: Array, memory: int) -> Mask:
     """Mark speeds far beyond the usual ones, and what the low-pass spreads them to."""
     magnitude = np.abs(speed)
-    wild = magnitude > OUTLIER * max(float(np.percentile(magnitude, 95)), 1e-300)
+    wild = magnitude > OUTLIER_RATIO * max(float(np.percentile(magnitude, 95)), 1e-300)
     if not wild.any():
         return wild
     spread: Mask = np.convolve(wild, np.ones(2 * memory + 1), "same") > 0.5
@@ -223,10 +224,10 @@ def find_scales(paths: Sequence[ShaftPath], torques: Sequence[Array], turn: floa
         low=low,
         high=high,
         speed=highest,
-        standstill=STANDSTILL * highest,
+        standstill=STANDSTILL_PART * highest,
         acceleration=max(float(np.percentile(np.abs(acceleration), 99)), 1e-300),
         torque=load,
-        turn=turn if turn > 0 and high - low >= TURNS * turn else 0.0,
+        turn=turn if turn > 0 and high - low >= MIN_TURNS * turn else 0.0,
     )
 
 
@@ -272,7 +273,7 @@ def motion_functions(
     groups["reversal"] = groups["load_reversal"] = groups["reversal"] * (there / here)
     if scales.turn:
         angle = path.fine_position * (2 * math.pi / scales.turn)
-        waves = np.stack([f(order * angle) for order in ORDERS for f in (np.cos, np.sin)])
+        waves = np.stack([f(order * angle) for order in ENCODER_ORDERS for f in (np.cos, np.sin)])
         groups["ripple"] = waves
     # One pass of the low-pass: designing it anew for each group takes longer than filtering
     columns = path.thin(np.concatenate(list(groups.values())) * here).T
@@ -290,7 +291,7 @@ LOAD_POWER = {
 }
 """Power of the torque that a group is multiplied by; others stand alone."""
 
-GROUPS = (
+FUNCTION_GROUPS = (
     "offset",
     "load",
     "load_squared",
@@ -310,8 +311,8 @@ GROUPS = (
 
 def size_of(group: str) -> int:
     """Return how many columns a group has."""
-    sizes = {"load_speed": 2, "inertia": 1, "ripple": 2 * len(ORDERS)}
-    return SPLINE_COUNT.get(group) or sizes.get(group, len(LENGTHS))
+    sizes = {"load_speed": 2, "inertia": 1, "ripple": 2 * len(ENCODER_ORDERS)}
+    return SPLINE_COUNT.get(group) or sizes.get(group, len(PRESLIDING_LENGTHS))
 
 
 def _since_reversal(path: ShaftPath, scales: Scales) -> Array:

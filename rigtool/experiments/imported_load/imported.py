@@ -15,7 +15,7 @@ import numpy as np
 from rigtool.errors import RunFileError, UsageError
 from rigtool.experiments.force_filter.accuracy import COVERAGE_FACTOR, accuracy
 from rigtool.experiments.imported import is_linear, place, recordings_of
-from rigtool.experiments.imported_load.imported_signals import REFERENCE, read_all
+from rigtool.experiments.imported_load.imported_signals import REFERENCE_CHANNEL, read_all
 from rigtool.experiments.imported_load.learning import (
     LearnedEffort,
     LoadFriction,
@@ -23,7 +23,7 @@ from rigtool.experiments.imported_load.learning import (
     learn_load_model,
 )
 from rigtool.experiments.imported_load.model import LoadModel
-from rigtool.experiments.imported_load.stored import load_model_from, tables_of
+from rigtool.experiments.imported_load.stored import load_model_from, model_tables
 from rigtool.experiments.outcome import Outcome
 from rigtool.quantity import Quantity
 from rigtool.recipe.commands import MeasureForce
@@ -50,9 +50,10 @@ def analyse_imported(
             raise UsageError(f"--{name}: is of the bench's own rig, imported runs do without")
     recordings = recordings_of(runs)
     for recording in recordings:
-        if not recording.has(REFERENCE):
+        if not recording.has(REFERENCE_CHANNEL):
             raise RunFileError(
-                f"{place(recording)}: has no channel {REFERENCE}, so it does not show the load: "
+                f"{place(recording)}: has no channel {REFERENCE_CHANNEL}, so it does not show the "
+                "load: "
                 "learn from runs with a sensor at the load, imported with that channel mapped"
             )
     signals = read_all(runs, kt, bandwidth_hz)
@@ -61,7 +62,7 @@ def analyse_imported(
     turn = 0.0 if is_linear(recordings[0]) else 2 * math.pi
     learned = learn_load_model(signals, turn=turn, prior=known)
     tables = {
-        **tables_of(learned.model, unit),
+        **model_tables(learned.model, unit),
         "load_friction": _friction_table(learned.friction),
         "left_out": _level_table(learned.validation),
     }

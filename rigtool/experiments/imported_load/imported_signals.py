@@ -10,11 +10,11 @@ import numpy as np
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.imported import place as named
 from rigtool.experiments.imported import position_of, recordings_of, require_one_rig
-from rigtool.experiments.imported_load.basis import LoadSignals, follow
+from rigtool.experiments.imported_load.basis import LoadSignals, path_of
 from rigtool.experiments.torque_per_ampere import effort_of
 from rigtool.runfile import Recording, Run
 
-REFERENCE = "reference_torque"
+REFERENCE_CHANNEL = "reference_torque"
 """Channel of the sensor at the load."""
 
 
@@ -46,9 +46,9 @@ def _read(recording: Recording, kt: Run | None, bandwidth_hz: float) -> LoadSign
     output = recording.read("output_position") if has_output else motor
     has_place = recording.has("reference_position")
     place = recording.read("reference_position") if has_place else output
-    sensor = [recording.read(REFERENCE)] if recording.has(REFERENCE) else []
+    sensor = [recording.read(REFERENCE_CHANNEL)] if recording.has(REFERENCE_CHANNEL) else []
     try:
-        path, (values, output, place, *reference) = follow(
+        path, (values, output, place, *reference) = path_of(
             recording.read("time"), motor, bandwidth_hz, effort.values, output, place, *sensor
         )
     except InsufficientDataError as error:

@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_filter.motion_states import BEYOND
+from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO
 from rigtool.experiments.imported_load.basis import (
     LoadSignals,
     Scales,
     find_scales,
 )
 from rigtool.experiments.imported_load.loop import learn_loop
-from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
+from rigtool.experiments.imported_load.model import SIDE_SIGNS, LoadModel, Side
 from rigtool.experiments.imported_load.region import (
-    CELLS,
     MARGIN,
     NARROW,
+    STROKE_CELLS,
     cell_means,
     learn_region,
 )
@@ -37,10 +37,10 @@ from rigtool.numerics.jackknife import standard_uncertainty
 
 Numbers = NDArray[np.intp]
 
-FOLDS = 10
+MAX_FOLDS = 10
 """Parts into which levels are put that are left out together, at most."""
 
-APART = 0.02
+MIN_LEVEL_DISTANCE = 0.02
 """Part of the highest load by which levels differ, at least."""
 
 ONE_LEVEL = 0.1
@@ -53,7 +53,7 @@ APART_SPEED = 0.1
 FEWEST_LEFT = 3
 """Levels without the last that show how well the model holds beyond them, at least."""
 
-ALIKE = 1.96 / 1.44
+ALIKE_RATIO = 1.96 / 1.44
 """Ratio of factors on u: an interval narrower by this holds 85 instead of 95 %."""
 
 
@@ -96,7 +96,7 @@ class LearnedEffort:
     friction: LoadFriction
 
 
-def level_numbers(values: Sequence[float], apart: float = APART) -> list[int]:
+def level_numbers(values: Sequence[float], apart: float = MIN_LEVEL_DISTANCE) -> list[int]:
     """Return the number of each recording's level, by its mean torque or speed, smallest first.
 
     Levels are apart by more than a quarter of the widest gap, and by `apart` of the highest; within
@@ -138,7 +138,7 @@ def learn_load_model(
         scales = _scales_as(prior, scales)
     level, pace = np.array(levels_of(signals)), _paces(signals)
     folds, levels = _folds(level)
-    rows = [Rows.of(signals, scales, sign) for sign in SIGNS]
+    rows = [Rows.of(signals, scales, sign) for sign in SIDE_SIGNS]
     effort_scale = float(np.std(np.concatenate([one.effort for one in rows]))) or 1.0
     if prior is not None:
         effort_scale = prior.effort_scale
@@ -187,7 +187,7 @@ def _fit(rows: Rows, folds: Numbers, levels: int, pace: Numbers, prior: Side | N
         raise InsufficientDataError(
             "only one load moves in one of the directions: record all loads to and fro"
         )
-    ways = [rows.recording % FOLDS]
+    ways = [rows.recording % MAX_FOLDS]
     if levels > 2:
         turns = _turns(folds)
         ways = [level, turns[rows.recording]] if turns.any() else [level]
@@ -201,13 +201,13 @@ def _turns(level: Numbers) -> Numbers:
     """Return which recordings (r,) are left out together: one of each level at most, and of other
     speeds where levels were recorded at the same speeds in turn."""
     rank = np.array([np.sum(level[:n] == own) for n, own in enumerate(level)])
-    turns: Numbers = (rank + level) % min(FOLDS, int(rank.max()) + 1)
+    turns: Numbers = (rank + level) % min(MAX_FOLDS, int(rank.max()) + 1)
     return turns
 
 
 def _scales_as(prior: LoadModel, scales: Scales) -> Scales:
     """Return a prior's scales on the stroke of these; its curves end at the loads it has seen."""
-    if scales.torque > BEYOND * prior.scales.torque:
+    if scales.torque > LARGEST_LEARNED_RATIO * prior.scales.torque:
         raise InsufficientDataError(
             f"loads go up to {scales.torque * 1e3:.4g} mN m, those of the prior to "
             f"{prior.scales.torque * 1e3:.4g} mN m only: how effort grows beyond is unknown; learn "
@@ -225,13 +225,13 @@ def _margins(sides: Sequence[Side], direction: int) -> Array:
     motor: friction takes more and more of it, and the effort hardly depends on the load any more.
     """
     margins = np.full((2, 2), NARROW)
-    for row, sign, side in zip(margins, SIGNS, sides, strict=True):
+    for row, sign, side in zip(margins, SIDE_SIGNS, sides, strict=True):
         heaviest = 0 if abs(side.levels[0]) > abs(side.levels[-1]) else -1
         for end in (0, -1):
             others = np.delete(side.factors, end)
             driving = sign != direction and end == heaviest
             carried = others.size > FEWEST_LEFT + 1  # the end stands twice
-            if carried and not driving and side.factors[end] <= ALIKE * others.max():
+            if carried and not driving and side.factors[end] <= ALIKE_RATIO * others.max():
                 row[end] = MARGIN
     return margins
 
@@ -253,7 +253,7 @@ def _friction(
     without = np.stack([share(part) for part in each])
     u = np.array([standard_uncertainty(column) for column in without.T])
     known = np.isfinite(mu + u)
-    centre = (np.arange(CELLS) + 0.5) / CELLS
+    centre = (np.arange(STROKE_CELLS) + 0.5) / STROKE_CELLS
     position = scales.low + centre * (scales.high - scales.low)
     return LoadFriction(position[known], mu[known], u[known], len(each) - 1)
 
@@ -266,7 +266,8 @@ def _paces(signals: Sequence[LoadSignals]) -> Numbers:
 
 
 def _folds(numbers: Numbers) -> tuple[Numbers, int]:
-    """Return which load each recording is left out with, at most `FOLDS`, and how many there are.
+    """Return which load each recording is left out with, at most `MAX_FOLDS`, and how many there
+    are.
 
     `numbers` are those of the loads, each recording's (r,).
     """
@@ -281,4 +282,4 @@ def _folds(numbers: Numbers) -> tuple[Numbers, int]:
             f"{len(numbers)} recordings at two loads leave nothing to judge the model by: "
             "give two recordings at each load, or three loads"
         )
-    return numbers * min(FOLDS, levels) // levels, levels
+    return numbers * min(MAX_FOLDS, levels) // levels, levels

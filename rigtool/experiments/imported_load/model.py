@@ -26,19 +26,19 @@ from rigtool.experiments.imported_load.loop import StrokeLoop
 from rigtool.experiments.imported_load.region import DRIVEN, Region, of_known_strokes, reached
 from rigtool.numerics.arrays import Array, Mask
 
-SIGNS = (1, -1)
+SIDE_SIGNS = (1, -1)
 """Signs of the speed, in the order of a model's sides."""
 
-FLAT = 0.25
+FLAT_SLOPE = 0.25
 """Where the slope of effort by torque is below this part of the usual one in its direction, such as
 after a reversal, friction hides the load as it does at standstill."""
 
 HIGHEST_POWER = max(LOAD_POWER.values())
 
-SLOWEST = 1e-3
+SLOWEST_SCATTER = 1e-3
 """Speed below which scatter does not change any more, as part of the highest."""
 
-HALVINGS = 40
+TORQUE_HALVINGS = 40
 """Halvings of the range of torques to find one: far finer than any uncertainty."""
 
 
@@ -139,7 +139,7 @@ class LoadModel:
         """Return the torque at the rows (n,) of a path whose effort is given."""
         speed, unit = path.speed / self.scales.speed, self.scales.torque
         torque, u, share = (np.full(len(speed), np.nan) for _ in range(3))
-        for sign, side in zip(SIGNS, self.sides, strict=True):
+        for sign, side in zip(SIDE_SIGNS, self.sides, strict=True):
             mask = speed < 0 if sign < 0 else speed >= 0
             design = side.design(motion_functions(path, self.scales, sign))
             found, known = design.solve(side.weights, effort / self.effort_scale, self.torque_range)
@@ -147,7 +147,7 @@ class LoadModel:
             torque[mask] = np.where(known, found, np.nan)[mask]
             u[mask], share[mask] = spread[mask], slope[mask] / side.slope
         still = np.abs(path.speed) < self.scales.standstill
-        hidden = still | (share < FLAT)
+        hidden = still | (share < FLAT_SLOPE)
         place = self.place(path)
         moving = path.regular & reached(place) & ~hidden
         known = self.region.holds(place, speed, torque) & moving
@@ -173,7 +173,7 @@ class LoadModel:
         edges, half = np.full((2, 2, len(effort)), np.nan)
         if hidden.any():
             speed = path.speed[hidden] / self.scales.speed
-            for number, (sign, side) in enumerate(zip(SIGNS, self.sides, strict=True)):
+            for number, (sign, side) in enumerate(zip(SIDE_SIGNS, self.sides, strict=True)):
                 functions = motion_functions(path, self.scales, sign, alone=True)
                 design = side.design({name: functions[name][hidden] for name in side.groups})
                 scaled = effort[hidden] / self.effort_scale
@@ -219,7 +219,7 @@ class DesignMatrix:
         bottom, top = polynomial_at(parts, low), polynomial_at(parts, high)
         rising = np.sign(top - bottom)
         known = (rising * (effort - bottom) >= 0) & (rising * (top - effort) >= 0)
-        for _ in range(HALVINGS):
+        for _ in range(TORQUE_HALVINGS):
             middle = (low + high) / 2
             beyond = rising * (polynomial_at(parts, middle) - effort) > 0
             low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
@@ -245,7 +245,7 @@ def polynomial_at(parts: Array, torque: Array) -> Array:
 
 def scatter_rows(speed: Array, torque: Array) -> Array:
     """Return what the logarithm of the scatter's variance is linear in, (n, 3)."""
-    magnitude = np.maximum(np.abs(speed), SLOWEST)
+    magnitude = np.maximum(np.abs(speed), SLOWEST_SCATTER)
     return np.column_stack([np.ones_like(speed), np.log(magnitude), np.abs(torque)])
 
 

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rigtool.experiments.force_filter.motion_states import BEYOND
+from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO
 from rigtool.numerics.arrays import Array, Mask
 
-CELLS = 20
+STROKE_CELLS = 20
 """Parts of the stroke."""
 
-SLACK = 0.03
+POSITION_SLACK = 0.03
 """Position beyond the learned ones, as part of the stroke."""
 
 MARGIN, NARROW = 0.75, 0.25
@@ -26,7 +26,7 @@ MARGIN, NARROW = 0.75, 0.25
 level when that was left out, and where not. The second is for scatter, not for other loads."""
 
 
-MOSTLY, DRIVEN = 0.5, 0.8
+MIN_INSIDE_PART, DRIVEN = 0.5, 0.8
 """Parts of a stroke that must be inside: a heavier load passes the learned ones while it comes, and
 scatter alone takes some of its samples among them. The second is of torques at learned speeds while
 the load drives the motor: effort hardly depends on heavy loads there, so many seem lighter."""
@@ -63,11 +63,13 @@ class Region:
 
 def reached(place: Array) -> Mask:
     """Return which places (n,) are on the learned stroke."""
-    found: Mask = (place >= -SLACK) & (place <= 1 + SLACK)
+    found: Mask = (place >= -POSITION_SLACK) & (place <= 1 + POSITION_SLACK)
     return found
 
 
-def of_known_strokes(known: Mask, moving: Mask, direction: Array, share: float = MOSTLY) -> Mask:
+def of_known_strokes(
+    known: Mask, moving: Mask, direction: Array, share: float = MIN_INSIDE_PART
+) -> Mask:
     """Return which of the `known` rows (n,) belong to strokes of which such a share is known.
 
     `moving` (n,) marks rows that count, `direction` (n,) changes from one stroke to the next.
@@ -80,17 +82,17 @@ def of_known_strokes(known: Mask, moving: Mask, direction: Array, share: float =
 
 def cells_of(place: Array) -> NDArray[np.intp]:
     """Return the cell (n,) of each place on the stroke."""
-    found: NDArray[np.intp] = np.clip(np.floor(np.nan_to_num(place) * CELLS), 0, CELLS - 1).astype(
-        np.intp
-    )
+    found: NDArray[np.intp] = np.clip(
+        np.floor(np.nan_to_num(place) * STROKE_CELLS), 0, STROKE_CELLS - 1
+    ).astype(np.intp)
     return found
 
 
 def cell_means(place: Array, values: Array, rows: Mask, fewest: int = 1) -> Array:
     """Return the mean of values (n,) over `rows` (n,) in each cell, NaN in those with too few."""
     cell = cells_of(place[rows])
-    count = np.bincount(cell, minlength=CELLS)
-    total = np.bincount(cell, weights=values[rows], minlength=CELLS)
+    count = np.bincount(cell, minlength=STROKE_CELLS)
+    total = np.bincount(cell, weights=values[rows], minlength=STROKE_CELLS)
     means: Array = np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
     return means
 
@@ -101,7 +103,7 @@ def learn_region(place: Array, speed: Array, torque: Array, margins: Array) -> R
     `margins` (2, 2) are those of torque, of positive and negative speeds, at the lower and at the
     higher end.
     """
-    found = np.full((4, 2, CELLS), np.nan)
+    found = np.full((4, 2, STROKE_CELLS), np.nan)
     cell = cells_of(place)
     for side, rows in enumerate((speed > 0, speed < 0)):
         for number in np.unique(cell[rows]):
@@ -109,8 +111,8 @@ def learn_region(place: Array, speed: Array, torque: Array, margins: Array) -> R
             near = rows & (np.abs(cell - number) <= 1)
             magnitude, own = np.abs(speed[near]), torque[near]
             found[:, side, number] = (
-                magnitude.min() / BEYOND,
-                magnitude.max() * BEYOND,
+                magnitude.min() / LARGEST_LEARNED_RATIO,
+                magnitude.max() * LARGEST_LEARNED_RATIO,
                 own.min() - margins[side, 0],
                 own.max() + margins[side, 1],
             )

@@ -34,7 +34,7 @@ from rigtool.experiments.imported_load.basis import (
     size_of,
 )
 from rigtool.experiments.imported_load.model import (
-    FLAT,
+    FLAT_SLOPE,
     DesignMatrix,
     Side,
     scatter_rows,
@@ -47,23 +47,23 @@ Numbers = NDArray[np.intp]
 FEWEST_ROWS = 200
 """Rows in motion, in each direction."""
 
-DEGREE = 1e-2
+SMOOTHING_DEGREE = 1e-2
 """Degree of smoothing; the mean square of a column is 1. Choosing one for each group of functions
 by levels left out is no better at levels that were in neither."""
 
-RIDGE = 1e-4
+SPLINE_RIDGE = 1e-4
 """Degree by which splines are held small besides, so that functions that are alike where it was
 learned, such as those of speed, do not work against each other between."""
 
-TINY = 1e-7
-"""Ridge for `ALWAYS`, which no other function resembles: only to solve the equations."""
+ALWAYS_RIDGE = 1e-7
+"""Ridge for `ALWAYS_GROUPS`, which no other function resembles: only to solve the equations."""
 
-HELD = 100.0
+PRIOR_FACTOR = 100.0
 """Factor by which weights are held closer to those of a prior than others to zero."""
 
-ALWAYS = ("offset", "load")
+ALWAYS_GROUPS = ("offset", "load")
 
-COVERAGE = 0.95
+INTERVAL_COVERAGE = 0.95
 """Coverage of intervals."""
 
 LOG_CHI2 = 1.270362845461478
@@ -208,7 +208,7 @@ class Fit:
             factors=factors,
             slope=usual,
         )
-        resolved = np.abs(slope) >= FLAT * usual
+        resolved = np.abs(slope) >= FLAT_SLOPE * usual
         safe = np.where(resolved, slope, usual)
         held = HeldOut(
             error=-residual / safe,
@@ -233,12 +233,14 @@ class Fit:
 
         loads_left_out = 1 if np.array_equal(self.folds[0], self.level) else 0
         repeats = len(np.unique(self.rows.recording))
-        wider = float(stdtrit(repeats - 1, (1 + COVERAGE) / 2)) / COVERAGE_FACTOR
+        wider = float(stdtrit(repeats - 1, (1 + INTERVAL_COVERAGE) / 2)) / COVERAGE_FACTOR
         rows = []
         for level in np.unique(self.level):
             own = self.level == level
             parts = [ratio[own & np.isfinite(ratio)] for ratio in ratios]
-            asked = [float(np.quantile(part, COVERAGE)) if part.size else 0.0 for part in parts]
+            asked = [
+                float(np.quantile(part, INTERVAL_COVERAGE)) if part.size else 0.0 for part in parts
+            ]
             widest = max(asked), max(asked[loads_left_out:] or asked)
             factors = np.multiply(wider / COVERAGE_FACTOR, widest)
             rows.append((float(self.rows.torque[own].mean()), *factors))
@@ -316,14 +318,14 @@ def penalty_of(names: Sequence[str], size: Array) -> Array:
     blocks, start = [], 0
     for name in names:
         count = size_of(name)
-        held, block = DEGREE, np.zeros((count, count))
+        held, block = SMOOTHING_DEGREE, np.zeros((count, count))
         if name in SPLINE_COUNT:
             bend = np.diff(np.eye(count), 2, axis=0)
             own = size[start : start + count]
             # Neighbours are held together as functions, whatever their columns' sizes
             block = bend.T @ bend * (float(np.mean(own)) ** 2) / np.outer(own, own)
-            held = TINY if name in ALWAYS else RIDGE
-        blocks.append(DEGREE * block + held * np.eye(count))
+            held = ALWAYS_RIDGE if name in ALWAYS_GROUPS else SPLINE_RIDGE
+        blocks.append(SMOOTHING_DEGREE * block + held * np.eye(count))
         start += count
     return np.asarray(block_diag(*blocks))
 
@@ -355,5 +357,5 @@ def prior_of(prior: Side, names: Sequence[str], size: Array, penalty: Array) -> 
             weights, square = prior.weights[own], float(np.sum(prior.weights[own] ** 2))
             doubt = float(np.trace(prior.covariance[own, own]))
             centre[own] = weights * size[own] * max(0.0, 1 - doubt / max(square, 1e-300))
-            held[own] = HELD
+            held[own] = PRIOR_FACTOR
     return penalty * np.sqrt(np.outer(held, held)), centre

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.imported_load.basis import GROUPS, Scales, size_of
+from rigtool.experiments.imported_load.basis import FUNCTION_GROUPS, Scales, size_of
 from rigtool.experiments.imported_load.loop import StrokeLoop
-from rigtool.experiments.imported_load.model import SIGNS, LoadModel, Side
-from rigtool.experiments.imported_load.region import CELLS, Region
+from rigtool.experiments.imported_load.model import SIDE_SIGNS, LoadModel, Side
+from rigtool.experiments.imported_load.region import STROKE_CELLS, Region
 from rigtool.runfile import Column, Run, Table
 
-MODEL = "load_model"
+MODEL_TABLE = "load_model"
 """The first table of a model; the names of its other tables begin likewise."""
 
 _SCALES = {
@@ -55,17 +55,19 @@ def _table(index: str, columns: Mapping[str, tuple[Any, ...]], main: str, about:
     )
 
 
-def tables_of(model: LoadModel, effort_unit: str) -> dict[str, Table]:
+def model_tables(model: LoadModel, effort_unit: str) -> dict[str, Table]:
     """Return the tables of a model; `effort_unit` is that of what the motor does."""
     sides, loop = model.sides, model.loop
     groups = [
-        np.repeat([GROUPS.index(g) for g in side.groups], [size_of(g) for g in side.groups])
+        np.repeat(
+            [FUNCTION_GROUPS.index(g) for g in side.groups], [size_of(g) for g in side.groups]
+        )
         for side in sides
     ]
-    sign = np.repeat(SIGNS, [len(group) for group in groups])
+    sign = np.repeat(SIDE_SIGNS, [len(group) for group in groups])
     term = np.arange(len(sign))
     covariance = np.zeros((len(term), len(term)))
-    for own, side in zip(SIGNS, sides, strict=True):
+    for own, side in zip(SIDE_SIGNS, sides, strict=True):
         where = np.flatnonzero(sign == own)
         covariance[np.ix_(where, where)] = side.covariance
     scales = asdict(model.scales) | {
@@ -74,7 +76,7 @@ def tables_of(model: LoadModel, effort_unit: str) -> dict[str, Table]:
         "bandwidth": model.bandwidth_hz,
         "direction": float(model.direction),
     }
-    signs = (np.array(SIGNS, dtype=float), "1", "sign of the speed")
+    signs = (np.array(SIDE_SIGNS, dtype=float), "1", "sign of the speed")
     levels = [len(side.levels) for side in sides]
     parts = {
         "": _table(
@@ -131,7 +133,7 @@ def tables_of(model: LoadModel, effort_unit: str) -> dict[str, Table]:
             "row",
             {
                 "row": (np.arange(sum(levels)), "1"),
-                "side": (np.repeat(SIGNS, levels), "1", "as there"),
+                "side": (np.repeat(SIDE_SIGNS, levels), "1", "as there"),
                 "torque": (np.concatenate([side.levels for side in sides]), "1"),
                 "factor": (
                     np.concatenate([side.factors for side in sides]),
@@ -146,7 +148,7 @@ def tables_of(model: LoadModel, effort_unit: str) -> dict[str, Table]:
             "side cell",
             {
                 "side": signs,
-                "cell": (np.arange(CELLS), *_CELL),
+                "cell": (np.arange(STROKE_CELLS), *_CELL),
                 **{key: (getattr(model.region, key), "1", what) for key, what in _REGION.items()},
             },
             "highest",
@@ -155,17 +157,21 @@ def tables_of(model: LoadModel, effort_unit: str) -> dict[str, Table]:
         "_loop": _table(
             "cell",
             {
-                "cell": (np.arange(CELLS), *_CELL),
+                "cell": (np.arange(STROKE_CELLS), *_CELL),
                 "mean": (loop.mean, "1", "torque while rising less while falling"),
                 "shape": (loop.shape, "1", "standard deviation, less the offset's"),
-                "offset": (np.full(CELLS, loop.offset), "1", "standard deviation of the whole's"),
-                "recordings": (np.full(CELLS, loop.recordings), "1", "it is from"),
+                "offset": (
+                    np.full(STROKE_CELLS, loop.offset),
+                    "1",
+                    "standard deviation of the whole's",
+                ),
+                "recordings": (np.full(STROKE_CELLS, loop.recordings), "1", "it is from"),
             },
             "mean",
             "loop of the torque that recordings of this mounting show, each left out",
         ),
     }
-    return {MODEL + name: table for name, table in parts.items()}
+    return {MODEL_TABLE + name: table for name, table in parts.items()}
 
 
 def load_model_from(run: Run) -> tuple[LoadModel, str]:
@@ -174,7 +180,7 @@ def load_model_from(run: Run) -> tuple[LoadModel, str]:
     Raises `RunFileError` where the run holds none or its tables do not belong together.
     """
     run.require_command("ilc-learn")
-    if MODEL not in run.tables:
+    if MODEL_TABLE not in run.tables:
         raise RunFileError(
             f"{run.path}: holds no load model: learn one with ilc-learn --implementation D from "
             "imported runs with a reference torque"
@@ -189,13 +195,13 @@ def load_model_from(run: Run) -> tuple[LoadModel, str]:
 
 def _model_from(tables: Mapping[str, Table]) -> tuple[LoadModel, str]:
     terms, scales, covariance, scatter, factors, region, loop = (
-        tables[MODEL + part]
+        tables[MODEL_TABLE + part]
         for part in ("", "_scales", "_covariance", "_scatter", "_factors", "_region", "_loop")
     )
     sides = []
-    for number, sign in enumerate(SIGNS):
+    for number, sign in enumerate(SIDE_SIGNS):
         where = np.flatnonzero(terms["sign"] == sign)
-        groups = tuple(GROUPS[n] for n in dict.fromkeys(terms["group"][where].astype(int)))
+        groups = tuple(FUNCTION_GROUPS[n] for n in dict.fromkeys(terms["group"][where].astype(int)))
         if (count := sum(size_of(name) for name in groups)) != len(where):
             raise ValueError(f"{len(where)} weights for {count} functions")
         own = factors["side"] == sign

@@ -27,7 +27,7 @@ from rigtool.experiments.ripple.imported_groups import (
 )
 from rigtool.experiments.ripple.imported_maps import MAP, SAME_MAP_VARIANCE, read_maps
 from rigtool.experiments.ripple.orders import (
-    NEIGHBOURS,
+    NEIGHBOURING_ORDERS,
     Spectrum,
     coefficients,
     neighbours_floor,
@@ -39,7 +39,7 @@ from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
 from rigtool.runfile import Run, Table
 
-ENTRIES = 2000
+MAP_POSITIONS = 2000
 """Positions of a learned map: twenty to a cycle of the highest order."""
 
 
@@ -81,7 +81,7 @@ def analyse_imported(
 
 def _table_of(rows: Sequence[_Row], speed: Array) -> LookupTable:
     """Return the table of rows at their speeds (rows,), rad/s."""
-    position: Array = np.arange(float(ENTRIES)) * (2 * math.pi / ENTRIES)
+    position: Array = np.arange(float(MAP_POSITIONS)) * (2 * math.pi / MAP_POSITIONS)
     return LookupTable(
         position=position,
         speed=speed,
@@ -129,7 +129,7 @@ class _Row:
         repeats = means.size
         return cls(
             found.only(found.clear),
-            2.0 * (repeats - 1) if repeats > 1 else 4.0 * NEIGHBOURS,
+            2.0 * (repeats - 1) if repeats > 1 else 4.0 * NEIGHBOURING_ORDERS,
             float(means.mean()),
             float(means.std(ddof=1)) / math.sqrt(repeats) if repeats > 1 else None,
             scatter,
@@ -167,7 +167,7 @@ def _steadied(floor: Array) -> Array:
     Few turns estimate the scatter of an order badly: with two turns, one order of pure noise in
     five shows less than half the scatter that corresponds to its amplitude.
     """
-    window = np.ones(2 * NEIGHBOURS + 1)
+    window = np.ones(2 * NEIGHBOURING_ORDERS + 1)
     around = np.convolve(floor**2, window, "same") / np.convolve(floor**0, window, "same")
     steadied: Array = np.maximum(floor, np.sqrt(around))
     return steadied
@@ -269,6 +269,6 @@ def _results(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[s
 def _tables(rows: Sequence[_Row], table: LookupTable, effort: Effort) -> dict[str, Table]:
     """Return the learned tables; they fade to zero at rest, as no lower speed was recorded."""
     fading = Amplitudes.fading(float(table.low_speed[-1]))
-    u = np.repeat([[row.u] for row in rows], ENTRIES, axis=1)
+    u = np.repeat([[row.u] for row in rows], MAP_POSITIONS, axis=1)
     dof = np.array([row.u_dof for row in rows])
     return tables_of(table, u, fading, dof, (effort.name, effort.unit), measured=True)

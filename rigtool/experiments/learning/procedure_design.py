@@ -16,11 +16,13 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Run, Table
 
-FREQUENCIES = 400
+FREQUENCY_POINTS = 400
 """Points of the frequency axis, from DC to half the sampling rate."""
 
-COMPUTED = "follows exactly from the recipe's controller and nominal inertia; nothing was measured"
-BOUNDED = "convergence_bound states its largest value over the plant's uncertainty"
+COMPUTED_BOUND = (
+    "follows exactly from the recipe's controller and nominal inertia; nothing was measured"
+)
+STATED_BOUND = "convergence_bound states its largest value over the plant's uncertainty"
 IS_BOUND = "is itself the bound at 95 % for the plant"
 
 
@@ -40,7 +42,7 @@ class FilterDesign:
     def results(self) -> dict[str, Quantity]:
         """Return the results that describe the filters."""
         criterion = self.criterion
-        why = COMPUTED if criterion.bound is None else BOUNDED
+        why = COMPUTED_BOUND if criterion.bound is None else STATED_BOUND
         results = {
             "convergence_peak": Quantity(criterion.peak, "1", reason=why),
             "convergence_frequency": Quantity(criterion.peak_frequency, "Hz", reason=why),
@@ -133,7 +135,7 @@ def design_filters(recipe: Recipe, plant: Run | None = None) -> FilterDesign:
         measured=measured,
     )
     nyquist = 0.5 / rig.sample_time
-    frequency = np.concatenate([[0.0], np.geomspace(nyquist * 1e-5, nyquist, FREQUENCIES - 1)])
+    frequency = np.concatenate([[0.0], np.geomspace(nyquist * 1e-5, nyquist, FREQUENCY_POINTS - 1)])
     if measured is not None:
         frequency = np.union1d(frequency, measured.frequency)
     criterion = convergence(learning, frequency)

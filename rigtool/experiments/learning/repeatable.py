@@ -7,8 +7,9 @@ cycles and the scatter s_k^2 of single ones, the mean of noise alone has the pow
 
 g_k = (1 + r)/(1 - r), where r > 0 is the correlation of a cycle's deviation with that of the next.
 Of many orders, those count as repeatable that the procedure of Benjamini & Hochberg (J. Royal
-Statistical Society B 57(1) 289-300, 1995) keeps: of the orders kept, at most the part `LEVEL` is
-due to chance; where nothing repeats, all orders are dropped with the probability 1 - `LEVEL`.
+Statistical Society B 57(1) 289-300, 1995) keeps: of the orders kept, at most the part
+`MAX_CHANCE_PART` is due to chance; where nothing repeats, all orders are dropped with the
+probability 1 - `MAX_CHANCE_PART`.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ import numpy as np
 
 from rigtool.numerics.arrays import Array, Mask
 
-LEVEL = 0.01
+MAX_CHANCE_PART = 0.01
 """Largest part of the orders reported as repeatable that may be chance."""
 
-NEGLIGIBLE = 1e-9
+NEGLIGIBLE_ORDER = 1e-9
 """Order relative to the strongest one below which it is rounding."""
 
 
@@ -43,12 +44,12 @@ class Repeatability:
 
         real = np.full(self.mean.size, 2.0)
         real[0] = 1.0
-        tested = self.mean > NEGLIGIBLE**2 * self.mean.max(initial=0.0)
+        tested = self.mean > NEGLIGIBLE_ORDER**2 * self.mean.max(initial=0.0)
         chance = np.maximum(self.chance, np.finfo(np.float64).tiny)
         p = fdtrc(real, real * (self.cycles - 1), self.mean / chance)
         p[~tested] = 1.0
         ranked = np.sort(p[tested])
-        below = ranked <= LEVEL * np.arange(1, ranked.size + 1) / max(ranked.size, 1)
+        below = ranked <= MAX_CHANCE_PART * np.arange(1, ranked.size + 1) / max(ranked.size, 1)
         limit = ranked[below].max(initial=-1.0)
         kept: Mask = tested & (p <= limit)
         return kept
@@ -59,7 +60,7 @@ class Repeatability:
         return float(self.mean.sum()) / total if total > 0 else float("inf")
 
     def limit(self) -> float:
-        """Ratio that noise alone exceeds with the probability `LEVEL`.
+        """Ratio that noise alone exceeds with the probability `MAX_CHANCE_PART`.
 
         The sum of orders of unequal power has the degrees of freedom of Satterthwaite (Biometrics
         Bulletin 2(6) 110-114, 1946).
@@ -71,7 +72,7 @@ class Repeatability:
         if not squares.sum() > 0:
             return 1.0
         freedom = 2 * float(self.chance.sum()) ** 2 / float(squares.sum())
-        return float(fdtri(freedom, freedom * (self.cycles - 1), 1 - LEVEL))
+        return float(fdtri(freedom, freedom * (self.cycles - 1), 1 - MAX_CHANCE_PART))
 
 
 def repeatability(cycles: Array, spread: float = 1.0) -> Repeatability:

@@ -25,10 +25,10 @@ from rigtool.numerics.jackknife import jackknife, standard_uncertainty
 
 Orders = ComplexArray
 
-SIGNIFICANT = 3.0
+SIGNIFICANT_RATIO = 3.0
 """Standard uncertainties that an amplitude needs: below, it is noise, and the table is zero."""
 
-FINEST = 0.3
+ROW_ANGLE = 0.3
 """Angle of the leading order by which neighbouring rows of the written-out table may differ, rad.
 
 Half way between two rows, interpolation then loses 1 - cos(0.15) = 1 % of the amplitude.
@@ -120,7 +120,7 @@ def _fit(wave: Orders, row: Row, near: float) -> tuple[float, ...]:
     mean = measured.mean(axis=0)
     norm = math.sqrt(power * float(np.sum(np.abs(mean) ** 2)))
     correlation = amplitude * power / norm if norm > 0 else 0.0
-    if amplitude < SIGNIFICANT * amplitude_u or amplitude <= 0:
+    if amplitude < SIGNIFICANT_RATIO * amplitude_u or amplitude <= 0:
         return 0.0, amplitude_u, near, shift_u, correlation, row.dof
     return amplitude, amplitude_u, shift, shift_u, correlation, row.dof
 
@@ -181,6 +181,6 @@ def _fine_speeds(tuning: Tuning, order: int) -> Array:
         if slow < 0 < fast:
             speeds.append(np.array([fast]))  # through standstill the table goes through zero
             continue
-        pieces = max(1, math.ceil(turn / FINEST))
+        pieces = max(1, math.ceil(turn / ROW_ANGLE))
         speeds.append(slow + (fast - slow) * np.arange(1, pieces + 1) / pieces)
     return np.concatenate(speeds)

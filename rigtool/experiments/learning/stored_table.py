@@ -17,12 +17,12 @@ from rigtool.recipe import Recipe
 from rigtool.rigs import Feedforward
 from rigtool.runfile import Column, Run, Table, dof_column
 
-PERIOD = "lookup_period"
+PERIOD_RESULT = "lookup_period"
 LEARNING_CUTOFF = "learning_cutoff"
 """Result that states the angle after which a periodic table repeats, rad."""
 
 
-TRAJECTORY = "trajectory"
+TRAJECTORY_TABLE = "trajectory"
 """Table that a run has instead of a learned table, where it was learned by time."""
 
 
@@ -74,7 +74,11 @@ def period_results(table: LookupTable) -> dict[str, Quantity]:
     """Return the period of a learned table under the name of this module; empty without one."""
     if table.period is None:
         return {}
-    return {PERIOD: Quantity(table.period, "rad", reason="the table holds one turn by definition")}
+    return {
+        PERIOD_RESULT: Quantity(
+            table.period, "rad", reason="the table holds one turn by definition"
+        )
+    }
 
 
 def friction_results(friction: Run | None) -> dict[str, Quantity]:
@@ -118,7 +122,7 @@ def stored_table_from(run: Run) -> LookupTable:
     Raises `RunFileError` where the run is of another command or its table is broken.
     """
     run.require_command("ilc-learn")
-    if TRAJECTORY in run.tables:
+    if TRAJECTORY_TABLE in run.tables:
         raise RunFileError(
             f"{run.path}: was learned by time, along one move, and holds no table by position: "
             "learn with another --implementation"
@@ -133,7 +137,7 @@ def stored_table_from(run: Run) -> LookupTable:
             torque=lookup[lookup.signal],
             low_speed=amplitude["low_speed"],
             amplitude=amplitude["amplitude"],
-            period=run.result(PERIOD, "rad").value if PERIOD in run.results else None,
+            period=run.result(PERIOD_RESULT, "rad").value if PERIOD_RESULT in run.results else None,
         )
     except (KeyError, ValueError) as error:
         raise RunFileError(

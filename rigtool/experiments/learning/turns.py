@@ -20,7 +20,7 @@ from rigtool.numerics.moves import Moves
 
 TURN = 2 * math.pi
 
-STEADY = 1e-3
+STEADY_DEVIATION = 1e-3
 """Deviation of the set point from constant speed that is allowed, of a turn."""
 
 
@@ -43,10 +43,10 @@ def cut_turns(time: Array, setpoint: Array, torque: Array, turns: int) -> Moves:
     speed = (setpoint[-1] - setpoint[0]) / (time[-1] - time[0])
     straight = setpoint[0] + speed * (time - time[0])
     worst = float(np.abs(setpoint - straight).max())
-    if worst > STEADY * TURN:
+    if worst > STEADY_DEVIATION * TURN:
         raise InsufficientDataError(
             f"the set point deviates by {worst:.3g} rad from constant speed, more than "
-            f"{STEADY * TURN:.3g} rad: give the part of the recording at constant speed"
+            f"{STEADY_DEVIATION * TURN:.3g} rad: give the part of the recording at constant speed"
         )
     period = TURN / abs(speed)
     # A power of two above the number of samples: fast, and nothing is lost.

@@ -26,22 +26,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_model.learning import INDEPENDENT, LearnedModel, measured, slopes
+from rigtool.experiments.force_model.learning import (
+    ROWS_PER_INDEPENDENT_ROW,
+    LearnedModel,
+    measured,
+    slopes,
+)
 from rigtool.experiments.force_model.model import Prediction, RecordState, functions
 from rigtool.experiments.force_model.records import Record, lowpassed_rows
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.steady_mean import steady_mean, steady_us, weights
 from rigtool.quantity import STANDARD_GRAVITY, Quantity, combined, error_line
 
-STEP = 0.01
+LOAD_STEP = 0.01
 """Change of the load for a derivative, relative, or as part of the largest learned load."""
 
 SMALLEST_STEP = 1e-4
-ROUNDS = 50
+MAX_ITERATIONS = 50
 HIGHEST_LOAD, SCANNED_LOADS = 3.0, 41
 """Highest load of the scan, in parts of the largest learned one, and the number of loads."""
 
-CONVERGED = 1e-5
+CONVERGED_CHANGE = 1e-5
 """Change at which a load is found, in parts of the largest learned one."""
 
 
@@ -230,7 +235,7 @@ def _find(
     narrow = _narrowed(loaded, np.vstack([remains, slope]), bandwidth_hz)
     shown_at = _read(narrow, point)
     rms = float(np.sqrt(np.mean(left**2)))
-    independent = max(1.0, used.sum() / INDEPENDENT)
+    independent = max(1.0, used.sum() / ROWS_PER_INDEPENDENT_ROW)
     fitted = np.linalg.qr(np.vstack([slope[used], own]).T)[0]
 
     def noise(record: Record) -> float:
@@ -264,7 +269,7 @@ def scatter_of_mean(torques: Array, fitted: Array) -> float:
 
 
 def _step(moment: float, largest: float) -> float:
-    return max(STEP * abs(moment), SMALLEST_STEP * largest)
+    return max(LOAD_STEP * abs(moment), SMALLEST_STEP * largest)
 
 
 def _solve(
@@ -283,13 +288,13 @@ def _solve(
 
     grid = scale * np.linspace(0.0, HIGHEST_LOAD, SCANNED_LOADS)
     moment, spacing = float(min(grid.tolist(), key=misfit)), float(grid[1])
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         middle, step = expected(moment), _step(moment, scale)
         matrix = np.vstack([(expected(moment + step) - middle) / step, own]).T
         inverse = np.linalg.pinv(matrix)
         difference = shown - middle
         change = float(inverse[0] @ difference)
-        if abs(change) <= CONVERGED * scale:
+        if abs(change) <= CONVERGED_CHANGE * scale:
             return moment + change, inverse[0], difference - matrix @ (inverse @ difference)
         moment += min(max(change, -spacing), spacing)
         if moment > HIGHEST_LOAD * scale:

@@ -16,21 +16,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigtool.experiments.force_model.learning import NAMES, STEP, LearnedModel, stepped_shape
+from rigtool.experiments.force_model.learning import (
+    DERIVATIVE_STEP,
+    SLIDING_PARAMETERS,
+    LearnedModel,
+    stepped_shape,
+)
 from rigtool.experiments.force_model.model import RecordState, Shape, functions
 from rigtool.experiments.force_model.records import Record
 from rigtool.numerics.arrays import Array
 
-SEEN = ("stribeck_speed", "ripple_time", "stiffness", "load_onset")
+STEADY_PARAMETERS = ("stribeck_speed", "ripple_time", "stiffness", "load_onset")
 """Parameters of a shape on which even sliding under a given load depends."""
 
-ROUNDS = 3
+CURRENT_ITERATIONS = 3
 """Times that the current of a point, which its own disturbance changes, is computed anew."""
 
-POINTS = 150
+WAY_POINTS = 150
 """Points of the way over all angles and of the way before them, on which lags settle."""
 
-FOLLOWED = 6.0
+LAG_LENGTHS = 6.0
 """Length of the way before, in times of the ripple's lag."""
 
 
@@ -109,30 +114,35 @@ def _sliding(
     (p, a)."""
     shape, known = model.shape, model.known
     side, factor = float(np.sign(speed)), known.torque_factor
-    before = FOLLOWED * shape.ripple_time * abs(speed)
+    before = LAG_LENGTHS * shape.ripple_time * abs(speed)
     ends = np.array([angle.min(), angle.max()])[:: int(side)] * known.angle_ratio
-    path = np.linspace(ends[0] - side * before, ends[1], POINTS)
+    path = np.linspace(ends[0] - side * before, ends[1], WAY_POINTS)
     interval = abs(path[1] - path[0]) / abs(speed)
-    none, empty = np.zeros(POINTS, dtype=bool), np.empty((0, 0))
-    at_one_side, everywhere = np.full(POINTS, side), np.full(POINTS, carried)
+    none, empty = np.zeros(WAY_POINTS, dtype=bool), np.empty((0, 0))
+    at_one_side, everywhere = np.full(WAY_POINTS, side), np.full(WAY_POINTS, carried)
 
     def state(shape: Shape, record: Record) -> RecordState:
         output = path / known.angle_ratio - carried / shape.stiffness
         return RecordState(record, shape, known, at_one_side, at_one_side, everywhere, output)
 
-    values = np.zeros((len(model.terms), POINTS))
-    for _ in range(ROUNDS):
+    values = np.zeros((len(model.terms), WAY_POINTS))
+    for _ in range(CURRENT_ITERATIONS):
         torque = carried / factor + model.coefficient @ values
         current = torque / torque_constant - known.offset
         record = SlidingRecord(
             interval, path, current, none, torque_constant, 0.0, 0.0, 0, empty, speed
         )
         values = functions(model.terms, state(shape, record))
-    by_shape = np.zeros((len(NAMES), POINTS))
-    for number, name in enumerate(NAMES):
-        if name in SEEN:
-            there = state(stepped_shape(shape, STEP * np.eye(len(NAMES))[number]), record)
-            by_shape[number] = model.coefficient @ (functions(model.terms, there) - values) / STEP
+    by_shape = np.zeros((len(SLIDING_PARAMETERS), WAY_POINTS))
+    for number, name in enumerate(SLIDING_PARAMETERS):
+        if name in STEADY_PARAMETERS:
+            there = state(
+                stepped_shape(shape, DERIVATIVE_STEP * np.eye(len(SLIDING_PARAMETERS))[number]),
+                record,
+            )
+            by_shape[number] = (
+                model.coefficient @ (functions(model.terms, there) - values) / DERIVATIVE_STEP
+            )
     rows = factor * np.vstack([model.coefficient @ values, by_shape, values])
     order = np.argsort(path)
     points = angle * known.angle_ratio

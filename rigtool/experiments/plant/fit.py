@@ -46,7 +46,7 @@ POOLED_LINES = 5
 SECOND_MASS_SIGNIFICANCE = 1e-4
 """Probability that the tests reject the rigid plant wrongly."""
 
-EVALUATIONS = 500
+MAX_EVALUATIONS = 500
 """Largest number of evaluations in one fit; without a second mass it does not converge."""
 
 
@@ -167,7 +167,7 @@ class _Data:
             return self.residuals(_with(start, origin + scale * steps), measured)
 
         solution = optimize.least_squares(
-            residuals, np.zeros(len(origin)), method="lm", max_nfev=EVALUATIONS
+            residuals, np.zeros(len(origin)), method="lm", max_nfev=MAX_EVALUATIONS
         )
         found = _with(start, origin + scale * solution.x)
         misfit = math.sqrt(2 * solution.cost / self.freedom(found))

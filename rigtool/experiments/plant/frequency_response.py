@@ -28,7 +28,7 @@ from rigtool.numerics.arrays import Array, ComplexArray, Mask
 MIN_EXPERIMENTS = 3
 """Smallest number of experiments whose scatter gives an uncertainty."""
 
-COVERAGE = 0.95
+RADIUS_COVERAGE = 0.95
 """Probability with which a true value lies in its `radius`."""
 
 
@@ -80,7 +80,8 @@ class FrequencyResponse:
 
     @property
     def radius(self) -> Array:
-        """Radius (k,) of the circle around the response that holds the truth at `COVERAGE`."""
+        """Radius (k,) of the circle around the response that holds the truth at
+        `RADIUS_COVERAGE`."""
         return coverage_radius(self.u, self.dof)
 
     def lines(self, keep: Mask) -> FrequencyResponse:
@@ -95,7 +96,7 @@ def coverage_radius(u: Array, dof: float) -> Array:
 
     |error|^2/(2 u^2) follows F(2, dof) (Hotelling).
     """
-    radius: Array = u * math.sqrt(2 * float(special.fdtri(2, dof, COVERAGE)))
+    radius: Array = u * math.sqrt(2 * float(special.fdtri(2, dof, RADIUS_COVERAGE)))
     return radius
 
 

@@ -15,7 +15,7 @@ from rigtool.numerics.arrays import Array, ComplexArray
 
 LineNumbers = NDArray[np.intp]
 
-DRAWS = 200
+PHASE_DRAWS = 200
 """Number of sets of phases to try; the one with the lowest peak is kept."""
 
 
@@ -32,9 +32,9 @@ def quasi_log_lines(low: int, high: int, count: int) -> LineNumbers:
 def random_phases(lines: LineNumbers, samples: int, rng: np.random.Generator) -> ComplexArray:
     """Return unit amplitudes (k,) at these lines of a period of `samples`, with a low crest factor.
 
-    Of `DRAWS` random sets of phases the one whose sum has the lowest peak is taken.
+    Of `PHASE_DRAWS` random sets of phases the one whose sum has the lowest peak is taken.
     """
-    phases = np.exp(2j * np.pi * rng.random((DRAWS, len(lines))))
+    phases = np.exp(2j * np.pi * rng.random((PHASE_DRAWS, len(lines))))
     peaks = [np.abs(periodic(lines, phase, samples)).max() for phase in phases]
     best: ComplexArray = phases[int(np.argmin(peaks))]
     return best

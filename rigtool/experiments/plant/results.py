@@ -18,7 +18,7 @@ from rigtool.quantity import Quantity, combined, error_line, inherited
 from rigtool.recipe import Recipe
 from rigtool.runfile import Column, Table, dof_column
 
-RESPONSE = "rad/(N m)"
+RESPONSE_UNIT = "rad/(N m)"
 TABLE_POINTS = 200
 """Points of the frequency axis of the tables of fit and sensitivities."""
 
@@ -72,7 +72,7 @@ class IdentifiedPlant:
         common = 0.0 if constant is None or not constant.dof else 1 / constant.dof
         u = np.hypot(scatter, scale)
         return {
-            "u": Column(u, RESPONSE, f"standard, {what}"),
+            "u": Column(u, RESPONSE_UNIT, f"standard, {what}"),
             "dof": dof_column(u**4 / (scatter**4 / dof + scale**4 * common)),
         }
 
@@ -136,17 +136,17 @@ def _response_table(found: IdentifiedPlant) -> Table:
         ("frequency",),
         {
             "frequency": Column(response.frequency, "Hz"),
-            "magnitude": Column(np.abs(value), RESPONSE, "angle for each torque"),
+            "magnitude": Column(np.abs(value), RESPONSE_UNIT, "angle for each torque"),
             "phase": Column(unwrapped(value), "rad"),
             **found.columns(np.abs(value), response.u, response.dof, "of the magnitude"),
             "u_phase": Column(response.u / np.abs(value), "rad", "standard, of the phase"),
             "radius": Column(
                 np.hypot(response.radius, 2 * scale),
-                RESPONSE,
+                RESPONSE_UNIT,
                 "of the circle that holds the true response at 95 %",
             ),
             "u_quantisation": Column(
-                response.quantisation, RESPONSE, "part of u from the encoder's steps"
+                response.quantisation, RESPONSE_UNIT, "part of u from the encoder's steps"
             ),
             "coherence": Column(response.coherence, "1", "with the excitation, in one period"),
             "distance": Column(
@@ -172,13 +172,13 @@ def _fit_table(found: IdentifiedPlant, frequency: Array) -> Table:
         ("frequency",),
         {
             "frequency": Column(frequency, "Hz"),
-            "magnitude": Column(np.abs(value), RESPONSE, "fit, with delay and roll-off"),
+            "magnitude": Column(np.abs(value), RESPONSE_UNIT, "fit, with delay and roll-off"),
             "phase": Column(unwrapped(value), "rad"),
             **found.columns(
                 np.abs(value), scatter, count - 1, "of the magnitude, if the model is right"
             ),
             "mass_line": Column(
-                1 / (fit.model.inertia * omega**2), RESPONSE, "1/(J w2): -40 dB a decade"
+                1 / (fit.model.inertia * omega**2), RESPONSE_UNIT, "1/(J w2): -40 dB a decade"
             ),
         },
         "magnitude",
@@ -231,7 +231,7 @@ class _Loop:
         curves = {
             "t": (open_loop * sensitivity, "1", "complementary sensitivity T"),
             "s": (sensitivity, "1", "sensitivity S"),
-            "sp": (plant * sensitivity, RESPONSE, "process sensitivity Sp"),
+            "sp": (plant * sensitivity, RESPONSE_UNIT, "process sensitivity Sp"),
             "open_loop": (open_loop, "1", "controller times plant"),
         }
         columns = {"frequency": Column(frequency, "Hz")}

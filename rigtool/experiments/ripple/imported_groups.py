@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.imported import RIG, moves, place, position_of
+from rigtool.experiments.imported import RIG_CONDITIONS, moves, place, position_of
 from rigtool.experiments.ripple.imported_turns import (
     CELLS_AN_ORDER,
     Turns,
@@ -17,7 +17,13 @@ from rigtool.experiments.ripple.imported_turns import (
     find_turns,
     refined_speed,
 )
-from rigtool.experiments.ripple.orders import CLEAR, HIGHEST_ORDER, POSITIONS, Sampling, Spectrum
+from rigtool.experiments.ripple.orders import (
+    HIGHEST_ORDER,
+    SIGNIFICANT_RATIO,
+    WAVEFORM_CELLS,
+    Sampling,
+    Spectrum,
+)
 from rigtool.experiments.torque_per_ampere import Effort, effort_of
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.recipe.mapping import CONSTANT_SPEED
@@ -26,7 +32,7 @@ from rigtool.runfile import Recording, Run
 GROUP_SPEED_TOLERANCE = 0.1
 """Runs whose speeds differ by less than this part count as one speed."""
 
-EFFORTS = ("torque", "current", "current_setpoint", "relative_torque")
+EFFORT_SIGNALS = ("torque", "current", "current_setpoint", "relative_torque")
 """Signals of a rotary motor's effort."""
 
 SAME_SETPOINT = 1e-3
@@ -80,7 +86,7 @@ class RepeatedRuns:
     def clear(self) -> Mask:
         """Return the orders (m,) that stand out: of noise alone one in all would, by chance."""
         spectrum = self.spectra["torque"]
-        level = max(CLEAR, math.sqrt(math.log(len(spectrum.order))))
+        level = max(SIGNIFICANT_RATIO, math.sqrt(math.log(len(spectrum.order))))
         found: Mask = spectrum.amplitude > level * spectrum.noise_floor
         return found
 
@@ -92,24 +98,24 @@ def cells_for(recordings: Sequence[Recording]) -> int:
     filled = [len(angle) / max(abs(angle[-1] - angle[0]), 1.0) for angle in angles]
     orders = min(int(min(filled) / SAMPLES_A_CELL) // CELLS_AN_ORDER, MOST_ORDERS)
     if orders <= HIGHEST_ORDER:
-        return POSITIONS
+        return WAVEFORM_CELLS
     positions = CELLS_AN_ORDER * orders
     for angle in angles:
         passed = np.unique(np.floor(np.mod(angle, 1.0) * positions))
         gap = np.diff(passed, append=passed[0] + positions).max() - 1
         if 2 * gap * orders > positions:
-            return POSITIONS
+            return WAVEFORM_CELLS
     return positions
 
 
 def ripple_effort(recording: Recording, kt: Run | None) -> Effort:
     """Return the motor's effort, or its speed where nothing else was recorded."""
-    if not recording.has("speed") or any(map(recording.has, EFFORTS)):
+    if not recording.has("speed") or any(map(recording.has, EFFORT_SIGNALS)):
         return effort_of(recording, kt)
     return Effort(recording.read("speed"), "rad/s", "speed", 0.0, "speed as in the file")
 
 
-def turns_of(recording: Recording, kt: Run | None, positions: int = POSITIONS) -> Turns:
+def turns_of(recording: Recording, kt: Run | None, positions: int = WAVEFORM_CELLS) -> Turns:
     """Return the turns of a recording in cells of the turn, with the motor's effort as torque.
 
     Where the motion is not recorded but its speed stated, that is refined by the torque's orders.
@@ -130,7 +136,7 @@ def groups_of(recordings: Sequence[Recording], turns: Sequence[Turns]) -> list[R
     """Return the recordings in groups of the same conditions and speed."""
     found: list[tuple[dict[str, float], list[Turns], Recording]] = []
     for recording, here in zip(recordings, turns, strict=True):
-        stated = {*RIG, CONSTANT_SPEED}
+        stated = {*RIG_CONDITIONS, CONSTANT_SPEED}
         conditions = {n: q.value for n, q in recording.conditions.items() if n not in stated}
         for others, members, _ in found:
             same_speed = abs(here.speed - members[0].speed) < GROUP_SPEED_TOLERANCE * abs(

@@ -41,7 +41,7 @@ from rigtool.numerics.settling import settled_from
 CELLS_AN_ORDER = 5
 """Cells of the turn for an order that they carry."""
 
-ALIASED = 0.3
+MAX_ALIASED_PART = 0.3
 """Part of a higher order's amplitude seen in a lower one from which on the samples do not separate
 the two: angles that are spread evenly show 1/sqrt(n)."""
 
@@ -49,7 +49,7 @@ STATED, FEW_ORDERS, STANDS_OUT = 0.03, 20, 4.0
 """Relative error of a stated speed, orders that show it first, and the least ratio of their power
 to that at other speeds."""
 
-COVERED = 0.9
+MIN_COVERED_PART = 0.9
 """Smallest covered part of a turn that counts."""
 
 MIN_SAMPLES = 64
@@ -62,11 +62,11 @@ each."""
 SAMPLES_PER_NUMBER = 3
 """Smallest number of samples for each amplitude that is fitted."""
 
-WEAKEST = 0.3
+MIN_SINGULAR_VALUE = 0.3
 """Smallest singular value of the fitted functions, 1 where angles are evenly spread: samples that
 meet the same angles in each turn do not resolve orders above half their number."""
 
-BLOCK = 2**20
+BLOCK_NUMBERS = 2**20
 """Numbers of a design that are in memory at a time."""
 
 
@@ -96,8 +96,8 @@ def find_turns(time: Array, turns: Array, torque: Array, positions: int) -> Turn
     """Return a recording by turn: `time` (n,) in s, angle in `turns` (n,), `torque` (n,).
 
     Cells of the turn carry orders up to a `CELLS_AN_ORDER`-th of their number. Samples before the
-    steady motion are left out. Raises `InsufficientDataError` where less than `COVERED` of a turn
-    is left.
+    steady motion are left out. Raises `InsufficientDataError` where less than `MIN_COVERED_PART` of
+    a turn is left.
     """
     time, turns, torque = require_signals(MIN_SAMPLES, time=time, turns=turns, torque=torque)
     require_rising(time)
@@ -109,11 +109,12 @@ def find_turns(time: Array, turns: Array, torque: Array, positions: int) -> Turn
     cells = _Cells(turns, math.copysign(1.0, speed), positions)
     if cells.rows < 1:
         raise InsufficientDataError(
-            f"the shaft passes {max(cells.way, 0.0):.2f} of a turn steadily, {COVERED} are needed: "
+            f"the shaft passes {max(cells.way, 0.0):.2f} of a turn steadily, {MIN_COVERED_PART} "
+            "are needed: "
             "record for longer"
         )
     rows = [cells.waveforms(time, values) for values in both]
-    covered = np.mean(np.isfinite(rows[0]), axis=1) >= COVERED
+    covered = np.mean(np.isfinite(rows[0]), axis=1) >= MIN_COVERED_PART
     if np.mean(covered) < 0.5:
         used = cells.used
         *rows, orders = _fit_orders(turns[used], torque[used], both[1][used], cells.rows, positions)
@@ -140,7 +141,7 @@ class _Cells:
         self._advance = sign * turns - first / positions
         self._positions = positions
         self.way = float(self._advance[-1])
-        self.rows = math.floor(self.way + 1 - COVERED)
+        self.rows = math.floor(self.way + 1 - MIN_COVERED_PART)
         self.used = self._advance < self.rows
         order = np.arange(positions)
         self._place = (first + order if sign > 0 else -first - order - 1) % positions
@@ -174,7 +175,8 @@ class _Cells:
 
 def aliases(turns: Array, orders: int, highest: int) -> tuple[Array, Array]:
     """Return for orders 1 to `orders` the higher one, up to `highest`, that samples at angles (n,)
-    in `turns` show as part of it most, and which part; NaN and 0 where that is below `ALIASED`."""
+    in `turns` show as part of it most, and which part; NaN and 0 where that is below
+    `MAX_ALIASED_PART`."""
     alias, leak = np.full(orders, np.nan), np.zeros(orders)
     phase = np.exp(2j * np.pi * turns)
     kernel = np.zeros(2 * highest + 1)
@@ -186,7 +188,7 @@ def aliases(turns: Array, orders: int, highest: int) -> tuple[Array, Array]:
     for order in range(1, orders + 1) if above.size else ():
         seen = np.maximum(kernel[above - order], kernel[above + order])
         most = int(np.argmax(seen))
-        if seen[most] > ALIASED:
+        if seen[most] > MAX_ALIASED_PART:
             alias[order - 1], leak[order - 1] = above[most], seen[most]
     return alias, leak
 
@@ -236,7 +238,7 @@ def _fit_orders(
         squares, sums = zip(
             *(_moments(turns[part], both[part], orders) for part in parts), strict=True
         )
-        if min(np.linalg.eigvalsh(square)[0] for square in squares) >= WEAKEST**2:
+        if min(np.linalg.eigvalsh(square)[0] for square in squares) >= MIN_SINGULAR_VALUE**2:
             width = np.repeat(np.sinc(np.arange(orders + 1) / positions), 2)[1:]
             found = np.linalg.solve(np.array(squares), np.array(sums))
             torques, deviations = np.moveaxis((_series(cells, orders) * width) @ found, -1, 0)
@@ -251,7 +253,7 @@ def _moments(turns: Array, values: Array, orders: int) -> tuple[Array, Array]:
     """Return means of the series' products with itself (p, p) and with values (n, 2), (p, 2)."""
     size = 2 * orders + 1
     square, with_values = np.zeros((size, size)), np.zeros((size, 2))
-    block = max(BLOCK // size, 1)
+    block = max(BLOCK_NUMBERS // size, 1)
     for first in range(0, len(turns), block):
         design = _series(2 * np.pi * turns[first : first + block], orders)
         square += design.T @ design

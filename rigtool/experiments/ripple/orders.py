@@ -20,16 +20,16 @@ from rigtool.errors import InsufficientDataError
 from rigtool.numerics.arrays import Array, ComplexArray, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
-POSITIONS = 500
+WAVEFORM_CELLS = 500
 """Cells of a turn in waveforms."""
 
 HIGHEST_ORDER = 100
 """Of rotation, in spectra: cogging of 12 slots and 14 poles has order 84."""
 
-CLEAR = 2.0
+SIGNIFICANT_RATIO = 2.0
 """Multiple of the noise floor above which an order is significant."""
 
-NEIGHBOURS = 10
+NEIGHBOURING_ORDERS = 10
 """Orders on either side from which the noise of an order of a single turn is taken."""
 
 MIN_SAMPLES_A_PERIOD = 2.5
@@ -86,7 +86,7 @@ class Sampling:
         return left
 
 
-EVERYWHERE = Sampling(0.0)
+NO_ATTENUATION = Sampling(0.0)
 """Sampling without attenuation, for waveforms that were not made of samples."""
 
 
@@ -98,7 +98,7 @@ class Ripple:
     """
 
     waveforms: Array
-    sampling: Sampling = EVERYWHERE
+    sampling: Sampling = NO_ATTENUATION
 
     @property
     def angle(self) -> Array:
@@ -143,7 +143,7 @@ class Ripple:
         return Rms(repeatable, repeatable_u, scatter, scatter_u, others)
 
 
-def remove_offset(waveforms: Array, sampling: Sampling = EVERYWHERE) -> Ripple:
+def remove_offset(waveforms: Array, sampling: Sampling = NO_ATTENUATION) -> Ripple:
     """Subtract the mean of waveforms (revolutions, positions): friction and load, not ripple."""
     return Ripple(waveforms - waveforms.mean(), sampling)
 
@@ -166,7 +166,7 @@ class Spectrum:
     @property
     def clear(self) -> Mask:
         """Whether each order is significant (m,)."""
-        clear: Mask = self.amplitude > CLEAR * self.noise_floor
+        clear: Mask = self.amplitude > SIGNIFICANT_RATIO * self.noise_floor
         return clear
 
     @property
@@ -198,7 +198,7 @@ class Spectrum:
         if not clear.size:
             best = int(np.nanargmax(self.amplitude / self.noise_floor))
             raise InsufficientDataError(
-                f"no order exceeds its noise floor by a factor of {CLEAR:g}, order "
+                f"no order exceeds its noise floor by a factor of {SIGNIFICANT_RATIO:g}, order "
                 f"{self.order[best]:g} comes nearest with {self.amplitude[best]:.3g} of "
                 f"{self.noise_floor[best]:.3g}: average more revolutions"
             )
@@ -237,12 +237,16 @@ def neighbours_floor(amplitude: Array) -> Array:
     orders = len(amplitude)
     floor = np.zeros(orders)
     for index in range(orders if orders > 1 else 0):
-        around = np.r_[max(0, index - NEIGHBOURS) : index, index + 1 : index + 1 + NEIGHBOURS]
+        around = np.r_[
+            max(0, index - NEIGHBOURING_ORDERS) : index, index + 1 : index + 1 + NEIGHBOURING_ORDERS
+        ]
         floor[index] = np.median(amplitude[around[around < orders]]) / math.sqrt(math.log(2))
     return floor
 
 
-def coefficients(waveforms: Array, orders: int, sampling: Sampling = EVERYWHERE) -> ComplexArray:
+def coefficients(
+    waveforms: Array, orders: int, sampling: Sampling = NO_ATTENUATION
+) -> ComplexArray:
     """Return amplitude*exp(i phase) of each order 1..`orders` and revolution.
 
     `waveforms` (revolutions, positions) are means over equal cells of the turn; returned are the
@@ -296,7 +300,7 @@ def compare(reference: Ripple, other: Ripple, orders: int) -> RippleComparison:
         if not above.any():
             raise InsufficientDataError(
                 f"the {what} ripple is all noise: none of its orders 1 to {orders} exceeds it by "
-                f"a factor of {CLEAR:g}; average more revolutions"
+                f"a factor of {SIGNIFICANT_RATIO:g}; average more revolutions"
             )
         clear |= above
     count = min(len(reference.waveforms), len(other.waveforms))

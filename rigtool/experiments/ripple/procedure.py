@@ -22,7 +22,7 @@ from rigtool.experiments.procedure import Procedure, channels, record
 from rigtool.experiments.ripple.imported import analyse_imported
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
-    POSITIONS,
+    WAVEFORM_CELLS,
     Ripple,
     Sampling,
     compare,
@@ -210,7 +210,7 @@ def _collected(recording: Recording, recipe: Recipe, welch: Welch | None) -> _Co
     steady, largest = _steady(recording), 0.0
     with naming(recording):
         first, last = _ends(recording, "encoder", steady)
-        revolutions = Revolutions(POSITIONS, forward=last > first)
+        revolutions = Revolutions(WAVEFORM_CELLS, forward=last > first)
         for time, encoder, current in recording.blocks(
             "time", "encoder", "current_setpoint", start=steady.start, stop=steady.stop
         ):

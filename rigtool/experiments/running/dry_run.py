@@ -18,10 +18,10 @@ from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Serial
-from rigtool.rigs import NEEDS, Block, Load, Rig, Task, open_rig
+from rigtool.rigs import NEED_DESCRIPTIONS, Block, Load, Rig, Task, open_rig
 from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.serial import safety
-from rigtool.rigs.serial.drivers import REPLAY, driver
+from rigtool.rigs.serial.drivers import REPLAY_DRIVER, driver
 from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
 
@@ -29,7 +29,7 @@ LISTED_MOTIONS = 12
 """Kinds of motion that are listed; the others are only counted."""
 
 
-LONGEST = 24 * 3600.0
+LONGEST_VIRTUAL_TIME = 24 * 3600.0
 """All motions of a command on the virtual rig, s: an hour of its clock takes seconds."""
 
 
@@ -78,7 +78,7 @@ class MotionPlan:
     def check(self, limits: Any) -> None:
         """Raise `RecipeError` for the first motion beyond the limits."""
         for name, found in self.motions:
-            safety.check(found, limits, name)
+            safety.require_within_limits(found, limits, name)
 
 
 class _Rehearsal(Rig):
@@ -90,8 +90,8 @@ class _Rehearsal(Rig):
         self.plan = MotionPlan()
         self._recipe, self._rig = recipe, recipe.rig
         self._limits = recipe.serial.limits if _on_line(recipe) and recipe.serial else None
-        name = recipe.serial.driver if self._limits is not None and recipe.serial else REPLAY
-        self._host_closes = name != REPLAY and driver(name).host_closes
+        name = recipe.serial.driver if self._limits is not None and recipe.serial else REPLAY_DRIVER
+        self._host_closes = name != REPLAY_DRIVER and driver(name).host_closes
         self._torque_constant = torque_constant
         self._position = position
         self._evaluated = evaluated
@@ -105,10 +105,11 @@ class _Rehearsal(Rig):
         """List a task; there are no signals."""
         self.plan.duration += task.motion.duration
         if self._limits is not None:
-            safety.check_duration(task, self._limits)
-        elif self.plan.duration > LONGEST:
+            safety.require_duration(task, self._limits)
+        elif self.plan.duration > LONGEST_VIRTUAL_TIME:
             raise RecipeError(
-                f"the motions would last longer than {LONGEST / 3600:.0f} h on the clock of the "
+                f"the motions would last longer than {LONGEST_VIRTUAL_TIME / 3600:.0f} h on the "
+                "clock of the "
                 "virtual rig: shorten them in the recipe"
             )
         self._require_carried(task.load)
@@ -229,7 +230,9 @@ def rehearse(
 def require_offered(rig: Rig, plan: MotionPlan, command: str) -> None:
     """Raise `HardwareError` with every reason why this rig cannot run a command."""
     reasons = [
-        f"it needs to {NEEDS[need]}: {reason}" if need in NEEDS else f"it records {need}: {reason}"
+        f"it needs to {NEED_DESCRIPTIONS[need]}: {reason}"
+        if need in NEED_DESCRIPTIONS
+        else f"it records {need}: {reason}"
         for need in plan.needs
         if (reason := rig.lacks(need)) is not None
     ]
@@ -247,7 +250,7 @@ def dry_run(
     notes = [str(plan)]
     if _on_line(recipe) and recipe.serial is not None:
         plan.check(recipe.serial.limits)
-        found = None if recipe.serial.driver == REPLAY else driver(recipe.serial.driver)
+        found = None if recipe.serial.driver == REPLAY_DRIVER else driver(recipe.serial.driver)
         require_gauges(plan, recipe.serial, procedure.command)
         low, high = recipe.serial.limits.position
         limits = recipe.serial.limits
@@ -267,7 +270,7 @@ def dry_run(
 
 def require_gauges(plan: MotionPlan, settings: Serial, command: str) -> None:
     """Raise `RecipeError` for a gauge that no drive has and the recipe does not name."""
-    if settings.driver == REPLAY or driver(settings.driver).make_drive is None:
+    if settings.driver == REPLAY_DRIVER or driver(settings.driver).make_drive is None:
         return
     for need in ("force", "deflection"):
         if need in plan.needs and getattr(settings, need) is None:

@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-WAITING = 256
+MAX_WAITING_BLOCKS = 256
 """Blocks of lines that wait for the reader at most."""
 
-CLOSING = 1.0
+CLOSING_TIME = 1.0
 """Longest time that a reader still has when all is measured, s, where it is not waited for."""
 
-PATIENCE = 0.1
+LOOK_INTERVAL = 0.1
 """Time between two looks at whether the reader is still there, s."""
 
 
@@ -54,7 +54,7 @@ class JsonLines:
 
     def __init__(self, out: io.RawIOBase, *, waits: bool) -> None:
         self._out, self._waits = out, waits
-        self._blocks: queue.Queue[tuple[bytes, int]] = queue.Queue(WAITING)
+        self._blocks: queue.Queue[tuple[bytes, int]] = queue.Queue(MAX_WAITING_BLOCKS)
         self._gone, self._closed = threading.Event(), threading.Event()
         self.missed = 0
         self._thread = threading.Thread(target=self._run, name="lines", daemon=True)
@@ -73,7 +73,7 @@ class JsonLines:
     def _put(self, text: bytes, count: int) -> None:
         while not self._gone.is_set():
             with contextlib.suppress(queue.Full):
-                self._blocks.put((text, count), timeout=PATIENCE if self._waits else 0)
+                self._blocks.put((text, count), timeout=LOOK_INTERVAL if self._waits else 0)
                 return
             if not self._waits:
                 break
@@ -84,7 +84,7 @@ class JsonLines:
         if at_once:
             self._gone.set()
         self._closed.set()
-        self._thread.join(0 if at_once else None if self._waits else CLOSING)
+        self._thread.join(0 if at_once else None if self._waits else CLOSING_TIME)
         self._gone.set()
         with contextlib.suppress(queue.Empty):
             while True:
@@ -93,7 +93,7 @@ class JsonLines:
     def _run(self) -> None:
         while True:
             try:
-                text, count = self._blocks.get(timeout=PATIENCE)
+                text, count = self._blocks.get(timeout=LOOK_INTERVAL)
             except queue.Empty:
                 if self._closed.is_set():
                     return

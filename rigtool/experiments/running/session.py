@@ -37,7 +37,7 @@ from rigtool.runfile.outputs import require_output
 
 _log = logging.getLogger("rigtool")
 
-IMPORTED = "import"
+IMPORT_COMMAND = "import"
 """Command of the runs that hold measurements of other rigs."""
 
 
@@ -235,7 +235,7 @@ def _analyse_stored(
 ) -> Outcome:
     with ExitStack() as stack:
         runs = [stack.enter_context(open_run(source)) for source in sources]
-        if runs[0].command == IMPORTED and procedure.analyse_imported is not None:
+        if runs[0].command == IMPORT_COMMAND and procedure.analyse_imported is not None:
             return _analyse_imported(
                 procedure, procedure.analyse_imported, runs, output, options, inputs
             )
@@ -290,7 +290,7 @@ def _analyse_imported(
 ) -> Outcome:
     """Analyse measurements of other rigs: their runs replace the recipe."""
     for run in runs:
-        run.require_command(IMPORTED)
+        run.require_command(IMPORT_COMMAND)
     settings = _imported_settings(procedure.imported_settings, options.overrides)
     with RunWriter(
         output,

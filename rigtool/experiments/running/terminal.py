@@ -25,35 +25,35 @@ import numpy as np
 from rigtool.errors import UsageError
 from rigtool.rigs import CHANNELS
 
-INTERVAL = 0.2
+DRAWING_INTERVAL = 0.2
 """Time between two drawings, s: each adds a column."""
 
 BARS = "▁▂▃▄▅▆▇█"
-PLAIN = "_.:-=+*#"
+PLAIN_BARS = "_.:-=+*#"
 """Bars for a terminal without Unicode."""
 
-LABEL = 42
+LABEL_WIDTH = 42
 """Characters of a line in front of its bars."""
 
-COLUMNS = 60
+MAX_BARS = 60
 """Bars of a line at most."""
 
-FORGOTTEN = 3.0
+STALE_TIME = 3.0
 """Time after which other text may stand below a drawing, s: a new drawing begins."""
 
 
-WAITING = 64
+MAX_WAITING_BLOCKS = 64
 """Blocks that wait to be drawn at most: those beyond are not drawn."""
 
-CLOSING = 1.0
+CLOSING_TIME = 1.0
 """Longest time that drawings may still take when all is measured, s."""
 
-OPENING = 60.0
+OPENING_TIME = 60.0
 """Time in which the window must be there, s: matplotlib's first start lists all fonts."""
 
-READY = "ready"
+READY_LINE = "ready"
 
-UNITS = {name: unit for name, (unit, _, _) in CHANNELS.items()} | dict.fromkeys(
+CHANNEL_UNITS = {name: unit for name, (unit, _, _) in CHANNELS.items()} | dict.fromkeys(
     ("torque", "u", "low", "high"), "N m"
 )
 """Of what is drawn."""
@@ -89,7 +89,7 @@ class Feed:
 
     def __init__(self, view: View) -> None:
         self._view = view
-        self._blocks: queue.Queue[tuple[str, Mapping[str, Any]]] = queue.Queue(WAITING)
+        self._blocks: queue.Queue[tuple[str, Mapping[str, Any]]] = queue.Queue(MAX_WAITING_BLOCKS)
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="live", daemon=True)
         self._thread.start()
@@ -102,13 +102,13 @@ class Feed:
     def close(self) -> None:
         """Draw waiting blocks, as far as there is time."""
         self._closed = True
-        self._thread.join(CLOSING)
+        self._thread.join(CLOSING_TIME)
 
     def _run(self) -> None:
         with contextlib.suppress(OSError, ValueError):  # the drawing process is closed
             while True:
                 try:
-                    recording, block = self._blocks.get(timeout=INTERVAL / 4)
+                    recording, block = self._blocks.get(timeout=DRAWING_INTERVAL / 4)
                 except queue.Empty:
                     if self._closed:
                         return
@@ -136,9 +136,9 @@ class Window:
         read = self._process.stdout.readline
         listener = threading.Thread(target=lambda: replies.append(read()), daemon=True)
         listener.start()
-        listener.join(OPENING)
+        listener.join(OPENING_TIME)
         answer = replies[0].decode("utf-8", "replace").strip() if replies else "it does not start"
-        if answer != READY:
+        if answer != READY_LINE:
             self.__exit__()
             raise UsageError(
                 f"--live-window: no window can be opened: {answer or 'its process ended'}; run "
@@ -154,7 +154,7 @@ class Window:
         assert self._process.stdout is not None
         self._process.stdin.close()
         try:
-            self._process.wait(CLOSING)
+            self._process.wait(CLOSING_TIME)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -176,7 +176,7 @@ class Live:
     ) -> None:
         self._out, self._clock = out, clock
         self._columns = columns or _room(out)
-        self._bars = BARS if _can_write(out, BARS) else PLAIN
+        self._bars = BARS if _can_write(out, BARS) else PLAIN_BARS
         self._recording = ""
         self._history: dict[str, deque[float]] = {}
         self._blocks: list[Mapping[str, Any]] = []
@@ -191,8 +191,8 @@ class Live:
             self._blocks.clear()
         self._blocks.append(block)
         now = self._clock()
-        if now - self._drawn >= INTERVAL:
-            if now - self._drawn > FORGOTTEN:
+        if now - self._drawn >= DRAWING_INTERVAL:
+            if now - self._drawn > STALE_TIME:
                 self._lines = 0
             self._drawn = now
             with contextlib.suppress(OSError):  # a terminal that is gone ends no measurement
@@ -205,7 +205,7 @@ class Live:
         self._blocks.clear()
         lines = [f"{self._recording}  {moment:.1f} s"]
         for name, values in self._history.items():
-            unit = UNITS.get(name, "")
+            unit = CHANNEL_UNITS.get(name, "")
             lines.append(
                 f"  {name:<20}{values[-1]:>12.5g} {unit:<6}{sparkline(values, self._bars)}"
             )
@@ -221,7 +221,7 @@ def _room(out: TextIO) -> int:
         width = os.get_terminal_size(out.fileno()).columns
     except OSError:
         width = 0
-    return max(1, min(COLUMNS, (width or 80) - LABEL))
+    return max(1, min(MAX_BARS, (width or 80) - LABEL_WIDTH))
 
 
 def _can_write(out: TextIO, text: str) -> bool:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from rigtool.experiments.running.terminal import READY, UNITS
+from rigtool.experiments.running.terminal import CHANNEL_UNITS, READY_LINE
 from rigtool.numerics.arrays import Array
 
 if TYPE_CHECKING:
@@ -26,22 +26,22 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
 
-SPAN = 20.0
+TIME_SPAN = 20.0
 """Time span of the plots, s."""
 
-REDRAW = 0.4
+REDRAW_INTERVAL = 0.4
 """Time between two drawings, s: each takes about 0.09 s of a core."""
 
-POINTS = 1000
+LINE_POINTS = 1000
 """Points of a drawn line, about: more samples are drawn as lowest and highest of a few."""
 
-GAP = 0.5
+GAP_TIME = 0.5
 """Time without samples over which no line is drawn, s."""
 
-WAITING = 256
+MAX_WAITING_BLOCKS = 256
 """Blocks that wait to be drawn at most."""
 
-WITH = {"low": "torque", "high": "torque"}
+BAND_CHANNELS = {"low": "torque", "high": "torque"}
 """Channels that are drawn as the band of another channel."""
 
 NICENESS = 10
@@ -66,7 +66,7 @@ class Panel:
             self._blocks.clear()
             self._set_up([name for name in block if name != "time"])
         self._blocks.append(block)
-        while self._blocks[0]["time"][-1] < block["time"][-1] - SPAN:
+        while self._blocks[0]["time"][-1] < block["time"][-1] - TIME_SPAN:
             self._blocks.popleft()
 
     def draw(self) -> None:
@@ -74,35 +74,35 @@ class Panel:
         if not self._blocks:
             return
         time = np.concatenate([block["time"] for block in self._blocks])
-        shown = time >= time[-1] - SPAN
+        shown = time >= time[-1] - TIME_SPAN
         time = time[shown]
-        breaks = np.flatnonzero(np.diff(time) > GAP) + 1
+        breaks = np.flatnonzero(np.diff(time) > GAP_TIME) + 1
         self._figure.suptitle(f"{self._recording}, {time[-1]:.1f} s", x=0.02, ha="left")
         for name, (axes, line) in self._lines.items():
             values = np.concatenate([block[name] for block in self._blocks])[shown]
             line.set_data(
                 *thinned(np.insert(time, breaks, np.nan), np.insert(values, breaks, np.nan))
             )
-            if name not in WITH:
+            if name not in BAND_CHANNELS:
                 axes.set_title(f"{values[-1]:.5g}", loc="right", fontsize="medium", weight="bold")
             axes.relim()
             axes.autoscale_view(scalex=False)
-            axes.set_xlim(time[0], max(time[-1], time[0] + SPAN))
+            axes.set_xlim(time[0], max(time[-1], time[0] + TIME_SPAN))
 
     def _set_up(self, names: list[str]) -> None:
         self._figure.clear()
-        alone = [name for name in names if name not in WITH]
+        alone = [name for name in names if name not in BAND_CHANNELS]
         plots = self._figure.subplots(len(alone), 1, sharex=True, squeeze=False)[:, 0]
         self._lines = {}
         for axes, name in zip(plots, alone, strict=True):
-            unit = UNITS.get(name, "")
+            unit = CHANNEL_UNITS.get(name, "")
             axes.set_title(f"{name.replace('_', ' ')} [{unit}]", loc="left", fontsize="medium")
             axes.ticklabel_format(useOffset=False)
             axes.grid(visible=True, alpha=0.4)
             (line,) = axes.plot([], [], linewidth=0.9)
             self._lines[name] = (axes, line)
-        for name in WITH.keys() & set(names):
-            axes, _ = self._lines[WITH[name]]
+        for name in BAND_CHANNELS.keys() & set(names):
+            axes, _ = self._lines[BAND_CHANNELS[name]]
             (line,) = axes.plot([], [], linewidth=0.6, linestyle="--", color="0.5")
             self._lines[name] = (axes, line)
         plots[-1].set_xlabel("time [s]")
@@ -111,11 +111,12 @@ class Panel:
 
 
 def thinned(time: Array, values: Array) -> tuple[Array, Array]:
-    """Return about `POINTS` points (m,) that look like all of them (n,): lowest and highest of few.
+    """Return about `LINE_POINTS` points (m,) that look like all of them (n,): lowest and highest of
+    few.
 
     NaN among them stays, as a gap.
     """
-    few = len(time) // (POINTS // 2)
+    few = len(time) // (LINE_POINTS // 2)
     if few < 3:
         return time, values
     whole = len(time) // few * few
@@ -131,7 +132,7 @@ class _Inbox:
 
     def __init__(self, source: BinaryIO) -> None:
         self._source = source
-        self._blocks: deque[tuple[str, Mapping[str, Array]]] = deque(maxlen=WAITING)
+        self._blocks: deque[tuple[str, Mapping[str, Array]]] = deque(maxlen=MAX_WAITING_BLOCKS)
         self.ended = False
         threading.Thread(target=self._run, daemon=True).start()
 
@@ -174,10 +175,10 @@ def main() -> int:
 
     import matplotlib.pyplot as plt
 
-    timer = figure.canvas.new_timer(interval=round(REDRAW * 1e3))
+    timer = figure.canvas.new_timer(interval=round(REDRAW_INTERVAL * 1e3))
     timer.add_callback(turn)
     timer.start()
-    print(READY, flush=True)
+    print(READY_LINE, flush=True)
     plt.show()
     return 0
 

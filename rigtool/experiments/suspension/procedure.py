@@ -30,7 +30,7 @@ READING_TIME = 0.1
 
 RECORD_EVERY = 80
 
-ANGLES = 361
+TORQUE_ANGLES = 361
 """Points over a turn in the table of torques."""
 
 
@@ -164,7 +164,7 @@ def _torques(
 
 
 def _torque_table(springs: MotorSuspension, stiffness: float, speeds: Sequence[float]) -> Table:
-    angle = np.linspace(0, 2 * math.pi, ANGLES)
+    angle = np.linspace(0, 2 * math.pi, TORQUE_ANGLES)
     eccentricity = springs.motor_eccentricity + springs.tool_eccentricity
     torques = [
         eccentric_torque(

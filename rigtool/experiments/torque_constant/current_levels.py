@@ -36,13 +36,13 @@ from rigtool.numerics.plateaus import find_plateaus
 from rigtool.numerics.residual_covariance import independent_samples
 from rigtool.quantity import REFERENCE_DEGC
 
-BLOCKS = 2000
+MAX_BLOCKS = 2000
 """Most parts of a recording in which plateaus are looked for."""
 
-FLAT = 5.0
+FLAT_RANGE = 5.0
 """Standard deviations of noise within which the current does not change."""
 
-LEVEL = 0.02
+MAX_PLATEAU_CHANGE = 0.02
 """Largest change of current on a plateau, relative to the span."""
 
 FEWEST_PLATEAUS = 5
@@ -51,18 +51,18 @@ FEWEST_PLATEAUS = 5
 ON_PLATEAUS = 0.3
 """Smallest part of the time on plateaus of a staircase."""
 
-SETTLING = 0.25
+SETTLING_PART = 0.25
 """Part of each plateau that is left out at its start."""
 
-PARTS = 120
+RAMP_PARTS = 120
 """Parts of a ramp."""
 
-MAGNETS = (-1.0e-3, 0.6e-3)
+MAGNET_COEFFICIENT = (-1.0e-3, 0.6e-3)
 """Temperature coefficient of magnets and its standard uncertainty, 1/K: from 0 for samarium cobalt
 to -0.2 %/K for ferrite (J. R. Hendershot & T. J. E. Miller, Design of Brushless Permanent-Magnet
 Machines, 2010, ch. 3), a rectangular distribution (GUM 4.3.7)."""
 
-TRANSITIONS = (0.01, 0.03, 0.1, 0.3)
+TRANSITION_LENGTHS = (0.01, 0.03, 0.1, 0.3)
 """Lengths s of Dahl's transition that are tried, relative to the span of the current."""
 
 FRICTION, DRIFT, BENT, CURVATURE = 0.05, 0.01, 0.004, 0.015
@@ -72,19 +72,19 @@ change of torque per ampere from half the current to all of it, by saturation of
 NO_CURRENT = 0.02
 """Currents below this part of the largest turn no shaft."""
 
-ROUNDS = 8
+WEIGHTING_ROUNDS = 8
 """Of the fit: its weights follow its residuals."""
 
 BOTH_WAYS = 0.1
 """Smallest part of the current's way in either direction for which friction at rest is known."""
 
-TURNING = 0.5
+TURNING_PART = 0.5
 """Part of the samples that move from which on the shaft turns."""
 
 FEWEST_FREE = 3
 """Smallest number of independent plateaus beyond constant, zeros and drag."""
 
-MISFIT = 0.1
+MAX_MISFIT = 0.1
 """Largest rms of the residuals, relative to the span of the torque."""
 
 
@@ -148,7 +148,7 @@ def find_points(course: Course) -> Points:
     }
     t, current, _, *_ = require_signals(50, **signals)
     require_rising(t)
-    blocks = min(BLOCKS, len(t) // 4)
+    blocks = min(MAX_BLOCKS, len(t) // 4)
     edges = np.linspace(0, len(t), blocks + 1).round().astype(np.int64)
     level = _means(current, edges)
     noise = float(np.sqrt(np.mean(np.diff(current, 2) ** 2) / 6 / (len(t) / blocks)))
@@ -157,20 +157,20 @@ def find_points(course: Course) -> Points:
         raise InsufficientDataError(
             f"the current changes by {span:.3g} A, its noise is {noise:.2g} A: step it, or ramp it"
         )
-    band = max(FLAT * math.sqrt(2) * noise, 1e-3 * span)
+    band = max(FLAT_RANGE * math.sqrt(2) * noise, 1e-3 * span)
     followed = _play(level, band)
-    path = np.stack([_dahl(followed, part * span) for part in TRANSITIONS], axis=1)
+    path = np.stack([_dahl(followed, part * span) for part in TRANSITION_LENGTHS], axis=1)
     way = np.diff(followed)
     up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
-    parts = find_plateaus(level, max(band, 1e-4 * span), max(LEVEL * span, 2 * band))
+    parts = find_plateaus(level, max(band, 1e-4 * span), max(MAX_PLATEAU_CHANGE * span, 2 * band))
     on_them = sum(b - a for a, b in parts)
     if len(parts) < FEWEST_PLATEAUS or on_them < ON_PLATEAUS * blocks:
-        ends = np.linspace(0, blocks, min(PARTS, blocks) + 1).round().astype(np.int64)
+        ends = np.linspace(0, blocks, min(RAMP_PARTS, blocks) + 1).round().astype(np.int64)
         parts = list(pairwise(ends.tolist()))
         settled = False
     else:
         settled = True
-        parts = [(a + math.ceil(SETTLING * (b - a)), b) for a, b in parts]
+        parts = [(a + math.ceil(SETTLING_PART * (b - a)), b) for a, b in parts]
 
     def mean(values: Array) -> Array:
         return np.array([values[edges[a] : edges[b]].mean() for a, b in parts])
@@ -225,7 +225,7 @@ def fit_constant(runs: Sequence[Points]) -> CurrentFit:
     temperature = _of_all(runs, "temperature")
     speed = _of_all(runs, "speed")
     turning = speed is not None and bool(
-        np.mean(np.abs(speed) > 0.01 * np.abs(speed).max()) > TURNING
+        np.mean(np.abs(speed) > 0.01 * np.abs(speed).max()) > TURNING_PART
     )
     up, down = (sum(run.ways[way] for run in runs) for way in (0, 1))
     one_way = min(up, down) < BOTH_WAYS * (up + down)
@@ -240,7 +240,7 @@ def fit_constant(runs: Sequence[Points]) -> CurrentFit:
         if np.ptp(temperature) > SAME_TEMPERATURE:
             rough = float(np.polyfit(current, torque, 1)[0])
             values = current * (temperature - middle)
-            add("change", values, abs(MAGNETS[1] * rough), MAGNETS[0] * rough)
+            add("change", values, abs(MAGNET_COEFFICIENT[1] * rough), MAGNET_COEFFICIENT[0] * rough)
     if turning and speed is not None:
         for values in (speed, np.sign(speed)):
             if np.ptp(values) > 0.05 * np.abs(values).max():
@@ -298,7 +298,7 @@ class _Fit:
         normal = self.design.T @ self.design
         self.independent, variance = float(len(torque)), float(np.var(torque)) * 1e-4
         free = 0.0
-        for _ in range(ROUNDS):
+        for _ in range(WEIGHTING_ROUNDS):
             share = self.independent / len(torque)
             self.inverse = np.linalg.pinv(
                 share / variance * normal + np.diag(prior), hermitian=True
@@ -330,9 +330,10 @@ def _result(
     best = min(fits, key=lambda fit: fit.power)
     torque, current = best.torque, best.design[:, 0]
     rms, span = math.sqrt(float(np.mean(best.residual**2))), float(np.ptp(torque))
-    if rms > MISFIT * span:
+    if rms > MAX_MISFIT * span:
         raise InsufficientDataError(
-            f"torque follows current with residuals of {rms:.3g} N m rms, {MISFIT:.0%} of its span "
+            f"torque follows current with residuals of {rms:.3g} N m rms, {MAX_MISFIT:.0%} of its "
+            "span "
             f"of {span:.3g} N m is the limit: see to the units and to what else loads the shaft"
         )
     power = np.array([fit.power for fit in fits])

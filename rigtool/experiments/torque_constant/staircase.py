@@ -18,7 +18,7 @@ from rigtool.numerics.checks import require_rising, require_signals
 LEVEL_TOLERANCE = 1e-3
 """Part of the span within which set points count as one level."""
 
-COURSE = 96
+SWING_PARTS = 96
 """Parts of a plateau's time that resolve the arm's swing after each step."""
 
 MINIMUM_PLATEAUS = 8
@@ -128,7 +128,7 @@ def _resolution(readings: Array) -> float:
     Euclid's algorithm over all differences; 0 where it ends within the rounding of the numbers. Two
     readings may be many steps apart, where each plateau has a single one.
     """
-    rounding = SINGLE * float(np.abs(readings).max(initial=0.0))
+    rounding = SINGLE_ROUNDING * float(np.abs(readings).max(initial=0.0))
     difference = np.diff(np.unique(readings))
     difference = left = difference[difference > 4 * rounding]
     step = 0.0
@@ -158,13 +158,13 @@ def _course(values: Array, start: NDArray[np.int64], stop: NDArray[np.int64]) ->
     """Return means (n, COURSE) over equal parts of values[start:stop], for n such stretches."""
     total = np.concatenate([[0.0], np.cumsum(values)])
     length = (stop - start)[:, None]
-    edges = start[:, None] + length * np.linspace(0, 1, COURSE + 1)
+    edges = start[:, None] + length * np.linspace(0, 1, SWING_PARTS + 1)
     integral = np.interp(edges, np.arange(len(total)), total)
-    course: Array = np.diff(integral, axis=1) * COURSE / length
+    course: Array = np.diff(integral, axis=1) * SWING_PARTS / length
     return course
 
 
-SINGLE = 2.0**-23
+SINGLE_ROUNDING = 2.0**-23
 """Rounding of a stored reading, relative."""
 
 FEWEST_ROUNDINGS = 40

@@ -38,7 +38,7 @@ SAME_TEMPERATURE = 2.0
 LARGE_FRICTION = 0.03
 """Friction, relative to the span of the torque, that may change a slope by `SLOPE_LIMIT`."""
 
-PHASES = 12
+GAUGE_PHASES = 12
 """Places of the gauge's zero within one of its steps that are tried."""
 
 FEWEST_STEPS, CLEAR_STEPS = 10, 40
@@ -278,9 +278,9 @@ def _rounding(stairs: Stairs, solution: _Solution, weight: Array) -> float:
     """Return the u that the gauge's resolution gives a combination of slopes, N m/A.
 
     Readings are rounded alike wherever the torque is the same, so that their errors do not average
-    out as scatter does. The fitted torque is rounded with its zero at `PHASES` places within one
-    step of the gauge, and the error of the combination taken from the readings' errors. Noise of
-    standard deviation sigma before rounding leaves a mean error of
+    out as scatter does. The fitted torque is rounded with its zero at `GAUGE_PHASES` places within
+    one step of the gauge, and the error of the combination taken from the readings' errors. Noise
+    of standard deviation sigma before rounding leaves a mean error of
 
         sum over k of (-1)^k q/(pi k) sin(2 pi k x/q) exp(-2 (pi k sigma/q)^2)
 
@@ -295,7 +295,7 @@ def _rounding(stairs: Stairs, solution: _Solution, weight: Array) -> float:
     sigma = math.sqrt(math.pi) * square / q if little else math.sqrt(square - q**2 / 12)
     fitted, response = stairs.torque - solution.fit.residual, solution.fit.response(weight)
     errors = []
-    for phase in np.arange(PHASES) / PHASES:
+    for phase in np.arange(GAUGE_PHASES) / GAUGE_PHASES:
         error = np.zeros(fitted.shape)
         for k in range(1, 6):
             left = math.exp(-2 * (math.pi * k * sigma / q) ** 2)

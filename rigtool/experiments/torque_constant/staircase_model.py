@@ -34,7 +34,7 @@ from rigtool.experiments.torque_constant.swings import (
 )
 from rigtool.numerics.arrays import Array
 
-COPPER = 3.93e-3
+COPPER_COEFFICIENT = 3.93e-3
 """Temperature coefficient of a copper winding's resistance at 20 degC, 1/K (IEC 60028)."""
 
 
@@ -130,7 +130,7 @@ def winding(stairs: Stairs, time_constant: float) -> tuple[Array, Array]:
     idle = np.ones(decay.shape)
     idle[:, 1:] = np.exp(-(stairs.begin[:, 1:] - stairs.end[:, :-1]) / time_constant)
     change = np.diff(stairs.temperature, axis=1, prepend=stairs.temperature[:, :1])
-    power = stairs.current**2 * (1 + COPPER * (stairs.temperature - 20))
+    power = stairs.current**2 * (1 + COPPER_COEFFICIENT * (stairs.temperature - 20))
     before, after = np.empty(decay.shape), np.empty(decay.shape)
     lag = np.empty(decay.shape)
     stored, behind = np.zeros(len(decay)), np.zeros(len(decay))

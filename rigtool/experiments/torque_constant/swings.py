@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rigtool.numerics.arrays import Array
 
-TURNS = 12
+MAX_TURNS = 12
 """Largest number of turns of the arm that count after one step."""
 
 LARGEST_DAMPING = 0.6
@@ -28,7 +28,7 @@ LARGEST_DAMPING = 0.6
 FEWEST_FOR_RATE = 6
 """Fewest staircases of a kind that show how courses change with the size of the torque."""
 
-NOISE = 6.0
+NOISE_RANGE = 6.0
 """Turns count beyond this many standard deviations of the noise, whose own range is about 5."""
 
 LEAST_REST, FULL_SLIDE = 1e-300, -1.0 + 2.0**-53
@@ -163,18 +163,18 @@ def _turns(
     own = len(torque) != len(courses.torque)
     kind = courses.kind if own else np.arange(len(torque))
     follow = -np.expm1(-courses.part[kind, 1:] / np.reshape(lags, (-1, 1, 1)))
-    threshold = NOISE * courses.noise[kind, None] * np.sqrt(follow / (2 - follow))
+    threshold = NOISE_RANGE * courses.noise[kind, None] * np.sqrt(follow / (2 - follow))
     before, after = (np.broadcast_to(t, follow.shape) for t in (torque[:, :-1], torque[:, 1:]))
-    swings = np.zeros((TURNS + 2, len(follow), *torque.shape))
+    swings = np.zeros((MAX_TURNS + 2, len(follow), *torque.shape))
     numbers, rows, columns = np.ogrid[tuple(map(slice, before.shape))]
     elastic, extreme, turned = before.copy(), before.copy(), before.copy()
     direction = np.sign(after - before)
     count = np.zeros(before.shape, dtype=np.int64)
-    when = np.zeros((TURNS, *swings.shape[1:]))
+    when = np.zeros((MAX_TURNS, *swings.shape[1:]))
     for moment, value in enumerate(np.moveaxis(course[:, 1:], 2, 0)):
         elastic = elastic + follow * (value - elastic)
         extreme = np.where((elastic - extreme) * direction > 0, elastic, extreme)
-        turns = ((extreme - elastic) * direction > threshold) & (count < TURNS)
+        turns = ((extreme - elastic) * direction > threshold) & (count < MAX_TURNS)
         number, row, column = np.nonzero(turns)
         here = (count[turns], number, row, column + 1)
         swings[here] = (extreme - turned)[turns]

@@ -43,7 +43,7 @@ PATH_U, TREND_U = 0.3, 0.2
 uncertainty of a slope, times the squared part that friction takes of it, and of the change of that
 part with temperature, relative."""
 
-DEFLECTION = 0.03
+DEFLECTION_U = 0.03
 """Standard uncertainty of the angle by which the arm gives way in a staircase, rad."""
 
 LINEARITY_LIMIT = 5e-3
@@ -243,7 +243,7 @@ def _ripple(found: AngleEffects, value: float, friction: float) -> Quantity:
     """
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
     square = found.amplitudes**2
-    bent = float(np.sum(square * (1 + (order * DEFLECTION) ** 2)) / max(np.sum(square), 1e-300))
+    bent = float(np.sum(square * (1 + (order * DEFLECTION_U) ** 2)) / max(np.sum(square), 1e-300))
     model = found.deviation * math.hypot(friction, math.sqrt(max(bent, 1.0)) - 1)
     u = math.hypot(found.deviation_u, model)
     dof = found.deviation_dof * (u / found.deviation_u) ** 4  # Welch and Satterthwaite

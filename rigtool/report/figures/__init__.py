@@ -60,4 +60,4 @@ def draw_figures(runs: Sequence[tuple[str, Run]]) -> list[Picture]:
 
 def _drawn(plot: Plot, run: Run) -> Drawn:
     with guard(run.path, "a table"):
-        return style.render(plot.draw(run))
+        return style.render_figure(plot.draw(run))

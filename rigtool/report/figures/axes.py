@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 
 MILLI = 1e3
-COUNTS = "encoder position [quad counts]"
+COUNTS_LABEL = "encoder position [quad counts]"
 UP_AND_DOWN = "encoder position, up and down [quad counts]"
-TORQUE = "torque [mN m]"
+TORQUE_LABEL = "torque [mN m]"
 OUTPUT_TORQUE = "torque at the output [mN m]"
 MOTOR_TORQUE = "torque at the motor [mN m]"
 
@@ -39,7 +39,7 @@ def thin(points: int, *arrays: NDArray[Any]) -> list[NDArray[Any]]:
     return [array[..., ::step] for array in arrays]
 
 
-def up_and_down(position: Array, rising: Array, falling: Array, end: float) -> tuple[Array, Array]:
+def full_cycle(position: Array, rising: Array, falling: Array, end: float) -> tuple[Array, Array]:
     """Join curves over one stroke to the full cycle of the thesis: 0 to `end` and back [8.1].
 
     A gap (NaN) remains where the curves do not reach the end.

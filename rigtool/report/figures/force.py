@@ -16,8 +16,8 @@ from rigtool.report.figures.axes import (
     counts,
     cycle_axis,
     fit_height,
+    full_cycle,
     thin,
-    up_and_down,
 )
 from rigtool.report.figures.plots import plot
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 MAX_POINTS = 175
 """Points of each cycle where all cycles are drawn."""
 
-PROBABILITIES = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
+PROBABILITY_TICKS = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 
 
 @plot(58, "measure-force", "Feed-forward signal at the measuring speed", "feedforward")
@@ -71,7 +71,7 @@ def draw_probability_plot(run: Run, table: Table) -> Figure:
     ends = np.array([quantile[0], quantile[-1]])
     line = (lower + upper) / 2 + ends * (upper - lower) / (2 * quartile)
     axes.plot(line, ends, color=style.ORANGE, linestyle="--", label="normal distribution")
-    axes.set_yticks(_normal_quantiles(PROBABILITIES), [f"{p:g}" for p in PROBABILITIES])
+    axes.set_yticks(_normal_quantiles(PROBABILITY_TICKS), [f"{p:g}" for p in PROBABILITY_TICKS])
     style.legend_above(axes)
     return figure
 
@@ -120,8 +120,8 @@ def _lifted(run: Run, table: Table) -> tuple[Figure, Axes, float]:
     stroke = counts(run, table, "position")
     end = float(stroke[-1])
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
-    measured = up_and_down(stroke, MILLI * table["lifting"], MILLI * table["lowering"], end)
-    applied = up_and_down(stroke, MILLI * table["applied"], MILLI * table["applied"], end)
+    measured = full_cycle(stroke, MILLI * table["lifting"], MILLI * table["lowering"], end)
+    applied = full_cycle(stroke, MILLI * table["applied"], MILLI * table["applied"], end)
     axes.plot(*measured, color=style.BLUE, label="measured, mean of the cycles")
     label = "applied by the load, were the instrument stiff"
     axes.plot(*applied, "--", color=style.ORANGE, label=label)

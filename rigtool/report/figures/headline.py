@@ -9,7 +9,7 @@ import numpy as np
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI
 from rigtool.report.figures.plots import HEADLINE, plot
-from rigtool.report.tables import UNCORRECTED, correction_of
+from rigtool.report.tables import UNCORRECTED_TABLE, correction_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,8 +28,8 @@ def draw_headline(run: Run, loads: Table) -> Figure:
     """
     correction = correction_of(run)
     ways = {f"correction {correction}" if correction != "none" else "measured": loads}
-    if UNCORRECTED in run.tables:
-        ways = {"without correction": run.table(UNCORRECTED), **ways}
+    if UNCORRECTED_TABLE in run.tables:
+        ways = {"without correction": run.table(UNCORRECTED_TABLE), **ways}
     figure, (above, below) = style.panels(
         2,
         "applied torque at the output [mN m]",

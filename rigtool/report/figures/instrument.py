@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rigtool.experiments.force_filter.motion_states import NAMES, State
+from rigtool.experiments.force_filter.motion_states import STATE_NAMES, State
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI
 from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
@@ -70,7 +70,7 @@ def draw_error_by_level(run: Run, table: Table, loads: Table) -> Figure:
             ms=3,
             lw=0.8,
             color=colour,
-            label=NAMES[state],
+            label=STATE_NAMES[state],
         )
     axes.axhline(0, color=style.GREY, linewidth=0.8)
     style.legend_above(axes)

@@ -10,15 +10,15 @@ import numpy as np
 from rigtool.errors import RunFileError
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import (
-    COUNTS,
+    COUNTS_LABEL,
     MILLI,
     MOTOR_TORQUE,
-    TORQUE,
+    TORQUE_LABEL,
     UP_AND_DOWN,
     counts,
     cycle_axis,
+    full_cycle,
     thin,
-    up_and_down,
 )
 from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
 
@@ -56,16 +56,16 @@ def draw_lookup_table(run: Run, table: Table) -> Figure:
     axes.view_init(elev=28, azim=-128)
     axes.set_box_aspect((1.4, 1.1, 0.8), zoom=0.98)
     axes.locator_params(axis="both", nbins=5)
-    axes.set_xlabel(COUNTS, labelpad=6)
+    axes.set_xlabel(COUNTS_LABEL, labelpad=6)
     axes.set_ylabel("speed [rad/s]", labelpad=8)
     axes.zaxis.set_rotate_label(False)
-    axes.set_zlabel(TORQUE, rotation=90)
+    axes.set_zlabel(TORQUE_LABEL, rotation=90)
     flat = figure.add_axes((0.1, 0.08, 0.86, 0.3))
     drawn = flat.pcolormesh(position, speeds, torque, cmap=style.COLOUR_MAP, rasterized=True)
     flat.grid(visible=False)
-    flat.set_xlabel(COUNTS)
+    flat.set_xlabel(COUNTS_LABEL)
     flat.set_ylabel("speed [rad/s]")
-    figure.colorbar(drawn, ax=flat, label=TORQUE, pad=0.02)
+    figure.colorbar(drawn, ax=flat, label=TORQUE_LABEL, pad=0.02)
     return figure
 
 
@@ -126,7 +126,7 @@ def draw_residual(run: Run, table: Table) -> Figure:
             ("residual", style.GREEN, "remaining disturbance"),
         ):
             x, up, down = thin(800, position, *(MILLI * table[name])[[rising, falling]])
-            panel.plot(*up_and_down(x, up, down, end), color=colour, label=label)
+            panel.plot(*full_cycle(x, up, down, end), color=colour, label=label)
         panel.set_title(f"{speed / ratio / (2 * math.pi):.3g} rev/s of the output", loc="right")
         cycle_axis(panel, end)
     style.legend_above(axes[0], 2)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rigtool.experiments.force_filter.motion_states import NAMES, State
+from rigtool.experiments.force_filter.motion_states import STATE_NAMES, State
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, OUTPUT_TORQUE, thin
 from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
@@ -25,7 +25,7 @@ MAX_POINTS = 4000
 AROUND_PEAK = 3.0
 """Time drawn before and after the largest torque, s."""
 
-AIM = 0.95
+STATED_COVERAGE = 0.95
 """Coverage that the interval states."""
 
 
@@ -65,10 +65,10 @@ def draw_accuracy(run: Run, table: Table) -> Figure:
     place, width = np.arange(len(ranges)), 0.8 / len(states)
     for index, state in enumerate(states):
         x = place + (index - (len(states) - 1) / 2) * width
-        label = NAMES[State(state)]
+        label = STATE_NAMES[State(state)]
         for axes, height in zip(panels, (MILLI * table["rmse"], table["coverage_95"]), strict=True):
             axes.bar(x, height[seen, index], 0.9 * width, color=style.CYCLE[index], label=label)
-    panels[1].axhline(AIM, color=style.GREY, linestyle=":", linewidth=0.8)
+    panels[1].axhline(STATED_COVERAGE, color=style.GREY, linestyle=":", linewidth=0.8)
     panels[1].set_ylim(0, 1)
     panels[1].set_xticks(place, ranges)
     style.legend_above(panels[0], 2)

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
     from rigtool.runfile import Run, Table
 
-FREQUENCY = "frequency [Hz]"
-MAGNITUDE = "magnitude [dB]"
-PHASE = "phase [deg]"
-HEIGHT = 4.6
+FREQUENCY_LABEL = "frequency [Hz]"
+MAGNITUDE_LABEL = "magnitude [dB]"
+PHASE_LABEL = "phase [deg]"
+PLANT_HEIGHT = 4.6
 
 
 @plot(
@@ -112,7 +112,7 @@ def draw_learning_filter(run: Run, whole: Table) -> Figure:
 @plot(41, "ilc-learn", "Convergence criterion", "convergence")
 def draw_convergence(run: Run, whole: Table) -> Figure:
     """Fig. 41: the convergence criterion; dashed: its bound over the plant's uncertainty."""
-    figure, axes = style.one_panel(FREQUENCY, "|Q (1 − p L T)| [dB]")
+    figure, axes = style.one_panel(FREQUENCY_LABEL, "|Q (1 − p L T)| [dB]")
     table = _positive(whole)
     frequency = table["frequency"]
     axes.plot(frequency, decibel(table["magnitude"]), label="criterion")
@@ -145,7 +145,9 @@ def degrees(phase: NDArray[Any]) -> Array:
 
 
 def _bode() -> tuple[Figure, Axes, Axes]:
-    figure, (magnitude, phase) = style.panels(2, FREQUENCY, [MAGNITUDE, PHASE], HEIGHT)
+    figure, (magnitude, phase) = style.panels(
+        2, FREQUENCY_LABEL, [MAGNITUDE_LABEL, PHASE_LABEL], PLANT_HEIGHT
+    )
     magnitude.set_xscale("log")
     return figure, magnitude, phase
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from rigtool.runfile import Run
 
-Function = Callable[..., "Figure"]
+DrawFunction = Callable[..., "Figure"]
 
 HEADLINE = 100
 """Number of the figure that opens a report; those of the thesis are below it."""
@@ -34,7 +34,7 @@ class Plot:
     title: str
     tables: tuple[str, ...]
     implementations: tuple[str, ...]
-    function: Function
+    function: DrawFunction
 
     def fits(self, run: Run) -> bool:
         """Return whether a run is of the command, learned in one of the ways, with the tables.
@@ -62,7 +62,7 @@ def plot(
 ) -> Callable[[Any], Any]:
     """Let a function draw the figure of this number."""
 
-    def add(function: Function) -> Function:
+    def add(function: DrawFunction) -> DrawFunction:
         PLOTS[number] = Plot(number, command, title, tables, implementations, function)
         return function
 

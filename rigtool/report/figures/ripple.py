@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rigtool.report.figures import style
-from rigtool.report.figures.axes import COUNTS, MILLI, TORQUE, Array, counts, thin
+from rigtool.report.figures.axes import COUNTS_LABEL, MILLI, TORQUE_LABEL, Array, counts, thin
 from rigtool.report.figures.plots import plot
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ MAX_SPECTRA = 4
 @plot(23, "fft-ripple", "Ripple after power off and on", "power_waveforms")
 def draw_power_cycles(run: Run, table: Table) -> Figure:
     """Fig. 23: ripple before and after the amplifier was switched off and on."""
-    figure, axes = style.one_panel(COUNTS, TORQUE)
+    figure, axes = style.one_panel(COUNTS_LABEL, TORQUE_LABEL)
     position, waves = _waveforms(run, table)
     for number, wave in enumerate(waves):
         axes.plot(position, wave, label=f"start-up {number + 1}")
@@ -36,7 +36,7 @@ def draw_power_cycles(run: Run, table: Table) -> Figure:
 @plot(24, "fft-ripple", "Ripple of single revolutions", "revolutions")
 def draw_revolutions(run: Run, table: Table) -> Figure:
     """Fig. 24: many revolutions in one plot; their spread shows how well the ripple repeats."""
-    figure, axes = style.one_panel(COUNTS, TORQUE)
+    figure, axes = style.one_panel(COUNTS_LABEL, TORQUE_LABEL)
     position, waves = _waveforms(run, table)
     axes.plot(position, waves.T, color=style.BLUE, linewidth=0.6, alpha=0.6)
     _one_turn(axes, position)
@@ -46,7 +46,7 @@ def draw_revolutions(run: Run, table: Table) -> Figure:
 @plot(25, "fft-ripple", "Ripple grows with motor current", "torque_waveforms")
 def draw_ripple_by_current(run: Run, table: Table) -> Figure:
     """Fig. 25: ripple at several constant torques, on one scale."""
-    figure, axes = style.one_panel(COUNTS, TORQUE)
+    figure, axes = style.one_panel(COUNTS_LABEL, TORQUE_LABEL)
     position, waves = _waveforms(run, table)
     for torque, wave in zip(table["torque"], waves, strict=True):
         axes.plot(position, wave, label=f"at {MILLI * torque:.4g} mN m")
@@ -77,10 +77,10 @@ def draw_shape_by_current(run: Run, table: Table, spectrum: Table) -> Figure:
     ):
         row[0].plot(position, wave, color=style.BLUE)
         row[0].set_title(f"at {MILLI * torque:.4g} mN m", loc="left")
-        row[0].set_ylabel(TORQUE)
+        row[0].set_ylabel(TORQUE_LABEL)
         _one_turn(row[0], position)
         _bars(row[1], spectrum["order"], MILLI * amplitude)
-    grid[-1][0].set_xlabel(COUNTS)
+    grid[-1][0].set_xlabel(COUNTS_LABEL)
     grid[-1][1].set_xlabel("order of rotation")
     return figure
 
@@ -90,7 +90,7 @@ def draw_ripple_by_speed(run: Run, table: Table) -> Figure:
     """Fig. 27: ripple at each speed, one above the other on one scale."""
     position, waves = _waveforms(run, table)
     step = 1.1 * float(np.ptp(waves, axis=1).max())
-    figure, axes = style.one_panel(COUNTS, "motor speed [rad/s]", 5.2)
+    figure, axes = style.one_panel(COUNTS_LABEL, "motor speed [rad/s]", 5.2)
     levels = step * np.arange(len(waves))
     for level, wave in zip(levels, waves, strict=True):
         axes.plot(position, level + wave, color=style.BLUE)

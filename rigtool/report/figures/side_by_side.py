@@ -19,7 +19,7 @@ from pathlib import Path
 
 from rigtool.interrupts import SIGNALS, held
 
-FEWEST = 4
+MIN_FIGURES = 4
 """Figures from which a second process takes less time than it costs."""
 
 Drawn = tuple[str, bytes]
@@ -29,7 +29,7 @@ Figures = Sequence[Callable[[], Drawn]]
 
 def draw_all(figures: Figures) -> list[Drawn]:
     """Return each figure as SVG and PNG, whichever process drew it."""
-    if len(figures) < FEWEST or not _may_fork():
+    if len(figures) < MIN_FIGURES or not _may_fork():
         return [draw() for draw in figures]
     taken = mmap.mmap(-1, len(figures))  # both processes see it
     with _second_process(figures, taken) as receiver:

@@ -124,19 +124,20 @@ def colours(count: int) -> list[Any]:
     return [colormaps[COLOUR_MAP](index / (count - 1) * 0.92) for index in range(count)]
 
 
-def render(figure: Figure) -> tuple[str, bytes]:
+def render_figure(figure: Figure) -> tuple[str, bytes]:
     """Return the figure as SVG and PNG; equal figures give equal bytes.
 
-    Each canvas draws once; `savefig` would draw and lay out the figure twice for each.
+    Each canvas draws once; `savefig` would draw and lay out the figure twice for each. The PNG
+    is first: its layout has measured the texts that it draws, where an SVG measures them again.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     svg, png = io.StringIO(), io.BytesIO()
-    FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
-    figure.set_layout_engine("none")  # the layout is done
     figure.dpi = PNG_DPI
     FigureCanvasAgg(figure).print_png(png)
+    figure.set_layout_engine("none")  # the layout is done
+    FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None})
     return _PATH.sub(_rounded, svg.getvalue()), png.getvalue()
 
 

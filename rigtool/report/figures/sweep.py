@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 MAX_POINTS = 4000
 """Points of a curve over the sweep: more than its picture has columns."""
 
-SPEED = "motor speed [rev/s]"
+SPEED_LABEL = "motor speed [rev/s]"
 FROM_TABLE = "feed-forward from the table"
-CONTROLLER = "controller"
+CONTROLLER_LABEL = "controller"
 
 
 @plot(42, "ilc-learn", "Amplitude and phase tables by speed", "tuning")
 def draw_tuning(run: Run, table: Table) -> Figure:
     """Fig. 42: amplitude and phase tables, with twice their standard uncertainty."""
     speed = _rev_per_s(table["speed"])
-    figure, axes = style.panels(2, SPEED, ["amplitude [1]", "shift [deg]"], 4.2)
+    figure, axes = style.panels(2, SPEED_LABEL, ["amplitude [1]", "shift [deg]"], 4.2)
     for panel, name, scale in zip(axes, ("amplitude", "shift"), (1.0, 180 / math.pi), strict=True):
         panel.errorbar(
             speed,
@@ -82,8 +82,8 @@ def torque_over_speed(variant: str, feedforward: bool, run: Run, swept: Table) -
     `variant` names the column of the sweep; `feedforward` adds the torque of the table.
     """
     speed, torque = _envelope(_rev_per_s(swept["speed"]), MILLI * swept[variant])
-    figure, axes = style.one_panel(SPEED, MOTOR_TORQUE)
-    axes.plot(speed, torque, color=style.BLUE, linewidth=0.6, label=CONTROLLER)
+    figure, axes = style.one_panel(SPEED_LABEL, MOTOR_TORQUE)
+    axes.plot(speed, torque, color=style.BLUE, linewidth=0.6, label=CONTROLLER_LABEL)
     if feedforward:
         fed = _envelope(_rev_per_s(swept["speed"]), MILLI * swept["table"])
         axes.plot(*fed, color=style.GREEN, linewidth=0.6, alpha=0.8, label=FROM_TABLE)

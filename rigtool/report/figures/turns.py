@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rigtool.report.figures import style
-from rigtool.report.figures.axes import COUNTS, MILLI, TORQUE, Array, fit_height, thin
+from rigtool.report.figures.axes import COUNTS_LABEL, MILLI, TORQUE_LABEL, Array, fit_height, thin
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,9 +35,9 @@ def draw_before_learning(run: Run, kt: Run) -> Figure:
     left.set_title(f"{len(turns)} revolutions", loc="left")
     right.plot(counts, turns.mean(axis=0), color=style.BLUE)
     right.set_title(f"mean of the {len(turns)} revolutions", loc="left")
-    left.set_ylabel(TORQUE)
+    left.set_ylabel(TORQUE_LABEL)
     for axes in (left, right):
-        axes.set_xlabel(COUNTS)
+        axes.set_xlabel(COUNTS_LABEL)
         axes.set_xlim(0, counts[-1])
     return figure
 
@@ -46,7 +46,7 @@ def draw_after_learning(run: Run, kt: Run) -> Figure:
     """Fig. 45: the disturbance after the first learning run, on the scale of Fig. 43."""
     counts, turns = _turns(run, kt, "iterate_01_000")
     _, before = _turns(run, kt, "learn_000")
-    figure, axes = style.one_panel(COUNTS, TORQUE)
+    figure, axes = style.one_panel(COUNTS_LABEL, TORQUE_LABEL)
     axes.plot(counts, turns.T, color=style.BLUE, linewidth=0.5, alpha=0.5)
     axes.set_xlim(0, counts[-1])
     fit_height(axes, before)
@@ -63,7 +63,7 @@ def draw_faulty_amplifier(run: Run, kt: Run) -> Figure:
     holds = run.recording("holds")
     speed = np.gradient(holds.read("position_setpoint"), holds.read("time"))
     torque = MILLI * torque_per_ampere(kt).value * holds.read("current_setpoint")
-    figure, axes = style.one_panel("motor speed [rad/s]", TORQUE)
+    figure, axes = style.one_panel("motor speed [rad/s]", TORQUE_LABEL)
     rounded = np.round(speed, 3)
     found, often = np.unique(rounded, return_counts=True)
     levels = found[(often > MIN_HOLD_SAMPLES) & (found != 0)]

@@ -9,8 +9,8 @@ the host. The `target` runs whole motions by itself and has a rig of its own.
 
 Writing a driver
 ----------------
-A driver is a `drivers.Driver`, found in a module of `drivers.MODULES` or by an entry point; its
-`make_drive` returns a `drive.Drive`. The order of calls is
+A driver is a `drivers.Driver`, found in a module of `drivers.DRIVER_MODULES` or by an entry point;
+its `make_drive` returns a `drive.Drive`. The order of calls is
 
     connect, abilities, configure            nothing moves; `read` at any time from here on
     enable(mode), step, step, ..., halt      once for each motion
@@ -76,17 +76,19 @@ def open_serial_rig(
 
 def _as_recorded(recipe: Recipe) -> Recipe:
     """Return a recipe whose driver is the one of the record, where it plays one back."""
-    from rigtool.rigs.serial.drivers import REPLAY as REPLAY_DRIVER
-    from rigtool.rigs.serial.line import REPLAY
+    from rigtool.rigs.serial.drivers import REPLAY_DRIVER as REPLAY_DRIVER
+    from rigtool.rigs.serial.line import REPLAY_PREFIX
     from rigtool.rigs.serial.transport.spy import read_spy
 
     assert recipe.serial is not None
     if recipe.serial.driver != REPLAY_DRIVER:
         return recipe
-    path = recipe.serial.port.removeprefix(REPLAY)
+    path = recipe.serial.port.removeprefix(REPLAY_PREFIX)
     driver, _ = read_spy(path)
     return recipe.model_copy(
         update={
-            "serial": recipe.serial.model_copy(update={"driver": driver, "port": f"{REPLAY}{path}"})
+            "serial": recipe.serial.model_copy(
+                update={"driver": driver, "port": f"{REPLAY_PREFIX}{path}"}
+            )
         }
     )

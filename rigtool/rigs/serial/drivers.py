@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rigtool.rigs.serial.rig import SerialRig
     from rigtool.rigs.serial.table_store import TableStore
 
-MODULES = {
+DRIVER_MODULES = {
     "odrive": "rigtool.rigs.serial.odrive.driver",
     "moteus": "rigtool.rigs.serial.moteus.driver",
     "simplefoc": "rigtool.rigs.serial.hobby.simplefoc",
@@ -40,10 +40,10 @@ MODULES = {
 asks: those that ask in lines of text first, because others leave an incomplete line in the buffers
 of these; the slowest last."""
 
-PLUGINS = "rigtool.drivers"
+DRIVER_ENTRY_POINTS = "rigtool.drivers"
 """Group of the entry points with which other packages add drivers: each a `Driver`."""
 
-REPLAY = "replay"
+REPLAY_DRIVER = "replay"
 """Name that stands for a file of --spy in place of a driver."""
 
 
@@ -74,18 +74,21 @@ class Driver:
 
 def driver(name: str) -> Driver:
     """Import and return the driver that a recipe names; `RecipeError` for an unknown one."""
-    if name in MODULES:
-        found: Driver = importlib.import_module(MODULES[name]).DRIVER
+    if name in DRIVER_MODULES:
+        found: Driver = importlib.import_module(DRIVER_MODULES[name]).DRIVER
         return found
-    added = plugins(PLUGINS, frozenset({*MODULES, REPLAY}))
+    added = plugins(DRIVER_ENTRY_POINTS, frozenset({*DRIVER_MODULES, REPLAY_DRIVER}))
     if name not in added:
         raise RecipeError(
             f"serial.driver {name!r} is unknown: use one of "
-            f"{', '.join([*driver_names(), REPLAY])}, or install the package that adds it"
+            f"{', '.join([*driver_names(), REPLAY_DRIVER])}, or install the package that adds it"
         )
     return load_entry_point(added[name], Driver)
 
 
 def driver_names() -> list[str]:
     """Return the names of all drivers, those of other packages last."""
-    return [*MODULES, *plugins(PLUGINS, frozenset({*MODULES, REPLAY}))]
+    return [
+        *DRIVER_MODULES,
+        *plugins(DRIVER_ENTRY_POINTS, frozenset({*DRIVER_MODULES, REPLAY_DRIVER})),
+    ]

@@ -26,26 +26,26 @@ from rigtool.rigs.serial.transport.visa import VisaPort
 
 T = TypeVar("T")
 
-REPLAY = "replay://"
-SOCKET = "socket://"
-CAN = "can:"
-VISA = "visa:"
-FRAME = "8N1"
+REPLAY_PREFIX = "replay://"
+SOCKET_PREFIX = "socket://"
+CAN_PREFIX = "can:"
+VISA_PREFIX = "visa:"
+USUAL_CHARACTER = "8N1"
 """Data bits, parity and stop bits of a character, where nothing else is stated."""
 
-POLL = 0.01
+READ_TIME = 0.01
 """Longest that one read of the port waits, s: deadlines are kept as closely."""
 
-QUIET = 0.02
+QUIET_TIME = 0.02
 """Silence after which the rest of an older reply has passed, s."""
 
-SNATCHED = 30
+MAX_EMPTY_READS = 30
 """Times in a row that a port may announce bytes and deliver none."""
 
 LONGEST_REPLY = 1 << 20
 """Bytes without an end of line that mark the reply as damaged."""
 
-OTHERS = 5.0
+STRAY_TIMEOUT_RATIO = 5.0
 """Multiple of the timeout of a line after which what came, and is no answer, counts as silence."""
 
 
@@ -107,7 +107,7 @@ class Line:
         beside: Line | None = None,
         role: str = "",
         exclusive: bool = True,
-        frame: str = FRAME,
+        frame: str = USUAL_CHARACTER,
     ) -> None:
         self.port = port
         self.timeout = timeout
@@ -264,7 +264,7 @@ class Line:
         """Put back bytes that belong to the next reading."""
         self._buffer[:0] = data
 
-    def settle(self, quiet: float = QUIET) -> int:
+    def settle(self, quiet: float = QUIET_TIME) -> int:
         """Drop bytes until the line is silent; count them and return their number.
 
         A line that is never silent is left after its timeout: others talk on it.
@@ -307,7 +307,7 @@ class Line:
             if request:
                 self.write(request)
             try:
-                with self.within(OTHERS * self.timeout):
+                with self.within(STRAY_TIMEOUT_RATIO * self.timeout):
                     return receive()
             except LineTimeout as error:
                 self.counts.timeouts += 1
@@ -384,9 +384,9 @@ class Line:
                 # Another program took the bytes first, which passes, or the device is gone, which
                 # does not: pyserial raises the same error.
                 self._snatched += 1
-                if "multiple access" not in str(error) or self._snatched > SNATCHED:
+                if "multiple access" not in str(error) or self._snatched > MAX_EMPTY_READS:
                     raise self._lost(error) from None
-                time.sleep(POLL / 10)
+                time.sleep(READ_TIME / 10)
                 data = b""
             if data:
                 self._snatched = 0
@@ -411,24 +411,24 @@ class Line:
 
 
 def _open(port: str, baud_rate: int, frame: str, exclusive: bool | None = True) -> Any:
-    if port.startswith(REPLAY):
-        return Replay(port.removeprefix(REPLAY))
+    if port.startswith(REPLAY_PREFIX):
+        return Replay(port.removeprefix(REPLAY_PREFIX))
     import serial
 
     try:
-        if port.startswith(SOCKET):
-            return Socket(port.removeprefix(SOCKET), POLL)
-        if port.startswith(CAN):
-            return CanPort(port.removeprefix(CAN), baud_rate, POLL)
-        if port.startswith(VISA):
-            return VisaPort(port.removeprefix(VISA), POLL)
+        if port.startswith(SOCKET_PREFIX):
+            return Socket(port.removeprefix(SOCKET_PREFIX), READ_TIME)
+        if port.startswith(CAN_PREFIX):
+            return CanPort(port.removeprefix(CAN_PREFIX), baud_rate, READ_TIME)
+        if port.startswith(VISA_PREFIX):
+            return VisaPort(port.removeprefix(VISA_PREFIX), READ_TIME)
         return serial.serial_for_url(
             port,
             baudrate=baud_rate,
             bytesize=int(frame[0]),
             parity=frame[1],
             stopbits=int(frame[2]),
-            timeout=POLL,
+            timeout=READ_TIME,
             write_timeout=1.0,
             exclusive=exclusive,
         )

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.drivers import driver, driver_names
 from rigtool.rigs.serial.instruments import BY_CHARACTER, instrument_module
-from rigtool.rigs.serial.instruments import MODULES as INSTRUMENTS
-from rigtool.rigs.serial.line import CAN, VISA, Line
+from rigtool.rigs.serial.instruments import INSTRUMENT_MODULES as INSTRUMENTS
+from rigtool.rigs.serial.line import CAN_PREFIX, VISA_PREFIX, Line
 
 PROBE_TIME = 0.15
 """Longest wait for an answer to a question that only one kind of device understands, s."""
@@ -61,7 +61,7 @@ def find_devices(ports: Sequence[str] = (), drivers: Sequence[str] = ()) -> Iter
 def _ask_on(port: str, description: str, drivers: Sequence[str]) -> Device:
     for name in drivers:
         probe, baud_rates, can = _how_to_ask(name)
-        if can != port.startswith(CAN) or (port.startswith(VISA) and name != "scpi"):
+        if can != port.startswith(CAN_PREFIX) or (port.startswith(VISA_PREFIX) and name != "scpi"):
             continue
         for baud_rate in baud_rates:
             try:

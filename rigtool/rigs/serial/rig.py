@@ -20,14 +20,14 @@ from rigtool.interrupts import held
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import STANDARD_GRAVITY
 from rigtool.recipe import Recipe
-from rigtool.rigs.base import NEEDS, Block, Load, Rig, Task
+from rigtool.rigs.base import NEED_DESCRIPTIONS, Block, Load, Rig, Task
 from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.instruments import Gauge, OperatorGauge, open_gauge
 from rigtool.rigs.serial.line import Line
 
-NOBODY = "nobody is at the terminal: run the command in a terminal"
+NO_OPERATOR = "nobody is at the terminal: run the command in a terminal"
 
 COMING_BACK = 10.0
 """Time in which a port must be back after its device was switched off and on, s."""
@@ -170,14 +170,16 @@ class SerialRig(Rig, ABC):
             )
         alone = not self._operator.present
         if alone and isinstance(self._gauges.get(need), OperatorGauge):
-            return f"an operator reads it, and {NOBODY}"
+            return f"an operator reads it, and {NO_OPERATOR}"
         if need in self._gauges or need == "rotor_angle":
             return None
         reason = self._reason(need)
         if reason is not None and need in ("load", "clamp", "soak", "power_cycle"):
             if not self._settings.operator:
-                return f"{reason}, and serial.operator is false: nobody can {NEEDS[need]}"
-            return f"{reason}, and {NOBODY}" if alone else None
+                return (
+                    f"{reason}, and serial.operator is false: nobody can {NEED_DESCRIPTIONS[need]}"
+                )
+            return f"{reason}, and {NO_OPERATOR}" if alone else None
         return reason
 
     def use_only(self, channels: Collection[str]) -> None:
@@ -276,9 +278,9 @@ class SerialRig(Rig, ABC):
 
     def _require_permission(self, task: Task) -> None:
         rig = self._recipe.rig
-        safety.check_duration(task, self._limits)
+        safety.require_duration(task, self._limits)
         found = safety.extremes(task, self.position, rig.sample_time, self._torque_constant)
-        safety.check(found, self._limits, f"{type(task.motion).__name__}")
+        safety.require_within_limits(found, self._limits, f"{type(task.motion).__name__}")
         if not self._permitted:
             self.permit(f"{type(task.motion).__name__}: {found}")
 

@@ -14,28 +14,28 @@ from rigtool.recipe.serial import Limits
 from rigtool.rigs.base import Block, Feedforward, Task
 from rigtool.rigs.motion import Move, Observe, OpenLoop
 
-BLOCK = 65536
+BLOCK_SAMPLES = 65536
 """Samples of a motion evaluated at a time."""
 
 CURRENT_TOLERANCE = 0.05
 """Part of the current limit by which a measured current may be above it: the drive holds its
 current at the limit, and noise is on top."""
 
-WINDOW = 0.01
+CURRENT_WINDOW = 0.01
 """Time over which current is averaged, s."""
 
 SPEED_WINDOWS = 0.01 * 2.0 ** np.arange(7)
 """Times over which speed is taken from the encoder, s: a count a sample at 8 kHz would be 12 rad/s.
 Longer ones judge more closely, shorter ones sooner."""
 
-BLIND = 0.5
+MAX_BLIND_TIME = 0.5
 """Longest time for which a position may be missing, s: the motor moves unobserved meanwhile."""
 
-JUMP = 5.0
+JUMP_RATIO = 5.0
 """Multiple of the limit of speed beyond which the encoder may be at fault as well."""
 
 
-ROUNDING = 1e-6
+POSITION_ROUNDING = 1e-6
 """Angle by which a set point may pass a limit of position: it is computed, rad."""
 
 
@@ -86,8 +86,8 @@ def extremes(task: Task, origin: float, sample_time: float, torque_constant: flo
     total = max(1, round(motion.duration / sample_time))
     low, high, top_speed, top_acceleration, top_current = math.inf, -math.inf, 0.0, 0.0, 0.0
     end, path = origin, _Path(type(motion).__name__, sample_time)
-    for first in range(0, total, BLOCK):
-        steps = np.arange(first, min(first + BLOCK, total))
+    for first in range(0, total, BLOCK_SAMPLES):
+        steps = np.arange(first, min(first + BLOCK_SAMPLES, total))
         time = (steps.astype(np.float64) + 0.5) * sample_time
         if isinstance(motion, OpenLoop):
             top_current = max(top_current, float(np.abs(motion.current(time)).max()))
@@ -122,7 +122,7 @@ class _Path:
         self._last = signals[:, -1:]
         moved = np.abs(np.diff(signals[1]))
         fastest, hardest = (np.maximum(np.abs(s[1:]), np.abs(s[:-1])) for s in signals[2:])
-        allowed = 2 * (fastest + hardest * self._dt) * self._dt + ROUNDING
+        allowed = 2 * (fastest + hardest * self._dt) * self._dt + POSITION_ROUNDING
         if (jumps := np.flatnonzero(moved > allowed)).size:
             at = jumps[0]
             raise RecipeError(
@@ -148,7 +148,7 @@ def feedforward_torque(
     return torque
 
 
-def check_duration(task: Task, limits: Limits) -> None:
+def require_duration(task: Task, limits: Limits) -> None:
     """Raise `RecipeError` for a motion that lasts too long: its evaluation would as well."""
     if task.motion.duration > limits.duration:
         raise RecipeError(
@@ -158,7 +158,7 @@ def check_duration(task: Task, limits: Limits) -> None:
         )
 
 
-def check(found: Extremes, limits: Limits, what: str = "this motion") -> None:
+def require_within_limits(found: Extremes, limits: Limits, what: str = "this motion") -> None:
     """Raise `RecipeError` with everything that a motion asks beyond the limits."""
     low, high = limits.position
     beyond = [
@@ -171,8 +171,8 @@ def check(found: Extremes, limits: Limits, what: str = "this motion") -> None:
         if value > limit
     ]
     for value, is_beyond in (
-        (found.position[0], found.position[0] < low - ROUNDING),
-        (found.position[1], found.position[1] > high + ROUNDING),
+        (found.position[0], found.position[0] < low - POSITION_ROUNDING),
+        (found.position[1], found.position[1] > high + POSITION_ROUNDING),
     ):
         if is_beyond:
             beyond.append(
@@ -200,13 +200,14 @@ class Watch:
       the limit over 64 ms, 1.22 times over 0.11 s; at 50 Hz 1.7 times over 0.28 s, 1.3 times over
       0.44 s.
 
-    **Current.** The mean of its magnitude over `WINDOW`, or over two samples that are further apart
-    than that: a single noisy sample does not trip, an oscillating current does. A current beyond
-    the limit by `CURRENT_TOLERANCE` for all that time always trips, one within it never.
+    **Current.** The mean of its magnitude over `CURRENT_WINDOW`, or over two samples that are
+    further apart than that: a single noisy sample does not trip, an oscillating current does. A
+    current beyond the limit by `CURRENT_TOLERANCE` for all that time always trips, one within it
+    never.
 
     **Position, temperature.** Each sample. NaN is a missing sample and is left out; positions that
-    are missing for longer than `BLIND` trip as well. A jump of position, where the encoder wraps
-    around or loses counts, appears as speed or as a position.
+    are missing for longer than `MAX_BLIND_TIME` trip as well. A jump of position, where the encoder
+    wraps around or loses counts, appears as speed or as a position.
 
     **Following.** Where the loop is `closed`, the distance of position and set point, each sample:
     a shaft that is blocked, a set point that the drive clamps, a loop that does not hold.
@@ -216,7 +217,7 @@ class Watch:
         self._limits, self._closed = limits, closed
         self._count = 2 * math.pi / encoder_counts
         self._positions = _Tail(float(SPEED_WINDOWS[-1]))
-        self._currents = _Tail(WINDOW)
+        self._currents = _Tail(CURRENT_WINDOW)
         self._seen = math.nan
 
     def problem(self, block: Block) -> str | None:
@@ -251,7 +252,7 @@ class Watch:
         seen = np.maximum.accumulate(np.where(known, time, begin))
         self._seen = float(seen[-1])
         longest = float(np.max(time - seen, initial=0.0, where=~known))
-        if longest <= BLIND:
+        if longest <= MAX_BLIND_TIME:
             return None
         return (
             f"the position was missing for {longest:.3g} s, and the motor moved unobserved: it was "
@@ -274,7 +275,7 @@ class Watch:
         if fastest <= self._limits.speed:
             return None
         found = _beyond("speed", fastest, self._limits.speed, "rad/s")
-        if fastest > JUMP * self._limits.speed:
+        if fastest > JUMP_RATIO * self._limits.speed:
             found += ". Such a speed may also be a jump of the position: check the encoder"
         return found
 
@@ -296,7 +297,7 @@ class Watch:
     def _strong(self, time: Array, current: Array) -> str | None:
         """Check the mean of the current's magnitude."""
         new, time, current = self._currents.follow(time, current)
-        before = np.searchsorted(time, time[new:] - WINDOW, side="right") - 1
+        before = np.searchsorted(time, time[new:] - CURRENT_WINDOW, side="right") - 1
         row = np.flatnonzero(before >= 0)
         if row.size == 0:
             return None

@@ -18,7 +18,7 @@ import numpy as np
 from rigtool.numerics.arrays import Array
 from rigtool.recipe.virtual import Hand
 
-FREQUENCIES = (1.0, 2.09, 3.36, 6.45)
+FREQUENCY_RATIOS = (1.0, 2.09, 3.36, 6.45)
 """Relative to each other; far from ratios of small numbers, so that nothing repeats."""
 
 BLEND_TIME = 0.15
@@ -44,7 +44,7 @@ class FreeMotion:
     def setpoint(self, time: Array) -> tuple[Array, Array, Array]:
         """See `Motion.setpoint`."""
         run, pace, change = self._run(time)
-        frequencies = 2 * np.pi * np.array(FREQUENCIES)
+        frequencies = 2 * np.pi * np.array(FREQUENCY_RATIOS)
         angle = np.outer(run, frequencies) + self.phases
         sine, cosine = np.sin(angle), np.cos(angle)
         slope = cosine @ (self.amplitudes * frequencies)
@@ -73,10 +73,10 @@ class FreeMotion:
 def draw(hand: Hand, angle_ratio: float, duration: float, rng: np.random.Generator) -> FreeMotion:
     """Draw free motion of the motor; `angle_ratio` is motor angle per output angle."""
     low, high = (math.radians(angle) * angle_ratio for angle in hand.angle_deg)
-    shares = rng.uniform(0.5, 1.0, len(FREQUENCIES))
+    shares = rng.uniform(0.5, 1.0, len(FREQUENCY_RATIOS))
     amplitudes = (high - low) / 2 * shares / shares.sum()
-    fastest = float(2 * np.pi * amplitudes @ np.array(FREQUENCIES))  # at pace 1, rad/s
-    phases = rng.uniform(0.0, 2 * np.pi, len(FREQUENCIES))
+    fastest = float(2 * np.pi * amplitudes @ np.array(FREQUENCY_RATIOS))  # at pace 1, rad/s
+    phases = rng.uniform(0.0, 2 * np.pi, len(FREQUENCY_RATIOS))
     times, paces, now = [], [], 0.0
     while now < duration:
         rests = rng.uniform() < hand.pause_share

@@ -49,9 +49,9 @@ from rigtool.rigs.virtual.layout import (
     POSITION_SETPOINT,
     REFERENCE_TORQUE,
     SIGNAL_CURRENT,
+    SLOW_STEP_SAMPLES,
     TABLE_CURRENT,
     TEMPERATURE,
-    TICK,
     TISSUE_ANGLE,
     TISSUE_BEGIN,
     TISSUE_DAMPING,
@@ -122,7 +122,7 @@ def _stroke(s: Record, p: Record, normals: Array, drawn: int) -> None:
 @compiled
 def _tick(s: Record, p: Record, square_current: float, normals: Array, tick: int) -> None:
     """Advance the slow states by TICK samples: heat, friction noise and drift."""
-    dt = p.dt * TICK
+    dt = p.dt * SLOW_STEP_SAMPLES
     warm = 1.0 + 0.00393 * (s.winding_degc - 20.0)  # resistance of copper with temperature
     flow = (s.winding_degc - s.housing_degc) / p.winding_to_housing
     loss = (s.housing_degc - p.ambient_degc) / p.housing_to_ambient
@@ -419,8 +419,8 @@ def run(
             row[REFERENCE_TORQUE] = outside_sum * mean
             encoders = asked_sum = current_sum = arm_sum = outside_sum = 0.0
             position_sum = model_sum = table_sum = signal_sum = 0.0
-        if (k + 1) % TICK == 0:
-            _tick(s, p, square_current / TICK, normals, k // TICK)
+        if (k + 1) % SLOW_STEP_SAMPLES == 0:
+            _tick(s, p, square_current / SLOW_STEP_SAMPLES, normals, k // SLOW_STEP_SAMPLES)
             square_current = 0.0
             torque_constant = p.torque_constant * (
                 1.0 + p.torque_constant_coefficient * (s.winding_degc - 20.0)

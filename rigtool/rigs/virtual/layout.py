@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-TICK = 16
+SLOW_STEP_SAMPLES = 16
 """Samples between updates of slow states: temperatures, friction noise, drift."""
 
 STATE = np.dtype(

@@ -24,16 +24,23 @@ from rigtool.rigs.virtual.maps import friction_map, rotor_map
 from rigtool.rigs.virtual.stability import require_stable
 from rigtool.rigs.virtual.tendon import step_terms
 
-BLOCK = 16384
+BLOCK_SAMPLES = 16384
 """Approximate number of samples simulated at a time: they fit a processor's cache."""
 
-OBSERVED = ("time", "encoder", "current_setpoint", "current", "temperature", "reference_torque")
+OBSERVED_CHANNELS = (
+    "time",
+    "encoder",
+    "current_setpoint",
+    "current",
+    "temperature",
+    "reference_torque",
+)
 """Channels that can be read without taking part in a motion."""
 
 CONTACTS, HAND = 0xC047AC7, 0x4A4D
 """Streams of the seed for random draws other than the bench's own noise."""
 
-GRAVITY = 9.81
+SIMULATED_GRAVITY = 9.81
 """Acceleration of the simulated weights, m/s2: it enters their inertia, and so every digit of
 earlier runs."""
 NO_TABLE = (np.zeros((0, 0)), np.zeros(0), np.zeros(3))
@@ -153,7 +160,7 @@ class VirtualRig(Rig):
                 pass
             blocks = self._run(*self._by_hand(task, motion))
         for block in blocks:
-            yield {name: block[name] for name in OBSERVED if name in block}
+            yield {name: block[name] for name in OBSERVED_CHANNELS if name in block}
 
     def _approach(self, motion: Motion) -> Move:
         """Return the way of the hand to where its motion starts."""
@@ -200,7 +207,11 @@ class VirtualRig(Rig):
         ff = task.feedforward
         signal = np.zeros(0) if ff.signal is None else np.ascontiguousarray(ff.signal, np.float64)
         total = round(motion.duration / dt)
-        block = layout.TICK * every * max(1, BLOCK // (layout.TICK * every))
+        block = (
+            layout.SLOW_STEP_SAMPLES
+            * every
+            * max(1, BLOCK_SAMPLES // (layout.SLOW_STEP_SAMPLES * every))
+        )
         for first in range(0, total, block):
             count = min(block, total - first)
             steps = np.arange(first, first + count if needs_time else first, dtype=np.float64)
@@ -221,7 +232,7 @@ class VirtualRig(Rig):
                 ff.coefficients,
                 NO_TABLE if ff.table is None else ff.table.grid,
                 signal,
-                rng.standard_normal((count // layout.TICK + 1, 2)),
+                rng.standard_normal((count // layout.SLOW_STEP_SAMPLES + 1, 2)),
                 rng.standard_normal((512, 3)),
                 task.stop_angle or 0.0,
                 every,
@@ -296,11 +307,11 @@ class VirtualRig(Rig):
         """Collect the kernel's parameters for a task under this load."""
         v, rig = self._virtual, self._rig
         motor, amplifier, thermal = v.motor, v.amplifier, v.thermal
-        dt, tick = rig.sample_time, rig.sample_time * layout.TICK
+        dt, tick = rig.sample_time, rig.sample_time * layout.SLOW_STEP_SAMPLES
         instrument = rig.attachment == "instrument"
         p = np.zeros(1, dtype=layout.PARAMETERS)
         force = load.force * (1 + v.misstated.weights)
-        mass = force / GRAVITY
+        mass = force / SIMULATED_GRAVITY
         hanging = 0.0 if instrument else force * rig.pulley_radius
         inertia = motor.inertia + (v.arm.inertia if load.clamped else 0.0)
         if instrument:
@@ -375,7 +386,7 @@ class VirtualRig(Rig):
             "drift_decay": drift_decay,
             "drift_gain": v.instrument.drift * math.sqrt(1 - drift_decay**2),
             "load_inertia": mass * rig.load_arm**2,
-            "inertia_per_weight": rig.load_arm / GRAVITY,
+            "inertia_per_weight": rig.load_arm / SIMULATED_GRAVITY,
         }
         for name, value in values.items():
             p[name] = value

@@ -21,9 +21,9 @@ import numpy as np
 from rigtool.errors import RecipeError
 from rigtool.numerics.arrays import Array
 from rigtool.rigs.virtual.kernel import mobility
-from rigtool.rigs.virtual.layout import TICK
+from rigtool.rigs.virtual.layout import SLOW_STEP_SAMPLES
 
-ROUNDING = 1e-6
+EIGENVALUE_ROUNDING = 1e-6
 """By which the largest eigenvalue of a free, stable motion may differ from 1."""
 
 
@@ -37,7 +37,7 @@ def require_stable(p: Any) -> None:
     if p["clamped"]:
         _require_spring("virtual.arm", p["arm_stiffness"], 1 / float(p["inertia"]), h)
     _require_steps(_moving(p, h), "the springs of arm and instrument", h)
-    _require_steps(_heat(p, h * TICK), "thermal resistances and capacities", h)
+    _require_steps(_heat(p, h * SLOW_STEP_SAMPLES), "thermal resistances and capacities", h)
 
 
 def _require_spring(name: str, k: float, mobility: float, h: float) -> None:
@@ -52,7 +52,7 @@ def _require_spring(name: str, k: float, mobility: float, h: float) -> None:
 
 def _require_steps(step: Array, what: str, h: float) -> None:
     largest = float(np.abs(np.linalg.eigvals(step)).max())
-    if largest > 1 + ROUNDING:
+    if largest > 1 + EIGENVALUE_ROUNDING:
         raise RecipeError(
             f"virtual: {what} cannot be simulated at rig.sample_time {h:g} s: what they move "
             f"grows {largest:.3g} times a step; correct these values, or sample faster"

@@ -54,13 +54,13 @@ MAP = "map"
 IMPORTERS = {"epos": epos.IMPORTER}
 """Formats that are recognised without a mapping, in the order in which they are tried."""
 
-PLUGINS = "rigtool.importers"
+IMPORTER_ENTRY_POINTS = "rigtool.importers"
 """Group of the entry points with which other packages add formats: each an `Importer`."""
 
-LIKE = 0.8
+LIKENESS = 0.8
 """Similarity (`difflib`) from which on a name may be a slip."""
 
-LISTED = 5
+LINES_NAMED = 5
 """Most bad lines that a note names."""
 
 
@@ -152,7 +152,7 @@ def first_of(error: RunFileError) -> str:
 
 def importers() -> dict[str, Importer]:
     """Return the formats that are recognised without a mapping, those of other packages last."""
-    return IMPORTERS | load_all(PLUGINS, Importer, frozenset(IMPORTERS))
+    return IMPORTERS | load_all(IMPORTER_ENTRY_POINTS, Importer, frozenset(IMPORTERS))
 
 
 @contextmanager
@@ -238,7 +238,7 @@ def _slips(mapping: Mapping) -> list[str]:
     """Return notes on names of signals that resemble one with a fixed meaning."""
     free = [name for name in SIGNALS if name not in mapping.signals]
     found = {
-        name: get_close_matches(name, free, 1, LIKE)
+        name: get_close_matches(name, free, 1, LIKENESS)
         for name in mapping.signals
         if name not in SIGNALS
     }
@@ -307,9 +307,9 @@ def _left_out_note(raw: Raw) -> str | None:
         return None
     numbers = sorted(raw.left_out)
     listed = "; ".join(
-        f"{raw.what} {number}: {raw.left_out[number]}" for number in numbers[:LISTED]
+        f"{raw.what} {number}: {raw.left_out[number]}" for number in numbers[:LINES_NAMED]
     )
-    more = f"; and {len(numbers) - LISTED} more" if len(numbers) > LISTED else ""
+    more = f"; and {len(numbers) - LINES_NAMED} more" if len(numbers) > LINES_NAMED else ""
     return f"{len(numbers)} bad {raw.what}s were left out: {listed}{more}"
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from rigtool.errors import RigtoolError, RunFileError
 from rigtool.inputs import open_input
 from rigtool.runfile.importers.raw import (
-    BINARY,
+    BINARY_REMEDY,
     MAX_NESTED,
     Array,
     ColumnKey,
@@ -185,7 +185,7 @@ def _require_unpacked(path: Path) -> None:
             if nested > MAX_NESTED:
                 raise RunFileError(
                     f"{path}: has cells or structures of {nested} bytes, above {MAX_NESTED}: "
-                    f"{BINARY}"
+                    f"{BINARY_REMEDY}"
                 )
 
 

@@ -18,10 +18,10 @@ from rigtool.recipe import mapping as mappings
 from rigtool.runfile.importers.raw import Array
 from rigtool.runfile.schema import TIME
 
-PIECES = 100
+WAY_PIECES = 100
 """Of a recording over which ways by position and by speed are compared."""
 
-STRAIGHT = 0.9
+MIN_CORRELATION = 0.9
 """Correlation of these ways from which on their ratio has a meaning."""
 
 OTHER_MOTION = 1.5
@@ -33,7 +33,7 @@ OTHER_CONSTANT = 1.3
 OTHER_GEAR = 1.05
 """Ratio of gear ratios that play and a compliant output do not explain."""
 
-EFFORTS = ("current", "torque", "force", "relative_torque")
+EFFORT_ORDER = ("current", "torque", "force", "relative_torque")
 """Signals that overcome the friction of the motor, in the order in which one is taken."""
 
 BLOCKS, SLOW, FEWEST_BLOCKS, CERTAIN = 400, 0.1, 10, 5.0
@@ -46,7 +46,7 @@ def require_same_motion(
 ) -> None:
     """Raise `RunFileError` where a speed is not the derivative of its position.
 
-    Over `PIECES` of the recording, the way by position x and the way by speed w have the slope
+    Over `WAY_PIECES` of the recording, the way by position x and the way by speed w have the slope
     sum(x w) / sum(w^2); where they have no straight line in common nothing is concluded.
     """
     positions = {**signals, **({} if "position" in signals else _by_encoder(signals, rig))}
@@ -56,7 +56,7 @@ def require_same_motion(
         moved, expected = _ways(signals[TIME], positions[name], signals[of])
         alike = float(moved @ expected)
         squares = float(expected @ expected)
-        if squares == 0 or alike**2 < STRAIGHT**2 * squares * float(moved @ moved):
+        if squares == 0 or alike**2 < MIN_CORRELATION**2 * squares * float(moved @ moved):
             continue
         ratio = alike / squares
         if not 1 / OTHER_MOTION < ratio < OTHER_MOTION:
@@ -78,7 +78,7 @@ def _by_encoder(signals: Mapping[str, Array], rig: mappings.ImportedRig) -> dict
 def _ways(time: Array, position: Array, speed: Array) -> tuple[Array, Array]:
     """Return the ways (pieces,) by position and by speed."""
     way = np.diff(time) * (speed[1:] + speed[:-1]) / 2
-    ends = np.unique(np.linspace(0, len(time) - 1, PIECES + 1).round().astype(int))
+    ends = np.unique(np.linspace(0, len(time) - 1, WAY_PIECES + 1).round().astype(int))
     return np.diff(position[ends]), np.diff(np.concatenate([[0.0], np.cumsum(way)])[ends])
 
 
@@ -167,7 +167,7 @@ def _sign_of_work(signals: Mapping[str, Array], rig: mappings.ImportedRig) -> st
     Least squares of effort = c sign(v) + J a + constant on means over `BLOCKS` of the recording;
     those that move less than `SLOW` of the farthest are left out.
     """
-    effort = next((name for name in EFFORTS if name in signals), None)
+    effort = next((name for name in EFFORT_ORDER if name in signals), None)
     positions = {**_by_encoder(signals, rig), **signals}
     if effort is None or "position" not in positions or len(signals[TIME]) < 2 * BLOCKS:
         return None
@@ -194,6 +194,6 @@ def slope(values: Array, over: Array) -> float | None:
     """Return the slope of values (n,) over others; None where they are on no straight line."""
     y, x = values - values.mean(), over - over.mean()
     alike, power = float(y @ x), float(x @ x)
-    if power == 0 or alike**2 < STRAIGHT**2 * power * float(y @ y):
+    if power == 0 or alike**2 < MIN_CORRELATION**2 * power * float(y @ y):
         return None
     return alike / power

@@ -16,14 +16,14 @@ from rigtool.runfile.importers.one_axis import unwrapped
 from rigtool.runfile.importers.raw import Array, Raw, require_good
 from rigtool.runfile.schema import TIME
 
-IRREGULAR = 0.01
+IRREGULAR_PART = 0.01
 """Intervals that differ from the median by more than this part make a time axis irregular."""
 
 START_RATIO, START_STEP = 30.0, 10.0
 """A first sample that differs from the second by this factor, over a step this many times as large
 as any later one, is no measurement."""
 
-STEPS = 10
+MIN_STEPS = 10
 """Smallest number of samples that show how a signal moves."""
 
 
@@ -90,8 +90,8 @@ def _starts(time: Array) -> list[int]:
     usual, found = float(np.median(steps)), [0]
     for at in falls.tolist():
         again = time[at] <= time[found[-1]] + usual
-        more = steps[at : at + STEPS]
-        if again and len(more) == STEPS and np.all((more >= 0) & (more < START_STEP * usual)):
+        more = steps[at : at + MIN_STEPS]
+        if again and len(more) == MIN_STEPS and np.all((more >= 0) & (more < START_STEP * usual)):
             found.append(at)
     return found[1:]
 
@@ -101,7 +101,7 @@ def _wrong_start(time: Array, raw: Raw, mapping: Mapping) -> str | None:
 
     Recorders that begin before their first conversion store what was in memory.
     """
-    if len(time) < STEPS:
+    if len(time) < MIN_STEPS:
         return None
     for name in mapping.signals:
         if name == TIME or name.endswith("_setpoint"):
@@ -155,7 +155,7 @@ def _longest_rise(values: Array) -> list[int]:
 def irregular(steps: Array) -> str | None:
     """Return a note where the intervals of a time axis (n,) differ, else None."""
     usual = float(np.median(steps))
-    if np.max(np.abs(steps - usual)) <= IRREGULAR * usual:
+    if np.max(np.abs(steps - usual)) <= IRREGULAR_PART * usual:
         return None
     return (
         f"the time axis is irregular, intervals from {steps.min():.4g} to {steps.max():.4g} s, "

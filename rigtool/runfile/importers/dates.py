@@ -18,7 +18,7 @@ CLOCK = re.compile(
 )
 DATE = re.compile(r"(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})")
 
-BACK = 0.5
+MIDNIGHT_FALL = 0.5
 """Part of a day by which a clock without date falls at midnight."""
 
 
@@ -38,7 +38,7 @@ def seconds_of(texts: Sequence[str]) -> Array:
     clocks = np.array([_clock(text) for text in texts])
     if np.isnan(days).all():
         known = np.where(np.isnan(clocks), 0.0, clocks)
-        days = np.concatenate([[0.0], np.cumsum(np.diff(known) < -BACK * DAY)])
+        days = np.concatenate([[0.0], np.cumsum(np.diff(known) < -MIDNIGHT_FALL * DAY)])
     first = next(iter(days[np.isfinite(days)]), 0.0)
     found: Array = (days - first) * DAY + clocks  # differences of days are exact
     good = found[np.isfinite(found)]

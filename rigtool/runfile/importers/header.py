@@ -24,14 +24,14 @@ from rigtool.runfile.importers.raw import ColumnKey
 MINUS = "\u2212"
 """The minus sign of typesetting, which some programs write for a hyphen."""
 
-COMMENTS = "#%;!"
+COMMENT_CHARACTERS = "#%;!"
 """Characters that begin the line of names in some files."""
 
 _WORD = re.compile(r"\W*(?!nan|inf)[^\W\d_]{2}", re.IGNORECASE)
 _STAMP = re.compile(r"^([\d:.]+) -> (?=[^,;\n]*([,;]))", re.MULTILINE)
 """What a terminal puts before a line; and the delimiter of the line."""
 
-CONTROL = 0.05
+MAX_CONTROL_PART = 0.05
 """Part of control characters from which on a file is no text."""
 
 
@@ -64,12 +64,12 @@ class Lines:
         return Lines([text for text, _ in kept], [number for _, number in kept], self.whole)
 
 
-def text_of(path: Path, data: bytes) -> str:
+def decoded_text(path: Path, data: bytes) -> str:
     """Return the text of a file's bytes; `RunFileError` for bytes that are none."""
     text = decode(data)
     start = text[:1000]
     odd = sum(char < " " and char not in "\t\n\r\f" for char in start)
-    if odd > CONTROL * len(start):
+    if odd > MAX_CONTROL_PART * len(start):
         raise RunFileError(f"{path}: is no text: export it as CSV in the program that wrote it")
     return text
 
@@ -157,7 +157,7 @@ def _names(lines: Lines, marks: Marks, wanted: set[str]) -> tuple[int, list[str]
 
 def _readings(line: str, delimiter: str) -> Iterator[list[str]]:
     """Yield the names that a line may hold: a mark of a comment before them, spaces in them."""
-    for text in dict.fromkeys([line, line.lstrip().lstrip(COMMENTS)]):
+    for text in dict.fromkeys([line, line.lstrip().lstrip(COMMENT_CHARACTERS)]):
         yield split_fields(text, delimiter)
         if delimiter == WHITESPACE:
             yield re.split(r"\s{2,}|\t", text.strip())

@@ -22,7 +22,7 @@ MARKS = tuple(
 LOOKED_AT = 50
 """Most lines that are looked at for them."""
 
-MOSTLY = 0.3
+MIN_NUMBER_PART = 0.3
 """Smallest part of numbers among the fields of lines of measurements."""
 
 BLANK = ("", "nan", "null", "none")
@@ -71,7 +71,7 @@ def marks_of(lines: Sequence[str], layout: FileLayout) -> Marks:
         ]
         # A mark that splits numbers leaves text, or makes more fields of which some are no number.
         part = float(np.mean(numbers)) if numbers else 0.0
-        if part >= MOSTLY and (score := sum(numbers) * part) > most:
+        if part >= MIN_NUMBER_PART and (score := sum(numbers) * part) > most:
             best, most = marks, score
     return best
 

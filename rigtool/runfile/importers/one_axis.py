@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import Mapping
-from rigtool.runfile.importers.contradictions import EFFORTS
+from rigtool.runfile.importers.contradictions import EFFORT_ORDER
 from rigtool.runfile.importers.raw import Array, ColumnKey, Raw
 from rigtool.runfile.schema import TIME
 
@@ -37,7 +37,9 @@ def on_one_axis(path: Path, raw: Raw, mapping: Mapping) -> tuple[Raw, list[str]]
     common = raw.columns[clock] if clock is not None else raw.place.astype(np.float64)
     courses = dict(_courses(path, raw, mapping, common))
     asked = [n for n in courses if n in mapping.signals and not n.endswith("_setpoint")] or courses
-    leader = max([n for n in asked if n in EFFORTS] or asked, key=lambda n: len(courses[n].line))
+    leader = max(
+        [n for n in asked if n in EFFORT_ORDER] or asked, key=lambda n: len(courses[n].line)
+    )
     axis = courses[leader]
     inside = np.ones(len(axis.line), dtype=np.bool_)
     filled: dict[ColumnKey, Array] = {}

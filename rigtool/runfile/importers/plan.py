@@ -14,11 +14,11 @@ from rigtool.escapes import is_text
 from rigtool.inputs import open_input, reading
 from rigtool.runfile.importers.convert import stem
 
-BINARY = (".mat", ".npy", ".npz")
-TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm", ".tab", ".prn")
+BINARY_SUFFIXES = (".mat", ".npy", ".npz")
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm", ".tab", ".prn")
 """Suffixes of files to import from a folder, in upper or lower case, also followed by .gz."""
 
-ARRAYS = (b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"MATLAB 5.0", b"MATLAB 7.3")
+ARRAY_MAGIC = (b"\x89HDF\r\n\x1a\n", b"\x93NUMPY", b"MATLAB 5.0", b"MATLAB 7.3")
 """First bytes of files of arrays, whatever their names."""
 
 SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
@@ -90,7 +90,7 @@ def find_files(
     left_out: list[Path] = []
     alone = len(sources) == 1 and not os.path.isdir(sources[0])
     for source in map(Path, sources):
-        for file in _files(source, (*TEXT, *BINARY, *endings), pattern):
+        for file in _files(source, (*TEXT_SUFFIXES, *BINARY_SUFFIXES, *endings), pattern):
             if alone or pattern is None or fnmatchcase(file.name, pattern):
                 found.append((file, source))
             else:
@@ -142,8 +142,8 @@ def _file(source: Path) -> Path:
 
 def is_binary(path: Path) -> bool:
     """Return whether a file holds arrays, not text: by its name, or its first bytes."""
-    if path.suffix.lower() in BINARY:
+    if path.suffix.lower() in BINARY_SUFFIXES:
         return True
     with suppress(OSError), path.open("rb") as stream:
-        return stream.read(16).startswith(ARRAYS)
+        return stream.read(16).startswith(ARRAY_MAGIC)
     return False

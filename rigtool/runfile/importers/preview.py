@@ -13,21 +13,21 @@ from rigtool.runfile.importers import importers, recognised, understand
 from rigtool.runfile.importers.arrays import load_arrays
 from rigtool.runfile.importers.conditions import unchanged_parts
 from rigtool.runfile.importers.convert import intervals
-from rigtool.runfile.importers.header import before_numbers, split_lines, text_of
+from rigtool.runfile.importers.header import before_numbers, decoded_text, split_lines
 from rigtool.runfile.importers.marks import marks_of, split_fields
 from rigtool.runfile.importers.plan import find_files, is_binary
 from rigtool.runfile.importers.raw import Array, read_bytes
 
-ROWS = 5
+PREVIEW_ROWS = 5
 """Rows of a file that are shown."""
 
-WIDEST = 24
+FIELD_WIDTH = 24
 """Most characters of a field that are shown."""
 
-NAMES = 2
+NAME_LINES = 2
 """Most lines before the numbers that are shown: names, and units."""
 
-GAP = 1.5
+GAP_RATIO = 1.5
 """Smallest interval that is a gap, relative to the median."""
 
 
@@ -49,7 +49,7 @@ def _file(source: Path, mapping: Mapping | None, skip_bad: bool) -> list[str]:
     signals, raw, known, notes = understand(source, mapping, skip_bad)
     names = list(signals)
     head = [f"{name} [{known.unit(name) if name in known.signals else 's'}]" for name in names]
-    first = range(min(ROWS, len(signals["time"])))
+    first = range(min(PREVIEW_ROWS, len(signals["time"])))
     rows = [[f"{signals[name][row]:.6g}" for name in names] for row in first]
     found, missing = unchanged_parts(source, raw, known)
     split = {item.name for item in known.conditions if item.column is not None}
@@ -73,7 +73,7 @@ def _file(source: Path, mapping: Mapping | None, skip_bad: bool) -> list[str]:
 
 def _rate(time: Array, steps: Array) -> str:
     usual = float(np.median(steps))
-    gaps = np.flatnonzero(steps > GAP * usual)
+    gaps = np.flatnonzero(steps > GAP_RATIO * usual)
     text = f"{len(time)} samples over {steps.sum():.6g} s, {1 / usual:.6g} Hz, "
     if gaps.size == 0:
         return text + "no gaps"
@@ -92,7 +92,7 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
         what = {n: repr(a) if isinstance(a, str) else str(np.shape(a)) for n, a in arrays.items()}
         return [*(f"{name or 'array'}: {text}" for name, text in what.items()), remedy]
     layout = FileLayout() if mapping is None else mapping.file
-    lines = split_lines(text_of(source, read_bytes(source)), layout.comment)
+    lines = split_lines(decoded_text(source, read_bytes(source)), layout.comment)
     marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
     rows = [split_fields(line, marks.delimiter) for line in lines.text]
     count = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
@@ -101,8 +101,8 @@ def _columns(source: Path, mapping: Mapping | None) -> list[str]:
         return [f"{len(rows)} lines, none of numbers; delimiter = {marks.delimiter!r}", remedy]
     shown = [[str(number) for number in range(1, count + 1)]]
     shown += [
-        [field[:WIDEST] for field in row]
-        for row in [*rows[max(0, begin - NAMES) : begin], *rows[begin : begin + ROWS]]
+        [field[:FIELD_WIDTH] for field in row]
+        for row in [*rows[max(0, begin - NAME_LINES) : begin], *rows[begin : begin + PREVIEW_ROWS]]
         if len(row) == count
     ]
     return [

@@ -32,7 +32,7 @@ MAX_TEXT, MAX_LINES, MAX_NUMBERS, MAX_LINE = 2**28, 2**21, 2**23, 2**18
 MAX_OBJECTS, MAX_NESTED = 10_000, 2**27
 """Most arrays, groups or members of a binary file, and bytes of its cells and structures."""
 
-BINARY = "save the numbers as .npy, .npz or a matrix in .mat, or split the file"
+BINARY_REMEDY = "save the numbers as .npy, .npz or a matrix in .mat, or split the file"
 
 NO_TEXT = {
     b"PK\x03\x04": "a spreadsheet or an archive",
@@ -157,14 +157,16 @@ def _require_text(path: Path, data: bytes) -> None:
     lines = data.count(b"\n") + data.count(b"\r") - data.count(b"\r\n")
     for count, limit, what in ((len(data), MAX_TEXT, "bytes"), (lines, MAX_LINES, "lines")):
         if count > limit:
-            raise RunFileError(f"{path}: has {count} {what}, above {limit} of a text: {BINARY}")
+            raise RunFileError(
+                f"{path}: has {count} {what}, above {limit} of a text: {BINARY_REMEDY}"
+            )
 
 
 def require_objects(path: Path, count: int) -> None:
     """Raise `RunFileError` where a binary file has more arrays, groups or members than are read."""
     if count > MAX_OBJECTS:
         raise RunFileError(
-            f"{path}: has more than {MAX_OBJECTS} arrays, groups or members: {BINARY}"
+            f"{path}: has more than {MAX_OBJECTS} arrays, groups or members: {BINARY_REMEDY}"
         )
 
 

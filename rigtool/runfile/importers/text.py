@@ -21,7 +21,7 @@ from rigtool.recipe import mapping as mappings
 from rigtool.recipe.mapping import FileLayout
 from rigtool.recipe.units import DATE
 from rigtool.runfile.importers.dates import is_date, seconds_of
-from rigtool.runfile.importers.header import Lines, header_of, split_lines, text_of
+from rigtool.runfile.importers.header import Lines, decoded_text, header_of, split_lines
 from rigtool.runfile.importers.labels import labelled
 from rigtool.runfile.importers.marks import (
     BLANK,
@@ -35,7 +35,7 @@ from rigtool.runfile.importers.marks import (
     unquoted,
 )
 from rigtool.runfile.importers.raw import (
-    BINARY,
+    BINARY_REMEDY,
     MAX_LINE,
     MAX_NUMBERS,
     Array,
@@ -53,7 +53,7 @@ Words = Mapping[ColumnKey, tuple[Callable[[Sequence[str]], Array], str]]
 EXPONENT = str.maketrans("dD", "ee")
 """Of double precision as Fortran writes it."""
 
-SPLIT = "\x1f"
+FIELD_SEPARATOR = "\x1f"
 """Delimiter of lines whose fields in quotes were taken apart: a control character for it."""
 
 
@@ -67,9 +67,11 @@ def read_text(
     short, or hold something else than numbers.
     """
     layout = mapping.file
-    lines = split_lines(text_of(path, read_bytes(path)), layout.comment)
+    lines = split_lines(decoded_text(path, read_bytes(path)), layout.comment)
     if (longest := max(map(len, lines.text), default=0)) > MAX_LINE:
-        raise RunFileError(f"{path}: a line has {longest} characters, above {MAX_LINE}: {BINARY}")
+        raise RunFileError(
+            f"{path}: a line has {longest} characters, above {MAX_LINE}: {BINARY_REMEDY}"
+        )
     asked = list(columns) or mapping.columns
     if (found := labelled(lines, {str(column) for column in asked})) is not None:
         names, lines, marks = found
@@ -116,11 +118,13 @@ def read_numbers(
     if not lines.text:
         raise RunFileError(f"{path}: holds no line of numbers: check comment and header_lines")
     if (amount := len(lines.text) * len(columns)) > MAX_NUMBERS:
-        raise RunFileError(f"{path}: has {amount} numbers, above {MAX_NUMBERS} of a text: {BINARY}")
+        raise RunFileError(
+            f"{path}: has {amount} numbers, above {MAX_NUMBERS} of a text: {BINARY_REMEDY}"
+        )
     delimiter = marks.delimiter
     if any('"' in line for line in lines.text):
-        joined = [SPLIT.join(fields_of(line, delimiter)) for line in lines.text]
-        lines, delimiter = replace(lines, text=joined), SPLIT
+        joined = [FIELD_SEPARATOR.join(fields_of(line, delimiter)) for line in lines.text]
+        lines, delimiter = replace(lines, text=joined), FIELD_SEPARATOR
     split = None if delimiter == WHITESPACE else delimiter
     counts = _field_counts(lines.text, split)
     most = Counter(counts).most_common(1)[0][0]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from rigtool.errors import RunFileError, UsageError
-from rigtool.experiments.deploy.stored_export import SENSOR, chosen_format, export_table
+from rigtool.experiments.deploy.stored_export import SENSOR_FORMAT, chosen_format, export_table
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import NAMES, LearnedModel
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.stored import model_from, model_results, model_tables
 from rigtool.experiments.force_sensor.procedure_over_time import reach_of
@@ -46,7 +46,7 @@ SHAPE = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.05, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
 
 
 def force_model(rig):
-    size = len(NAMES) + len(COEFFICIENTS)
+    size = len(SLIDING_PARAMETERS) + len(COEFFICIENTS)
     learned = LearnedModel(
         tuple(Term(kind, 1e-3, order) for kind, order in COEFFICIENTS),
         SHAPE,
@@ -81,7 +81,7 @@ def kt():
 
 
 def export(run, path, kt=None, speed=None):
-    chosen = chosen_format(run, path, None, SENSOR)
+    chosen = chosen_format(run, path, None, SENSOR_FORMAT)
     return export_table(run, path, chosen, speed=speed, kt=kt, overwrite=False)
 
 

@@ -350,7 +350,7 @@ def test_signals_at_the_full_rate_give_what_averaged_ones_give(tmp_path, inputs)
 
 
 def test_a_clock_that_stands_between_two_blocks_is_refused(tmp_path, inputs, monkeypatch):
-    monkeypatch.setattr(recording, "BLOCK", 1000)
+    monkeypatch.setattr(recording, "BLOCK_SAMPLES", 1000)
     recipe = recipe_with(PULLEY)
     rig = KnownRig(recipe, friction=0, stiffness=1, scatter=0.1e-3)
     perform = rig.perform

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.force_filter.accuracy import (
-    BANDS,
-    JUDGED,
+    JUDGED_STATES,
+    LOAD_BAND_EDGES,
     accuracy,
     by_band_and_state,
 )
@@ -25,5 +25,5 @@ def test_every_sample_with_a_value_is_in_one_band_and_state():
     states = rng.choice([int(state) for state in State], 500)
     error = np.where(states == State.OUTSIDE, np.nan, rng.standard_normal(500))
     cells = by_band_and_state(error, np.abs(error) < 2, reference, states, 1.0)
-    assert (len(cells), len(cells[0])) == (len(BANDS) - 1, len(JUDGED))
+    assert (len(cells), len(cells[0])) == (len(LOAD_BAND_EDGES) - 1, len(JUDGED_STATES))
     assert sum(cell.share for row in cells for cell in row) == pytest.approx(1.0)

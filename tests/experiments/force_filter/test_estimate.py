@@ -123,7 +123,7 @@ def test_smoothing_is_better_and_does_not_depend_on_its_pieces(recording, monkey
     later, at_once = ((found - truth)[used] for found in (torque, causal.torque))
     assert np.mean(later**2) < 0.4 * np.mean(at_once**2)
     assert np.mean(deviation) < np.mean(causal.deviation)
-    monkeypatch.setattr(estimate, "PIECE", 777)
+    monkeypatch.setattr(estimate, "PIECE_STEPS", 777)
     again, same = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     np.testing.assert_allclose(again, torque, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(same, deviation, rtol=1e-9)
@@ -134,7 +134,7 @@ def test_a_load_that_comes_at_rest_is_not_spread_over_the_rest_before_it(recordi
     time = np.arange(len(truth)) * STEP * PLANT.sample_time
     before = (time > 6.8) & (time < 7.2)  # at rest; the load comes at 7.2 s, and 30 ms later shows
     torque, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
-    monkeypatch.setattr(estimate, "BEFORE", 0.0)
+    monkeypatch.setattr(estimate, "ONSET_TIME", 0.0)
     spread, _ = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
     error, without = (np.sqrt(np.mean((t - truth)[before] ** 2)) for t in (torque, spread))
     assert error < 0.7 * without
@@ -143,7 +143,7 @@ def test_a_load_that_comes_at_rest_is_not_spread_over_the_rest_before_it(recordi
 def test_what_comes_long_afterwards_does_not_matter(recording, monkeypatch):
     signals, _, _ = recording
     torque, deviation = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)
-    monkeypatch.setattr(estimate, "PIECE", 500)
+    monkeypatch.setattr(estimate, "PIECE_STEPS", 500)
     monkeypatch.setattr(estimate, "BLOCK", 2.0)
     monkeypatch.setattr(estimate, "AHEAD", 7.0)  # more than a cycle of this motion
     again, same = smoothed(PLANT, UNCERTAINTY, STEP, BAND, signals)

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from rigtool.experiments.force_filter.linear import WIDE, backwards, forwards
+from rigtool.experiments.force_filter.linear import ROW_LENGTH, backwards, forwards
 from rigtool.experiments.force_filter.plant import (
     ANGLE,
     BRISTLE,
-    FACTORS,
+    FACTOR_COUNT,
     GRASPER,
     GRASPER_SPEED,
     HOUSING,
@@ -33,14 +33,14 @@ EYE = np.eye(STATES)
 
 def flat(matrix):
     """Return a matrix (12, n) as the equations take it, (12 * WIDE,)."""
-    rows = np.zeros((STATES, WIDE))
+    rows = np.zeros((STATES, ROW_LENGTH))
     rows[:, : matrix.shape[1]] = matrix
     return rows.ravel()
 
 
 def step(plant, x, torque=0.0, viscous=0.0, count=1, rows=None):
     record = as_record(plant)[0]
-    factors = None if rows is None else np.empty((1, FACTORS))
+    factors = None if rows is None else np.empty((1, FACTOR_COUNT))
     for _ in range(count):
         advance(x, record, plant.friction_map, torque, viscous, factors, 0, 0.0, 0.0)
         if rows is not None:
@@ -121,7 +121,7 @@ def test_derivatives_are_those_of_small_differences(free, x):
         x[GRASPER] = x[ANGLE] / 0.85 + x[GRASPER] * 0.05  # the tendon is not stretched by turns
     rows = flat(EYE)
     step(plant, x.copy(), 0.01, 5e-5, count=3, rows=rows)
-    rows = rows.reshape(STATES, WIDE)[:, :STATES]
+    rows = rows.reshape(STATES, ROW_LENGTH)[:, :STATES]
     scale = np.array([1e-3, 0.1, 0.1, 0.1, 1e-3, 0.1, 0.1, 1e-3, 1e-3, 0.1, 1e-3, 1e-2])
     for j in range(STATES):
         h = 1e-5 * scale[j] * EYE[j]
@@ -132,16 +132,16 @@ def test_derivatives_are_those_of_small_differences(free, x):
         assert (np.abs(rows[:, j] - slope) <= tolerance).all(), j
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.85]), st.integers(1, WIDE))
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.85]), st.integers(1, ROW_LENGTH))
 def test_backwards_is_the_transpose_of_forwards(seed, shaft, columns):
     rng = np.random.default_rng(seed)
-    factors = rng.normal(size=(2, FACTORS))
+    factors = rng.normal(size=(2, FACTOR_COUNT))
     factors[:, -1] = shaft
-    there, back = rng.normal(size=(2, STATES, WIDE))
+    there, back = rng.normal(size=(2, STATES, ROW_LENGTH))
     forth, other = there.ravel().copy(), back.ravel().copy()
     forwards(forth, columns, factors, 1)
     backwards(other, columns, factors, 1)
-    forth, other = forth.reshape(STATES, WIDE), other.reshape(STATES, WIDE)
+    forth, other = forth.reshape(STATES, ROW_LENGTH), other.reshape(STATES, ROW_LENGTH)
     np.testing.assert_array_equal(forth[:, columns:], there[:, columns:])
     np.testing.assert_array_equal(other[:, columns:], back[:, columns:])
     used = slice(columns)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from rigtool.experiments.force_filter.linear import WIDE, forwards
-from rigtool.experiments.force_filter.plant import ANGLE, FACTORS, NOISE, STATES, TORQUE
-from rigtool.experiments.force_filter.smoother import backwards, room
+from rigtool.experiments.force_filter.linear import ROW_LENGTH, forwards
+from rigtool.experiments.force_filter.plant import ANGLE, FACTOR_COUNT, NOISE, STATES, TORQUE
+from rigtool.experiments.force_filter.smoother import room, smooth_steps
 
 KEPT = 0.9
 SAMPLES = 2
@@ -13,13 +13,13 @@ SAMPLES = 2
 def linear_system(rng, count, fresh_at):
     """Return factors, transition matrices with process covariances, start, and measured angles."""
     transitions = []
-    factors = 0.4 * rng.standard_normal((count * SAMPLES, FACTORS))
+    factors = 0.4 * rng.standard_normal((count * SAMPLES, FACTOR_COUNT))
     factors[:, -1] = 0.0
     for k in range(count):
-        rows = np.eye(STATES, WIDE).ravel()
+        rows = np.eye(STATES, ROW_LENGTH).ravel()
         for sample in range(SAMPLES):
             forwards(rows, STATES, factors, k * SAMPLES + sample)
-        phi = rows.reshape(STATES, WIDE)[:, :STATES].copy()
+        phi = rows.reshape(STATES, ROW_LENGTH)[:, :STATES].copy()
         phi[NOISE] *= KEPT
         noise = np.diag(rng.uniform(0.1, 0.5, STATES))
         if k == fresh_at:
@@ -53,11 +53,11 @@ def test_smoothed_torque_is_the_conditional_mean():
         covariance = covariance - np.outer(column, column) * s2 * (1 - left)
         torque_row[k] = passed_row[k] = covariance[TORQUE]
         torque[k], deviation[k] = mean[TORQUE], np.sqrt(covariance[TORQUE, TORQUE])
-    rows, half = np.zeros(STATES * WIDE), count // 2  # in two pieces, as a long recording is
+    rows, half = np.zeros(STATES * ROW_LENGTH), count // 2  # in two pieces, as a long recording is
     late = (factors[half * SAMPLES :], *(a[half:] for a in steps[1:]))
     early = (factors[: half * SAMPLES], *(a[:half] for a in steps[1:]))
-    backwards(rows, KEPT, late, torque[half:], deviation[half:])
-    backwards(rows, KEPT, early, torque[:half], deviation[:half])
+    smooth_steps(rows, KEPT, late, torque[half:], deviation[half:])
+    smooth_steps(rows, KEPT, early, torque[:half], deviation[:half])
     expected, spreads = conditional(transitions, start, measured, spread)
     np.testing.assert_allclose(torque, expected, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(deviation, spreads, rtol=1e-8)

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.force_model.contacts import (
     FALSE_ALARMS,
-    WINDOW,
+    JUMP_WINDOW,
     MotionKind,
     contacts,
     thresholds,
@@ -76,8 +76,8 @@ def test_a_contact_is_found_soon_and_its_ends_are_right(torque, pushes, at, last
     (found,) = contacts(test, LIMITS)
     begin, noticed, end = (step * STEP for step in (found.begin, found.found, found.end))
     assert at <= noticed <= at + 0.1
-    assert begin == pytest.approx(at + 0.025, abs=2 * WINDOW / np.sqrt(12))
-    assert end == pytest.approx(at + lasts - 0.025, abs=2 * WINDOW / np.sqrt(12))
+    assert begin == pytest.approx(at + 0.025, abs=2 * JUMP_WINDOW / np.sqrt(12))
+    assert end == pytest.approx(at + lasts - 0.025, abs=2 * JUMP_WINDOW / np.sqrt(12))
 
 
 def test_what_grows_slowly_is_found_by_its_level():

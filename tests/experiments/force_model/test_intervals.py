@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rigtool.experiments.force_filter.motion_states import CREEPING, KINDS, State
-from rigtool.experiments.force_model.intervals import Errors, scales, standard_uncertainty
+from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, KIND_COUNT, State
+from rigtool.experiments.force_model.intervals import Errors, scales, uncertainty_of_kinds
 
 MINUTES = 30_000
 """Compared steps of ten minutes."""
@@ -24,7 +24,7 @@ def drawn(factor, share, kind, count=MINUTES, seed=3, tails=False):
 
 @pytest.mark.parametrize(
     ("factor", "share", "kind"),
-    [(2.5, 0.0, State.REVERSED), (0.7, 0.0, State.STILL), (1.0, 0.05, CREEPING)],
+    [(2.5, 0.0, State.REVERSED), (0.7, 0.0, State.STILL), (1.0, 0.05, CREEPING_KIND)],
 )
 def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
     own = drawn(factor, share, kind)
@@ -32,22 +32,26 @@ def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
     found = every[:, kind]
     np.testing.assert_allclose(found[:, 0], factor, rtol=0.05)
     np.testing.assert_allclose(found[:, 1], share, atol=8e-3)
-    u = standard_uncertainty(every[1], own.deviation[1], own.torque, own.kinds)
+    u = uncertainty_of_kinds(every[1], own.deviation[1], own.torque, own.kinds)
     assert 0.945 < np.mean(np.abs(own.error[1]) < 1.96 * u) < 0.955
 
 
 def test_kinds_have_their_own_errors_and_sliding_has_one_for_both_directions():
-    parts = [drawn(0.8, 0.0, State.AGAINST), drawn(0.8, 0.0, State.WITH), drawn(2.0, 0, CREEPING)]
+    parts = [
+        drawn(0.8, 0.0, State.AGAINST),
+        drawn(0.8, 0.0, State.WITH),
+        drawn(2.0, 0, CREEPING_KIND),
+    ]
     found = scales(parts)
     np.testing.assert_array_equal(found[:, State.AGAINST], found[:, State.WITH])
     np.testing.assert_allclose(found[:, State.WITH, 0], 0.8, rtol=0.04)
-    np.testing.assert_allclose(found[:, CREEPING, 0], 2.0, rtol=0.04)
+    np.testing.assert_allclose(found[:, CREEPING_KIND, 0], 2.0, rtol=0.04)
 
 
 def test_heavy_tails_do_not_widen_the_intervals():
     own = drawn(1.5, 0.0, State.REVERSED, tails=True)
     np.testing.assert_allclose(scales([own])[:, State.REVERSED, 0], 1.5, rtol=0.05)
-    u = standard_uncertainty(scales([own])[0], own.deviation[0], own.torque, own.kinds)
+    u = uncertainty_of_kinds(scales([own])[0], own.deviation[0], own.torque, own.kinds)
     assert 0.945 < np.mean(np.abs(own.error[0]) < 1.96 * u) < 0.955
 
 
@@ -58,5 +62,5 @@ def test_few_strokes_hardly_change_what_slides():
 
 def test_a_kind_that_nothing_shows_has_the_factor_of_all():
     found = scales([drawn(2.0, 0.0, State.REVERSED)])
-    assert found.shape == (2, KINDS, 2)
+    assert found.shape == (2, KIND_COUNT, 2)
     np.testing.assert_array_equal(found[:, State.STILL], found[:, State.REVERSED])

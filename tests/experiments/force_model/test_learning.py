@@ -1,13 +1,23 @@
 """A model is learned from strokes that formulas made, and gives them back."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force_model.deviations import Deviations, deviations, kept_by_mean
-from rigtool.experiments.force_model.learning import NAMES, learn_sliding
+from rigtool.experiments.force_model.deviations import (
+    Deviations,
+    deviations,
+    kept_by_mean,
+    repeating,
+)
+from rigtool.experiments.force_model.learning import (
+    SLIDING_PARAMETERS,
+    learn_sliding,
+    stepped_shape,
+)
 from rigtool.experiments.force_model.model import Kind, Known
 from tests.experiments.force_model import known_plant as plant
 from tests.experiments.force_model.known_plant import strokes
@@ -27,9 +37,35 @@ def coefficient(model, kind, order=0, quarter=0):
 
 
 @pytest.fixture(scope="module")
-def learned():
+def fit():
     records = [strokes(load, speed) for load in LOADS for speed in SPEEDS]
-    return learn_sliding(records, KNOWN, plant.COUNT, CALM).learned
+    return learn_sliding(records, KNOWN, plant.COUNT, CALM)
+
+
+@pytest.fixture(scope="module")
+def learned(fit):
+    return fit.learned
+
+
+def test_no_shape_near_the_learned_one_costs_less(fit):
+    _, least = fit.problem.cost(fit.learned.shape)
+    u = np.sqrt(np.diag(fit.learned.covariance))[: len(SLIDING_PARAMETERS)]
+    for way in (*np.diag(u), *-np.diag(u)):
+        assert fit.problem.cost(stepped_shape(fit.learned.shape, way))[1] > least
+
+
+def test_a_longer_step_that_raises_the_cost_is_shortened(fit):
+    problem, shape = fit.problem, fit.learned.shape
+    normal = problem.normal(shape, fit.learned.coefficient).sum(axis=0)
+    normal[: len(SLIDING_PARAMETERS), -1] += 100 * np.diag(normal)[: len(SLIDING_PARAMETERS)]
+    steps = [
+        problem.solved(normal, shape, len(SLIDING_PARAMETERS), lift)[0]
+        for lift in (0.0, 1.0, 100.0)
+    ]
+    lengths = [
+        np.linalg.norm(step[: len(SLIDING_PARAMETERS)] / problem.shape_spread) for step in steps
+    ]
+    assert lengths[0] > lengths[1] > 10 * lengths[2]
 
 
 def test_tendon_and_load_friction_are_given_back(learned):
@@ -68,7 +104,11 @@ def test_any_stiffness_is_found_from_the_same_begin(monkeypatch, factor):
     monkeypatch.setattr(plant, "STIFFNESS", factor * plant.STIFFNESS)
     records = [strokes(load, speed) for load in (0.0, 20e-3, 50e-3) for speed in SPEEDS]
     found = learn_sliding(records, KNOWN, plant.COUNT, CALM).learned
-    u = np.sqrt(found.covariance[NAMES.index("stiffness"), NAMES.index("stiffness")])
+    u = np.sqrt(
+        found.covariance[
+            SLIDING_PARAMETERS.index("stiffness"), SLIDING_PARAMETERS.index("stiffness")
+        ]
+    )
     assert u < 0.35
     assert np.log(found.shape.stiffness / plant.STIFFNESS) == pytest.approx(0, abs=max(0.03, 2 * u))
 
@@ -83,6 +123,24 @@ def test_what_friction_deviates_is_measured():
     assert found.noise == pytest.approx(0.1e-3, rel=0.3)
     assert 0.05 < found.noise_time < 0.45
     assert 50e-3 / plant.FACTOR * found.load < found.stroke / 2  # nothing grew with the load
+
+
+def test_cycles_that_differ_by_more_than_friction_does_do_not_repeat():
+    every = [
+        strokes(load, 1.0, cycles=8, deviation=deviation, seed=seed)
+        for seed, (load, deviation) in enumerate(
+            [(0.0, 0.2e-3), (0.0, 0.3e-3), (20e-3, 0.3e-3), (50e-3, 5e-3)]
+        )
+    ]
+    assert repeating(every) == [True, True, True, False]
+
+
+def test_what_comes_back_in_each_pass_is_no_news(fit):
+    again = [replace(record, passes=4) for record in fit.problem.records]
+    found = learn_sliding(again, KNOWN, plant.COUNT, CALM).learned
+    assert found.shape.stiffness == pytest.approx(fit.learned.shape.stiffness, rel=0.05)
+    of = SLIDING_PARAMETERS.index("stiffness"), SLIDING_PARAMETERS.index("stiffness")
+    assert found.covariance[of] > 2 * fit.learned.covariance[of]
 
 
 @pytest.mark.parametrize(("payback", "low", "high"), [(0.0, 0.8, 1.0), (0.9, 0.01, 0.04)])

@@ -15,7 +15,7 @@ from rigtool.experiments.force_filter.plant import (
     as_record,
 )
 from rigtool.experiments.force_model.drive import plant_of
-from rigtool.experiments.force_model.learning import NAMES, LearnedModel
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_model.rest import (
     BY_REST,
@@ -47,10 +47,11 @@ TERMS = tuple(Term(kind, 1.0) for kind in FRICTIONS)
 def model():
     """Return the truth, of which sliding shows the sum of both frictions, not their shares."""
     coefficient = np.array([value for value, _ in FRICTIONS.values()])
-    u = np.array([0.05] * len(NAMES) + [own for _, own in FRICTIONS.values()])
+    u = np.array([0.05] * len(SLIDING_PARAMETERS) + [own for _, own in FRICTIONS.values()])
     correlation = np.eye(len(u))
     bearing, housing = (
-        len(NAMES) + list(FRICTIONS).index(kind) for kind in (Kind.BEARING, Kind.HOUSING)
+        len(SLIDING_PARAMETERS) + list(FRICTIONS).index(kind)
+        for kind in (Kind.BEARING, Kind.HOUSING)
     )
     correlation[bearing, housing] = correlation[housing, bearing] = -0.9999
     shape = Shape(2e-3, 8e-3, 5e-3, 0.3, 0.03, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
@@ -129,9 +130,20 @@ def test_the_sum_of_friction_stays_what_sliding_showed(learned):
 def test_uncertainty_shrinks_where_rest_shows_something(learned):
     truth, _, found, _ = learned
     assert np.all(found.length_u < 0.35 * truth.length_u)
-    bearing = len(NAMES) + list(FRICTIONS).index(Kind.BEARING)
+    bearing = len(SLIDING_PARAMETERS) + list(FRICTIONS).index(Kind.BEARING)
     assert found.covariance[bearing, bearing] < truth.covariance[bearing, bearing]
     assert np.linalg.eigvalsh(found.covariance).min() > -1e-12
+
+
+def test_a_slope_is_taken_on_the_side_that_is_physically_possible(monkeypatch):
+    def errors(self, parameters):
+        away = parameters - self.start
+        return np.full(50, np.inf) if away[0] > 0 else 1e-4 * (1 + np.resize(away, 50))
+
+    monkeypatch.setattr(RestProblem, "errors", errors)
+    found = learn_rest(model(), explored(model(), 0.5), UNCERTAINTY, 1e-3)
+    assert np.all(np.isfinite(found.length_u))
+    assert np.all(np.isfinite(found.covariance))
 
 
 def test_turns_of_fast_strokes_show_the_inertia():
@@ -146,5 +158,5 @@ def test_turns_of_fast_strokes_show_the_inertia():
     before, after, true = (plant_of(one, STEP).inertia for one in (wrong, found, truth))
     assert before == pytest.approx(0.96 * true)
     assert after == pytest.approx(true, rel=0.007)
-    inertia = len(NAMES) + list(FRICTIONS).index(Kind.INERTIA)
+    inertia = len(SLIDING_PARAMETERS) + list(FRICTIONS).index(Kind.INERTIA)
     assert found.covariance[inertia, inertia] < truth.covariance[inertia, inertia] / 4

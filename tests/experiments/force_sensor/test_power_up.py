@@ -6,7 +6,7 @@ import pytest
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED, STATES, TORQUE
 from rigtool.experiments.force_model.deviations import Deviations
 from rigtool.experiments.force_model.force_model import ForceModel
-from rigtool.experiments.force_model.learning import NAMES, LearnedModel
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
 from rigtool.experiments.force_model.model import Kind, Known, Shape, Term
 from rigtool.experiments.force_sensor.power_up import PowerUp
 
@@ -22,7 +22,7 @@ def model():
     terms += [Term(Kind.RIPPLE, 1.0, *key) for key in LEARNED]
     coefficient = np.array([2e-3, 9e-3, *LEARNED.values()])
     shape = Shape(2e-3, 8e-3, 5e-3, 0.3, LAG, 0.2, 8e-4, 1e-3, 2e-6, 1.8e-3)
-    size = len(NAMES) + len(terms)
+    size = len(SLIDING_PARAMETERS) + len(terms)
     known = Known(0.85, FACTOR, 2e-5)
     learned = LearnedModel(tuple(terms), shape, known, coefficient, np.eye(size), np.ones(2))
     return ForceModel(learned, Deviations(STROKE, 0.01, 0.1e-3, 0.15))

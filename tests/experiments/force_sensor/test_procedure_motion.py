@@ -1,5 +1,7 @@
 """Motions for force over time."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -65,3 +67,14 @@ def test_motions_beyond_what_was_learned_are_refused():
     wide = path(np.array([0.0, 5.0]), np.array([0.0, 3.0]))
     with pytest.raises(RecipeError, match=r"learned from 0 to 2\.67 rad"):
         require_learned(0.0, wide, REACH, 0.0)
+
+
+def test_a_long_motion_is_looked_at_in_pieces():
+    long = path(np.array([0.0, 150.0, 299.9, 300.0]), np.array([0.0, 2.6, 2.5, 3.0]))
+    tracemalloc.start()
+    try:
+        with pytest.raises(RecipeError, match=r"learned from 0 to 2\.67 rad"):
+            require_learned(0.0, long, REACH, 0.0)
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigtool.experiments.force_sensor.response import RIGHT, Spectra, amplitude_bandwidth
+from rigtool.experiments.force_sensor.response import RIGHT_AMPLITUDE, Spectra, amplitude_bandwidth
 from rigtool.numerics.lowpass import delayed, lowpass
 from rigtool.recipe.commands import ForceMotion
 
@@ -23,7 +23,7 @@ def test_that_of_a_low_pass_is_where_its_gain_is(seed, cutoff_hz):
     reference = rng.standard_normal(60_000)
     torque = lowpass(RATE, reference, cutoff_hz) + 1e-3 * rng.standard_normal(60_000)
     value, u = amplitude_bandwidth([spectra(torque[:30_000], reference[:30_000])] * 2)
-    exact = cutoff_hz * (1 / RIGHT - 1) ** 0.25  # 1 / (1 + (f / fc)^4)
+    exact = cutoff_hz * (1 / RIGHT_AMPLITUDE - 1) ** 0.25  # 1 / (1 + (f / fc)^4)
     assert value == pytest.approx(exact, abs=3 * u)
     assert u < 1.0
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.experiments.force_sensor.unknown_friction import (
-    CELLS,
+    ANGLE_CELLS,
     DOUBTED,
     REFUSED,
     Passes,
@@ -20,7 +20,7 @@ def strokes(rng, friction=0.0, load=lambda direction, cell: 0.0, touched=0.0):
     """Return passes to and fro: their own friction, some that others touch, and a load."""
     direction = np.tile([1.0, -1.0], PASSES)
     torque = rng.normal(0, 0.25e-3, (len(direction), 1)) + direction[:, None] * friction
-    cells = np.arange(CELLS)
+    cells = np.arange(ANGLE_CELLS)
     torque = torque + np.array([[load(d, c) for c in cells] for d in direction])
     order = np.tile(rng.permuted(np.tile(np.arange(PASSES)[:, None], 2), axis=0).ravel(), 1)
     touching = order < touched * PASSES

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from rigtool.experiments.friction.model_doubt import (
-    RANGES,
+    RESIDUAL_RANGES,
     STRIBECK_VELOCITIES,
     TIME_PARTS,
     curvature,
@@ -67,9 +67,9 @@ def test_what_was_passed_once_may_be_a_function():
 
 
 def test_a_single_sample_in_each_range_shows_no_chance():
-    residual = np.random.default_rng(6).normal(size=RANGES)
-    once = np.zeros(RANGES, dtype=np.intp)
-    share, _ = structure(np.arange(RANGES), residual, np.ones((RANGES, 1)), once)
+    residual = np.random.default_rng(6).normal(size=RESIDUAL_RANGES)
+    once = np.zeros(RESIDUAL_RANGES, dtype=np.intp)
+    share, _ = structure(np.arange(RESIDUAL_RANGES), residual, np.ones((RESIDUAL_RANGES, 1)), once)
     assert share == pytest.approx(1.0, rel=1e-12)
 
 

@@ -9,7 +9,7 @@ import pytest
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.friction.paired import MotionSignals, changes, ratio
 from rigtool.experiments.friction.results import Findings, Scale
-from rigtool.experiments.friction.results_difference import HOLDS, add_curve_difference
+from rigtool.experiments.friction.results_difference import HOLD_TABLE, add_curve_difference
 from rigtool.quantity import Quantity
 from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import Column, Table, open_run
@@ -202,7 +202,7 @@ def held(speed, torque, u):
 
 def stored(table):
     """Return what the comparison reads of a stored run."""
-    run = SimpleNamespace(path="b.h5", tables={HOLDS: table}, require_command=str)
+    run = SimpleNamespace(path="b.h5", tables={HOLD_TABLE: table}, require_command=str)
     run.table = lambda name, *axes, **units: run.tables[name]
     return run
 
@@ -217,7 +217,7 @@ def test_the_curve_that_both_differences_share_does_not_move_their_ratio():
             held(speed, change * np.sign(speed) + random.normal(0, 1e-5, len(speed)), 1e-5)
             for change in (0.0, 5e-5, -5e-5)
         )
-        found = Findings(Scale(Quantity(0.045, "N m/A", 0.0)), tables={HOLDS: unknown})
+        found = Findings(Scale(Quantity(0.045, "N m/A", 0.0)), tables={HOLD_TABLE: unknown})
         add_curve_difference(found, stored(bare), stored(known))
         ratio = found.results["ratio_of_differences"]
         pulls.append((ratio.value + 1) / ratio.u)
@@ -233,7 +233,7 @@ def test_scatter_beyond_the_stated_one_widens_differences():
         random = np.random.default_rng(seed)
 
         this, other = (held(speed, random.normal(0, 3e-5, len(speed)), 1e-5) for _ in range(2))
-        found = Findings(Scale(Quantity(0.045, "N m/A", 0.0)), tables={HOLDS: this})
+        found = Findings(Scale(Quantity(0.045, "N m/A", 0.0)), tables={HOLD_TABLE: this})
         add_curve_difference(found, stored(other), None)
         pulls += [found.results[f"{n}_friction_difference"] for n in ("coulomb", "viscous")]
     # 80 pulls; a third of the true u would give 3.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rigtool.experiments.imported_load.basis import LoadSignals, follow
+from rigtool.experiments.imported_load.basis import LoadSignals, path_of
 
 RATE = 200.0
 BANDWIDTH_HZ = 5.0
@@ -36,7 +36,7 @@ def record(
 def observe(load, frequency, **more):
     """Return a recording as one to learn from."""
     time, position, effort, torque = record(load, frequency, **more)
-    path, (effort, torque) = follow(time, position, BANDWIDTH_HZ, effort, torque)
+    path, (effort, torque) = path_of(time, position, BANDWIDTH_HZ, effort, torque)
     return LoadSignals(path, effort, "A", path.speed, path.position, torque)
 
 

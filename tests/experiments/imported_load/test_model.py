@@ -12,15 +12,15 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force.imported import Measured, of_this_zero
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.imported_load.basis import (
-    GROUPS,
+    FUNCTION_GROUPS,
     find_scales,
-    follow,
     motion_functions,
+    path_of,
     size_of,
 )
 from rigtool.experiments.imported_load.learning import learn_load_model, level_numbers
 from rigtool.experiments.imported_load.loop import REFUSED
-from rigtool.experiments.imported_load.model import FLAT, HIGHEST_POWER, SIGNS, Side
+from rigtool.experiments.imported_load.model import FLAT_SLOPE, HIGHEST_POWER, SIDE_SIGNS, Side
 from rigtool.experiments.imported_load.region import of_known_strokes
 from rigtool.experiments.imported_load.side import prior_of
 from tests.experiments.imported_load.loaded_drive import (
@@ -293,7 +293,7 @@ def test_a_transient_is_left_out():
     position = position.copy()
     jump = (time > 6) & (time < 6.2)
     position[jump] += 30 * np.sin((time[jump] - 6) / 0.2 * np.pi)
-    path, _ = follow(time, position, BANDWIDTH_HZ, effort, torque)
+    path, _ = path_of(time, position, BANDWIDTH_HZ, effort, torque)
     assert not path.regular[(path.time > 6) & (path.time < 6.2)].any()
     assert path.regular[(path.time < 5.5) | (path.time > 6.7)].all()
 
@@ -344,16 +344,16 @@ def test_levels_are_apart_by_gaps():
 def test_every_group_has_the_columns_it_says():
     item = observe(0.05, 0.3)
     scales = find_scales([item.path], [item.reference], turn=5.0)
-    for sign in SIGNS:
+    for sign in SIDE_SIGNS:
         functions = motion_functions(item.path, scales, sign)
-        assert set(functions) == set(GROUPS)
+        assert set(functions) == set(FUNCTION_GROUPS)
         for name, columns in functions.items():
             assert columns.shape == (len(item.path.time), size_of(name)), name
 
 
 def test_covariances_are_covariances(learned):
     assert HIGHEST_POWER == 3
-    assert 0 < FLAT < 1
+    assert 0 < FLAT_SLOPE < 1
     for side in learned.model.sides:
         assert {"offset", "load"} <= set(side.groups)
         assert (np.linalg.eigvalsh(side.covariance) > -1e-9 * np.trace(side.covariance)).all()

@@ -7,7 +7,12 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 from scipy.stats import f
 
-from rigtool.experiments.learning.repeatable import LEVEL, Repeatability, only_kept, repeatability
+from rigtool.experiments.learning.repeatable import (
+    MAX_CHANCE_PART,
+    Repeatability,
+    only_kept,
+    repeatability,
+)
 
 ANGLE = np.arange(256) * (2 * np.pi / 256)
 
@@ -51,7 +56,7 @@ def test_the_ratio_is_that_of_fisher():
     chance = np.full(101, 2.0)
     chance[0] = 0.0
     found = Repeatability(np.zeros(101), chance, 12)
-    assert found.limit() == pytest.approx(f.isf(LEVEL, 200, 200 * 11), rel=1e-9)
+    assert found.limit() == pytest.approx(f.isf(MAX_CHANCE_PART, 200, 200 * 11), rel=1e-9)
     assert found.ratio() == 0.0
 
 
@@ -64,7 +69,7 @@ def test_orders_are_kept_as_benjamini_and_hochberg_do():
     p = f.sf(power, 2, 18)
     p[0] = f.sf(power[0], 1, 9)
     ranks = np.argsort(np.argsort(p)) + 1
-    passed = p <= LEVEL * ranks / p.size
+    passed = p <= MAX_CHANCE_PART * ranks / p.size
     expected = p <= p[passed].max()
     np.testing.assert_array_equal(found.kept(), expected)
     assert expected.sum() == 3

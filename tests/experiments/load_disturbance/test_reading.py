@@ -7,7 +7,7 @@ import pytest
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model.deviations import Deviations
-from rigtool.experiments.force_model.learning import NAMES, LearnedModel, learn_sliding
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel, learn_sliding
 from rigtool.experiments.force_model.model import Kind, Shape, Term
 from rigtool.experiments.load_disturbance.reading import (
     LoadedPair,
@@ -99,7 +99,7 @@ def test_a_load_left_out_of_the_learning_is_read(sliding, unloaded):
     less = sliding.learned_from([record.moment != 0.03 for record in sliding.problem.records])
     found = read(less, compared(unloaded, 0.03))
     assert found.moment == pytest.approx(0.03, rel=0.01)
-    own = NAMES.index("stiffness")
+    own = SLIDING_PARAMETERS.index("stiffness")
     assert less.covariance[own, own] > sliding.learned.covariance[own, own]
 
 
@@ -110,7 +110,7 @@ def test_a_load_that_swings_near_its_resonance_is_found(load):
     drive = {"friction": 0.0, "ripple": 0.0, "scatter": 0.02e-3, **soft}
     shape = Shape(1e-3, 1e-2, 1e-2, 0.1, 0.01, grasper_inertia=1e-7, load_onset=1e-3, **soft)
     terms = (Term(Kind.HOUSING, 1.0),)
-    count = len(NAMES) + len(terms)
+    count = len(SLIDING_PARAMETERS) + len(terms)
     plain = LearnedModel(
         terms, shape, KNOWN, np.full(1, 8.5e-3), np.zeros((count, count)), np.ones(2)
     )

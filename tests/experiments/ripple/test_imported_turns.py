@@ -16,7 +16,7 @@ from rigtool.experiments.ripple.imported_turns import (
     refined_speed,
 )
 from rigtool.experiments.ripple.orders import (
-    EVERYWHERE,
+    NO_ATTENUATION,
     Ripple,
     Sampling,
     Spectrum,
@@ -26,7 +26,7 @@ from rigtool.experiments.ripple.orders import (
 POSITIONS = 500
 
 
-def orders_of(waveforms, orders, sampling=EVERYWHERE):
+def orders_of(waveforms, orders, sampling=NO_ATTENUATION):
     return spectrum(Ripple(waveforms, sampling), orders)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rigtool.experiments.running import lines as module
-from rigtool.experiments.running.lines import WAITING, JsonLines
+from rigtool.experiments.running.lines import MAX_WAITING_BLOCKS, JsonLines
 
 
 @pytest.fixture
@@ -43,14 +43,14 @@ def test_a_reader_that_is_gone_disturbs_nobody(pipe):
     source, out = pipe
     source.close()
     lines = JsonLines(out, waits=True)
-    for number in range(3 * WAITING):
+    for number in range(3 * MAX_WAITING_BLOCKS):
         lines.show("a", rows(number))
     lines.close()
-    assert lines.missed == 6 * WAITING
+    assert lines.missed == 6 * MAX_WAITING_BLOCKS
 
 
 def test_a_stuck_reader_is_not_waited_for_on_a_physical_rig(pipe, monkeypatch):
-    monkeypatch.setattr(module, "CLOSING", 0.1)
+    monkeypatch.setattr(module, "CLOSING_TIME", 0.1)
     source, out = pipe
     lines, total = JsonLines(out, waits=False), 5000
     for number in range(total):
@@ -86,7 +86,7 @@ def test_a_slow_reader_of_a_virtual_rig_gets_every_line(pipe):
 def test_an_interrupt_does_not_wait_for_a_stuck_reader(pipe):
     source, out = pipe
     lines = JsonLines(out, waits=True)
-    for number in range(WAITING):
+    for number in range(MAX_WAITING_BLOCKS):
         lines.show("a", rows(100 * number, 100))
     lines.close(at_once=True)
     assert lines._thread.is_alive()

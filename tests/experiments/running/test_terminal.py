@@ -14,7 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from rigtool.experiments.running.session import STATUS_ONLY
-from rigtool.experiments.running.terminal import BARS, FORGOTTEN, INTERVAL, PLAIN, Live, sparkline
+from rigtool.experiments.running.terminal import (
+    BARS,
+    DRAWING_INTERVAL,
+    PLAIN_BARS,
+    STALE_TIME,
+    Live,
+    sparkline,
+)
 from rigtool.recipe import load_recipe
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
@@ -33,7 +40,7 @@ def test_sparkline_runs_from_lowest_to_highest():
 
 
 def test_it_draws_means_over_the_interval_and_draws_again_above():
-    now = iter([0.0, INTERVAL / 2, INTERVAL])
+    now = iter([0.0, DRAWING_INTERVAL / 2, DRAWING_INTERVAL])
     out = io.StringIO()
     live = Live(out, columns=4, clock=lambda: next(now))
     for first in range(3):
@@ -62,7 +69,7 @@ BLOCK = {"time": np.array([1.0]), "signal_current": np.array([1.0])}
 
 
 def test_what_was_written_below_meanwhile_stays():
-    now = iter([0.0, 1.0, 1.0 + 2 * FORGOTTEN])
+    now = iter([0.0, 1.0, 1.0 + 2 * STALE_TIME])
     out = io.StringIO()
     live = Live(out, clock=lambda: next(now))
     live.show("a", BLOCK)
@@ -77,7 +84,7 @@ def test_lines_fit_a_narrow_terminal():
     """A line that wraps would leave its upper half behind when it is drawn again."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 60, 0, 0))
-    now = iter(np.arange(100) * INTERVAL * 1.01)
+    now = iter(np.arange(100) * DRAWING_INTERVAL * 1.01)
     with open(slave, "w", encoding="utf-8") as out:
         live = Live(out, clock=lambda: next(now))
         drawn = ""
@@ -93,11 +100,11 @@ def test_lines_fit_a_narrow_terminal():
 
 def test_terminal_without_bars_gets_plain_ones():
     out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
-    now = iter(np.arange(9) * INTERVAL * 1.01)
+    now = iter(np.arange(9) * DRAWING_INTERVAL * 1.01)
     live = Live(out, clock=lambda: next(now))
     for value in range(8):
         live.show("a", {**BLOCK, "signal_current": np.array([float(value)])})
-    assert out.buffer.getvalue().decode("ascii").rstrip().endswith(PLAIN)
+    assert out.buffer.getvalue().decode("ascii").rstrip().endswith(PLAIN_BARS)
 
 
 def test_terminal_that_is_gone_ends_no_measurement():

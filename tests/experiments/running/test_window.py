@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 from rigtool.errors import UsageError
 from rigtool.experiments.running import terminal as live
-from rigtool.experiments.running.terminal import WAITING, Feed, Window, open_live
-from rigtool.experiments.running.window import POINTS, SPAN, Panel, thinned
+from rigtool.experiments.running.terminal import MAX_WAITING_BLOCKS, Feed, Window, open_live
+from rigtool.experiments.running.window import LINE_POINTS, TIME_SPAN, Panel, thinned
 from tests.cli.test_run_commands import call
 from tests.experiments.running.test_terminal import fft_ripple
 
@@ -56,7 +56,7 @@ def test_a_plot_a_channel_with_unit_and_latest_value(panel):
     ]
     assert [axes.get_title(loc="right") for axes in figure.axes] == ["7", "0.25"]
     assert figure.get_suptitle() == "sweep, 3.2 s"
-    assert figure.axes[0].get_xlim() == (3.0, 3.0 + SPAN)
+    assert figure.axes[0].get_xlim() == (3.0, 3.0 + TIME_SPAN)
 
 
 def test_the_last_seconds_are_shown_and_the_rest_forgotten(panel):
@@ -65,10 +65,10 @@ def test_the_last_seconds_are_shown_and_the_rest_forgotten(panel):
         panel.add("sweep", block(number / 4, current=float(number)))
     panel.draw()
     times, values = drawn(figure.axes[0])
-    assert times[0] >= times[-1] - SPAN
-    assert times[-1] - times[0] == pytest.approx(SPAN, abs=0.05)
+    assert times[0] >= times[-1] - TIME_SPAN
+    assert times[-1] - times[0] == pytest.approx(TIME_SPAN, abs=0.05)
     assert values[-1] == 199
-    assert len(panel._blocks) <= SPAN * 4 + 2
+    assert len(panel._blocks) <= TIME_SPAN * 4 + 2
 
 
 def test_another_recording_or_other_channels_begin_anew(panel):
@@ -103,7 +103,7 @@ def test_thinned_lines_keep_their_extremes(count, seed):
     values = np.random.default_rng(seed).normal(size=count)
     time = np.arange(count) / 8000
     times, few = thinned(time, values)
-    assert len(times) == len(few) <= 2 * POINTS + POINTS // 2
+    assert len(times) == len(few) <= 2 * LINE_POINTS + LINE_POINTS // 2
     if count:
         assert few.max() == values.max()
         assert few.min() == values.min()
@@ -123,7 +123,7 @@ class Slow:
 
 
 def test_a_view_that_hangs_holds_nobody_up_and_blocks_are_left_out(monkeypatch):
-    monkeypatch.setattr(live, "CLOSING", 0.1)
+    monkeypatch.setattr(live, "CLOSING_TIME", 0.1)
     view = Slow()
     feed = Feed(view)
     for number in range(1000):
@@ -132,7 +132,7 @@ def test_a_view_that_hangs_holds_nobody_up_and_blocks_are_left_out(monkeypatch):
     assert view.seen == []  # nobody has waited for it
     view.go.set()
     feed._thread.join(5)
-    assert WAITING <= len(view.seen) <= WAITING + 1
+    assert MAX_WAITING_BLOCKS <= len(view.seen) <= MAX_WAITING_BLOCKS + 1
     assert view.seen[:3] == ["0", "1", "2"]
 
 
@@ -153,10 +153,10 @@ def test_what_waits_at_the_end_is_drawn():
     view = Slow()
     view.go.set()
     feed = Feed(view)
-    for number in range(WAITING):
+    for number in range(MAX_WAITING_BLOCKS):
         feed.show(str(number), {})
     feed.close()
-    assert len(view.seen) == WAITING
+    assert len(view.seen) == MAX_WAITING_BLOCKS
 
 
 # -- the process
@@ -168,7 +168,8 @@ def imagined(tmp_path, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "module://tests.experiments.running.live_canvas")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("LIVE_PICTURE", str(tmp_path / "window.png"))
-    for patience in ("OPENING", "CLOSING"):  # a busy machine gives a nice process little time
+    # a busy machine gives a nice process little time
+    for patience in ("OPENING_TIME", "CLOSING_TIME"):
         monkeypatch.setattr(f"rigtool.experiments.running.terminal.{patience}", 600.0)
     return tmp_path / "window.txt"
 
@@ -208,7 +209,7 @@ def test_a_window_that_is_closed_ends_no_measurement(imagined, monkeypatch):
 
 
 def test_a_window_that_hangs_ends_with_the_run(imagined, monkeypatch):
-    monkeypatch.setattr(live, "CLOSING", 0.2)
+    monkeypatch.setattr(live, "CLOSING_TIME", 0.2)
     with open_live("window") as feed:
         process = feed._view._process
         os.kill(process.pid, signal.SIGSTOP)

@@ -98,7 +98,7 @@ def test_bands_without_samples_are_left_out(judged):
 def test_all_are_drawn_to_the_end(judged):
     for number in NUMBERS:
         with style.styled():
-            svg, png = style.render(PLOTS[number].draw(judged))
+            svg, png = style.render_figure(PLOTS[number].draw(judged))
         assert svg.startswith("<?xml")
         assert png.startswith(b"\x89PNG")
 

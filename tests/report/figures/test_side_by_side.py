@@ -20,7 +20,7 @@ forks, fork = [], os.fork
 os.fork = lambda: forks.append(1) or fork()
 
 def drawn(number):
-    return style.render(style.one_panel("x", f"y{number}")[0])
+    return style.render_figure(style.one_panel("x", f"y{number}")[0])
 
 figures = [partial(drawn, number) for number in range(5)]
 own = []

@@ -85,7 +85,7 @@ def test_figures_of_a_run_are_drawn_to_the_end(of_a, of_b):
         for plot in PLOTS.values():
             if plot.fits(run) and plot.number >= 42:
                 with style.styled():
-                    svg, png = style.render(plot.draw(run))
+                    svg, png = style.render_figure(plot.draw(run))
                 assert svg.startswith("<?xml")
                 assert png.startswith(b"\x89PNG")
 

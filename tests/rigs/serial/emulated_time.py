@@ -63,7 +63,7 @@ class World:
         self.begin = self.now = 1000.0
         self.delay, self.rate = 1e-4, math.inf
         self.stalls = {}
-        self.tick = server.TICK
+        self.tick = server.IDLE_TIME
         self.servers, self.ports = [], {}
         self._ended = False
         self._number = itertools.count(9000)
@@ -177,7 +177,7 @@ class World:
 
     def open_socket(self, address, timeout):
         """Take the place of `sockets.Socket`."""
-        wire = self.ports.get(line.SOCKET + address)
+        wire = self.ports.get(line.SOCKET_PREFIX + address)
         return REAL_SOCKET(address, timeout) if wire is None else Port(self, wire, timeout)
 
 
@@ -390,7 +390,7 @@ def server_kind(world, name):
             return self._wire.ready(self._wire.to_device)
 
         def _read(self):
-            return self._wire.take(self._wire.to_device, server.CHUNK)
+            return self._wire.take(self._wire.to_device, server.READ_BYTES)
 
         def _write(self, data):
             taken = data[: self._wire.room(self._wire.to_host)]

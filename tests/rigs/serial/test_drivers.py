@@ -37,7 +37,7 @@ def package(tmp_path, monkeypatch):
     plugins.plugins.cache_clear()
 
 
-@pytest.mark.parametrize("name", drivers.MODULES)
+@pytest.mark.parametrize("name", drivers.DRIVER_MODULES)
 def test_each_driver_of_rigtool_makes_a_drive_or_a_rig(name, monkeypatch):
     monkeypatch.setattr(drivers, "plugins", None)  # other packages are not asked for these
     found = drivers.driver(name)
@@ -46,7 +46,9 @@ def test_each_driver_of_rigtool_makes_a_drive_or_a_rig(name, monkeypatch):
 
 
 def test_unknown_driver_is_refused_with_the_known_ones():
-    known = f"'toaster' is unknown: use one of {', '.join(drivers.MODULES)}, replay, or install"
+    known = (
+        f"'toaster' is unknown: use one of {', '.join(drivers.DRIVER_MODULES)}, replay, or install"
+    )
     with pytest.raises(RecipeError, match=known):
         open_rig(serial_recipe("/dev/none", driver="toaster"), 0.045, "test")
 

@@ -81,7 +81,7 @@ def test_observing_asks_for_nothing():
     found = extremes(Observe(30.0))
     assert (found.duration, found.speed, found.current) == (30.0, 0.0, 0.0)
     assert math.isnan(found.end)
-    safety.check(found, LIMITS)
+    safety.require_within_limits(found, LIMITS)
 
 
 def test_feed_forward_current_adds_up():
@@ -124,16 +124,18 @@ def test_extremes_hold_at_every_sample(speeds, origin):
 )
 def test_motions_beyond_the_limits_are_refused(motion, feedforward, message):
     with pytest.raises(RecipeError, match=message):
-        safety.check(extremes(motion, feedforward), LIMITS)
+        safety.require_within_limits(extremes(motion, feedforward), LIMITS)
 
 
 def test_all_that_is_beyond_is_said_at_once():
     with pytest.raises(RecipeError, match=r"current .*; speed .*; position"):
-        safety.check(extremes(Triangle(0, 9, 40, 0.3, 1), Feedforward(inertia=1.0)), LIMITS)
+        safety.require_within_limits(
+            extremes(Triangle(0, 9, 40, 0.3, 1), Feedforward(inertia=1.0)), LIMITS
+        )
 
 
 def test_motion_at_the_limits_is_allowed():
-    safety.check(extremes(Triangle(-1, 4, 10, 0.3, 1)), LIMITS)
+    safety.require_within_limits(extremes(Triangle(-1, 4, 10, 0.3, 1)), LIMITS)
 
 
 def signals(count=400, dt=1e-3, **channels):
@@ -274,7 +276,9 @@ def test_a_speed_beyond_the_limit_always_trips_in_time(
     there[[n for n in missing if n < len(read)]] = False
     interval = np.diff(stamps[there], prepend=0.0).max()
     lasts = window + 6 * interval
-    assume(interval < safety.BLIND and 2.01 * interval < window and lasts < read[there][-1])
+    assume(
+        interval < safety.MAX_BLIND_TIME and 2.01 * interval < window and lasts < read[there][-1]
+    )
     margin = limit * (window + 2 * interval) + 2 * COUNT
     speed = 1.001 * margin / (window - 2 * interval)
     begin = start * (read[there][-1] - lasts)
@@ -296,7 +300,7 @@ def test_current_is_judged_by_its_magnitude(exchanged, start, sign, beyond, miss
     there = np.ones(len(time), bool)
     there[[n for n in missing if n < len(time)]] = False
     interval = np.diff(time[there], prepend=0.0).max()
-    lasts = safety.WINDOW + 2 * interval
+    lasts = safety.CURRENT_WINDOW + 2 * interval
     begin = start * (time[-1] - lasts)
     if beyond:
         current[(time < begin) | (time > begin + lasts)] = 0.0

@@ -30,7 +30,7 @@ from rigtool.experiments.ripple.imported_turns import fill, reduction
 from rigtool.experiments.ripple.map_shift import Match, match_maps
 from rigtool.experiments.ripple.orders import (
     HIGHEST_ORDER,
-    POSITIONS,
+    WAVEFORM_CELLS,
     Spectrum,
     cell_centres,
     neighbours_floor,
@@ -44,10 +44,10 @@ from rigtool.runfile import Column, Recording, Run, Table
 
 Orders = ComplexArray
 
-BLOCK = 16384
+BLOCK_SAMPLES = 16384
 """Most samples of which all orders are held at a time."""
 
-FITS = "table_fits"
+FITS_RESULT = "table_fits"
 """Result that states whether a table fits: 1 or 0."""
 
 
@@ -96,7 +96,7 @@ def _of_record(recordings: Sequence[Recording], kt: Run | None, mapped: Orders) 
     before = after = 0.0
     for recording in recordings:
         torque, angle = effort_of(recording, kt).values, position_of(recording)
-        parts = np.array_split(angle, 1 + angle.size // BLOCK)
+        parts = np.array_split(angle, 1 + angle.size // BLOCK_SAMPLES)
         turning = (np.exp(1j * np.multiply.outer(part, order)) @ mapped for part in parts)
         before += float(torque.var()) * torque.size
         after += float((torque - np.real(np.concatenate(list(turning)))).var()) * torque.size
@@ -136,7 +136,9 @@ class _Compared:
         ratio = after / before
         ratio_u = math.hypot(after_u / before, ratio * before_u / before)
         results = {
-            FITS: Quantity(float(self.fits), "1", reason="a verdict: 1 it fits, 0 it does not"),
+            FITS_RESULT: Quantity(
+                float(self.fits), "1", reason="a verdict: 1 it fits, 0 it does not"
+            ),
             "ripple_rms": Quantity(before, unit, before_u),
             "remaining_rms": Quantity(after, unit, after_u),
             "removed": Quantity(1 - ratio, "1", ratio_u),
@@ -185,7 +187,7 @@ class _Compared:
 
     def waveforms(self, learned: LearnedTable) -> Table:
         """Return run, map and remainder around the turn."""
-        angle = cell_centres(POSITIONS)
+        angle = cell_centres(WAVEFORM_CELLS)
         order = np.arange(1, len(self.mapped) + 1)
         mapped = np.real(np.exp(1j * np.multiply.outer(angle, order)) @ self.mapped)
         return Table(
@@ -230,10 +232,12 @@ def _compare(group: RepeatedRuns, torque: Array, learned: LearnedTable, orders: 
     """Compare turns (turns, positions), NaN where none passed, with the map of their speed."""
     mapped = _orders_of(learned, group.speed)[:orders]
     order = np.arange(1.0, mapped.size + 1)
-    cells = np.exp(1j * np.multiply.outer(cell_centres(POSITIONS), order))
+    cells = np.exp(1j * np.multiply.outer(cell_centres(WAVEFORM_CELLS), order))
     # A cell has the mean over its width. Where a turn left cells out, the remainder is bridged, not
     # measured: it is smaller.
-    expected = np.real(cells @ (mapped * np.sinc(order / POSITIONS) * group.sampling.gain(order)))
+    expected = np.real(
+        cells @ (mapped * np.sinc(order / WAVEFORM_CELLS) * group.sampling.gain(order))
+    )
     remaining, _ = fill(torque - expected)
     means = remaining.mean(axis=1)
     shown = spectrum(remove_offset(remaining + expected, group.sampling), mapped.size)

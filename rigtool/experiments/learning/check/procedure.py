@@ -41,10 +41,10 @@ from rigtool.recipe import Recipe
 from rigtool.rigs import Rig, Task
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
 
-MOVES = 6
+MOVES_PER_SPEED = 6
 """Moves, or turns, that are recorded at each speed, unless `--set` changes it."""
 
-TURNING = ("A", "B")
+WHOLE_TURN_IMPLEMENTATIONS = ("A", "B")
 """Implementations with whole turns: A at one speed, in one direction. The moves of C check the
 others.
 """
@@ -68,7 +68,7 @@ def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> C
             "ilc_learn.implementation": "C",
             "ilc_learn.speeds_rev_per_s": [float(v) / ratio / (2 * math.pi) for v in chosen],
             "ilc_learn.low_speeds_rev_per_s": [],
-            "ilc_learn.moves": MOVES,
+            "ilc_learn.moves": MOVES_PER_SPEED,
         }
     else:
         settings = {
@@ -76,7 +76,7 @@ def as_learned(options: CommonOptions, sources: Sequence[str], tables: Run) -> C
             "ilc_learn.implementation": "A" if _one_speed(tables) else "B",
             "ilc_learn.turning.speeds_rev_per_s": [float(v) / (2 * math.pi) for v in chosen],
             "ilc_learn.turning.low_speeds_rev_per_s": [],
-            "ilc_learn.turning.revolutions": MOVES,
+            "ilc_learn.turning.revolutions": MOVES_PER_SPEED,
         }
     overrides = [f"{name}={value}" for name, value in settings.items()]
     return replace(options, overrides=(*overrides, *options.overrides))
@@ -106,7 +106,7 @@ def fits(outcome: Outcome) -> bool:
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
     """List a recording for each speed, or for each speed and direction where the shaft turns."""
     settings = recipe.ilc_learn
-    if settings.implementation in TURNING:
+    if settings.implementation in WHOLE_TURN_IMPLEMENTATIONS:
         speeds = settings.turning.speeds_rev_per_s
         ways = [min(speeds)] if settings.implementation == "A" else bare_motor.both(speeds)
         return tuple(bare_motor.steady_specs(recipe, "check", ways))

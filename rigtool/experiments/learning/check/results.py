@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigtool.experiments.learning.check.imported import FITS as FITS
+from rigtool.experiments.learning.check.imported import FITS_RESULT as FITS
 from rigtool.experiments.learning.check.table_health import HealthChange, ParityPart, TableHealth
 from rigtool.experiments.learning.learned_table import LearnedTable
 from rigtool.experiments.learning.rows import Row
@@ -17,7 +17,7 @@ from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table, dof_column
 
 NO_PATTERN = "the table holds no pattern above its noise"
-BOUND = "the part above the scatter of the mean; compare with non_repeatable_rms"
+BOUND_DESCRIPTION = "the part above the scatter of the mean; compare with non_repeatable_rms"
 
 
 def outcome_of(
@@ -50,9 +50,9 @@ def _results(found: TableHealth, counts: int, dof: float) -> dict[str, Quantity]
         "table_scale": quantity(found.scale, "1"),
         "offset_change": quantity(found.offset, "N m"),
         "shape_difference": quantity(found.unexplained, "1"),
-        "mismatch_rms": Quantity(found.mismatch, "N m", reason=BOUND),
-        "pattern_mismatch_rms": Quantity(found.shape, "N m", reason=BOUND),
-        "shifted_mismatch_rms": Quantity(found.shifted, "N m", reason=BOUND),
+        "mismatch_rms": Quantity(found.mismatch, "N m", reason=BOUND_DESCRIPTION),
+        "pattern_mismatch_rms": Quantity(found.shape, "N m", reason=BOUND_DESCRIPTION),
+        "shifted_mismatch_rms": Quantity(found.shifted, "N m", reason=BOUND_DESCRIPTION),
         "non_repeatable_rms": Quantity(found.limit, "N m", found.limit / math.sqrt(2 * dof), dof),
     }
     if found.friction is not None:

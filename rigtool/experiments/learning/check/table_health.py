@@ -28,16 +28,16 @@ from rigtool.errors import InsufficientDataError
 from rigtool.experiments.learning.rows import Row
 from rigtool.numerics.arrays import Array, Mask
 
-REACH = 0.25
+SHIFT_REACH = 0.25
 """Part of a limited range by which a shift is looked for, in either direction."""
 
 EQUALLY_GOOD = 0.01
 """Shifts that leave this part of the variance more than the best one fit as well as that."""
 
-CERTAIN = 3.0
+CERTAIN_RATIO = 3.0
 """A change counts when it is this many times its standard uncertainty."""
 
-ALIKE = 0.9
+ALIKE_VARIANCE = 0.9
 """Two patterns are the same when they share this part of their variance."""
 
 
@@ -73,7 +73,7 @@ class HealthChange:
     @property
     def certain(self) -> bool:
         """Whether it is clearly not zero."""
-        return abs(self.value) > CERTAIN * self.u
+        return abs(self.value) > CERTAIN_RATIO * self.u
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class TableHealth:
 
     def _explains(self, left: float) -> bool:
         """Return whether a change that leaves this rms explains the present pattern."""
-        return left <= min(self.limit, math.sqrt(1 - ALIKE) * self.pattern)
+        return left <= min(self.limit, math.sqrt(1 - ALIKE_VARIANCE) * self.pattern)
 
     @property
     def friction_changed(self) -> bool:
@@ -285,7 +285,7 @@ def _fit(
 ) -> _Fit:
     """Fit shift and scale of learned and present torque (parts, n), if the table is `patterned`."""
     step = float(position[1] - position[0])
-    margin = 0 if period is not None else int(REACH * position.size)
+    margin = 0 if period is not None else int(SHIFT_REACH * position.size)
     window = slice(margin, position.size - margin)
     here, there = position[window], _varying(now[:, window])
     shift = step * _nearest(_leftovers(learned, there, margin), period is not None)

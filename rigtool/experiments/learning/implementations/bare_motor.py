@@ -11,7 +11,7 @@ import numpy as np
 
 from rigtool.control.lookup_table import LookupTable
 from rigtool.errors import RunFileError
-from rigtool.experiments.controller_torque import CHANNELS, naming
+from rigtool.experiments.controller_torque import LOOP_CHANNELS, naming
 from rigtool.experiments.learning.convergence import Cycles, LearningRun, learning_run
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import signals as common
@@ -54,16 +54,16 @@ ACCELERATION = 30.0
 SETTLE_TIME = 0.5
 """Wait after the run-up, s."""
 
-MARGIN = 0.05
+STOP_MARGIN = 0.05
 """Time from the end of the samples in use to the beginning of the stop, s."""
 
-SPARE = 8
+SPARE_SAMPLES = 8
 """Samples taken beyond a turn, so that the turn is whole."""
 
-SAME = 5e-3
+SAME_TABLE = 5e-3
 """Difference of two tables, relative to the largest torque, that recording may cause."""
 
-SWEEPS = ("off", "plain", "on")
+SWEEP_NAMES = ("off", "plain", "on")
 """Sweeps with the table off, without its amplitude and phase tables, and with them."""
 
 
@@ -100,7 +100,7 @@ def _steady(recipe: Recipe, name: str, speed: float) -> RecordingSpec:
     turns = revolutions(recipe, speed)
     return RecordingSpec(
         name,
-        channels(*CHANNELS),
+        channels(*LOOP_CHANNELS),
         {
             "speed": (TURN * speed, "rad/s"),
             "revolutions": (float(turns), "1"),
@@ -124,8 +124,8 @@ def sweep_specs(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
     }
     turned = turning.record_every
     return {
-        name: [RecordingSpec(name, channels(*CHANNELS), conditions, turned)]
-        for name in (f"sweep_{variant}" for variant in SWEEPS)
+        name: [RecordingSpec(name, channels(*LOOP_CHANNELS), conditions, turned)]
+        for name in (f"sweep_{variant}" for variant in SWEEP_NAMES)
     }
 
 
@@ -140,7 +140,7 @@ def task(spec: RecordingSpec, fed: Feedforward) -> Task:
             (0.0, -speed, -speed, speed, speed, 0.0),
         )
     else:
-        last = end + MARGIN
+        last = end + STOP_MARGIN
         profile = SpeedProfile((0.0, run_up, last, last + run_up), (0.0, speed, speed, 0.0))
     return Task(profile, fed, record_every=spec.record_every)
 
@@ -170,7 +170,7 @@ def turned(recording: Recording, recipe: Recipe, torque_constant: float) -> Turn
     with naming(recording):
         cut = cut_turns(time, setpoint, torque_constant * found.controller[used], count)
         # The table is the same in each turn: the last one shows it.
-        last = slice(-(len(time) // count) - SPARE, None)
+        last = slice(-(len(time) // count) - SPARE_SAMPLES, None)
         learned = torque_constant * found.learned[used][last]
         table = cut_turns(time[last], setpoint[last], learned, 1).torque[0]
     everything = np.ones(table.size, dtype=np.bool_)
@@ -354,10 +354,12 @@ class BareMotor(Implementation[T]):
     def _sweep(self, run: Run) -> Sweep | None:
         """Return the sweeps of a run; None where it holds none."""
         recorded = {r.name: r for r in run.recordings_named("sweep_")}
-        if any(f"sweep_{v}" not in recorded or not recorded[f"sweep_{v}"].size for v in SWEEPS):
+        if any(
+            f"sweep_{v}" not in recorded or not recorded[f"sweep_{v}"].size for v in SWEEP_NAMES
+        ):
             return None
         torque = {}
-        for variant in SWEEPS:
+        for variant in SWEEP_NAMES:
             recording = recorded[f"sweep_{variant}"]
             found = common.signals(recording, self.recipe)
             used = _steady_part(recording, found.time)
@@ -384,7 +386,7 @@ def notes_on_table(remains: Remaining, table: LookupTable, recipe: Recipe) -> tu
     order = np.arange(len(positions) // 2 + 1)
     seen = np.fft.rfft(here, axis=1) * np.sinc(np.outer(angle, order)) ** 3
     off = np.abs(np.fft.irfft(seen, len(positions), axis=1) - remains.applied).max()
-    if off <= SAME * np.abs(remains.applied).max():
+    if off <= SAME_TABLE * np.abs(remains.applied).max():
         return ()
     return (
         f"the table that was switched on while recording differs from this one by up to "

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.controller_torque import CHANNELS, naming
+from rigtool.experiments.controller_torque import LOOP_CHANNELS, naming
 from rigtool.experiments.learning.convergence import Cycles, learning_run
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import signals as common
@@ -203,7 +203,7 @@ def specs(
     recipe: Recipe, kind: str, speeds_rev_per_s: Iterable[float], moves: int
 ) -> list[RecordingSpec]:
     """Return recordings of moves to and fro at these speeds of the output, rev/s."""
-    recorded = channels(*CHANNELS)
+    recorded = channels(*LOOP_CHANNELS)
     ratio = recipe.rig.angle_ratio
     return [
         RecordingSpec(

@@ -20,7 +20,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError
 from rigtool.experiments.force_model import stored
 from rigtool.experiments.force_model.procedure_learning import (
-    CHANNELS,
+    LOADED_CHANNELS,
     LearnedForce,
     exploring,
     learn_force,
@@ -40,7 +40,7 @@ from rigtool.rigs import Load, Rig, Task
 from rigtool.rigs.motion import Triangle
 from rigtool.runfile import Column, Recording, RecordingSpec, Run, RunWriter, Table, dof_column
 
-LOADED = "known"
+LOADED_PREFIX = "known"
 """First part of the names of recordings of known loads."""
 
 EXPLORED, CHECKED = "explore", "check"
@@ -54,8 +54,8 @@ def _loaded(recipe: Recipe) -> list[RecordingSpec]:
     settings, ratio = recipe.ilc_learn.loads, recipe.rig.angle_ratio
     return [
         RecordingSpec(
-            f"{LOADED}_{row:03d}_{number:03d}",
-            channels(*CHANNELS),
+            f"{LOADED_PREFIX}_{row:03d}_{number:03d}",
+            channels(*LOADED_CHANNELS),
             {
                 "speed": (2 * math.pi * speed * ratio, "rad/s"),
                 "force": (force, "N"),
@@ -74,7 +74,7 @@ def _explored(recipe: Recipe) -> list[RecordingSpec]:
     names = [f"{EXPLORED}_000", *(f"{CHECKED}_{number:03d}" for number in range(3))]
     forces = (0.0, 0.0, loads[len(loads) // 2], loads[-1])
     return [
-        RecordingSpec(name, channels(*CHANNELS), {"force": (force, "N")})
+        RecordingSpec(name, channels(*LOADED_CHANNELS), {"force": (force, "N")})
         for name, force in zip(names, forces, strict=True)
     ]
 
@@ -139,7 +139,7 @@ class KnownLoads(LimitedAngle):
 
 def _learn_force(run: Run, recipe: Recipe, kt: Run) -> LearnedForce:
     explored = run.recordings_named(f"{EXPLORED}_")
-    strokes = run.recordings_named(f"{LOADED}_")
+    strokes = run.recordings_named(f"{LOADED_PREFIX}_")
     forces = {r.condition("force") for r in strokes} - {0.0}
     if len(forces) < 2 or not explored:
         raise RunFileError(
@@ -165,7 +165,7 @@ class _KnownLoads:
 def _known_loads(run: Run, recipe: Recipe, strokes: dict[str, Record]) -> _KnownLoads:
     """Return each load beside the same motion without."""
     by_speed: dict[float, list[Recording]] = {}
-    for recording in run.recordings_named(f"{LOADED}_"):
+    for recording in run.recordings_named(f"{LOADED_PREFIX}_"):
         by_speed.setdefault(recording.condition("speed"), []).append(recording)
     arm, found = recipe.rig.load_arm, []
     for speed, group in by_speed.items():
@@ -211,7 +211,7 @@ def _loads_outcome(run: Run, recipe: Recipe, learned: LearnedForce, loads: _Know
 
 def _temperature(run: Run) -> float:
     """Return the motor's mean temperature while the loads were lifted, degC."""
-    recorded = run.recordings_named(f"{LOADED}_")
+    recorded = run.recordings_named(f"{LOADED_PREFIX}_")
     return float(np.mean([np.mean(recording.read("temperature")) for recording in recorded]))
 
 
@@ -233,9 +233,9 @@ def _tendon_results(learned: LearnedForce, loads: _KnownLoads) -> dict[str, Quan
     """
     whole = stored.model_results(learned.model)
     results = {
-        "tendon_stiffness": whole[f"{stored.PREFIX}stiffness"],
-        "tendon_damping": whole[f"{stored.PREFIX}damping"],
-        "tip_friction": whole[f"{stored.PREFIX}tip_friction"],
+        "tendon_stiffness": whole[f"{stored.MODEL_PREFIX}stiffness"],
+        "tendon_damping": whole[f"{stored.MODEL_PREFIX}damping"],
+        "tip_friction": whole[f"{stored.MODEL_PREFIX}tip_friction"],
     }
     speeds, sliding = np.unique(loads.speed), learned.sliding
     if len(speeds) > 1:
@@ -245,7 +245,7 @@ def _tendon_results(learned: LearnedForce, loads: _KnownLoads) -> dict[str, Quan
             alone = sliding.learned_from(
                 [any(r is u for u in used) for r in sliding.problem.records]
             )
-            stiffness = stored.shape_results(alone)[f"{stored.PREFIX}stiffness"]
+            stiffness = stored.shape_results(alone)[f"{stored.MODEL_PREFIX}stiffness"]
             results[f"tendon_stiffness_{name}"] = stiffness
     return results
 

@@ -12,14 +12,14 @@ from rigtool.quantity import Quantity
 from rigtool.recipe import Recipe
 from rigtool.runfile import Recording, Run
 
-REMEDY = "lower the speed, or raise ilc_learn.turn_angle"
+SATURATION_REMEDY = "lower the speed, or raise ilc_learn.turn_angle"
 """Remedy where the controller saturates during learning."""
 
 
 def signals(recording: Recording, recipe: Recipe) -> LoopSignals:
     """Read a recording; `InsufficientDataError` names it where the loop was not healthy."""
     with naming(recording):
-        return loop_signals(recording, recipe, REMEDY)
+        return loop_signals(recording, recipe, SATURATION_REMEDY)
 
 
 def require_friction_fed(

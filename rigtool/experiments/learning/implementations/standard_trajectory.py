@@ -17,7 +17,7 @@ import numpy as np
 
 from rigtool.control.position_loop import TransferFunction
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.controller_torque import CHANNELS, SIGNAL, TABLE
+from rigtool.experiments.controller_torque import LOOP_CHANNELS, SIGNAL, TABLE
 from rigtool.experiments.learning.convergence import Cycles, LearningRun, learning_run
 from rigtool.experiments.learning.filters import Learning
 from rigtool.experiments.learning.implementations import signals as common
@@ -28,7 +28,7 @@ from rigtool.experiments.learning.implementations.runs import (
     runs_at_most,
 )
 from rigtool.experiments.learning.implementations.skeleton import Implementation, LearningReport
-from rigtool.experiments.learning.stored_table import TRAJECTORY
+from rigtool.experiments.learning.stored_table import TRAJECTORY_TABLE
 from rigtool.experiments.procedure import channels
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import Quantity
@@ -71,7 +71,7 @@ class RepeatedMove(Implementation[TaughtSignal]):
     def kinds(recipe: Recipe) -> dict[str, list[RecordingSpec]]:
         """Return the learning runs, and one with the final signal."""
         kinds = [*(kind_of(updates) for updates in range(runs_at_most(recipe))), "validate"]
-        recorded = channels(*(SIGNAL if name == TABLE else name for name in CHANNELS))
+        recorded = channels(*(SIGNAL if name == TABLE else name for name in LOOP_CHANNELS))
         motion = move(recipe)
         conditions = {
             "speed": (motion.speed, "rad/s"),
@@ -120,7 +120,7 @@ class RepeatedMove(Implementation[TaughtSignal]):
                 "error_reduction": Quantity(1 - ratio, "1", ratio * relative, dof),
             },
             {
-                TRAJECTORY: _trajectory(taught, final, self.recipe, self.learning),
+                TRAJECTORY_TABLE: _trajectory(taught, final, self.recipe, self.learning),
                 "iterations": iterations_table(history, "rad", "error"),
             },
             ("learned by time: the table is valid for this one move only",),

@@ -16,13 +16,13 @@ from rigtool.numerics.jackknife import standard_uncertainty
 from rigtool.quantity import Quantity
 from rigtool.runfile import Column, Table
 
-LEVEL = 0.01
+FALSE_ALARM_PROBABILITY = 0.01
 """Probability that noise alone makes a table look worse than no table at any of the speeds."""
 
-BIN = 0.25 * 2 * math.pi
+SPEED_BIN = 0.25 * 2 * math.pi
 """Width of the bins of speed of a sweep, rad/s."""
 
-DRAWN = 12000
+DRAWN_SAMPLES = 12000
 """Samples of a sweep that are kept for its figure, about."""
 
 
@@ -109,7 +109,7 @@ def _limit(item: Steady, speeds: int) -> float:
     from scipy.special import stdtrit
 
     freedom = min(len(item.before.moves), len(item.after.moves)) - 1
-    return float(stdtrit(freedom, 1 - LEVEL / speeds))
+    return float(stdtrit(freedom, 1 - FALSE_ALARM_PROBABILITY / speeds))
 
 
 def _verdict(speed: Array, worse: Sequence[bool]) -> tuple[str, ...]:
@@ -176,7 +176,7 @@ class Sweep:
 
     def _by_speed(self) -> Table:
         # Bins in which the sweep spends no time are left out.
-        bins, of = np.unique(np.round(self.speed / BIN), return_inverse=True)
+        bins, of = np.unique(np.round(self.speed / SPEED_BIN), return_inverse=True)
         count = np.bincount(of)
         columns = {}
         for variant, torque in self.torque.items():
@@ -187,13 +187,13 @@ class Sweep:
             columns[f"{variant}_peak"] = Column(peak, "N m", _VARIANTS[variant])
         return Table(
             ("speed",),
-            {"speed": Column(bins * BIN, "rad/s", "middle of the bin"), **columns},
+            {"speed": Column(bins * SPEED_BIN, "rad/s", "middle of the bin"), **columns},
             "on_rms",
             "controller torque while the speed sweeps, within the band of Q, single pass",
         )
 
     def _signals(self) -> Table:
-        every = max(1, len(self.time) // DRAWN)
+        every = max(1, len(self.time) // DRAWN_SAMPLES)
         axis = Column((self.time - self.time[0])[::every], "s")
         return Table(
             ("time",),

@@ -15,7 +15,7 @@ from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.cia402 import objects as od
 from rigtool.rigs.serial.cia402.network import (
     AT_ONCE,
-    HOST,
+    HOST_NODE,
     INVALID,
     ON_SYNC,
     RECEIVE,
@@ -29,7 +29,7 @@ from rigtool.rigs.serial.cia402.states import DISABLE, ENABLE, FAULT, RPM, State
 from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
 from rigtool.rigs.serial.line import LineLost, LineTimeout, RequestRefused
 
-PROFILE = 402
+DEVICE_PROFILE = 402
 """Lower half of 1000, the device type."""
 
 MODES: dict[Mode, tuple[int, ...]] = {"velocity": (9, 3), "current": (10, 4), "position": (8,)}
@@ -91,7 +91,7 @@ class CanDrive(StateDrive):
         current; `RecipeError` where only the recipe can state what the drive does not.
         """
         kind = self._objects.read(od.DEVICE_TYPE)
-        if kind & 0xFFFF != PROFILE:
+        if kind & 0xFFFF != DEVICE_PROFILE:
             raise HardwareError(
                 f"{self.line.port}: node {self._objects.node} is no drive of CiA 402: its device "
                 f"type (1000) is {kind:#010x}"
@@ -245,7 +245,7 @@ class CanDrive(StateDrive):
         if self._feeds_forward:
             targets.append((od.TORQUE_OFFSET, 0))
         if self._watches:
-            self._objects.write(od.CONSUMER_HEARTBEAT, HOST << 16 | self._silence)
+            self._objects.write(od.CONSUMER_HEARTBEAT, HOST_NODE << 16 | self._silence)
         self._objects.alive = True
         self._switch_on_states(self._modes[mode], tuple(targets))
         shown = find(self._objects, od.MODE_SHOWN)

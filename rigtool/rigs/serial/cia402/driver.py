@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rigtool.recipe import Recipe
 from rigtool.rigs.serial.cia402 import objects as od
-from rigtool.rigs.serial.cia402.drive import PROFILE, CanDrive
+from rigtool.rigs.serial.cia402.drive import DEVICE_PROFILE, CanDrive
 from rigtool.rigs.serial.cia402.network import CanObjects
 from rigtool.rigs.serial.cia402.objects import find
 from rigtool.rigs.serial.cia402.states import identity
@@ -22,7 +22,7 @@ USUAL_NODE = 1
 def probe(line: Line, kind: type[CanDrive] = CanDrive) -> str | None:
     """Return the identity of the drive at node 1, None for another device or maker."""
     objects = CanObjects(line, USUAL_NODE)
-    if objects.read(od.DEVICE_TYPE) & 0xFFFF != PROFILE:
+    if objects.read(od.DEVICE_TYPE) & 0xFFFF != DEVICE_PROFILE:
         return None
     if kind.vendor is not None and find(objects, od.VENDOR) != kind.vendor:
         return None

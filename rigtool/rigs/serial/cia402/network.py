@@ -26,10 +26,10 @@ except ImportError:
 
 T = TypeVar("T")
 
-HOST = 0x7F
+HOST_NODE = 0x7F
 """Node address from which the host sends its heartbeat."""
 
-HEARTBEAT = encode(CanFrame(0x700 + HOST, b"\x05"))
+HEARTBEAT = encode(CanFrame(0x700 + HOST_NODE, b"\x05"))
 SYNC = encode(CanFrame(0x080))
 
 RECEIVE, TRANSMIT = 0x1400, 0x1800

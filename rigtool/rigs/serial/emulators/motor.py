@@ -6,7 +6,7 @@ import math
 import time
 from dataclasses import dataclass, field
 
-STEP = 2e-4
+INTEGRATION_STEP = 2e-4
 """Longest step of integration, s."""
 
 
@@ -48,7 +48,7 @@ class EmulatedMotor:
         """
         now = time.monotonic()
         span, self._then = now - self._then, now
-        steps = max(1, math.ceil(min(span, 1.0) / STEP))
+        steps = max(1, math.ceil(min(span, 1.0) / INTEGRATION_STEP))
         dt = min(span, 1.0) / steps
         for step in range(steps):
             # Shaft and set point of one and the same time: that of a step's end would ask for a

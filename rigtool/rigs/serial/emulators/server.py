@@ -14,12 +14,12 @@ from collections.abc import Iterator
 from rigtool.errors import HardwareError, UsageError
 from rigtool.rigs.serial.emulators.faults import Fault, Faults, Pulled
 
-TICK = 0.002
+IDLE_TIME = 0.002
 """Longest time between two calls of `Emulator.idle`, s."""
 
-CHUNK = 65536
+READ_BYTES = 65536
 
-BACKLOG = 1 << 14
+BACKLOG_BYTES = 1 << 14
 """Bytes that wait to be sent at which a device that sends unasked is held up.
 
 An answer waits behind them: few enough that it comes in time on any line that carries the stream.
@@ -27,7 +27,7 @@ An answer waits behind them: few enough that it comes in time on any line that c
 
 MAX_PORT = 65535
 
-PATIENCE = 1.0
+UNREAD_TIME = 1.0
 """Time after which bytes that nobody reads are dropped, s."""
 
 
@@ -46,7 +46,7 @@ class Emulator:
         raise NotImplementedError
 
     def idle(self) -> bytes:
-        """Return bytes sent without a request; called every `TICK` s at least.
+        """Return bytes sent without a request; called every `IDLE_TIME` s at least.
 
         Watchdogs expire and motors turn here.
         """
@@ -103,15 +103,16 @@ class Server:
             self._close()
 
     def serve_once(self) -> bool:
-        """Wait for bytes, `TICK` at most, and serve them; return whether the line is still there.
+        """Wait for bytes, `IDLE_TIME` at most, and serve them; return whether the line is still
+        there.
 
         An error is kept in `error`.
         """
         try:
-            ready = self._ready(0.0 if self.emulator.busy and not self._waiting else TICK)
+            ready = self._ready(0.0 if self.emulator.busy and not self._waiting else IDLE_TIME)
             if ready and (data := self._read()):
                 self._waiting += self._out.apply(self.emulator.receive(self._in.apply(data)))
-            if len(self._waiting) < BACKLOG:
+            if len(self._waiting) < BACKLOG_BYTES:
                 self._waiting += self._out.apply(self.emulator.idle())
             self._send()
         except Pulled:
@@ -131,7 +132,7 @@ class Server:
         del self._waiting[:sent]
         if sent or not self._waiting:
             self._taken = now
-        elif now - self._taken > PATIENCE:
+        elif now - self._taken > UNREAD_TIME:
             self._waiting.clear()
 
     # -- transport
@@ -176,7 +177,7 @@ class PtyServer(Server):
         return bool(select.select([self._master], writing, [], timeout)[0])
 
     def _read(self) -> bytes:
-        return os.read(self._master, CHUNK)
+        return os.read(self._master, READ_BYTES)
 
     def _write(self, data: bytearray) -> int:
         try:
@@ -230,7 +231,7 @@ class TcpServer(Server):
     def _read(self) -> bytes:
         assert self._host is not None
         try:
-            data = self._host.recv(CHUNK)
+            data = self._host.recv(READ_BYTES)
         except ConnectionError:
             data = b""
         if not data:

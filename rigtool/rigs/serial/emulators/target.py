@@ -20,10 +20,10 @@ from rigtool.rigs.serial.target.frames import Frame, Splitter, encode
 from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, TargetState
 from rigtool.rigs.virtual import VirtualRig
 
-NAME = "rigtool target emulator"
+TARGET_NAME = "rigtool target emulator"
 
 
-MISTAKES = (RigtoolError, ValueError, ArithmeticError, struct.error)
+VALUE_ERRORS = (RigtoolError, ValueError, ArithmeticError, struct.error)
 """Errors that impossible values cause, wherever they are used."""
 
 
@@ -132,7 +132,7 @@ class TargetEmulator(Emulator):
             payload = self._handlers()[kind](frame.payload)
         except _Refused as error:
             return self._refusal(frame, str(error), error.code)
-        except MISTAKES as error:
+        except VALUE_ERRORS as error:
             return self._refusal(frame, f"{kind.name}: {error}", Refusal.BAD_VALUE)
         return self._remember(frame, encode(Frame(kind | link.REPLY, frame.sequence, payload)))
 
@@ -179,7 +179,7 @@ class TargetEmulator(Emulator):
             rig.sample_time,
             rig.encoder_counts,
             link.mask_of(self._channels),
-            NAME,
+            TARGET_NAME,
         ).pack()
 
     def _begin(self, payload: bytes) -> bytes:
@@ -397,7 +397,7 @@ class TargetEmulator(Emulator):
         """Advance; a value that cannot be computed trips."""
         try:
             self._advance()
-        except MISTAKES as error:
+        except VALUE_ERRORS as error:
             self._end(TargetState.TRIPPED, str(error))
 
     def _advance(self) -> None:

@@ -8,7 +8,7 @@ from rigtool.rigs.base import Block
 from rigtool.rigs.serial.target import link
 from rigtool.rigs.serial.target.frames import Frame, encode
 
-STREAMED = 64
+FRAME_SAMPLES = 64
 """Samples in a streamed frame at most: a small target has memory for so many."""
 
 AT_ONCE = 4
@@ -54,9 +54,9 @@ class TargetLog:
             return b""
         out: list[bytes] = []
         while self._sent < visible and len(out) < AT_ONCE:
-            count = min(STREAMED, visible - self._sent)
+            count = min(FRAME_SAMPLES, visible - self._sent)
             payload = link.FIRST.pack(self._sent) + self.read(self._sent, count)
-            out.append(encode(Frame(link.SAMPLES, self._sent // STREAMED & 0xFFFF, payload)))
+            out.append(encode(Frame(link.SAMPLES, self._sent // FRAME_SAMPLES & 0xFFFF, payload)))
             self._sent += count
         if not self._keeps and self._sent > self.first:
             del self._data[: (self._sent - self.first) * self.sample.itemsize]

@@ -35,8 +35,8 @@ MEASURED_CURRENT = ("dc curr", "foc curr")
 MOTIONS = ("torque", "vel", "angle", "vel open", "angle open", "angle nocascade", "custom")
 """Names of the motion controls, in the order of their numbers."""
 
-HALTS = 3
-GAPS = (
+HALT_ATTEMPTS = 3
+MISSING_ABILITIES = (
     "has no watchdog: if the computer or the cable fails, it follows its last set point until you "
     "stop it. If rigtool is killed or hangs, another process switches it off",
     "has no limit of speed while it follows currents",
@@ -107,7 +107,7 @@ class SimpleFoc:
             raise HardwareError(f"{self._line.port}: the limit of current stays at {limit} A")
         self._before.setdefault("MS", self._get("MS"))
         self._get("MC")
-        return list(GAPS)
+        return list(MISSING_ABILITIES)
 
     def _motion(self) -> int:
         name = self._get("C")
@@ -144,7 +144,7 @@ class SimpleFoc:
 
     def halt(self) -> None:
         """Switch off, in any state; `HardwareError` where the drive does not confirm it."""
-        for attempt in range(HALTS):
+        for attempt in range(HALT_ATTEMPTS):
             try:
                 self._line.write(b"\n")  # ends half a line
                 if attempt:
@@ -152,7 +152,7 @@ class SimpleFoc:
                 self._off()
                 break
             except HardwareError:
-                if attempt == HALTS - 1:
+                if attempt == HALT_ATTEMPTS - 1:
                     raise
         self._on = False
         if self._guard is not None:

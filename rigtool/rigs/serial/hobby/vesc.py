@@ -26,24 +26,24 @@ TURN = 2 * math.pi
 RPM = TURN / 60
 
 FIRMWARE, SET_CURRENT, SET_LIMITS, VALUES, LIMITS = 0, 6, 48, 50, 91
-MASK = sum(1 << bit for bit in (1, 5, 7, 15, 16, 21))
+VALUE_MASK = sum(1 << bit for bit in (1, 5, 7, 15, 16, 21))
 """Values that are asked for: motor temperature, Iq, ERPM, fault, position, status."""
 STATE = struct.Struct(">BIhiiBiB")
-TEMPORARY = struct.Struct(">10fBff")
+LIMIT_VALUES = struct.Struct(">10fBff")
 """Scales of current, ERPM, duty, power and battery current, lowest and highest each; then the
 number of poles, gear ratio and wheel diameter."""
 LOWEST_ERPM, HIGHEST_ERPM = 2, 3
 
 TIMED_OUT, KILL_SWITCH = 1, 2
 LARGEST_CURRENT = 2**31 / 1e3
-FADING = 0.8
+FADING_RATIO = 0.8
 """Part of the highest ERPM at which a drive begins to reduce current, as it is delivered."""
 
-SLACK = 0.03
+TIMEOUT_SLACK = 0.03
 """Time by which the drive may be late with its timeout, which it looks at every 10 ms, s."""
 
-POLL = 0.005
-HALTS = 3
+POLL_INTERVAL = 0.005
+HALT_ATTEMPTS = 3
 
 DRIFT_ANGLE, DRIFT_SHARE = 1.0, 0.2
 """Difference between the angle and the integral of speed from which on the two do not belong to one
@@ -149,7 +149,7 @@ class Vesc:
         values = list(self._limits())
         if self._before is None:
             self._before = struct.pack(">10f", *values[:10])
-        fastest = limits.speed / RPM * self._pole_pairs / FADING
+        fastest = limits.speed / RPM * self._pole_pairs / FADING_RATIO
         values[LOWEST_ERPM] = max(values[LOWEST_ERPM], -fastest)
         values[HIGHEST_ERPM] = min(values[HIGHEST_ERPM], fastest)
         self._lets_go = max(-values[LOWEST_ERPM], values[HIGHEST_ERPM]) / self._pole_pairs * RPM
@@ -157,13 +157,13 @@ class Vesc:
         return [
             "has no limit of position",
             f"reduces current only from {limits.speed:g} rad/s on, to none at "
-            f"{limits.speed / FADING:g} rad/s",
+            f"{limits.speed / FADING_RATIO:g} rad/s",
         ]
 
     def _limits(self) -> tuple[float, ...]:
         """Return limits, poles, gear ratio and wheel diameter."""
-        reply = self._ask(bytes([LIMITS]), TEMPORARY.size + 1)
-        return TEMPORARY.unpack(reply[1:])
+        reply = self._ask(bytes([LIMITS]), LIMIT_VALUES.size + 1)
+        return LIMIT_VALUES.unpack(reply[1:])
 
     def _set_limits(self, values: bytes) -> None:
         """Set limits until the drive is switched off."""
@@ -188,14 +188,14 @@ class Vesc:
     def _wait_for(self, *, timed_out: bool, feed: bool = False) -> bool:
         """Ask until the drive has timed out, or no longer has; return whether that state was
         reached."""
-        until = self._line.now() + self._watchdog + SLACK
+        until = self._line.now() + self._watchdog + TIMEOUT_SLACK
         while True:
             state = self._ask_state(0.0 if feed else None)
             if bool(state.status & TIMED_OUT) == timed_out:
                 return True
             if self._line.now() > until:
                 return False
-            self._line.pause(POLL)
+            self._line.pause(POLL_INTERVAL)
 
     def restore(self) -> None:
         """Restore the limits."""
@@ -224,7 +224,7 @@ class Vesc:
         Raises `HardwareError` where it does not come.
         """
         self._setpoint = 0.0
-        for attempt in range(HALTS):
+        for attempt in range(HALT_ATTEMPTS):
             try:
                 self._line.write(self._current(0.0))
                 self._ask_state(0.0)
@@ -232,7 +232,7 @@ class Vesc:
                     self._on = False
                     return
             except HardwareError:
-                if attempt == HALTS - 1:
+                if attempt == HALT_ATTEMPTS - 1:
                     raise
         raise HardwareError(f"{self._line.port}: the drive's timeout does not come: switch it off")
 
@@ -310,7 +310,7 @@ class Vesc:
     def _ask_state(self, current: float | None = None) -> VescState:
         """Ask for the state, after a set point of current [A] if there is one."""
         first = b"" if current is None else self._current(current)
-        reply = self._ask(struct.pack(">BI", VALUES, MASK), STATE.size, first)
+        reply = self._ask(struct.pack(">BI", VALUES, VALUE_MASK), STATE.size, first)
         return VescState(*STATE.unpack(reply))
 
     def _ask(self, payload: bytes, size: int, first: bytes = b"") -> bytes:

@@ -19,13 +19,13 @@ from itertools import pairwise
 from rigtool.rigs.serial.drive import Sample
 from rigtool.rigs.serial.line import Line
 
-EVERY = 4
+READING_PERIODS = 4
 """Periods from one reading in between to the next."""
 
-GOLDEN = (math.sqrt(5) - 1) / 2
+GOLDEN_SECTION = (math.sqrt(5) - 1) / 2
 """Its multiples, modulo one, fill a period evenly, for any number of multiples."""
 
-ROOM = 1.5
+MIN_ROOM = 1.5
 """Readings that must fit into the rest of a period before another one is taken."""
 
 MIN_READINGS = 8
@@ -43,10 +43,10 @@ class Between:
     def moment(self, tick: int, now: float, next_tick: float) -> float | None:
         """Return when to read after a tick, s; None where it is not due, or there is no time."""
         left = next_tick - now
-        if tick % EVERY != EVERY - 1 or left < ROOM * self.reading:
+        if tick % READING_PERIODS != READING_PERIODS - 1 or left < MIN_ROOM * self.reading:
             return None
         self._taken += 1
-        return now + (left - self.reading) * (self._taken * GOLDEN % 1.0)
+        return now + (left - self.reading) * (self._taken * GOLDEN_SECTION % 1.0)
 
     def compare(self, speed: float, before: Sample, between: Sample, after: Sample) -> None:
         """Take in a reading, at a constant speed of the set point, rad/s, that is not zero."""

@@ -25,7 +25,7 @@ from rigtool.rigs.serial.line import Line
 BLOCK_TIME = 0.25
 """Approximate length of a block of signals, s."""
 
-CORRECTED = 0.3
+MAX_CORRECTION = 0.3
 """Part of an error of position that is corrected in a period at most."""
 
 COLUMNS = (
@@ -75,7 +75,7 @@ class MotionTicks:
             skips=task.feedforward.signal is None,
         )
         self._rows: list[tuple[float, ...]] = []
-        self._gain = min(settings.position_gain, CORRECTED / self._recipe.rig.sample_time)
+        self._gain = min(settings.position_gain, MAX_CORRECTION / self._recipe.rig.sample_time)
         self._controller: RunningController | None = None
         if followed.mode == "current" and not self._open_loop:
             sections = controller_sections(**self._recipe.rig.loop_design)

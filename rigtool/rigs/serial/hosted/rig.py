@@ -21,23 +21,23 @@ from typing import Any
 from rigtool.control.position_loop import stable_one_sample_late
 from rigtool.errors import RecipeError
 from rigtool.recipe import Recipe
-from rigtool.rigs.base import NEEDS, Block, Task
+from rigtool.rigs.base import NEED_DESCRIPTIONS, Block, Task
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.drive import Drive, Mode
 from rigtool.rigs.serial.drivers import Driver
-from rigtool.rigs.serial.hosted.between import ROOM, Between, usual_time
+from rigtool.rigs.serial.hosted.between import MIN_ROOM, Between, usual_time
 from rigtool.rigs.serial.hosted.loop import COLUMNS, Followed, MotionTicks
-from rigtool.rigs.serial.line import CAN, REPLAY, Line
+from rigtool.rigs.serial.line import CAN_PREFIX, REPLAY_PREFIX, Line
 from rigtool.rigs.serial.rig import SerialRig, in_thread
 
 RATE_READINGS = 40
 """Readings at standstill from which the rate of a line is found."""
 
-STOPPING = 3
+STOPPING_READINGS = 3
 """Readings that pass, at most, from the sample that shows a runaway to the drive's being off."""
 
-LONGER = 1.5
+PERIOD_RATIO = 1.5
 """Recommended period, as a multiple of the time of a reading."""
 
 
@@ -68,7 +68,7 @@ class HostedRig(SerialRig):
 
     def _open_line(self) -> Line:
         port = self._settings.port
-        if not port.startswith(REPLAY) and port.startswith(CAN) != self._driver.can:
+        if not port.startswith(REPLAY_PREFIX) and port.startswith(CAN_PREFIX) != self._driver.can:
             needed = "a CAN bus: can:INTERFACE:CHANNEL" if self._driver.can else "a serial port"
             raise RecipeError(
                 f"serial.port is {port!r}, and {self._settings.driver} is on {needed}"
@@ -109,7 +109,7 @@ class HostedRig(SerialRig):
         torque = self._torque_constant * limits.current
         acceleration = torque / rig.inertia.total(rig.attachment)
         fastest = safety.runaway(limits, rig.encoder_counts, rig.sample_time, acceleration)
-        fastest += acceleration * STOPPING * self._between.reading
+        fastest += acceleration * STOPPING_READINGS * self._between.reading
         own = self.drive.abilities.lets_go
         who = "the drive lets go" if own < fastest else "the host notices it"
         reached = min(own, fastest)
@@ -127,10 +127,10 @@ class HostedRig(SerialRig):
         wanted, needed = self._recipe.rig.sample_time, usual
         why = "a reading"
         if self.steps_in_position:
-            needed = (1 + ROOM) * usual
+            needed = (1 + MIN_ROOM) * usual
             why = "two readings and a half, to see the effect of its steps of position on current,"
         if needed > wanted:
-            longer = _rounded_up(LONGER * needed)
+            longer = _rounded_up(PERIOD_RATIO * needed)
             raise RecipeError(
                 f"rig.sample_time is {wanted:g} s, and {why} on {self.line.port} takes "
                 f"{needed * 1e3:.2f} ms (median of {RATE_READINGS}): set it to {longer:g} s or "
@@ -172,7 +172,7 @@ class HostedRig(SerialRig):
             return f"this {name} does not report its {need}{more}"
         if need in ("force", "deflection"):
             return f"{name} does not measure it: add [serial.{need}]"
-        return None if need in (*NEEDS, *COLUMNS) else f"{name} does not record it"
+        return None if need in (*NEED_DESCRIPTIONS, *COLUMNS) else f"{name} does not record it"
 
     def _facts(self) -> Mapping[str, Any]:
         rate = self._ticks / self._driven if self._driven > 0 else 0.0

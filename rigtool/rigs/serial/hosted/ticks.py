@@ -5,15 +5,15 @@ from __future__ import annotations
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.line import Line
 
-FORGIVEN = 0.25
+FORGIVEN_PART = 0.25
 """Part of a period by which each tick that comes in time makes up for ticks that were skipped: a
 loop goes on for ever where a fifth of its ticks are skipped, and ends where it is much more."""
 
 
-BEHIND = 0.8
+LATE_PART = 0.8
 """Part of the patience by which a loop is late when it skips ticks."""
 
-LIMIT = 2.0
+SKIPPED_RATIO = 2.0
 """Multiple of the patience: skipped ticks that add up to more, and are not made up for, are too
 many."""
 
@@ -42,10 +42,10 @@ class Clock:
         self._line.sleep_until(moment)
         now = self._line.now()
         lateness = now - moment
-        behind = self._skips and lateness > max(self._period, BEHIND * self._patience)
+        behind = self._skips and lateness > max(self._period, LATE_PART * self._patience)
         skipped = int(lateness / self._period) if behind else 0
         in_time = lateness <= self._period
-        less = FORGIVEN * self._period if in_time else 0.0
+        less = FORGIVEN_PART * self._period if in_time else 0.0
         self._owed = max(0.0, self._owed + skipped * self._period - less)
         if in_time and self._owed == 0.0:
             self._asleep = self._exchanging = 0.0
@@ -55,7 +55,7 @@ class Clock:
             self._asleep += now - max(moment, self._free)
         self._busy = 0.0
         silent = now - max(start, self._asked) if self._skips else lateness
-        if silent > self._patience or self._owed > LIMIT * self._patience:
+        if silent > self._patience or self._owed > SKIPPED_RATIO * self._patience:
             raise HardwareError(self._problem(max(lateness, self._owed), tick))
         return now, lateness - skipped * self._period, skipped
 

@@ -83,7 +83,7 @@ class OperatorGauge(Gauge):
         return {"driver": "operator", "scale": settings.scale, "offset": settings.offset}
 
 
-MODULES = {
+INSTRUMENT_MODULES = {
     "mark10": "rigtool.rigs.serial.instruments.mark10",
     "kern": "rigtool.rigs.serial.instruments.kern",
     "scpi": "rigtool.rigs.serial.instruments.scpi",
@@ -103,7 +103,7 @@ them. They are probed only by name, and no other device is probed on their port 
 
 def instrument_module(name: str) -> ModuleType:
     """Import the module of a kind of instrument."""
-    return importlib.import_module(MODULES[name])
+    return importlib.import_module(INSTRUMENT_MODULES[name])
 
 
 def open_gauge(
@@ -119,10 +119,10 @@ def open_gauge(
     """
     if settings.driver == "operator":
         return OperatorGauge(channel, settings, operator)
-    if settings.driver not in MODULES:
+    if settings.driver not in INSTRUMENT_MODULES:
         raise RecipeError(
             f"serial.{channel}.driver {settings.driver!r} is not known: use one of operator, "
-            f"{', '.join(MODULES)}"
+            f"{', '.join(INSTRUMENT_MODULES)}"
         )
     if not settings.port:
         raise RecipeError(

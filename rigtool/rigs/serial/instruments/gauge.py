@@ -19,40 +19,41 @@ from rigtool.rigs.serial.instruments.readings import UNSTABLE, Reader, Reading
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
 from rigtool.rigs.serial.transport.spy import RecordEnd
 
-NEAR = {"force": 0.5, "deflection": 0.5, "temperature": 10.0}
+HOLDING_TIME = {"force": 0.5, "deflection": 0.5, "temperature": 10.0}
 """Longest time for which a reading holds, s."""
 
-SLOW = ("temperature",)
+SLOW_CHANNELS = ("temperature",)
 """Channels whose readings count only after the next reading: a late value is better than a damaged
 one."""
 
-WAIT = 0.5
+READING_WAIT = 0.5
 """Longest wait for the readings that follow a moment and show whether one is a spike, s.
 
 Results depend on the times of the readings, not on those of the queries: a record plays back as
 it was.
 """
 
-SILENCE = 5.0
+MAX_SILENCE = 5.0
 """Time without a valid reading after which an instrument that sends by itself is lost, s."""
 
-FIRST = 20.0
+FIRST_READING_TIME = 20.0
 """Time in which the first readings must have come, s: multimeters take up to 3 s for one."""
 
-BEFORE = 3
+FIRST_READINGS = 3
 """Readings that must have come at first: the last but one can then be checked for a spike."""
 
-SPIKE = 20.0
+SPIKE_RATIO = 20.0
 """Times the usual difference of two readings by which one may lie beyond both its neighbours."""
 
-USUAL = 200
+USUAL_DIFFERENCES = 200
 """Differences of readings from which the usual one is taken."""
 
-ENOUGH = 10
+MIN_DIFFERENCES = 10
 """Differences that are needed for that."""
 
-STILL = 30
-"""Readings of which fewer than `ENOUGH` differ, which means that readings hardly change."""
+STILL_READINGS = 30
+"""Readings of which fewer than `MIN_DIFFERENCES` differ, which means that readings hardly
+change."""
 
 
 class LineGauge:
@@ -131,12 +132,15 @@ class LineGauge:
 
     def _await_first(self) -> None:
         with self._arrived:
-            self._arrived.wait_for(lambda: len(self._times) >= BEFORE or self._finished, FIRST)
+            self._arrived.wait_for(
+                lambda: len(self._times) >= FIRST_READINGS or self._finished, FIRST_READING_TIME
+            )
             come = len(self._times)
-        if come < BEFORE:
+        if come < FIRST_READINGS:
             raise HardwareError(
                 self._error
-                or f"{self._name}: {come} readings within {FIRST:g} s, {BEFORE} are needed to "
+                or f"{self._name}: {come} readings within {FIRST_READING_TIME:g} s, "
+                f"{FIRST_READINGS} are needed to "
                 "find a damaged one: look at its rate"
             )
 
@@ -160,7 +164,10 @@ class LineGauge:
             self._wait_for(lambda: self._heard >= moment, 0.0)
             if self._error and self._lost <= moment:
                 raise HardwareError(self._error)
-            old = max(0, bisect_left(self._times, moment - NEAR[self._channel]) - USUAL)
+            old = max(
+                0,
+                bisect_left(self._times, moment - HOLDING_TIME[self._channel]) - USUAL_DIFFERENCES,
+            )
             del self._times[:old], self._values[:old], self._flagged[:old]
             self._reason = ""
 
@@ -171,20 +178,20 @@ class LineGauge:
         """
         if len(moments) == 0:
             return np.empty(0)
-        near, last = NEAR[self._channel], float(moments[-1])
+        near, last = HOLDING_TIME[self._channel], float(moments[-1])
         with self._arrived:
-            self._wait_for(lambda: self._knows(last), last + WAIT)
+            self._wait_for(lambda: self._knows(last), last + READING_WAIT)
             first = bisect_left(self._times, float(moments[0]) - near)
-            some = slice(max(0, first - USUAL), self._end(last))
+            some = slice(max(0, first - USUAL_DIFFERENCES), self._end(last))
             times, values = np.array(self._times[some]), np.array(self._values[some])
             flag = self._flagged[some.stop - 1] if some.stop else ""
             covered = self._covers(last)
-            lost = not covered and self._lost <= last + WAIT
+            lost = not covered and self._lost <= last + READING_WAIT
         alone = spikes(values, self._reader.resolution, self._reader.finest)
         self._spikes += int(np.count_nonzero(alone & (times > self._judged)))
         if len(times) > 1:
             self._judged = max(self._judged, times[-2])
-        if len(times) and not covered and (lost or self._channel in SLOW):
+        if len(times) and not covered and (lost or self._channel in SLOW_CHANNELS):
             alone[-1] = True  # it may be one: no reading has followed yet
         found = latest(times[~alone], values[~alone], moments, near)
         lacking = int(np.count_nonzero(np.isnan(found)))
@@ -206,10 +213,12 @@ class LineGauge:
             self._arrived.wait_for(lambda: known() or self._finished)
         else:
             left = moment - (time.monotonic() - self._line.opened)
-            self._arrived.wait_for(lambda: known() or self._finished, min(max(0.0, left), WAIT))
+            self._arrived.wait_for(
+                lambda: known() or self._finished, min(max(0.0, left), READING_WAIT)
+            )
 
     def _knows(self, moment: float) -> bool:
-        return self._covers(moment) or self._heard >= moment + WAIT
+        return self._covers(moment) or self._heard >= moment + READING_WAIT
 
     def _covers(self, moment: float) -> bool:
         """Return whether two readings follow soon: the second shows if the first is a spike."""
@@ -218,7 +227,7 @@ class LineGauge:
     def _end(self, moment: float) -> int:
         """Return how many readings are used: up to the second that follows, unless it is late."""
         follow = bisect_left(self._times, moment) + 2
-        return min(follow, bisect_right(self._times, moment + WAIT))
+        return min(follow, bisect_right(self._times, moment + READING_WAIT))
 
     def problem(self) -> str | None:
         """Return why the run cannot go on: readings are missing or the line is lost, or None."""
@@ -268,8 +277,10 @@ class LineGauge:
                 self._discarded += isinstance(error, DamagedReply)
                 with self._arrived:
                     self._heard = line.now()
-                if self._heard - valid > SILENCE:
-                    raise HardwareError(f"no valid reading for {SILENCE:g} s: {error}") from None
+                if self._heard - valid > MAX_SILENCE:
+                    raise HardwareError(
+                        f"no valid reading for {MAX_SILENCE:g} s: {error}"
+                    ) from None
                 continue
             valid = self._take(reading, line)
             line.pause(self._reader.pause)
@@ -311,25 +322,25 @@ def latest(times: Array, values: Array, moments: Array, near: float) -> Array:
 def spikes(values: Array, resolution: float = 0.0, finest: float = 0.0) -> Mask:
     """Return (n,) which single readings are far beyond both neighbours: a damaged digit.
 
-    Far is `SPIKE` times the usual difference of neighbours, at least the `resolution`; where they
-    hardly ever change it is `SPIKE` times the `finest` step that they can show. A step is no spike,
-    nor the turning point of a triangle.
+    Far is `SPIKE_RATIO` times the usual difference of neighbours, at least the `resolution`; where
+    they hardly ever change it is `SPIKE_RATIO` times the `finest` step that they can show. A step
+    is no spike, nor the turning point of a triangle.
     """
     alone = np.zeros(len(values), dtype=bool)
     if len(values) < 3:
         return alone
     steps = np.diff(values)
     usual = max(_usual(steps), resolution)
-    if usual == 0 and len(steps) >= STILL:
+    if usual == 0 and len(steps) >= STILL_READINGS:
         usual = finest
     if usual > 0:
         before, after = steps[:-1], -steps[1:]
         beyond = np.minimum(np.abs(before), np.abs(after))
-        alone[1:-1] = (before * after > 0) & (beyond > SPIKE * usual)
+        alone[1:-1] = (before * after > 0) & (beyond > SPIKE_RATIO * usual)
     return alone
 
 
 def _usual(steps: Array) -> float:
-    size = np.abs(steps[np.isfinite(steps)][-USUAL:])
+    size = np.abs(steps[np.isfinite(steps)][-USUAL_DIFFERENCES:])
     size = size[size > 0]
-    return float(np.median(size)) if size.size >= ENOUGH else 0.0
+    return float(np.median(size)) if size.size >= MIN_DIFFERENCES else 0.0

@@ -26,7 +26,7 @@ BAUD_RATE = 9600
 
 UNITS = ("mN", "N", "kN", "gf", "kgf", "ozf", "lbf")
 MODES = ("Normal", "MaxC", "MaxT")
-SET = 3
+UNIT_REPEATS = 3
 """Times that an AFG is sent its unit: it does not acknowledge it."""
 
 _REPLY = re.compile(r"([+-]? ?\d+\.?\d*) ?([A-Za-z]*)", re.ASCII)
@@ -60,7 +60,7 @@ class Mecmesin(Polled):
         if unit in UNITS:
             self._unit = unit
         else:
-            for _ in range(SET):
+            for _ in range(UNIT_REPEATS):
                 self._line.write(b"b")
                 self._line.settle()
         mode = self.agreed(b"M")

@@ -22,11 +22,11 @@ from rigtool.rigs.serial.instruments.readings import (
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
 
 BAUD_RATE = 115200
-TIMEOUT = 0.5
-GREETING = 10.0
+NUMBER_TIMEOUT = 0.5
+GREETING_TIME = 10.0
 """Time in which a board that restarts when its port is opened must send numbers, s."""
 
-LISTENING = 0.6
+LISTENING_TIME = 0.6
 """Time in which a logger is expected to send something, s."""
 
 _LINE = re.compile(r"(\S+?)(?:\s*([A-Za-z°]+))?", re.ASCII)
@@ -67,8 +67,8 @@ class NumberLines:
 
     def connect(self) -> str:
         """Wait for the first whole number; raises `HardwareError` where none comes."""
-        next_line(self._line, GREETING)
-        deadline = time.monotonic() + GREETING
+        next_line(self._line, GREETING_TIME)
+        deadline = time.monotonic() + GREETING_TIME
         while True:
             try:
                 self._form.learn(self.read)
@@ -79,7 +79,7 @@ class NumberLines:
 
     def read(self) -> Reading:
         """Return the next reading; raises `LineTimeout` or `DamagedReply` where it is none."""
-        return parse(next_line(self._line, TIMEOUT), self._channel, self._form)
+        return parse(next_line(self._line, NUMBER_TIMEOUT), self._channel, self._form)
 
 
 make_reader = NumberLines
@@ -87,8 +87,8 @@ make_reader = NumberLines
 
 def probe(line: Line) -> str | None:
     """Return the text that comes without a request, None where it is no number."""
-    next_line(line, LISTENING)
-    text = next_line(line, LISTENING)
+    next_line(line, LISTENING_TIME)
+    text = next_line(line, LISTENING_TIME)
     found = _LINE.fullmatch(as_text(text))
     if found is None:
         return None

@@ -15,7 +15,7 @@ from typing import Protocol, TypeVar
 
 from rigtool.errors import HardwareError
 from rigtool.quantity import STANDARD_GRAVITY
-from rigtool.rigs.serial.line import QUIET, DamagedReply, Line, LineTimeout
+from rigtool.rigs.serial.line import QUIET_TIME, DamagedReply, Line, LineTimeout
 
 T = TypeVar("T")
 
@@ -55,7 +55,7 @@ TEMPERATURES = {
 """Factor and offset to degC."""
 
 NUMBER = re.compile(r"[+-]?[0-9]{1,12}(\.[0-9]{0,12})?([eE][+-]?[0-9]{1,3})?")
-LONGEST = 80
+MAX_LINE = 80
 """Characters in a line of an instrument, at most."""
 
 OVERLOAD = "overload"
@@ -152,7 +152,7 @@ def flag_of(text: str) -> str | None:
 def as_text(line: bytes) -> str:
     """Return a line as text; raises `DamagedReply` for bytes that are no text, or too many."""
     text = line.strip(b" \r\n").decode("latin-1")
-    if not text.isprintable() or len(text) > LONGEST:
+    if not text.isprintable() or len(text) > MAX_LINE:
         raise DamagedReply(f"{line[:40]!r} is not a reading")
     return text
 
@@ -174,11 +174,11 @@ def next_line(line: Line, timeout: float) -> bytes:
         if ends:
             line.give_back(got[min(ends) + 1 :])
             return got[: min(ends)]
-        if len(got) > 4 * LONGEST:
+        if len(got) > 4 * MAX_LINE:
             raise DamagedReply(f"{line.port}: {len(got)} bytes without an end of line")
 
 
-AGREEING = 4
+AGREEING_PAIRS = 4
 """Pairs of answers to one question of which two must be the same."""
 
 
@@ -212,7 +212,7 @@ class Polled:
             answer = next_line(self._line, self.timeout)
             with contextlib.suppress(LineTimeout):
                 while attempts > 1:  # a late answer to the question before may have come first
-                    answer = next_line(self._line, QUIET)
+                    answer = next_line(self._line, QUIET_TIME)
             return take(answer)
 
         self._line.settle(0.0)  # the rest of an older answer
@@ -225,7 +225,7 @@ class Polled:
         another one. Raises `HardwareError` where no two agree.
         """
         answers = [self.ask_if_known(request)]
-        for _ in range(AGREEING):
+        for _ in range(AGREEING_PAIRS):
             answers.append(self.ask_if_known(request))
             if answers[-1] == answers[-2]:
                 return answers[-1]
@@ -246,7 +246,7 @@ class Polled:
         return reply
 
 
-LEARNING = 5
+LEARNING_PAIRS = 5
 """Pairs of readings in which two must have the same form."""
 
 
@@ -265,7 +265,7 @@ class Form:
         """Read until two readings in a row have one form; `HardwareError` where none have."""
         reading = None
         self._learning = True
-        for _ in range(LEARNING):
+        for _ in range(LEARNING_PAIRS):
             self._form = None
             reading = read()
             first, self._form = self._form, None

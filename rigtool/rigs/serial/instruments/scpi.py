@@ -25,14 +25,14 @@ from rigtool.rigs.serial.instruments.readings import (
     number,
     to_si,
 )
-from rigtool.rigs.serial.line import VISA, DamagedReply, Line
+from rigtool.rigs.serial.line import VISA_PREFIX, DamagedReply, Line
 
 BAUD_RATE = 9600
 
-SLOW = 3.0
+READING_TIMEOUT = 3.0
 """Longest time that a reading takes, s: multimeters integrate over many periods of the mains."""
 
-QUICK = 0.5
+ANSWER_TIMEOUT = 0.5
 """Longest time that any other answer takes, s."""
 
 OVERRANGE = 9.9e37
@@ -74,7 +74,7 @@ def parse(line: bytes, channel: str, unit: str, form: Form) -> Reading:
 class Scpi(Polled):
     """Asks for one reading after the other."""
 
-    timeout = SLOW
+    timeout = READING_TIMEOUT
     _request = b"READ?\n"
     _unit = "C"
 
@@ -89,13 +89,13 @@ class Scpi(Polled):
 
         Raises `HardwareError` where nothing does, or it measures no temperature.
         """
-        self.timeout = QUICK
+        self.timeout = ANSWER_TIMEOUT
         identity = self.agreed(b"*IDN?\n")
-        if REMOTE in (identity or "") and not self._line.port.startswith(VISA):
+        if REMOTE in (identity or "") and not self._line.port.startswith(VISA_PREFIX):
             self._line.write(b"SYST:REM\n")
         if self._channel == "temperature" and identity:
             self._require_temperature()
-        self.timeout = SLOW
+        self.timeout = READING_TIMEOUT
         # `READ?` starts a measurement; an instrument with `FETC?` only measures by itself.
         known = (b"READ?\n", b"FETC?\n") if identity else (b"FETC?\n", b"READ?\n")
         self._request = known[0 if self.ask_if_known(known[0], retries=0) else 1]

@@ -22,7 +22,7 @@ ANALOG_SETPOINT, CURRENT_REGULATOR = 1 << 0, 1 << 2
 SPEED_BY_SOFTWARE, CURRENT_BY_SOFTWARE = 1 << 8, 1 << 10
 STATUS_ERROR, STATUS_ENABLED = 1 << 9, 1 << 10
 
-LARGEST = 0x7FFF
+LARGEST_PARAMETER = 0x7FFF
 """Largest value of a parameter."""
 
 
@@ -59,8 +59,8 @@ class DesDrive(MaxonDrive[int]):
         """Set limits of current and speed in RAM, none wider than they are, and put them into
         effect."""
         self._require_obedience()
-        current = min(int(limits.current * 1e3), LARGEST)
-        speed = min(max(1, int(limits.speed / RPM)), LARGEST)
+        current = min(int(limits.current * 1e3), LARGEST_PARAMETER)
+        speed = min(max(1, int(limits.speed / RPM)), LARGEST_PARAMETER)
         for number, value in (
             (PEAK_CURRENT, current),
             (CONTINUOUS_CURRENT, current),

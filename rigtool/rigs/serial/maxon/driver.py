@@ -20,7 +20,7 @@ from rigtool.rigs.serial.maxon.frames import (
     FAILED,
     FRAME_TIMEOUT,
     OKAY,
-    SPARE,
+    TIMEOUT_RATIO,
     DleFrames,
     LockStepFrames,
 )
@@ -84,7 +84,7 @@ def _find(line: Line, node: int) -> EposObjects | LockStepFrames | None:
     """Ask twice for the device: an earlier question may have left an incomplete frame."""
     for attempt in range(2):
         if attempt:
-            line.pause(SPARE * FRAME_TIMEOUT)
+            line.pause(TIMEOUT_RATIO * FRAME_TIMEOUT)
         line.settle()
         line.write(bytes([EPOS2_ACCESS.read]))
         try:

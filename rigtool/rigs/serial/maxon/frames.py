@@ -27,13 +27,13 @@ DLE = 0x90
 OKAY, FAILED = b"O", b"F"
 ANSWER = 0x00
 
-DAMAGED = {0x05040001: "an unknown op code", 0x05040004: "a wrong CRC"}
+DAMAGED_CODES = {0x05040001: "an unknown op code", 0x05040004: "a wrong CRC"}
 """Error codes of a command that an EPOS4 did not receive as it was sent."""
 
 FRAME_TIMEOUT = 0.5
 """Time after which a device in lock-step gives up a frame that does not go on, s."""
 
-SPARE = 1.2
+TIMEOUT_RATIO = 1.2
 """How much longer the host waits than the device."""
 
 
@@ -96,7 +96,7 @@ class DleFrames:
         data = self._take(2 * length)
         if self._take(2) != crc(bytes([length, opcode]), data):
             raise DamagedReply(f"{self.line.port}: wrong CRC of an answer of {length} words")
-        if found := DAMAGED.get(int.from_bytes(data[:4], "little")):
+        if found := DAMAGED_CODES.get(int.from_bytes(data[:4], "little")):
             raise DamagedReply(f"{self.line.port}: the drive received {found}")
         if opcode != ANSWER or len(data) != size:
             raise DamagedReply(
@@ -163,7 +163,7 @@ class LockStepFrames:
 
     def _let_pass(self) -> None:
         """Wait until the device has given up a frame, to which all it gets would belong."""
-        self.line.pause(SPARE * self.frame_timeout)
+        self.line.pause(TIMEOUT_RATIO * self.frame_timeout)
 
     def _receive(self, size: int) -> bytes:
         try:

@@ -18,7 +18,7 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe.serial import Serial
 
 ON, OFF = b"1", b"0"
-READY = b"r"
+READY_BYTE = b"r"
 
 SILENCE, SHORTEST_SILENCE = 2.0, 1.0
 """Silence that the guard accepts: multiple of `serial.watchdog`, and time [s] at least. The host
@@ -108,7 +108,7 @@ class Guard:
         threading.Thread(target=process.wait, name="guard", daemon=True).start()
         ready = os.read(answer, 1)
         os.close(answer)
-        if ready != READY:
+        if ready != READY_BYTE:
             self.close()
             raise HardwareError(
                 f"{self._arguments[1]}: the process that would switch the drive off where this one "

@@ -17,14 +17,14 @@ from collections.abc import Callable
 from rigtool.errors import HardwareError
 from rigtool.rigs.serial.drivers import driver
 from rigtool.rigs.serial.line import Line
-from rigtool.rigs.serial.maxon.guard import ON, READY
+from rigtool.rigs.serial.maxon.guard import ON, READY_BYTE
 
 WINDOWS = os.name == "nt"
 
-PATIENCE = 30.0
+ATTEMPT_TIME = 30.0
 """Time for which the process tries to switch the drive off, s: the port may be gone for a while."""
 
-PAUSE = 0.05
+ATTEMPT_PAUSE = 0.05
 """Time between attempts, s."""
 
 
@@ -37,7 +37,7 @@ def main(kind: str, port: str, baud_rate: str, node: str, silence: str) -> None:
     threading.Thread(target=_listen, args=(words,), daemon=True).start()
     off = driver(kind).switch_off
     assert off is not None, "a drive with a watchdog needs no guard"
-    os.write(1, READY)
+    os.write(1, READY_BYTE)
     os.close(1)
     on = False
     while True:
@@ -69,7 +69,7 @@ def _listen(words: queue.Queue[bytes]) -> None:
 
 def switch_off(off: Callable[[Line, int], None], port: str, baud_rate: int, node: int) -> None:
     """Open a port that another program may have, switch off the drive, report on stderr."""
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + ATTEMPT_TIME
     report = f"{port}: rigtool was killed, hangs or lost the line while the drive was on: "
     while True:
         try:
@@ -81,7 +81,7 @@ def switch_off(off: Callable[[Line, int], None], port: str, baud_rate: int, node
             if time.monotonic() > deadline:
                 report += f"it could not be switched off ({error}): switch off its supply"
                 break
-        time.sleep(PAUSE)
+        time.sleep(ATTEMPT_PAUSE)
     with contextlib.suppress(OSError):
         print(report, file=sys.stderr, flush=True)
 

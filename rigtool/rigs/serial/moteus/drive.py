@@ -45,7 +45,16 @@ STATE = (
     + frames.read(FAULT, 1, frames.INT8)
     + frames.read(CONTROL_TORQUE)
 )
-EXPECTED = (MODE, POSITION, VELOCITY, TORQUE, CURRENT, MOTOR_TEMPERATURE, FAULT, CONTROL_TORQUE)
+EXPECTED_REGISTERS = (
+    MODE,
+    POSITION,
+    VELOCITY,
+    TORQUE,
+    CURRENT,
+    MOTOR_TEMPERATURE,
+    FAULT,
+    CONTROL_TORQUE,
+)
 STOP = frames.write(MODE, [STOPPED], frames.INT8)
 
 TORQUE_FACTOR = 1.5 / math.sqrt(3) * 60 / TURN
@@ -53,19 +62,19 @@ TORQUE_FACTOR = 1.5 / math.sqrt(3) * 60 / TURN
 ASSUMED_CONSTANT = 0.1
 """Torque constant of the firmware where motor.Kv is 0, N m/A."""
 
-FADING = 2.0
+FADING_SPEED = 2.0
 """Speeds beyond servo.max_velocity over which the firmware takes its current back, turns/s."""
 
 LARGEST_BOUND = 32768.0
 """Revolutions beyond which the firmware takes no bound of position."""
 
-ROUNDED = 1e-6
+TEXT_ROUNDING = 1e-6
 """Turns that a bound may differ by its text of six decimals."""
 
-STARTING = 2.0
+STARTING_TIME = 2.0
 """Longest time in which a drive has to be ready after it is switched on, s."""
 
-SLACK = 0.005
+ANSWER_SLACK = 0.005
 """Time of an answer beyond twice the shortest one, s: the host is busy, or it was repeated.
 
 With less, each sample would be asked for twice on a busy computer, which adds to its load.
@@ -134,7 +143,7 @@ class Moteus:
         """Identify the drive; raises `HardwareError` for one that cannot be measured with."""
         self.link.find_seal(STATE)
         identity = read_identity(self.link)
-        state = self.link.query(STATE, EXPECTED)
+        state = self.link.query(STATE, EXPECTED_REGISTERS)
         if state[MODE] == FAULTY:
             raise HardwareError(
                 f"{identity}: reports a fault: {_fault(state)}; find its cause, then switch the "
@@ -202,7 +211,7 @@ class Moteus:
         self._limits, self._watchdog = limits, watchdog
         self._lower("servo.max_current_A", limits.current)
         highest = self._lower("servo.max_velocity", limits.speed / TURN * self.motor.ratio)
-        self._lets_go = (highest + FADING) * TURN / self.motor.ratio
+        self._lets_go = (highest + FADING_SPEED) * TURN / self.motor.ratio
         self._change("servo.default_timeout_s", f"{watchdog:g}")
         self._change("servo.timeout_mode", f"{STOPPED}")
         # Limits of its own trajectories would make it lag behind the motions that it is sent.
@@ -225,7 +234,7 @@ class Moteus:
         for name, angle, inner in zip(names, limits.position, (max, min), strict=True):
             bound = angle / TURN * self.motor.ratio
             before = float(self._remember(name))
-            if not math.isnan(before) and abs(inner(bound, before) - bound) > ROUNDED:
+            if not math.isnan(before) and abs(inner(bound, before) - bound) > TEXT_ROUNDING:
                 angle_before = before / self.motor.ratio * TURN
                 narrow.append(f"{name} is {before:g} turns, {angle_before:.4g} rad")
             if abs(bound) > LARGEST_BOUND:
@@ -278,15 +287,15 @@ class Moteus:
         self._mode = mode
         self._set_table(on=mode != "current")
         hold = self._command(SetPoint(position=math.nan))
-        for _ in range(math.ceil(STARTING / 0.005)):
-            state = self.link.query(hold + STATE, EXPECTED)
+        for _ in range(math.ceil(STARTING_TIME / 0.005)):
+            state = self.link.query(hold + STATE, EXPECTED_REGISTERS)
             if state[MODE] == IN_POSITION:
                 return
             if state[MODE] in (FAULTY, TIMED_OUT):
                 self._require_running(state)
             self.line.pause(0.005)
         raise HardwareError(
-            f"moteus {self.link.node} was not ready in {STARTING:g} s: it is in mode "
+            f"moteus {self.link.node} was not ready in {STARTING_TIME:g} s: it is in mode "
             f"{state[MODE]:g}; look at its supply"
         )
 
@@ -331,7 +340,7 @@ class Moteus:
     def _measure(self, command: bytes, *, running: bool) -> Sample:
         """Measure; again where a late answer leaves the time of the sample uncertain."""
         state, asked, answered = self._ask(command)
-        if answered - asked > 2 * self._fastest + SLACK:
+        if answered - asked > 2 * self._fastest + ANSWER_SLACK:
             state, asked, answered = self._ask(b"")
         if running:
             self._require_running(state)
@@ -353,7 +362,7 @@ class Moteus:
     def _ask(self, command: bytes) -> tuple[Mapping[int, float], float, float]:
         """Send a command; return the state, and the times of question and answer."""
         asked = self.line.now()
-        state = self.link.query(command + STATE, EXPECTED)
+        state = self.link.query(command + STATE, EXPECTED_REGISTERS)
         answered = self.line.now()
         self._fastest = min(self._fastest, answered - asked)
         return state, asked, answered

@@ -19,12 +19,12 @@ from rigtool.rigs.serial.moteus import frames
 T = TypeVar("T")
 
 REPLY_WANTED = 0x8000
-SOURCES = 127
+SOURCE_COUNT = 127
 
 STRAY_LINES = 20
 """Lines that answer older questions before a request counts as not answered."""
 
-POLL = 0.002
+POLL_INTERVAL = 0.002
 """Wait before text that is not there yet is asked for again, s."""
 
 TEXT_TIMEOUT = 0.5
@@ -92,7 +92,7 @@ class Link:
 
     def _address(self, *, reply: bool) -> tuple[int, int]:
         """Return the identifier of the next request, and the source in it."""
-        self._source = self._source % SOURCES + 1
+        self._source = self._source % SOURCE_COUNT + 1
         identifier = (REPLY_WANTED if reply else 0) | self._source << 8 | self.node
         return identifier, self._source
 
@@ -208,10 +208,10 @@ class Link:
     def _answer(self) -> str:
         """Return the next line of text that is not empty."""
         text = b""
-        for _ in range(math.ceil(TEXT_TIMEOUT / POLL)):
+        for _ in range(math.ceil(TEXT_TIMEOUT / POLL_INTERVAL)):
             piece = self._exchange(frames.ask_text(), frames.text_from_drive, retries=0)
             if not piece:
-                self.line.pause(POLL)
+                self.line.pause(POLL_INTERVAL)
             text += piece
             while b"\n" in text:
                 line, _, text = text.partition(b"\n")

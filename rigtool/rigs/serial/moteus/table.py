@@ -23,10 +23,10 @@ CODE = "motor.cogging_dq_comp."
 HOMED, ENCODER = 0x00C, 0x050
 """Source of position 0; position of the first encoder, two registers an encoder."""
 
-READINGS = 32
+ZERO_READINGS = 32
 """Readings of position and encoder at standstill."""
 
-PRINTED = 1e-6
+PRINTED_STEP = 1e-6
 """Step of the numbers that the drive prints: it has six decimals."""
 
 
@@ -34,7 +34,7 @@ class MoteusTable:
     """A `TableStore`."""
 
     size, largest_code = 1024, 127
-    scale_step = PRINTED
+    scale_step = PRINTED_STEP
 
     def __init__(self, drive: Moteus) -> None:
         self._drive, self.link = drive, drive.link
@@ -70,14 +70,14 @@ class MoteusTable:
         encoder = ENCODER + 2 * source
         question = frames.read(POSITION) + frames.read(encoder)
         ratio = self._drive.motor.ratio
-        offsets = np.empty(READINGS)
-        for i in range(READINGS):
+        offsets = np.empty(ZERO_READINGS)
+        for i in range(ZERO_READINGS):
             found = self.link.query(question, (POSITION, encoder))
             offsets[i] = found[encoder] - sign * found[POSITION] / ratio
         around = np.exp(2j * np.pi * offsets)
         middle = float(np.angle(around.mean()))
         scatter = float(np.std(np.angle(around * np.exp(-1j * middle)), ddof=1))
-        return EncoderZero(sign, middle % (2 * math.pi), scatter / math.sqrt(READINGS))
+        return EncoderZero(sign, middle % (2 * math.pi), scatter / math.sqrt(ZERO_READINGS))
 
     def read(self) -> DriveTable:
         """Return the table in the drive's memory."""
@@ -117,7 +117,7 @@ class MoteusTable:
                 f"read back, {wrong.size} of {self.size} codes differ, the first {CODE}{i}: "
                 f"{found.codes[i]} instead of {table.codes[i]}"
             )
-        if abs(found.scale - table.scale) > PRINTED / 2:
+        if abs(found.scale - table.scale) > PRINTED_STEP / 2:
             raise HardwareError(f"read back, {SCALE} is {found.scale:g} instead of {table.scale:g}")
 
     def _bring_back(self, before: DriveTable) -> str:

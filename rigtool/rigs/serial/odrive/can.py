@@ -41,14 +41,14 @@ FORMATS = {
 
 CONTROL_MODES: dict[Mode, int] = {"current": 1, "velocity": 2}
 
-BEAT = 1.0
+HEARTBEAT_TIMEOUT = 1.0
 """Longest time between two heartbeats of a drive, s; 0.1 s as it is delivered."""
 
-LISTENING = 0.3
+LISTENING_TIME = 0.3
 """Time for which a bus is listened to for heartbeats, s."""
 
-ATTEMPTS = 3
-POLLS = 50
+STATE_ATTEMPTS = 3
+HEARTBEATS_PER_ATTEMPT = 50
 """Heartbeats, at most, in which a state is to be reached, and requests for it."""
 
 TEMPERATURE_EVERY = 50
@@ -116,8 +116,8 @@ class CanODrive:
 
     def _state(self) -> int:
         """Return the state in the next heartbeat; raises `LineTimeout` where none comes."""
-        with self._line.within(BEAT):
-            while self._take_in(BEAT)[0] != HEARTBEAT:
+        with self._line.within(HEARTBEAT_TIMEOUT):
+            while self._take_in(HEARTBEAT_TIMEOUT)[0] != HEARTBEAT:
                 pass
         return int(self._heartbeat[1])
 
@@ -133,7 +133,8 @@ class CanODrive:
             self._state()
         except LineTimeout:
             raise HardwareError(
-                f"{self._line.port}: no heartbeat of node {self._node} in {BEAT:g} s: check node, "
+                f"{self._line.port}: no heartbeat of node {self._node} in {HEARTBEAT_TIMEOUT:g} s: "
+                "check node, "
                 "bit rate, termination, and heartbeat_rate_ms (0.6: heartbeat_msg_rate_ms)"
             ) from None
         name = self._read_version()
@@ -162,7 +163,7 @@ class CanODrive:
     def _runs_out(self) -> bool:
         """Be silent for as long as the recipe's watchdog; return whether the drive noticed."""
         self._clear_watchdog()
-        end = self._line.now() + self._silence + BEAT / 2
+        end = self._line.now() + self._silence + HEARTBEAT_TIMEOUT / 2
         while self._line.now() < end:
             self._state()
             if int(self._heartbeat[0]) & self._watchdog_error:
@@ -239,8 +240,8 @@ class CanODrive:
     def _reach(self, state: int, feed: bytes) -> None:
         """Request a state until a heartbeat reports it; feeds the watchdog."""
         request = self._frame(SET_STATE, struct.pack("<I", state))
-        for attempt in range(ATTEMPTS * POLLS):
-            if attempt % POLLS == 0:
+        for attempt in range(STATE_ATTEMPTS * HEARTBEATS_PER_ATTEMPT):
+            if attempt % HEARTBEATS_PER_ATTEMPT == 0:
                 self._line.write(request)
                 self._line.settle(0.0)  # heartbeats that have come are older
             if feed:
@@ -321,9 +322,9 @@ class CanODrive:
 
 def probe(line: Line) -> str | None:
     """Return the node of an ODrive whose heartbeat is heard; nothing is sent."""
-    end = line.now() + LISTENING
+    end = line.now() + LISTENING_TIME
     while line.now() < end:
-        frame = line.read_frame(LISTENING)
+        frame = line.read_frame(LISTENING_TIME)
         if frame.identifier & 0x1F == HEARTBEAT and len(frame.data) == 8 and not frame.extended:
             return f"ODrive, node {frame.identifier >> 5}"
     return None

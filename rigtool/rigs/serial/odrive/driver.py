@@ -22,7 +22,7 @@ from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line
 from rigtool.rigs.serial.odrive.settings import Settings, as_said
 from rigtool.rigs.serial.odrive.text import (
-    BUFFERED,
+    BUFFERED_FIRMWARE,
     DIALECT_05,
     Dialect,
     OdriveProtocol,
@@ -42,21 +42,21 @@ COMMANDS = {1: ("c", "input_torque"), 2: ("v", "input_vel"), 3: ("p", "input_pos
 WATCHDOG = "config.enable_watchdog"
 CONTROL_MODE = "controller.config.control_mode"
 PASSTHROUGH = 1
-MOTORS = {2: "a gimbal motor, whose current is not measured", 3: "an induction motor (ACIM)"}
+OTHER_MOTORS = {2: "a gimbal motor, whose current is not measured", 3: "an induction motor (ACIM)"}
 """Types of motor other than 0."""
 
-HALTS = 2
+HALT_ATTEMPTS = 2
 """Attempts to stop and to restore, each with the retries of the line."""
 
-ATTEMPTS = 3
+STATE_ATTEMPTS = 3
 """Requests for a state: one may be lost without an error."""
 
-POLLS = 20
-"""Readings of the state, `POLL` s apart, before it is requested again."""
+POLLS_PER_ATTEMPT = 20
+"""Readings of the state, `POLL_INTERVAL` s apart, before it is requested again."""
 
-POLL = 0.005
+POLL_INTERVAL = 0.005
 
-CORRECTED = 0.3
+MAX_CORRECTION = 0.3
 """Part of an error of position that is corrected in a period at most."""
 
 TEMPERATURE_EVERY = 50
@@ -93,11 +93,12 @@ class ODrive:
         """
         identity = identify(self._line)
         self._dialect = identity.dialect
-        self._protocol.at_once = BUFFERED <= identity.firmware < (0, 6, 0)
+        self._protocol.at_once = BUFFERED_FIRMWARE <= identity.firmware < (0, 6, 0)
         self._require_no_fault()
         if kind := self._number(self._dialect.motor_type):
             raise HardwareError(
-                f"axis {self._axis} drives {MOTORS.get(int(kind), f'a motor of type {kind:g}')}: "
+                f"axis {self._axis} drives "
+                f"{OTHER_MOTORS.get(int(kind), f'a motor of type {kind:g}')}: "
                 "torque does not follow from its current by a constant"
             )
         self._torque_constant = self._number(self._dialect.torque_constant)
@@ -106,7 +107,7 @@ class ODrive:
                 f"{self._name(self._dialect.torque_constant)} is {self._torque_constant:g} N m/A: "
                 "set it in the drive to that of the motor"
             )
-        self._gain = min(self._number("controller.config.pos_gain"), CORRECTED / self._period)
+        self._gain = min(self._number("controller.config.pos_gain"), MAX_CORRECTION / self._period)
         found = self._protocol.get_first(*map(self._name, self._dialect.direction))
         if found is None and self._dialect is DIALECT_05:
             raise HardwareError(
@@ -209,7 +210,7 @@ class ODrive:
         self._settings.require()
         self._protocol.put(self._name(CONTROL_MODE), str(self._control_mode))
         self._rest(self.read().position)
-        for _ in range(ATTEMPTS):
+        for _ in range(STATE_ATTEMPTS):
             self._start_watchdog()
             if self._reach(CLOSED_LOOP):
                 return
@@ -252,15 +253,15 @@ class ODrive:
     def _reach(self, state: int) -> bool:
         """Request a state until it is reached; return whether it was. Feeds the watchdog."""
         feed = f"u {self._axis}"
-        for _ in range(ATTEMPTS):
+        for _ in range(STATE_ATTEMPTS):
             if self._state() == state:
                 return True
             wanted = f"w {self._name('requested_state')} {state}"
             self._protocol.ask([self._state_question], _first, commands=[feed, wanted])
-            for _ in range(POLLS):
+            for _ in range(POLLS_PER_ATTEMPT):
                 if self._protocol.ask([self._state_question], _state, commands=[feed]) == state:
                     return True
-                self._line.pause(POLL)
+                self._line.pause(POLL_INTERVAL)
         return False
 
     @property
@@ -370,11 +371,11 @@ class ODrive:
 
 def _persist(act: Callable[[], None]) -> None:
     """Act; try again where that fails."""
-    for attempt in range(HALTS):
+    for attempt in range(HALT_ATTEMPTS):
         try:
             return act()
         except HardwareError:
-            if attempt == HALTS - 1:
+            if attempt == HALT_ATTEMPTS - 1:
                 raise
     return None
 

@@ -21,13 +21,13 @@ from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout, RequestRef
 
 T = TypeVar("T")
 
-LONGEST = 64
+MAX_REPLY_BYTES = 64
 """Bytes of a reply at most: the firmware cuts longer ones."""
 
-OLDEST = (0, 5, 1)
+OLDEST_FIRMWARE = (0, 5, 1)
 """Firmware since which positions are in turns and feed-forward in N m."""
 
-BUFFERED = (0, 5, 3)
+BUFFERED_FIRMWARE = (0, 5, 3)
 """Firmware since which replies are buffered: several questions may be asked at once."""
 
 REFUSALS = ("invalid property", "invalid motor", "not implemented", "unknown command")
@@ -148,7 +148,7 @@ class Identity:
         return DIALECT_05 if self.firmware < (0, 6, 0) else DIALECT_06
 
 
-def checksum(text: bytes) -> int:
+def xor_checksum(text: bytes) -> int:
     """Return the XOR of all bytes."""
     return functools.reduce(operator.xor, text, 0)
 
@@ -156,14 +156,14 @@ def checksum(text: bytes) -> int:
 def seal(text: str) -> bytes:
     """Return a line with its checksum; it ends with LF alone, since CR would end another line."""
     body = f"{text} ".encode("ascii")
-    return body + b"*%d\n" % checksum(body)
+    return body + b"*%d\n" % xor_checksum(body)
 
 
 def unseal(line: bytes) -> str:
     """Return the text of a reply without its checksum; `DamagedReply` where that is wrong."""
     body, star, check = line.rstrip(b"\r").rpartition(b"*")
-    if not star or not check.isdigit() or int(check) != checksum(body):
-        raise DamagedReply(f"the reply {line[:LONGEST]!r} has a wrong checksum or none")
+    if not star or not check.isdigit() or int(check) != xor_checksum(body):
+        raise DamagedReply(f"the reply {line[:MAX_REPLY_BYTES]!r} has a wrong checksum or none")
     return body.decode("ascii", "replace").strip()
 
 
@@ -255,7 +255,7 @@ class OdriveProtocol:
                 raise LineTimeout(f"{len(lines)} of {len(questions)} replies came in time")
             *whole, rest = (rest + data).split(b"\n")
             lines += whole
-            if len(rest) > LONGEST:
+            if len(rest) > MAX_REPLY_BYTES:
                 raise DamagedReply(f"{len(rest)} bytes came without the end of a line")
         texts = [unseal(line) for line in lines]
         for number, text in enumerate(texts):
@@ -291,7 +291,7 @@ def identify(line: Line, retries: int | None = None) -> Identity:
         return found
 
     found = line.exchange(seal("i"), receive, retries=retries)
-    if found.firmware < OLDEST:
+    if found.firmware < OLDEST_FIRMWARE:
         raise HardwareError(
             f"{found}: before 0.5.1 positions were counts and feed-forward A: update the firmware"
         )

@@ -34,13 +34,13 @@ BAUD_RATE = 115200
 SMALLEST_CHUNK = 64
 """Payload of a frame at least, bytes, however many frames a line damages."""
 
-POLL = 0.02
+POLL_INTERVAL = 0.02
 """Time between two requests for the state while a motion runs, s."""
 
-UPLOADS = 3
+UPLOAD_ATTEMPTS = 3
 """Attempts to transfer an object longer than a frame with the right CRC-32."""
 
-PATIENCE = 60.0
+MAX_OVERTIME = 60.0
 """Time that a motion may take beyond its duration, for the approach, s."""
 
 _NEEDED = {
@@ -201,7 +201,7 @@ class TargetRig(SerialRig):
         """Turn the shaft by an angle, rad, and come to rest; nothing is recorded."""
         self._require_permission(Task(slow_move(angle, self._limits)))
         self._call(FrameKind.MOVE, link.NUMBER.pack(angle))
-        self._require_done(self._await_end(PATIENCE))
+        self._require_done(self._await_end(MAX_OVERTIME))
 
     # -- motions
 
@@ -224,17 +224,17 @@ class TargetRig(SerialRig):
         self._logs.append(log)
         self._arrived.clear()
         # A lost request must be repeated before the watchdog expires.
-        self._protocol.timeout = min(protocol.TIMEOUT, self._settings.watchdog / 3)
+        self._protocol.timeout = min(protocol.REPLY_TIMEOUT, self._settings.watchdog / 3)
         self._protocol.streaming = streams
         self._call(FrameKind.START)
         before, status, after = self.line.now(), self._status(), self.line.now()
         self._clock_offset = (before + after) / 2 - status.time
-        patience = task.motion.duration + PATIENCE
+        patience = task.motion.duration + MAX_OVERTIME
         if streams:
             yield from in_thread(functools.partial(self._follow, log, patience))
             return
         status = self._await_end(patience)
-        self._protocol.timeout = protocol.TIMEOUT
+        self._protocol.timeout = protocol.REPLY_TIMEOUT
         yield from log.fetch(status.samples)
         self._require_done(status)
 
@@ -247,7 +247,7 @@ class TargetRig(SerialRig):
             if status.state is not TargetState.RUNNING:
                 return status
             self._watch_over(status, watch, until)
-            self.line.pause(min(POLL, self._settings.watchdog / 4))
+            self.line.pause(min(POLL_INTERVAL, self._settings.watchdog / 4))
 
     def _watch_over(self, status: Status, watch: Watch, until: float) -> None:
         counts = self._recipe.rig.encoder_counts / (2 * math.pi)
@@ -280,7 +280,7 @@ class TargetRig(SerialRig):
         until, asked = line.now() + patience, -math.inf
         status: Status | None = None
         while not stop.is_set() and (status is None or status.state is TargetState.RUNNING):
-            self._protocol.listen(POLL)
+            self._protocol.listen(POLL_INTERVAL)
             for first, data in self._arrived:
                 log.take(first, data)
             self._arrived.clear()
@@ -292,7 +292,7 @@ class TargetRig(SerialRig):
                 asked = line.now()
                 if status.state is TargetState.RUNNING:
                     self._watch_over(status, watch, until)
-        self._protocol.timeout, self._protocol.streaming = protocol.TIMEOUT, False
+        self._protocol.timeout, self._protocol.streaming = protocol.REPLY_TIMEOUT, False
         if status is None or stop.is_set():
             return
         for first, data in self._arrived:
@@ -326,7 +326,7 @@ class TargetRig(SerialRig):
         if self._up.get(slot) == data:
             return
         self._up.pop(slot, None)
-        for attempt in range(UPLOADS):
+        for attempt in range(UPLOAD_ATTEMPTS):
             self._call(FrameKind.BEGIN, link.BEGIN.pack(slot, len(data)))
             offset = 0
             while offset < len(data):
@@ -336,7 +336,7 @@ class TargetRig(SerialRig):
             try:
                 self._call(FrameKind.COMMIT, link.COMMIT.pack(slot, len(data), zlib.crc32(data)))
             except RequestRefused as error:
-                if error.code != Refusal.BAD_CRC or attempt == UPLOADS - 1:
+                if error.code != Refusal.BAD_CRC or attempt == UPLOAD_ATTEMPTS - 1:
                     raise
                 continue
             break
@@ -347,7 +347,7 @@ class TargetRig(SerialRig):
 
         Raises `HardwareError` where they do not come whole.
         """
-        for _ in range(UPLOADS):
+        for _ in range(UPLOAD_ATTEMPTS):
             parts, at = [], first
             while at < first + count:
                 number = min(max(1, self._chunk // size), first + count - at)
@@ -360,7 +360,7 @@ class TargetRig(SerialRig):
             self._damaged_segments += 1
         raise HardwareError(
             f"{self.line.port}: samples {first} to {first + count} came with a wrong CRC-32 "
-            f"{UPLOADS} times: the line damages data"
+            f"{UPLOAD_ATTEMPTS} times: the line damages data"
         )
 
     def matches(self, first: int, count: int, data: bytes) -> bool:

@@ -9,10 +9,10 @@ import numpy as np
 
 from rigtool.rigs.base import Block
 
-SEGMENT = 16384
+SEGMENT_SAMPLES = 16384
 """Samples that are read at a time, and whose CRC-32 is compared with the target's, at most."""
 
-STREAMED = 0.5
+STREAM_INTERVAL = 0.5
 """Streamed samples are handed on, and compared, about as often as this, s."""
 
 
@@ -38,7 +38,7 @@ class Log:
 
     def __init__(self, sample: np.dtype[np.void], period: float, memory: Memory | None) -> None:
         self._sample, self._period, self._memory = sample, period, memory
-        self._segment = min(SEGMENT, max(64, round(STREAMED / period)))
+        self._segment = min(SEGMENT_SAMPLES, max(64, round(STREAM_INTERVAL / period)))
         self._first = 0  # of the segment in hand
         self._data = bytearray()
         self._time = 0.0
@@ -48,8 +48,8 @@ class Log:
     def fetch(self, count: int) -> Iterator[Block]:
         """Yield all of the target's log, `count` samples."""
         assert self._memory is not None
-        for first in range(0, count, SEGMENT):
-            number = min(SEGMENT, count - first)
+        for first in range(0, count, SEGMENT_SAMPLES):
+            number = min(SEGMENT_SAMPLES, count - first)
             yield self._block(self._memory.read_log(first, number, self._sample.itemsize))
 
     def take(self, first: int, data: bytes) -> None:

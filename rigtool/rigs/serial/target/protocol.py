@@ -12,7 +12,7 @@ from rigtool.rigs.serial.target import link
 from rigtool.rigs.serial.target.frames import END, Frame, Splitter, encode
 from rigtool.rigs.serial.target.link import FrameKind, Refusal
 
-TIMEOUT = 0.5
+REPLY_TIMEOUT = 0.5
 """Longest wait for a reply, s."""
 
 RETRIES = 8
@@ -24,7 +24,7 @@ class TargetProtocol:
 
     def __init__(self, line: Line, *, timeout: float | None = None, retries: int = RETRIES) -> None:
         self._line = line
-        self.timeout = TIMEOUT if timeout is None else timeout
+        self.timeout = REPLY_TIMEOUT if timeout is None else timeout
         self._patience = retries * self.timeout
         self.streaming = False  # then a damaged frame need not be the reply
         self._splitter = Splitter()

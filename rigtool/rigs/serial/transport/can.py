@@ -17,7 +17,7 @@ from rigtool.rigs.serial.transport import can_frames as frames
 SEND_TIMEOUT = 1.0
 """Longest time for which an adapter takes no frame, s."""
 
-GARBLED = b"?" + frames.END
+GARBLED_LINE = b"?" + frames.END
 """A line that is no frame."""
 
 SAMPLE_POINT = 200 / 3
@@ -86,11 +86,11 @@ class CanPort:
         try:
             message = self._bus.recv(self._timeout)
         except (ValueError, IndexError):
-            return GARBLED  # python-can has dropped a line of slcan that it cannot read
+            return GARBLED_LINE  # python-can has dropped a line of slcan that it cannot read
         except self._can.CanError as error:
             if isinstance(error.__cause__, ValueError):
                 self._bus.flush()  # else python-can would find these bytes before each later line
-                return GARBLED
+                return GARBLED_LINE
             raise OSError(str(error.__cause__ or error)) from None
         if message is None or message.is_error_frame:
             return b""
@@ -102,7 +102,7 @@ class CanPort:
             message.is_fd,
         )
         cut = not frame.remote and len(frame.data) != message.dlc
-        return GARBLED if cut else frames.encode(frame)
+        return GARBLED_LINE if cut else frames.encode(frame)
 
     def write(self, data: bytes) -> None:
         """Send the frames of these lines."""

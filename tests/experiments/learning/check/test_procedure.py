@@ -75,7 +75,7 @@ def test_an_unchanged_rig_fits(unchanged):
     assert abs(results["table_shift"].value) < 4 * results["table_shift"].u
     assert abs(results["friction_change"].value) < 0.1e-3
     assert results["mismatch_rms"].value < results["non_repeatable_rms"].value
-    assert results["table_shift"].dof == ilc_check.MOVES - 1
+    assert results["table_shift"].dof == ilc_check.MOVES_PER_SPEED - 1
 
 
 def test_a_power_cycle_is_another_pattern(turned, folder, kt):

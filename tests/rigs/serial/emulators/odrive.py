@@ -15,7 +15,7 @@ import numpy as np
 
 from rigtool.rigs.serial.emulators.motor import EmulatedMotor
 from rigtool.rigs.serial.emulators.server import Emulator
-from rigtool.rigs.serial.odrive.text import DIALECT_05, DIALECT_06, checksum
+from rigtool.rigs.serial.odrive.text import DIALECT_05, DIALECT_06, xor_checksum
 
 TURN = 2 * np.pi
 LINE = 256
@@ -176,7 +176,7 @@ class ODriveEmulator(Emulator):
         sealed = bool(star and check)
         if sealed:
             digits = re.match(rb"\s*(\d+)", check)
-            if not digits or int(digits[1]) != checksum(body):
+            if not digits or int(digits[1]) != xor_checksum(body):
                 return b""
         text = body.decode("latin-1")
         if self._refusals:
@@ -186,7 +186,7 @@ class ODriveEmulator(Emulator):
 
     def _say(self, text: str, sealed: bool) -> bytes:
         data = text.encode("latin-1")[:REPLY]
-        data += b"*%d\r\n" % checksum(data) if sealed else b"\r\n"
+        data += b"*%d\r\n" % xor_checksum(data) if sealed else b"\r\n"
         return data[:REPLY]
 
     def _answer(self, text: str) -> Sequence[str]:

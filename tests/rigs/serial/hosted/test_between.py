@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigtool.rigs.serial.drive import Sample
-from rigtool.rigs.serial.hosted.between import EVERY, MIN_READINGS, ROOM, Between
+from rigtool.rigs.serial.hosted.between import MIN_READINGS, MIN_ROOM, READING_PERIODS, Between
 from tests.rigs.serial.hosted.test_hosted_bias import HOLD, emulated, perform
 
 
@@ -23,17 +23,17 @@ def looked(reading):
 def test_a_reading_is_due_every_few_ticks_and_only_where_it_fits():
     between = looked(2e-3)
     assert [tick for tick in range(16) if between.moment(tick, 0.0, 0.01) is not None] == [
-        tick for tick in range(16) if tick % EVERY == EVERY - 1
+        tick for tick in range(16) if tick % READING_PERIODS == READING_PERIODS - 1
     ]
-    fits = ROOM * between.reading
-    assert between.moment(EVERY - 1, 0.0, 0.999 * fits) is None
-    assert between.moment(EVERY - 1, 0.0, 1.001 * fits) is not None
+    fits = MIN_ROOM * between.reading
+    assert between.moment(READING_PERIODS - 1, 0.0, 0.999 * fits) is None
+    assert between.moment(READING_PERIODS - 1, 0.0, 1.001 * fits) is not None
 
 
 @pytest.mark.parametrize("count", [10, 37, 200])
 def test_readings_fill_what_is_left_of_the_period_evenly(count):
     between = looked(2e-3)
-    moments = np.array([between.moment(EVERY - 1, 5.0, 5.01) for _ in range(count)])
+    moments = np.array([between.moment(READING_PERIODS - 1, 5.0, 5.01) for _ in range(count)])
     assert moments.min() >= 5.0
     assert moments.max() + between.reading <= 5.01
     gaps = np.diff(np.concatenate([[5.0], np.sort(moments), [5.008]]))

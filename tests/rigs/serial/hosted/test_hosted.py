@@ -10,7 +10,7 @@ import pytest
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.running.dry_run import rehearse, require_offered
-from rigtool.rigs import NEEDS, Feedforward, Load, Task
+from rigtool.rigs import NEED_DESCRIPTIONS, Feedforward, Load, Task
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Observe, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
@@ -259,7 +259,7 @@ def test_stribeck_is_refused_before_it_measures(feedforward, person, radial_forc
         serve(toy.ToyEmulator()) as server,
         toy_rig(server.port, operator=attendant, make_drive=make) as rig,
     ):
-        found = [need for need in plan.needs if need in NEEDS and rig.lacks(need)]
+        found = [need for need in plan.needs if need in NEED_DESCRIPTIONS and rig.lacks(need)]
         if reason is None:
             assert found == []
         else:

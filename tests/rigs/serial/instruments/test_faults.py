@@ -1,8 +1,8 @@
 """Every instrument on a bad line: complete and correct readings, or a clear end; no wrong number.
 
 None of the protocols has a checksum. A damaged reading is known by its form or because it stands
-alone; what is less than `SPIKE` times the usual difference of readings may pass, and is the bound
-of what is asserted here.
+alone; what is less than `SPIKE_RATIO` times the usual difference of readings may pass, and is the
+bound of what is asserted here.
 """
 
 import re
@@ -20,7 +20,7 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.instruments import gauge, open_gauge
-from rigtool.rigs.serial.instruments.gauge import SPIKE
+from rigtool.rigs.serial.instruments.gauge import SPIKE_RATIO
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulators import instruments as emulators
 from tests.rigs.serial.hosted.test_hosted import toy_rig
@@ -30,7 +30,7 @@ from tests.thorough import first_of
 NOISE = 0.004
 """Half the width of what readings scatter by, in the unit shown."""
 
-BOUND = 3 * SPIKE * NOISE
+BOUND = 3 * SPIKE_RATIO * NOISE
 """Two uniformly scattered readings differ by 2/3 of NOISE in the median, at most by twice it."""
 
 DEVICES = {
@@ -49,10 +49,10 @@ def quick(monkeypatch):
     """Waits of a tenth, so that a fault costs a test no second."""
     module = "rigtool.rigs.serial.instruments."
     monkeypatch.setattr(f"{module}readings.Polled.timeout", 0.05)
-    monkeypatch.setattr(f"{module}scpi.SLOW", 0.05)
-    monkeypatch.setattr(f"{module}scpi.QUICK", 0.05)
+    monkeypatch.setattr(f"{module}scpi.READING_TIMEOUT", 0.05)
+    monkeypatch.setattr(f"{module}scpi.ANSWER_TIMEOUT", 0.05)
     monkeypatch.setattr(f"{module}kern.Kern.pause", 0.0)
-    monkeypatch.setattr(f"{module}number_lines.TIMEOUT", 0.05)
+    monkeypatch.setattr(f"{module}number_lines.NUMBER_TIMEOUT", 0.05)
 
 
 class Shown:
@@ -210,7 +210,7 @@ LOST = {
 @pytest.mark.parametrize("kind", LOST)
 @pytest.mark.parametrize("driver", DEVICES)
 def test_a_run_is_complete_and_right_or_stops_and_says_why(driver, kind, monkeypatch):
-    monkeypatch.setattr(gauge, "SILENCE", 0.3)
+    monkeypatch.setattr(gauge, "MAX_SILENCE", 0.3)
     message, ends = LOST[kind]
     channel, make, settings, sign = DEVICES[driver]
     drive = toy.ToyEmulator()

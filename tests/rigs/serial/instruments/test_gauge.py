@@ -10,7 +10,7 @@ from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.server import serve
-from rigtool.rigs.serial.instruments import MODULES, gauge, instrument_module, open_gauge
+from rigtool.rigs.serial.instruments import INSTRUMENT_MODULES, gauge, instrument_module, open_gauge
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.ports import find_devices
 from tests.rigs.serial.emulators.instruments import (
@@ -99,7 +99,7 @@ def test_reads_in_the_unit_and_sign_of_the_channel(name):
 
 
 def test_hart_thermometer_is_asked_its_own_way(monkeypatch):
-    monkeypatch.setattr("rigtool.rigs.serial.instruments.scpi.QUICK", 0.1)
+    monkeypatch.setattr("rigtool.rigs.serial.instruments.scpi.ANSWER_TIMEOUT", 0.1)
     device = with_options(ScpiEmulator(lambda: 25.587, unit="C"), hart=True)
     with serve(device) as server, opened("scpi", server.port, "temperature") as thermometer:
         assert watch(thermometer)[-1] == pytest.approx(25.587, rel=1e-9)
@@ -200,7 +200,7 @@ def test_silent_port_and_unknown_drivers_are_refused(monkeypatch):
         opened("abacus", "/dev/null")
     with pytest.raises(RecipeError, match=r"serial.force.port is missing"):
         opened("mark10", None)
-    monkeypatch.setattr("rigtool.rigs.serial.instruments.number_lines.GREETING", 0.1)
+    monkeypatch.setattr("rigtool.rigs.serial.instruments.number_lines.GREETING_TIME", 0.1)
     device = with_options(NumberLinesEmulator(lambda: 1.0), period=60.0, greeting=b"HX711 ready\n")
     with serve(device) as server, pytest.raises(HardwareError, match="no whole line within"):
         opened("number-lines", server.port).__enter__()
@@ -273,8 +273,8 @@ def test_unstable_readings_are_used_and_counted():
 @pytest.mark.parametrize("driver", ["mark10", "number-lines"])
 def test_instrument_that_is_gone_is_told(driver, fault, monkeypatch):
     monkeypatch.setattr("rigtool.rigs.serial.instruments.readings.Polled.timeout", 0.03)
-    monkeypatch.setattr(gauge, "SILENCE", 0.2)
-    monkeypatch.setattr("rigtool.rigs.serial.instruments.number_lines.TIMEOUT", 0.05)
+    monkeypatch.setattr(gauge, "MAX_SILENCE", 0.2)
+    monkeypatch.setattr("rigtool.rigs.serial.instruments.number_lines.NUMBER_TIMEOUT", 0.05)
     kinds = {"mark10": Mark10Emulator, "number-lines": NumberLinesEmulator}
     device = kinds[driver](lambda: 1.0)
     with serve(device, fault) as server, opened(driver, server.port) as instrument:
@@ -334,7 +334,7 @@ def test_probe_knows_its_own_and_no_other(name, asked):
 
 
 def test_devices_are_found_by_asking(monkeypatch):
-    listening = "rigtool.rigs.serial.instruments.number_lines.LISTENING"
+    listening = "rigtool.rigs.serial.instruments.number_lines.LISTENING_TIME"
     monkeypatch.setattr(listening, 0.05)
     with serve(ScpiEmulator(lambda: 2.5)) as server:
         found = list(find_devices([server.port], ["mark10", "scpi", "number-lines"]))
@@ -350,7 +350,7 @@ def test_devices_are_found_by_asking(monkeypatch):
 
 
 def test_every_module_offers_what_a_gauge_needs():
-    for name in MODULES:
+    for name in INSTRUMENT_MODULES:
         module = instrument_module(name)
         assert module.BAUD_RATE in (9600, 115200)
         assert callable(module.make_reader)

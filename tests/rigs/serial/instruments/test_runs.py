@@ -55,7 +55,7 @@ class Loaded(EmulatedMotor):
 
 @pytest.fixture
 def device(monkeypatch):
-    monkeypatch.setitem(drivers.MODULES, "odrive", "tests.rigs.serial.toy")
+    monkeypatch.setitem(drivers.DRIVER_MODULES, "odrive", "tests.rigs.serial.toy")
     device = toy.ToyEmulator()
     device.motor = Loaded()
     return device

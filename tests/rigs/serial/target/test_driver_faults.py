@@ -26,7 +26,7 @@ MOTION = Task(Triangle(0.1, 1.1, 6.0, 0.2, cycles=3), Feedforward(1.5e-5), recor
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch):
     """Repeat soon: an emulator answers within milliseconds."""
-    monkeypatch.setattr(protocol, "TIMEOUT", 0.15)
+    monkeypatch.setattr(protocol, "REPLY_TIMEOUT", 0.15)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_answers_come_between_streamed_samples_on_a_line_that_is_slower_than_the
 
 
 def test_silence_for_good_is_given_up(monkeypatch):
-    monkeypatch.setattr(protocol, "TIMEOUT", 0.03)
+    monkeypatch.setattr(protocol, "REPLY_TIMEOUT", 0.03)
     error = failing(TargetEmulator(virtual()), Fault("silence", at=20))
     assert isinstance(error, LineLost)
     assert "9 attempts" in str(error)
@@ -120,7 +120,7 @@ def test_drive_that_refuses_says_why():
 
 
 def test_line_that_damages_everything_is_given_up(monkeypatch):
-    monkeypatch.setattr(protocol, "TIMEOUT", 0.03)
+    monkeypatch.setattr(protocol, "REPLY_TIMEOUT", 0.03)
     error = failing(TargetEmulator(virtual()), Fault("flip", probability=0.05))
     assert isinstance(error, LineLost)
 

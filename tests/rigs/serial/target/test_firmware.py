@@ -209,7 +209,7 @@ def test_whatever_object_comes_up_is_taken_or_refused(slot, data):
 @pytest.fixture
 def in_c(monkeypatch):
     """Let the tests of faults meet the target in C."""
-    monkeypatch.setattr(protocol, "TIMEOUT", 0.15)
+    monkeypatch.setattr(protocol, "REPLY_TIMEOUT", 0.15)
     monkeypatch.setattr(test_driver_faults, "TargetEmulator", Firmware)
     monkeypatch.setattr(test_driver_faults, "assert_same", assert_alike)
     short = replace(test_driver_faults.MOTION, motion=Triangle(0.1, 1.1, 6.0, 0.2, cycles=1))
