@@ -28,7 +28,7 @@ MIN_STROKE_ROWS = 20
 MIN_WHITE_NOISE = 1e-4
 """Smallest white noise, in parts of the friction; the search begins at 0.01."""
 
-DIFFERENT = 3.0
+MAX_SCATTER_RATIO = 3.0
 """Scatter of a motion's cycles, in that of most motions, above which they do not repeat."""
 
 SEARCH_RANGE = 12.0
@@ -130,7 +130,7 @@ def repeating(records: Sequence[Record]) -> list[bool]:
     does not hold for their mean.
     """
     scatters = [record.scatter for record in records]
-    return [scatter <= DIFFERENT * float(np.median(scatters)) for scatter in scatters]
+    return [scatter <= MAX_SCATTER_RATIO * float(np.median(scatters)) for scatter in scatters]
 
 
 def kept_by_mean(records: Sequence[Record], angle_ratio: float) -> float:

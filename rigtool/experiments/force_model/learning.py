@@ -63,7 +63,7 @@ LONGEST_STEP = 0.7
 ROUNDS, ENOUGH = 15, 0.3
 """Most steps, and the length of the last step, in standard deviations."""
 
-LEAST_LIFT = 0.05
+MIN_LIFT = 0.05
 """First lift of a step that raised the cost."""
 
 REWEIGHED_STEP = 0.3
@@ -172,7 +172,7 @@ def _searched(problem: Problem, shape: Shape) -> tuple[Shape, Array]:
             coefficient_there, cost_there = problem.cost(there)
             if cost_there < cost or np.all(np.abs(step) < enough):
                 break
-            lift = max(4 * lift, LEAST_LIFT)
+            lift = max(4 * lift, MIN_LIFT)
         if cost_there < cost:
             shape, coefficient = there, coefficient_there
         if np.all(np.abs(step) < enough):
