@@ -117,7 +117,7 @@ def _given(x: Array, y: Array, z: Array, amplitude: Array) -> tuple[Array, Array
     All in units of the stated errors; the hypotheses are amplitudes by excess, in sequence (h,).
     An orthogonal transformation leaves as many values as there are columns; the others become zero.
     """
-    columns = np.linalg.qr(np.column_stack([y, x, z]), mode="r")
+    columns: Array = np.asarray(np.linalg.qr(np.column_stack([y, x, z]), mode="r"))
     zeros = len(y) - len(columns)
     y, x, z = columns[:, 0], columns[:, 1 : 1 + x.shape[1]], columns[:, 1 + x.shape[1] :]
     power, axes = np.linalg.eigh(z @ z.T)
