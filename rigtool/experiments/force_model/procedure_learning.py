@@ -118,10 +118,17 @@ def learn_force(
     uncertainty = ForceModel(sliding.learned, deviating).uncertainty
     rested = learn_rest(sliding.learned, shown, uncertainty, STEP_TIME)
     if moves:
-        fastest = _signals(max(moves, key=lambda r: r.condition("speed")), recipe)
+        fast = max(moves, key=lambda r: r.condition("speed"))
+        fastest = _signals(fast, recipe)
         under = _condition(recipe, kt, warm, 0.0)
+        stroke_time = np.ptp(fastest.encoder) * own.count / fast.condition("speed")
         turns = Exploration(
-            fastest.encoder, fastest.total, _interval(fastest), under.torque_constant, own.count
+            fastest.encoder,
+            fastest.total,
+            _interval(fastest),
+            under.torque_constant,
+            own.count,
+            float(stroke_time),
         )
         rested = learn_turns(rested, turns, ForceModel(rested, deviating).untouched, STEP_TIME)
     model = ForceModel(rested, deviating)

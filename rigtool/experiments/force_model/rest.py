@@ -54,8 +54,8 @@ ROWS_HZ = 50.0
 ROW_ERROR = 0.03
 """Error of a row, in parts of the friction."""
 
-ROWS_PER_INDEPENDENT_ROW = 20.0
-"""Rows that one independent row is worth: a stroke's deviation lasts for all of it."""
+DEVIATION_TIME = 0.4
+"""Usual time for which a deviation of the model lasts, s: a stroke's lasts for all of it."""
 
 SHORT, LONG, SHARES = (0.5, 1.0, 2.0), (0.33, 0.66, 1.33, 2.66), (0.1, 0.2)
 """Where the search begins: lengths of both bristles in parts of what they were said to be, and the
@@ -86,13 +86,15 @@ SAMPLES_PER_STEP = 2
 @dataclass(frozen=True, eq=False)
 class Exploration:
     """A motion with nothing on the output: `encoder` counts and `current` A (n,), every
-    `sample_time` s; `torque_constant` N m/A, `count` rad."""
+    `sample_time` s; `torque_constant` N m/A, `count` rad. A deviation of the model lasts for
+    `deviation_time`, s."""
 
     encoder: Array
     current: Array
     sample_time: float
     torque_constant: float
     count: float
+    deviation_time: float = DEVIATION_TIME
 
 
 def learn_rest(
@@ -145,6 +147,7 @@ class RestProblem:
         self._signals_of = _Inputs(exploration)
         self.step_samples = max(1, round(step_time / self._signals_of.sample_time))
         self._rate = rate = 1 / (self.step_samples * self._signals_of.sample_time)
+        self._rows = max(1.0, exploration.deviation_time * ROWS_HZ)
         self._first, self._apart = round(FILTER_SETTLING_TIME * rate), max(1, round(rate / ROWS_HZ))
         named = [SLIDING_PARAMETERS.index(name) for name in shown.shape]
         listed = [
@@ -208,7 +211,7 @@ class RestProblem:
         Its covariance comes from both.
         """
         root: Array = np.asarray(np.linalg.cholesky(self.covariance), dtype=np.float64)
-        scale = ROW_ERROR * self.friction * np.sqrt(ROWS_PER_INDEPENDENT_ROW)
+        scale = ROW_ERROR * self.friction * np.sqrt(self._rows)
         count = len(self.start)
 
         def cost(x: Array) -> Array:
@@ -228,9 +231,7 @@ class RestProblem:
         for _ in range(MAX_ITERATIONS):
             slopes = np.stack([slope(way) for way in np.eye(count)], axis=1)
             weight = np.ones(left.size)
-            weight[:-count] = 1 / np.hypot(
-                1, left[:-count] * np.sqrt(ROWS_PER_INDEPENDENT_ROW) / HUBER_THRESHOLD
-            )
+            weight[:-count] = 1 / np.hypot(1, left[:-count] * np.sqrt(self._rows) / HUBER_THRESHOLD)
             information: Array = slopes.T @ (slopes * weight[:, None])
             before = float(weight @ left**2)
             gained = 0.0
