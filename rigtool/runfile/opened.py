@@ -105,7 +105,8 @@ def open_hdf5(path: str | os.PathLike[str]) -> h5py.File:
     """Open an HDF5 file for reading only; raises `RunFileError` with the reason."""
     path = Path(path)
     if not os.path.isfile(path):
-        what = "is a folder, not a file" if os.path.isdir(path) else "no such file"
+        what = "a folder" if os.path.isdir(path) else "a device or a pipe"
+        what = f"is {what}, not a file" if os.path.exists(path) else "no such file"
         hint = "; recipes end in .toml" if path.suffix not in (".h5", ".part") else ""
         raise RunFileError(
             f"{path}: {what}; give a run file (.h5) that a rigtool command wrote{hint}"
