@@ -32,7 +32,7 @@ from rigtool.runfile import Column, Run, Table
 MOST_BEYOND = 0.25
 """Part of the way beyond the learned stroke from which on the encoder was zeroed elsewhere."""
 
-FEW = 1e-3
+END_SHARE = 1e-3
 """Part of the samples at either end of the way that do not show how far strokes go."""
 
 FAST_SPEED = 0.25
@@ -103,7 +103,7 @@ def of_this_zero(
     """
     paths = [item.signals.path for item in measured]
     place = np.concatenate([model.place(path)[path.regular] for path in paths])
-    lowest, highest = np.quantile(place, [FEW, 1 - FEW])
+    lowest, highest = np.quantile(place, [END_SHARE, 1 - END_SHARE])
     back = max(-lowest, 0.0) if -lowest > highest - 1 else -max(highest - 1, 0.0)
     if abs(back) <= POSITION_SLACK:
         return list(measured), []

@@ -170,12 +170,13 @@ def _searched(problem: Problem, shape: Shape) -> tuple[Shape, Array]:
             step = np.clip(lifted[:count], -LONGEST_STEP, LONGEST_STEP)
             there = stepped_shape(shape, step)
             coefficient_there, cost_there = problem.cost(there)
-            if cost_there < cost or np.all(np.abs(step) < enough):
+            # without any number that is larger: NaN ends the search as well
+            if cost_there < cost or not np.any(np.abs(step) >= enough):
                 break
             lift = max(4 * lift, MIN_LIFT)
         if cost_there < cost:
             shape, coefficient = there, coefficient_there
-        if np.all(np.abs(step) < enough):
+        if not np.any(np.abs(step) >= enough):
             break
         lift /= 4
         problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < REWEIGHED_STEP)))
@@ -317,11 +318,6 @@ class Problem:
     def normal(self, shape: Shape, coefficient: Array | None) -> Array:
         """Return the normal matrices of all records (records, p + 1, p + 1), see `sums`."""
         return np.stack([self.sums(n, shape, coefficient) for n in range(len(self.records))])
-
-    def step(self, shape: Shape, coefficient: Array | None) -> tuple[Array, Array]:
-        """Return the best [shape's step, coefficients] and their covariance."""
-        first = 0 if coefficient is None else len(SLIDING_PARAMETERS)
-        return self.solved(self.normal(shape, coefficient).sum(axis=0), shape, first)
 
     def solved(
         self, normal: Array, shape: Shape, first: int, lift: float = 0.0

@@ -129,7 +129,7 @@ def learn_turns(
     `step_time` s is that of the filter.
     """
     problem = RestProblem(learned, strokes, uncertainty, step_time, BY_TURNS)
-    return problem.solution([problem.start])
+    return problem.solution([])
 
 
 class RestProblem:
@@ -206,7 +206,8 @@ class RestProblem:
             yield parameters
 
     def solution(self, begins: Iterable[Array]) -> LearnedModel:
-        """Return the model of least error, searched from the best of some parameters (p,).
+        """Return the model of least error, searched from the best of its own parameters (p,) and
+        others.
 
         Its covariance comes from both.
         """

@@ -23,7 +23,7 @@ PATH_PIECES = 32
 PATH_COLUMNS = ("time_s", "angle_deg")
 """Columns of a path's file."""
 
-CHECKED = 65536
+POINTS_AT_ONCE = 65536
 """Points of a motion that are looked at at once: an hour has 3.6 million, in 600 MB."""
 
 AT_THE_EDGE = 1e-3
@@ -113,8 +113,8 @@ def require_learned(start: float | None, motion: Motion, reach: Reach, here: flo
     """
     begin, size = here if start is None else start, max(1000, round(1000 * motion.duration))
     fastest, lowest, highest = 0.0, math.inf, -math.inf
-    for first in range(0, size, CHECKED):
-        rows = np.arange(first, min(first + CHECKED, size), dtype=np.float64)
+    for first in range(0, size, POINTS_AT_ONCE):
+        rows = np.arange(first, min(first + POINTS_AT_ONCE, size), dtype=np.float64)
         time: Array = np.multiply(rows, motion.duration / (size - 1), dtype=np.float64)
         position, speed, _ = motion.setpoint(time)
         fastest = max(fastest, float(np.abs(speed).max()))

@@ -20,6 +20,7 @@ from rigtool.experiments.force_filter.estimate import (
     Smoother,
     without_delay,
 )
+from rigtool.experiments.force_filter.highest import highest
 from rigtool.experiments.force_filter.motion_states import Moments, Reach, State
 from rigtool.experiments.force_model.contacts import Contact, contacts, trial
 from rigtool.experiments.force_model.force_model import ForceModel
@@ -350,14 +351,12 @@ class Stretch:
 def filled(reference: Array, reach: int) -> tuple[Array, Mask]:
     """Return a reference (n,) with what is NaN in it interpolated, and where it is known for all of
     `reach` steps on both sides, which is what a low-pass takes in (n,)."""
-    from scipy.ndimage import minimum_filter1d
-
     known = np.isfinite(reference)
     if known.all():
         return reference, known
     place = np.arange(len(reference))
     whole: Array = np.interp(place, place[known], reference[known])
-    return whole, minimum_filter1d(known, 2 * reach + 1)
+    return whole, ~highest(~known, reach, reach)
 
 
 def held_lowpass(rate: float, values: Array, corner_hz: float) -> Array:

@@ -22,7 +22,7 @@ MIN_SAMPLES_IN_BIN = 50
 DEVIATION_LIMIT = 0.04
 """Largest rms deviation, relative to the current that friction takes."""
 
-SHAKEN = 5.0
+SHAKEN_RATIO = 5.0
 """Set points of this many times the current that friction takes are the loop's answer to the steps
 of the encoder, or to noise: a current that lags behind them is no line over them."""
 
@@ -55,10 +55,14 @@ def require_linear_at_low_current(
     deviation = mean - design @ line
     rms = float(np.sqrt(np.average(deviation**2, weights=count[full])))
     limit = DEVIATION_LIMIT * friction_current
-    if rms > limit and (shaken := float(np.abs([low, high]).max())) > SHAKEN * friction_current:
+    if (
+        rms > limit
+        and (shaken := float(np.abs([low, high]).max())) > SHAKEN_RATIO * friction_current
+    ):
         raise InsufficientDataError(
             f"the current set point shakes by {shaken * 1e3:.3g} mA, limit "
-            f"{SHAKEN * friction_current * 1e3:.3g} mA ({SHAKEN:g} times what friction takes), and "
+            f"{SHAKEN_RATIO * friction_current * 1e3:.3g} mA ({SHAKEN_RATIO:g} times what friction "
+            "takes), and "
             "the current lags behind it: noise, or steps of the encoder in the loop; take an "
             "encoder with more counts, or a softer controller"
         )

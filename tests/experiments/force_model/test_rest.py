@@ -160,3 +160,5 @@ def test_turns_of_fast_strokes_show_the_inertia():
     assert after == pytest.approx(true, rel=0.007)
     inertia = len(SLIDING_PARAMETERS) + list(FRICTIONS).index(Kind.INERTIA)
     assert found.covariance[inertia, inertia] < truth.covariance[inertia, inertia] / 4
+    brief = learn_turns(wrong, replace(strokes, deviation_time=0.1), untouched, 1e-3)
+    assert brief.covariance[inertia, inertia] < 0.8 * found.covariance[inertia, inertia]
