@@ -179,8 +179,9 @@ def _with_all_that_fits(
         design, torque, weight = weighted(here)
         solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
         _, _, wider = weighted(more)
-        designs, torques = zip(*(motion.rows() for motion in here), strict=True)
-        left = np.concatenate(torques) - np.concatenate(designs)[:, chosen] @ solution
+        left = np.concatenate(
+            [torque - design[:, chosen] @ solution for design, torque in (m.rows() for m in here)]
+        )
         new = (wider > 0) & (weight == 0)
         along = (left * np.sign(_speed(motions)))[new]
         others = float(np.mean(left[weight > 0] ** 2))

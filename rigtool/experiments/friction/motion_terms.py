@@ -213,8 +213,9 @@ def _highest_frequency(signal: Array, spacing: float) -> float:
 def weighted(motions: Sequence[SmoothedMotion]) -> tuple[Array, Array, Array]:
     """Return design (n, 5 or 6), torque (n,), weight (n,); each second has the same weight."""
     weight = np.concatenate([m.used * m.spacing**0.5 for m in motions])
-    designs, torques = zip(*(motion.rows() for motion in motions), strict=True)
-    return np.concatenate(designs) * weight[:, None], np.concatenate(torques) * weight, weight
+    rows = [motion.rows() for motion in motions]
+    design = np.concatenate([design for design, _ in rows]) * weight[:, None]
+    return design, np.concatenate([torque for _, torque in rows]) * weight, weight
 
 
 def drift_terms(motions: Sequence[SmoothedMotion]) -> Array:
@@ -238,7 +239,7 @@ def with_drift(motions: Sequence[SmoothedMotion], chosen: Sequence[int]) -> list
     solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
     found = []
     for motion in motions:
-        turned = np.count_nonzero(np.diff(np.sign(motion.design[:, SPEED])))
+        turned = int(np.count_nonzero(np.diff(np.sign(motion.design[:, SPEED]))))
         count = min(turned // DRIFT_REVERSALS, MOST_DRIFT)
         if count >= LEAST_DRIFT:
             left = (motion.torque - motion.design[:, chosen] @ solution)[motion.used]

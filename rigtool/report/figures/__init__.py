@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLOTS
     force,
     headline,
+    imports,
     instrument,
     learning,
     motor,
