@@ -22,7 +22,6 @@ from rigtool.experiments.force.results import (
     LoadReadings,
     LoadRow,
     loads_table,
-    reference_lines,
     row_results,
 )
 from rigtool.experiments.force_model.records import Record
@@ -32,6 +31,7 @@ from rigtool.experiments.load_disturbance.reading import (
     dead_band,
     read_loads,
 )
+from rigtool.experiments.load_disturbance.results_known_loads import reference_lines
 from rigtool.experiments.load_disturbance.stored import Disturbance, disturbance_from, rising_load
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
