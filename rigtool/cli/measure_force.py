@@ -7,26 +7,20 @@ from dataclasses import replace
 import click
 
 from rigtool.cli.options import (
-    Command,
     Integer,
     Number,
     common_options,
     current_output,
-    example,
+    measuring,
     run_and_print,
     run_option,
-    source_arguments,
 )
 from rigtool.experiments.running.options import CommonOptions
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5"
-    ),
+@measuring(
+    "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5"
 )
-@source_arguments
 @run_option("--kt", "Run of calibrate-kt; not needed for imported runs.")
 @run_option("--tables", "Run of ilc-learn, of this rig and attachment.", required=True)
 @click.option(

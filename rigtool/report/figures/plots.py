@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rigtool.report.figures import style
 from rigtool.report.units import other_unit
+from rigtool.runfile import Run
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run
-
-DrawFunction = Callable[..., "Figure"]
+DrawFunction = Callable[..., "style.Figure"]
 
 HEADLINE = 100
 """Number of the figure that opens a report; those of the thesis are below it."""
@@ -48,7 +45,7 @@ class Plot:
         learned = "C" if run.recipe is None else run.recipe.ilc_learn.implementation
         return not self.implementations or learned in self.implementations
 
-    def draw(self, run: Run) -> Figure:
+    def draw(self, run: Run) -> style.Figure:
         """Return the figure of a run that `fits`."""
         return self.function(run, *(run.table(name) for name in self.tables))
 
