@@ -16,6 +16,7 @@ from rigtool.cli.options import (
     run_option,
     source_arguments,
 )
+from rigtool.inputs import is_recipe
 
 if TYPE_CHECKING:
     from rigtool.experiments.running.options import CommonOptions
@@ -112,7 +113,7 @@ def command(
         _check(sources, output, options, tables=check, kt=kt, plant=plant)
         return
     # Imported runs hold no recipe that names an implementation: D learns from known loads.
-    by_load = implementation == "D" and not any(source.endswith(".toml") for source in sources)
+    by_load = implementation == "D" and not any(map(is_recipe, sources))
     if prior is not None and not by_load:
         raise click.UsageError("--prior: is for imported runs with --implementation D")
     if not by_load:

@@ -18,6 +18,7 @@ from rigtool.cli.options import (
     source_arguments,
 )
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 
 @click.command(
@@ -108,7 +109,7 @@ def command(
                 f"--correction {correction} is one of known loads: leave it out, force over time "
                 "has all corrections"
             )
-        if not any(source.endswith(".toml") for source in sources):
+        if not any(map(is_recipe, sources)):
             raise click.UsageError(
                 "--record and --observe measure on the rig of a recipe; a stored run is read as it "
                 "is: leave them out"

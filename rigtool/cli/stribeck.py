@@ -13,6 +13,7 @@ from rigtool.cli.options import (
     source_arguments,
 )
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 
 @click.command(
@@ -56,6 +57,6 @@ def command(
     """
     from rigtool.experiments.friction.procedure import PROCEDURE
 
-    if against is not None and any(source.endswith(".toml") for source in sources):
+    if against is not None and any(map(is_recipe, sources)):
         raise click.UsageError("--against: compares stored runs: measure first, then compare")
     run_and_print(PROCEDURE, sources, output, options, kt=kt, against=against, reference=reference)
