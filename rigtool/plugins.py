@@ -13,6 +13,7 @@ from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
 from rigtool.errors import RigtoolError
+from rigtool.escapes import terminal
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -90,4 +91,4 @@ def warn(message: str) -> None:
     """Write one line of warning to stderr."""
     import logging
 
-    logging.getLogger("rigtool").warning("Warning: %s", message)
+    logging.getLogger("rigtool").warning("Warning: %s", terminal(message))

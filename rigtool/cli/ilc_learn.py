@@ -13,6 +13,7 @@ from rigtool.cli.options import (
     run_option,
 )
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 
 @measuring(
@@ -102,7 +103,7 @@ def command(
         _check(sources, output, options, tables=check, kt=kt, plant=plant)
         return
     # Imported runs hold no recipe that names an implementation: D learns from known loads.
-    by_load = implementation == "D" and not any(source.endswith(".toml") for source in sources)
+    by_load = implementation == "D" and not any(map(is_recipe, sources))
     if prior is not None and not by_load:
         raise click.UsageError("--prior: is for imported runs with --implementation D")
     if not by_load:

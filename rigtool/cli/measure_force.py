@@ -16,6 +16,7 @@ from rigtool.cli.options import (
     run_option,
 )
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 
 @measuring(
@@ -102,7 +103,7 @@ def command(
                 f"--correction {correction} is one of known loads: leave it out, force over time "
                 "has all corrections"
             )
-        if not any(source.endswith(".toml") for source in sources):
+        if not any(map(is_recipe, sources)):
             raise click.UsageError(
                 "--record and --observe measure on the rig of a recipe; a stored run is read as it "
                 "is: leave them out"

@@ -24,6 +24,7 @@ from click.core import ParameterSource
 
 from rigtool.cli.output import Output, echo
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 if TYPE_CHECKING:
     from rigtool.experiments.procedure import Procedure
@@ -44,7 +45,7 @@ OPTION_HEADINGS = {
 }
 """Options by their parameter, under a heading of the help text; all other options come first."""
 
-WRITING_OPTIONS = ("output", "plot")
+WRITING_OPTIONS = ("output", "plot", "spy")
 """Parameters of a command that writes a file."""
 
 
@@ -297,7 +298,7 @@ def _imported(sources: tuple[str, ...]) -> bool:
     """Return whether the first source is a run of `rigtool import`."""
     from rigtool.runfile import open_run
 
-    if sources[0].endswith(".toml"):
+    if is_recipe(sources[0]):
         return False
     with open_run(sources[0]) as run:
         return run.command == "import"

@@ -6,6 +6,7 @@ import click
 
 from rigtool.cli.options import common_options, measuring, run_and_print, run_option
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 
 @measuring(
@@ -44,6 +45,6 @@ def command(
     """
     from rigtool.experiments.friction.procedure import PROCEDURE
 
-    if against is not None and any(source.endswith(".toml") for source in sources):
+    if against is not None and any(map(is_recipe, sources)):
         raise click.UsageError("--against: compares stored runs: measure first, then compare")
     run_and_print(PROCEDURE, sources, output, options, kt=kt, against=against, reference=reference)

@@ -74,7 +74,8 @@ class Recording:
     def read(self, channel: str, start: int = 0, stop: int | None = None) -> Array:
         """Return samples start..stop (stop excluded) of a channel as f8, in its unit.
 
-        Raises `RunFileError` where the channel is missing, damaged, or holds NaN or infinity.
+        Raises `RunFileError` where the channel is missing, damaged, or holds NaN, infinity or
+        numbers beyond `schema.LARGEST_NUMBER`.
         """
         values = self.read_stored(channel, start, stop).astype(np.float64, copy=False)
         self._require_finite(channel, values, start)
@@ -188,18 +189,18 @@ class Recording:
         return dataset((schema.TIME,), columns)
 
     def _require_finite(self, channel: str, values: Array, start: int) -> None:
-        # One pass without a temporary array: a sum is finite only if all its terms are.
+        # One pass without a temporary array: no square is larger than the sum of all.
         with np.errstate(over="ignore", invalid="ignore"):
-            if np.isfinite(np.sum(values)):
+            if np.dot(values, values) <= schema.LARGEST_NUMBER**2:
                 return
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~(np.abs(values) <= schema.LARGEST_NUMBER))
         if bad.size == 0:
             return
         raise RunFileError(
             f"{self._path}: channel {channel!r} of recording {self.name!r} holds {bad.size} "
-            f"value{'s' if bad.size > 1 else ''} that {'are' if bad.size > 1 else 'is'} NaN or "
-            f"infinite, the first at sample {start + bad[0]}; record it again, or leave that part "
-            "out"
+            f"value{'s' if bad.size > 1 else ''} that {'are' if bad.size > 1 else 'is'} NaN, "
+            f"infinite or beyond {schema.LARGEST_NUMBER:g}, the first at sample {start + bad[0]}; "
+            "record it again, or leave that part out"
         )
 
 
