@@ -111,6 +111,14 @@ def test_dry_run_refuses_what_no_drive_measures(tmp_path, capsys, driver, expect
         assert "Whether the drive offers all of this is checked when it is connected" in out
 
 
+@pytest.mark.parametrize(("name", "port"), [("sqale", "/dev/none"), ("sauter", "")])
+def test_dry_run_refuses_instruments_that_nobody_can_read(tmp_path, capsys, name, port):
+    more = [f"serial.force.driver={name}", f'serial.force.port="{port}"']
+    code, _out, err = calibrate(capsys, tmp_path, "/dev/none", "--dry-run", more=more)
+    assert code == 3
+    assert ("serial.force.port is missing" if name == "sauter" else "use one of operator") in err
+
+
 def test_dry_run_refuses_what_is_beyond_the_limits(tmp_path, capsys):
     more = ["serial.limits.current=3"]
     code, _out, err = calibrate(capsys, tmp_path, "/dev/none", "--dry-run", more=more)

@@ -57,12 +57,7 @@ class SerialRig(Rig, ABC):
         self._clamp_angle = math.nan
         self._gauges: dict[str, Gauge] = {
             name: open_gauge(name, settings, operator, lambda: self._line)
-            for name, settings in (
-                ("force", recipe.serial.force),
-                ("temperature", recipe.serial.temperature),
-                ("deflection", recipe.serial.deflection),
-            )
-            if settings is not None
+            for name, settings in recipe.serial.instruments.items()
         }
         self._unused: list[str] = []
         self.notes: list[str] = []
