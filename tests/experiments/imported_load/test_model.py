@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -18,11 +19,15 @@ from rigtool.experiments.imported_load.basis import (
     path_of,
     size_of,
 )
-from rigtool.experiments.imported_load.learning import learn_load_model, level_numbers
+from rigtool.experiments.imported_load.learning import (
+    learn_load_model,
+    level_numbers,
+    resisted_direction,
+)
 from rigtool.experiments.imported_load.loop import REFUSED
 from rigtool.experiments.imported_load.model import FLAT_SLOPE, HIGHEST_POWER, SIDE_SIGNS, Side
 from rigtool.experiments.imported_load.region import of_known_strokes
-from rigtool.experiments.imported_load.side import prior_of
+from rigtool.experiments.imported_load.side import Rows, prior_of
 from tests.experiments.imported_load.loaded_drive import (
     BANDWIDTH_HZ,
     MU,
@@ -88,6 +93,20 @@ def test_which_way_the_load_resists_is_found(learned):
     assert learned.model.direction == 1
     mirrored = [replace(item, reference=-item.reference) for item in observations()]
     assert learn_load_model(mirrored).model.direction == 1
+
+
+@pytest.mark.parametrize("signs", list(product([-1, 1], repeat=3)))
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_which_way_the_load_resists_holds_for_any_signs(signs, friction):
+    position, effort, torque = signs
+    way, load = np.repeat([1.0, -1.0], 300), np.tile([1.0, 2.0, 3.0], 200)
+    values = effort * (load * (1 + friction * way) + friction * way), torque * load
+    rows = [
+        Rows({}, *(value[way * position == sign] for value in values), *np.zeros((3, 300)))
+        for sign in (1, -1)
+    ]
+    expected = position if friction else effort  # without friction nothing shows the signs
+    assert resisted_direction(rows, effort * torque) == expected
 
 
 @settings(max_examples=3, deadline=None)
