@@ -58,7 +58,12 @@ def command(
     from rigtool.recipe import load_recipe
     from rigtool.rigs.operator import Operator
     from rigtool.runfile import open_run
+    from rigtool.runfile.outputs import require_output
 
+    output = current_output()
+    if spy is not None:
+        read = [tables, rig, *([kt] if kt is not None else [])]
+        require_output(spy, overwrite=output.overwrite, inputs=read)
     recipe, _ = load_recipe(rig, overrides)
     with open_run(tables) as run, open_inputs(kt=kt) as inputs:
         done = deploy(
@@ -69,7 +74,6 @@ def command(
             dry_run=dry_run,
             operator=Operator(yes=yes, spy=spy),
         )
-    output = current_output()
     output.document(rig=recipe.rig.name, lines=list(done.lines), notes=list(done.remarks))
     for line in done.lines:
         output.line(line)

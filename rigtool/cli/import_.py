@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example, output_option
 
 
 @click.command(
@@ -17,13 +17,7 @@ from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
     ),
 )
 @click.argument("sources", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="SOURCE...")
-@click.option(
-    "-o",
-    "--output",
-    type=FILE_ARGUMENT,
-    metavar="RUN.h5|FOLDER",
-    help="Run file, or folder for many.",
-)
+@output_option("RUN.h5|FOLDER", "Run file, or folder for many.")
 @click.option(
     "--map", "map_path", type=FILE_ARGUMENT, metavar="MAP.toml", help="Meaning of the columns."
 )

@@ -114,12 +114,15 @@ def parse_recipe(text: str, name: str = "recipe", overrides: Sequence[str] = ())
     return validate(Recipe, data, text, name, "recipe", overrides)
 
 
-def read_document(path: str | Path, kind: str, examples: str) -> str:
-    """Return the text of a recipe or mapping; `RecipeError` where the file cannot be read."""
+def read_document(path: str | Path, kind: str, examples: str, *, pipe: bool = True) -> str:
+    """Return the text of a recipe or mapping; `RecipeError` where the file cannot be read.
+
+    A `pipe` is read to its end, once.
+    """
     if not os.path.lexists(path):
         raise RecipeError(f"{path}: no such {kind}; {examples} holds examples")
     try:
-        with open_input(path, RecipeError) as file:
+        with open_input(path, RecipeError, pipe=pipe) as file:
             data = file.read(MAX_BYTES + 1)
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:

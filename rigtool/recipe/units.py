@@ -71,6 +71,7 @@ UNITS: dict[str, tuple[float, str]] = {
     "kg cm": (1e-2 * GRAVITY, "N m"),
     "oz in": (POUND / 16 * GRAVITY * INCH, "N m"),
     "lbf in": (POUND * GRAVITY * INCH, "N m"),
+    "lbf ft": (12 * POUND * GRAVITY * INCH, "N m"),
     "degC": (1.0, "degC"),
 }
 """Units that files may have: factor and SI unit. A mass is the weight that it has."""
@@ -99,15 +100,16 @@ SPELLINGS = {
     "kg": ("kgf", "kp"),
     "g cm": ("gf cm",),
     "kg cm": ("kgf cm",),
-    "oz in": ("ozf in", "oz-in"),
-    "lbf in": ("lb in", "lb-in", "in lbf"),
+    "oz in": ("ozf in", "in oz"),
+    "lbf in": ("lb in", "in lbf", "in lb"),
+    "lbf ft": ("lb ft", "ft lbf", "ft lb"),
     "lbf": ("lb",),
 }
 """Other ways to write a unit, in lower case."""
 
 _OTHERS = {other: name for name, others in SPELLINGS.items() for other in others}
 _JOINED = {name.replace(" ", ""): name for name in UNITS if " " in name}
-_PRODUCT = re.compile(r"\s*[*.\u00b7\u22c5]\s*|\s+")
+_PRODUCT = re.compile(r"\s*[*.\u00b7\u22c5]\s*|\s+|(?<=[^\W\d])-(?=[^\W\d])")
 
 
 def unit_name(text: str) -> str:

@@ -13,6 +13,7 @@ from rigtool.cli.options import (
     current_output,
     example,
     open_inputs,
+    output_option,
     run_option,
 )
 
@@ -36,14 +37,7 @@ def _parts(path: str) -> list[str]:
     ),
 )
 @click.argument("path", type=FILE_ARGUMENT, metavar="RUN.h5")
-@click.option(
-    "-o",
-    "--output",
-    required=True,
-    type=FILE_ARGUMENT,
-    metavar="FILE",
-    help=".csv, .parquet, .mat, .nc, .h, .json.",
-)
+@output_option("FILE", ".csv, .parquet, .mat, .nc, .h, .json.", required=True)
 @click.option(
     "--part",
     metavar="NAME",

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, completed, current_output, example
+from rigtool.cli.options import (
+    FILE_ARGUMENT,
+    Command,
+    completed,
+    current_output,
+    example,
+    output_option,
+)
 
 
 def _names(path: str) -> list[str]:
@@ -26,13 +33,7 @@ def _names(path: str) -> list[str]:
 )
 @click.argument("path", type=FILE_ARGUMENT, metavar="RUN.h5")
 @click.argument("name", required=False, shell_complete=completed(_names))
-@click.option(
-    "-o",
-    "--output",
-    type=FILE_ARGUMENT,
-    metavar="FILE",
-    help="Picture to write: .png, .svg or .pdf.  [default: RUN-NAME.svg]",
-)
+@output_option("FILE", "Picture to write: .png, .svg or .pdf.  [default: RUN-NAME.svg]")
 def command(path: str, name: str | None, output: str | None) -> None:
     """Draw a table, a signal or a figure of a run.
 

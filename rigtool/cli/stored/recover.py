@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example, output_option
 
 
 @click.command(
@@ -14,7 +14,7 @@ from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
     ),
 )
 @click.argument("part", type=FILE_ARGUMENT, metavar="RUN.h5.part")
-@click.option("-o", "--output", type=FILE_ARGUMENT, metavar="RUN.h5", help="Run file to write.")
+@output_option("RUN.h5", "Run file to write.")
 def command(part: str, output: str | None) -> None:
     """Make a run file from the remains of an interrupted run.
 

@@ -87,7 +87,8 @@ class LoadRow:
     @property
     def error(self) -> Quantity:
         """Mean less applied torque; where both rest on the same length, it cancels."""
-        return difference(self.mean, self.applied)
+        none = math.isnan(self.mean.value)
+        return self.mean if none else difference(self.mean, self.applied)
 
     def column(self, name: str) -> float:
         """Return a number of the row by the name of its column."""
@@ -116,6 +117,7 @@ LOAD_COLUMNS = {
     "std_torque_u": ("N m", ""),
     "error_torque": ("N m", "mean - applied"),
     "error_torque_u": ("N m", "standard uncertainty of both; what they share cancels"),
+    "error_torque_dof": ("1", "effective degrees of freedom of error_torque_u"),
     "error_percent": ("%", "of the applied torque"),
     "cycles": ("1", "readings"),
     "effective_cycles": ("1", "independent readings among them"),
@@ -175,10 +177,12 @@ def load_rows(
     return rows
 
 
-def mean_results(rows: Sequence[LoadRow]) -> dict[str, Quantity]:
-    """Return the mean torque of each load as a result, with its budget."""
+def row_results(rows: Sequence[LoadRow]) -> dict[str, Quantity]:
+    """Return mean torque and error of each load as results, with their budgets."""
     loads = {f"mean_torque_load_{number:03d}": row.mean for number, row in enumerate(rows)}
-    return {"mean_torque_no_load": loads.pop("mean_torque_load_000"), **loads}
+    errors = {f"error_torque_load_{number:03d}": row.error for number, row in enumerate(rows)}
+    errors.pop("error_torque_load_000")
+    return {"mean_torque_no_load": loads.pop("mean_torque_load_000"), **loads, **errors}
 
 
 def loads_outcome(
@@ -190,7 +194,7 @@ def loads_outcome(
         "std_torque_no_load": Quantity(
             unloaded.std_torque, "N m", unloaded.std_torque_u, float(unloaded.cycles - 1)
         ),
-        **mean_results(rows),
+        **row_results(rows),
         "normality_p": Quantity(judged.p, "1", reason="a probability is not measured"),
     }
     probability = Table(

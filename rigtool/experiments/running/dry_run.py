@@ -22,6 +22,7 @@ from rigtool.rigs import NEED_DESCRIPTIONS, Block, Load, Rig, Task, open_rig
 from rigtool.rigs.motion import Observe, OpenLoop
 from rigtool.rigs.serial import safety
 from rigtool.rigs.serial.drivers import REPLAY_DRIVER, driver
+from rigtool.rigs.serial.instruments import require_instrument
 from rigtool.rigs.serial.rig import describe_load
 from rigtool.runfile import RecordingSpec, Run
 
@@ -269,7 +270,11 @@ def dry_run(
 
 
 def require_gauges(plan: MotionPlan, settings: Serial, command: str) -> None:
-    """Raise `RecipeError` for a gauge that no drive has and the recipe does not name."""
+    """Raise `RecipeError` for a gauge that no drive has and the recipe does not name, or that is
+    unknown.
+    """
+    for channel, instrument in settings.instruments.items():
+        require_instrument(channel, instrument)
     if settings.driver == REPLAY_DRIVER or driver(settings.driver).make_drive is None:
         return
     for need in ("force", "deflection"):

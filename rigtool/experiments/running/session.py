@@ -29,6 +29,7 @@ from rigtool.experiments.running.lines import open_lines
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.terminal import open_live
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.inputs import is_recipe
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import Block, Rig, open_rig
 from rigtool.rigs.operator import Operator
@@ -59,9 +60,9 @@ def run_command(
     `inputs` are open runs by the name of their option. Raises `UsageError` for sources that do not
     go together.
     """
-    recipes = [source for source in sources if Path(source).suffix == ".toml"]
+    recipes = [source for source in sources if is_recipe(source)]
     if not recipes:
-        _require_nothing_to_measure(options)
+        require_nothing_to_measure(options)
         return _analyse_stored(procedure, sources, output, options, inputs)
     if len(sources) > 1:
         raise UsageError(
@@ -214,7 +215,7 @@ def _permit(
     rig.permit(str(plan))
 
 
-def _require_nothing_to_measure(options: CommonOptions) -> None:
+def require_nothing_to_measure(options: CommonOptions) -> None:
     """Raise `UsageError` for an option that has no meaning where signals are stored already."""
     if options.dry_run:
         raise UsageError("--dry-run: of stored runs nothing would move: leave it out")

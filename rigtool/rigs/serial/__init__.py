@@ -37,11 +37,12 @@ Rules:
 
 Emulators and tests
 -------------------
-`emulators/NAME.py` holds a subclass of `emulators.server.Emulator`: bytes in, bytes out, with the
-real device's known faults. `emulators.server.serve(emulator, faults)` puts it on a pseudo-terminal;
-a recipe or `Line` opens its `port`. `emulators.faults.Fault` names what goes wrong and when:
-flipped bits, lost, doubled or cut bytes, silence, reset, refusal, a pulled cable, a reply to an
-older question. `emulators.motor.EmulatedMotor` is a shaft with inertia and friction.
+A subclass of `emulators.server.Emulator` is a device: bytes in, bytes out, with the known faults of
+the real one. `emulators.server.serve(emulator)` puts it on a pseudo-terminal; a recipe or `Line`
+opens its `port`. `emulators.motor.EmulatedMotor` is a shaft with inertia and friction.
+`tests/rigs/serial/emulators/` of a checkout holds devices of rigtool's own drivers, and in `faults`
+what goes wrong on a line, and when: flipped bits, lost, doubled or cut bytes, silence, reset,
+refusal, a pulled cable, a reply to an older question.
 """
 
 from __future__ import annotations

@@ -57,12 +57,7 @@ class SerialRig(Rig, ABC):
         self._clamp_angle = math.nan
         self._gauges: dict[str, Gauge] = {
             name: open_gauge(name, settings, operator, lambda: self._line)
-            for name, settings in (
-                ("force", recipe.serial.force),
-                ("temperature", recipe.serial.temperature),
-                ("deflection", recipe.serial.deflection),
-            )
-            if settings is not None
+            for name, settings in recipe.serial.instruments.items()
         }
         self._unused: list[str] = []
         self.notes: list[str] = []
@@ -139,7 +134,7 @@ class SerialRig(Rig, ABC):
             for what, act in (("stop", self._halt), ("restore its settings", self._restore)):
                 try:
                     act()
-                except HardwareError as failure:
+                except Exception as failure:  # whatever it is, what follows has to be done
                     problems.append(f"the drive could not be made to {what}: {failure}")
                     break  # the line is lost: further requests would only wait
             for gauge in self._gauges.values():
@@ -289,7 +284,7 @@ class SerialRig(Rig, ABC):
 
         The thread that uses the line releases it first.
         """
-        with held(), contextlib.suppress(HardwareError):
+        with held(), contextlib.suppress(Exception):
             if self._running is not None:
                 self._running.close()
             self._halt()
