@@ -80,21 +80,13 @@ def analyse_imported(
 
     With `against`, also what changed against it: another imported run of the same motion, or for
     holds another run of `stribeck`; with `reference`, the ratio of that to the change in a third
-    run. Raises `UsageError` for runs of both kinds or of several rigs, `InsufficientDataError`
+    run. Raises `UsageError` for runs of several rigs, `InsufficientDataError`
     where they do not support the result.
     """
     recordings = recordings_of(runs)
     require_one_rig(recordings)
     efforts = [effort_of(recording, kt) for recording in recordings]
     held = [_stretches(recording) for recording in recordings]
-    if any(held) and not all(held):
-        moving = ", ".join(
-            place(recording) for recording, item in zip(recordings, held, strict=True) if not item
-        )
-        raise UsageError(
-            f"{sum(map(bool, held))} recordings hold a constant speed, these do not: {moving}: "
-            "analyse the two kinds one after the other"
-        )
     first = efforts[0]
     found = Findings(Scale(Quantity(1.0, "1", first.relative_u or 0.0)))
     found.notes.append(f"torque is {first.origin}")
@@ -102,6 +94,11 @@ def analyse_imported(
         found.notes.append(
             f"the uncertainty of the scale of {first.name} is unknown and not part of the "
             "uncertainties"
+        )
+    if any(held) and not all(held):
+        found.notes.append(
+            f"{sum(map(bool, held))} of {len(held)} recordings hold constant speeds: all are taken "
+            "by the dynamics of their motion"
         )
     linear, units = is_linear(recordings[0]), UNITS_BY_EFFORT[first.unit]
     if against is None and reference is not None:
@@ -242,7 +239,7 @@ def _add_holds(
         f"{holds.settled.max():.2g} s"
     )
     offset = separate(fits, holds, [])
-    if len(fits) == 2 and offset is None:
+    if len(fits) == 2 and (offset is None or not offset.separated):
         offset = half_difference(fits)
     add_friction(fits, offset, found)
     add_static_friction(None, fits, offset, found)
