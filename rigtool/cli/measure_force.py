@@ -7,26 +7,21 @@ from dataclasses import replace
 import click
 
 from rigtool.cli.options import (
-    Command,
     Integer,
     Number,
     common_options,
     current_output,
-    example,
+    measuring,
     run_and_print,
     run_option,
-    source_arguments,
 )
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5"
-    ),
+@measuring(
+    "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5"
 )
-@source_arguments
 @run_option("--kt", "Run of calibrate-kt; not needed for imported runs.")
 @run_option("--tables", "Run of ilc-learn, of this rig and attachment.", required=True)
 @click.option(
@@ -108,7 +103,7 @@ def command(
                 f"--correction {correction} is one of known loads: leave it out, force over time "
                 "has all corrections"
             )
-        if not any(source.endswith(".toml") for source in sources):
+        if not any(map(is_recipe, sources)):
             raise click.UsageError(
                 "--record and --observe measure on the rig of a recipe; a stored run is read as it "
                 "is: leave them out"

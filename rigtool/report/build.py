@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.report.figures import Picture, draw_figures
@@ -18,11 +17,9 @@ from rigtool.report.published import is_of_thesis
 from rigtool.report.requirements import requirements_table
 from rigtool.report.tables import attachment_of, budget_tables, force_tables, results_table
 from rigtool.report.units import other_unit
+from rigtool.runfile import Run
 from rigtool.runfile.opened import guard
 from rigtool.runfile.provenance import file_sha256
-
-if TYPE_CHECKING:
-    from rigtool.runfile import Run
 
 COMMAND_ORDER = (
     "calibrate-kt",

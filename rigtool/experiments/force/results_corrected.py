@@ -22,8 +22,7 @@ from rigtool.experiments.force.results import (
     LoadReadings,
     LoadRow,
     loads_table,
-    mean_results,
-    reference_lines,
+    row_results,
 )
 from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.load_disturbance.reading import (
@@ -32,6 +31,7 @@ from rigtool.experiments.load_disturbance.reading import (
     dead_band,
     read_loads,
 )
+from rigtool.experiments.load_disturbance.results_known_loads import reference_lines
 from rigtool.experiments.load_disturbance.stored import Disturbance, disturbance_from, rising_load
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
@@ -129,7 +129,7 @@ def _with_rows(
     outside = sum(math.isnan(row.mean.value) for row in rows)
     count = Quantity(float(outside), "1", reason="a count")
     return Outcome(
-        {**base.results, **mean_results(rows), "loads_outside": count},
+        {**base.results, **row_results(rows), "loads_outside": count},
         {
             **base.tables,
             "loads": loads_table(rows, columns, about),

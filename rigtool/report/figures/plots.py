@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from rigtool.report.figures import style
 from rigtool.report.units import other_unit
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run
+from rigtool.runfile import Run
 
 MAP = "map"
 """What an imported run learns: a map by measured position, without set points."""
 
-DrawFunction = Callable[..., "Figure"]
+DrawFunction = Callable[..., "style.Figure"]
 
 HEADLINE = 100
 """Number of the figure that opens a report; those of the thesis are below it."""
@@ -53,7 +50,7 @@ class Plot:
         learned = MAP if run.recipe is None else run.recipe.ilc_learn.implementation
         return not self.implementations or learned in self.implementations
 
-    def draw(self, run: Run) -> Figure:
+    def draw(self, run: Run) -> style.Figure:
         """Return the figure of a run that `fits`."""
         return self.function(run, *(run.table(name) for name in self.tables))
 

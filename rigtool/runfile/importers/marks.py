@@ -92,7 +92,8 @@ def fields_of(line: str, delimiter: str) -> list[str]:
     """Return the fields of a line; a delimiter within a pair of quotes is a part of its field."""
     if delimiter == WHITESPACE:
         return line.split()
-    if '"' in line and line.count('"') % 2 == 0:
+    quoted = '"' in line and line.count('"') % 2 == 0
+    if quoted and len(line) < csv.field_size_limit():  # a longer field is no number
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
     return line.split(delimiter)
 

@@ -1,5 +1,6 @@
 """Delimited text: what is good comes in exactly, what is bad is named by its line."""
 
+import csv
 import gzip
 import json
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import open_run
+from rigtool.runfile.importers.marks import fields_of
 from rigtool.runfile.importers.text import read_text
 from tests.runfile.importers.mappings import ROWS, TEXT, columns, lines, take
 
@@ -385,6 +387,11 @@ def test_one_time_that_falls_back_starts_no_recording(tmp_path):
     rows[25] = "0.0,25"
     with pytest.raises(RunFileError, match="line 27: time does not rise"):
         take(write(tmp_path / "a.csv", ["t,i", *rows]), tmp_path / "a.h5", NAMED)
+
+
+def test_a_quoted_field_longer_than_python_reads():
+    line = '1,"' + "2" * csv.field_size_limit() + '"'
+    assert [len(field) for field in fields_of(line, ",")] == [1, csv.field_size_limit() + 2]
 
 
 def test_a_last_line_without_end(tmp_path):
