@@ -79,7 +79,7 @@ def test_a_load_that_swings_is_what_scipy_integrates(moment, load_inertia, inter
     # the inertia of the bare output is learned from it, beside loads of forty times as much
     accelerated = -1.2 * turn**2 * np.sin(turn * time)
     more = (carried - expected) @ accelerated / (accelerated @ accelerated)
-    assert abs(more) < 0.01 * BARE_INERTIA
+    assert abs(more) < 0.02 * BARE_INERTIA
 
 
 def test_friction_of_the_joint_adds_while_rising_and_takes_off_while_falling():
