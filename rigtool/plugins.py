@@ -9,6 +9,8 @@ point that cannot be used is reported in one line, with its name.
 
 from __future__ import annotations
 
+import sys
+from contextlib import redirect_stdout
 from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
@@ -42,7 +44,8 @@ def plugins(group: str, taken: frozenset[str] = frozenset()) -> dict[str, EntryP
 def load_entry_point(entry: EntryPoint, kind: type[Plugin]) -> Plugin:
     """Import the object that an entry point names; `RigtoolError` where it is not of its kind."""
     try:
-        plugin = entry.load()
+        with redirect_stdout(sys.stderr):  # stdout may be a document of JSON
+            plugin = entry.load()
     except (Exception, SystemExit) as error:  # a package of anybody's may raise anything
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise RigtoolError(

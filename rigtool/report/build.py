@@ -11,7 +11,7 @@ from functools import lru_cache
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.report.figures import Picture, draw_figures
-from rigtool.report.figures.plots import HEADLINE
+from rigtool.report.figures.plots import HEADLINE, other_unit_drawn
 from rigtool.report.formats import ReportTable
 from rigtool.report.published import is_of_thesis
 from rigtool.report.requirements import requirements_table
@@ -173,7 +173,7 @@ def _warnings(labelled: Sequence[tuple[str, Run]]) -> list[str]:
     if len(rigs) > 1:
         found.append(f"These runs come from {len(rigs)} rigs: {', '.join(rigs)}.")
     for label, run in labelled:
-        if run.command != "import" and (other := other_unit(run, *run.tables)) is not None:
+        if (other := other_unit_drawn(run)) is not None:
             found.append(f"{label}: {other}: figures of such tables are left out.")
     shown: dict[str, dict[str, str]] = {}
     for label, run in labelled:

@@ -341,10 +341,10 @@ class Stretch:
         ahead = weight_ahead(1 / step_time, len(deviation), corner_hz)
         ahead *= self._sensor.last_deviation
         deviation[-len(ahead) :] = np.hypot(deviation[-len(ahead) :], ahead)
-        deviation = np.sqrt(deviation[::every].astype(float) ** 2 + np.concatenate(variances))
-        kinds = self._taken("kinds")[::every]
+        kinds, variance = self._taken("kinds")[::every], np.concatenate(variances)
+        deviation = deviation[::every].astype(float)
         scales = instrument.model.scales[0]
-        u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds)
+        u = uncertainty_of_kinds(scales, deviation, torque[::every], kinds, variance)
         return torque, u, np.concatenate(added)
 
 

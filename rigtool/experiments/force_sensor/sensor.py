@@ -128,7 +128,7 @@ class Sensor:
         found = self._stepper.add(riding)
         angle = estimate.low + self._instrument.count / 2
         ripple, variance, less = self.power_up.add(angle, estimate.states)
-        torque, deviation = estimate.passed - ripple, np.sqrt(estimate.deviation**2 + variance)
+        torque = estimate.passed - ripple
         moments = Moments(
             estimate.low,
             estimate.states[:, SPEED],
@@ -138,7 +138,8 @@ class Sensor:
             found[1],
         )
         states, kinds = self._states(moments)
-        u = uncertainty_of_kinds(self._instrument.model.scales[1], deviation, torque, kinds)
+        scales = self._instrument.model.scales[1]
+        u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance)
         doubt = np.sqrt(variance)
         return Sensed(estimate, torque, u, moments, states, found[2:], signals, less, doubt)
 

@@ -110,7 +110,7 @@ def analyse_imported(
     if against is not None and len({run.content_sha256 for run in given}) < len(given):
         raise UsageError("one run is given twice: nothing changed between a run and itself")
     if all(held):
-        _add_holds(recordings, efforts, held, found)
+        found = _of_holds_or_motion(recordings, efforts, held, found, alone=against is None)
         if against is not None:
             add_curve_difference(found, against, reference, units.get("N m", "N m"))
     elif against is not None:
@@ -168,6 +168,34 @@ def _steps(recording: Recording, time: Array, position: Array) -> list[tuple[int
     ]
     held = [(a, b) for a, b in found if b - a >= MIN_SAMPLES]
     return held if sum(b - a for a, b in held) >= ON_STEPS * len(time) else []
+
+
+def _of_holds_or_motion(
+    recordings: Sequence[Recording],
+    efforts: Sequence[Effort],
+    held: Sequence[Sequence[tuple[int, int]]],
+    begun: Findings,
+    *,
+    alone: bool,
+) -> Findings:
+    """Return the findings from holds; where these are too few, from the motion between them, too.
+
+    A comparison with other runs needs the holds.
+    """
+    found = replace(begun, results={}, tables={}, notes=[*begun.notes])
+    try:
+        _add_holds(recordings, efforts, held, found)
+    except InsufficientDataError as few:
+        found = replace(begun, results={}, tables={}, notes=[*begun.notes])
+        try:
+            if alone:
+                add_dynamics(_motions(recordings, efforts), found)
+                found.notes.append(f"not from holds alone: {few}")
+        except InsufficientDataError:
+            alone = False
+        if not alone:
+            raise few from None
+    return found
 
 
 # -- holds

@@ -9,6 +9,7 @@ from functools import partial
 from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLOTS
     force,
     headline,
+    imports,
     instrument,
     learning,
     motor,

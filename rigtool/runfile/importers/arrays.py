@@ -131,7 +131,7 @@ def load_arrays(path: Path) -> dict[str, Any]:
         start = stream.read(6)
     try:
         if start == b"\x93NUMPY":
-            return _fields("", np.load(path, allow_pickle=False, mmap_mode="r"))
+            return _fields("", np.load(path, allow_pickle=False))
         if start[:2] == b"PK":
             return _load_npz(path)
         if h5py.is_hdf5(path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_model import learning
 from rigtool.experiments.force_model.deviations import (
     Deviations,
     deviations,
@@ -66,6 +67,35 @@ def test_a_longer_step_that_raises_the_cost_is_shortened(fit):
         np.linalg.norm(step[: len(SLIDING_PARAMETERS)] / problem.shape_spread) for step in steps
     ]
     assert lengths[0] > lengths[1] > 10 * lengths[2]
+
+
+class Scripted:
+    """A problem of which each step, in logarithms of one parameter, is known beforehand."""
+
+    def __init__(self, *steps):
+        self.steps, self.near, self.costs = iter(steps), [], iter(range(100, 0, -1))
+
+    def cost(self, shape):
+        return np.zeros(1), next(self.costs)
+
+    def normal(self, shape, coefficient):
+        return np.zeros((1, 1, 1))
+
+    def solved(self, normal, shape, first, lift=0.0):
+        return np.eye(first)[0] * next(self.steps), np.eye(first)
+
+    def weigh(self, shape, coefficient, near):
+        self.near.append(near)
+
+
+def test_records_keep_the_weights_of_their_own_until_the_search_ends(fit):
+    problem = Scripted(0.6, 0.1, 0.4, 0.35, 0.2)
+    learning._searched(problem, fit.learned.shape)
+    assert problem.near == [False, True, True, True]
+    assert next(problem.steps, None) is None
+    at_once = Scripted(0.1, 0.1)  # no end without weights of their own
+    learning._searched(at_once, fit.learned.shape)
+    assert at_once.near == [True]
 
 
 def test_tendon_and_load_friction_are_given_back(learned):

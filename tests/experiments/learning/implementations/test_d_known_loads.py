@@ -37,7 +37,7 @@ def at(speed):
 def rig(tmp_path_factory):
     """Learn the rig; return a function that measures forces with it."""
     folder = tmp_path_factory.mktemp("rig")
-    tables = learned_loads(tmp_path_factory, folder)
+    tables = learned_loads(tmp_path_factory, folder / "tables.h5")
 
     def measured(*more, source=RECIPE, tables=tables, output="force.h5"):
         own = (*RIG, *FORCE) if source == RECIPE else ()
