@@ -107,7 +107,13 @@ def analyse_imported(
     if against is not None and len({run.content_sha256 for run in given}) < len(given):
         raise UsageError("one run is given twice: nothing changed between a run and itself")
     if all(held):
-        found = _of_holds_or_motion(recordings, efforts, held, found, alone=against is None)
+        try:
+            _add_holds(recordings, efforts, held, found)
+        except InsufficientDataError as few:
+            # Before anything was found; a comparison needs the holds.
+            if against is not None or not _moved(recordings, efforts, found):
+                raise
+            found.notes.append(f"by the dynamics of the motion: {few}")
         if against is not None:
             add_curve_difference(found, against, reference, units.get("N m", "N m"))
     elif against is not None:
@@ -165,34 +171,6 @@ def _steps(recording: Recording, time: Array, position: Array) -> list[tuple[int
     ]
     held = [(a, b) for a, b in found if b - a >= MIN_SAMPLES]
     return held if sum(b - a for a, b in held) >= ON_STEPS * len(time) else []
-
-
-def _of_holds_or_motion(
-    recordings: Sequence[Recording],
-    efforts: Sequence[Effort],
-    held: Sequence[Sequence[tuple[int, int]]],
-    begun: Findings,
-    *,
-    alone: bool,
-) -> Findings:
-    """Return the findings from holds; where these are too few, from the motion between them, too.
-
-    A comparison with other runs needs the holds.
-    """
-    found = replace(begun, results={}, tables={}, notes=[*begun.notes])
-    try:
-        _add_holds(recordings, efforts, held, found)
-    except InsufficientDataError as few:
-        found = replace(begun, results={}, tables={}, notes=[*begun.notes])
-        try:
-            if alone:
-                add_dynamics(_motions(recordings, efforts), found)
-                found.notes.append(f"not from holds alone: {few}")
-        except InsufficientDataError:
-            alone = False
-        if not alone:
-            raise few from None
-    return found
 
 
 # -- holds
@@ -276,6 +254,15 @@ def _motions(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> list
             raise InsufficientDataError(f"{place(recording)}: {error}") from None
         motions.append(motion)
     return motions
+
+
+def _moved(recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings) -> bool:
+    """Add what the dynamics of the motion show; return whether they do."""
+    try:
+        add_dynamics(_motions(recordings, efforts), found)
+    except InsufficientDataError:
+        return False
+    return True
 
 
 def _in_units(found: Findings, units: Mapping[str, str], *, linear: bool) -> Outcome:
