@@ -209,7 +209,7 @@ class Stretch:
         self._keep("passed", angle[rows])
         self._keep("causal", sensed.torque[rows])
         self._keep("causal_u", sensed.u[rows])
-        self._keep("causal_states", sensed.states)
+        self._keep("causal_states", sensed.states[rows])
         for reference in sensed.others:
             self._keep("reference", reference)
         self._waiting.append(sensed.moments)
@@ -234,6 +234,7 @@ class Stretch:
     def _test(self, untouched: Filter, sensed: Sensed) -> None:
         """Keep what the tests for contacts look at."""
         other = untouched.add(sensed.signals, less=sensed.less)
+        self._keep("causal_kinds", sensed.kinds)
         self._keep("doubt", sensed.doubt)
         self._keep("untouched", other.torque)
         self._keep("untouched_u", other.deviation)
@@ -284,7 +285,7 @@ class Stretch:
             reference, judged = filled(found, round(rate / corner_hz))
         torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
         faults = self._watch.faults()
-        rows, causal_states = slice(None, None, every), self._taken("causal_states")[::every]
+        rows, causal_states = slice(None, None, every), self._taken("causal_states")
         for fault in faults:
             at_row = time - self._began
             states[rows][fault.within(at_row, causal=False)] = State.OUTSIDE
@@ -329,9 +330,8 @@ class Stretch:
         if self._untouched is None:
             return ()
         torque, deviation = self._taken("untouched"), self._taken("untouched_u")
-        states = self._found["causal_states"][: self._steps]
-        doubt, step_time = self._taken("doubt"), self._instrument.grid.step_time
-        tested = trial(torque, deviation, states, step_time, doubt)
+        kinds, doubt = self._taken("causal_kinds"), self._taken("doubt")
+        tested = trial(torque, deviation, kinds, self._instrument.grid.step_time, doubt)
         return tuple(contacts(tested, self._instrument.model.limits))
 
     def _whole(self) -> tuple[Array, Array, Array]:
@@ -391,6 +391,7 @@ ESTIMATED_TYPES = {
     "causal": np.float64,
     "causal_u": np.float64,
     "causal_states": np.int8,
+    "causal_kinds": np.int8,
     "reference": np.float64,
     "angle": np.float32,
     "passed": np.float64,
@@ -398,6 +399,6 @@ ESTIMATED_TYPES = {
     "untouched_u": np.float32,
     "doubt": np.float32,
 }
-"""At each step, but for the causal torque, its u and the angle that was passed, which are kept at
-the table's rows. What is in single precision is known to 1e-7 of itself, the angle, of which only
-the place in a turn is kept, to 1e-6 rad: both move u by less than 1e-6 of it."""
+"""At each step, but for the causal torque, its u and state and the angle that was passed, which are
+kept at the table's rows. What is in single precision is known to 1e-7 of itself, the angle, of
+which only the place in a turn is kept, to 1e-6 rad: both move u by less than 1e-6 of it."""

@@ -26,7 +26,7 @@ MOMENT = 2.0 * 0.020
 def rig(tmp_path_factory):
     """Learn the rig; return a function that reads force over time."""
     folder = tmp_path_factory.mktemp("rig")
-    tables, touched = learned_loads(tmp_path_factory, folder), folder / "touched.toml"
+    tables, touched = learned_loads(tmp_path_factory, folder / "tables.h5"), folder / "touched.toml"
     touched.write_text(RECIPE.read_text(encoding="utf-8") + "\n" + PULSE, encoding="utf-8")
 
     def measured(seconds, *sets, observed=False, source=touched, name="force.h5", tables=tables):
