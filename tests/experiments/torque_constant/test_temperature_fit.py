@@ -319,8 +319,8 @@ def test_linearity_finds_the_worst_level():
     ("bench", "change", "message"),
     [
         (Bench(cubic=3e-3), {}, "not proportional"),
-        (Bench(amplifier_gain=0.0), {}, "for 1 A of set point"),
-        (Bench(amplifier_gain=1e3), {}, "in another unit"),
+        (Bench(), {"current": lambda s: 0 * s}, "for 1 A of set point"),
+        (Bench(), {"current": lambda s: 1e3 * s}, "in another unit"),
         (Bench(), {"current_setpoint": lambda s: 0 * s}, "throughout"),
         (Bench(), {"force": lambda s: -s}, "reverse the sign"),
         (Bench(), {"force": lambda s: np.minimum(s, 0.25)}, "not linear"),
