@@ -29,9 +29,8 @@ COMMANDS = {
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Work among copies of the fixtures."""
-    for file in FIXTURES.glob("*.h5"):
-        shutil.copy(file, tmp_path)
+    """Work beside a recipe and a calibration."""
+    shutil.copy(FIXTURES / "kt.h5", tmp_path)
     shutil.copy(RECIPE, tmp_path / "rig.toml")
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -58,13 +57,15 @@ def refused(capsys):
 @pytest.fixture(params=COMMANDS)
 def command(request, folder, refused):
     """Return a function that runs one command on a source; it gives the code and the message."""
-    _, inputs = COMMANDS[request.param]
+    fixture, inputs = COMMANDS[request.param]
+    for name in {f"{fixture}.h5", *inputs[1::2]}:
+        shutil.copy(FIXTURES / name, folder)
 
     def run(source, *more, output="out.h5"):
         return refused([request.param, str(source), *inputs, "-o", output, *more])
 
     run.name = request.param
-    run.fixture = f"{COMMANDS[request.param][0]}.h5"
+    run.fixture = f"{fixture}.h5"
     return run
 
 
@@ -120,8 +121,9 @@ def test_file_of_a_newer_schema(command, folder):
     assert "schema version 99.0" in message
 
 
-def test_run_of_another_command(command):
+def test_run_of_another_command(command, folder):
     other = "kt.h5" if command.name != "calibrate-kt" else "ripple.h5"
+    shutil.copy(FIXTURES / other, folder)
     code, message = command(other)
     assert code == 3
     assert command.name in message
@@ -167,6 +169,7 @@ def test_unknown_setting(command):
     ],
 )
 def test_tables_learned_elsewhere(folder, refused, setting, reason):
+    shutil.copy(FIXTURES / "tables.h5", folder)
     line = ["measure-force", "rig.toml", "--kt", "kt.h5", "--tables", "tables.h5"]
     code, message = refused([*line, "-o", "out.h5", "--set", setting])
     assert code == 3

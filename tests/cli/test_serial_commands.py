@@ -12,12 +12,11 @@ import h5py
 import pytest
 
 from rigtool.recipe import load_recipe
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.target.link import TargetState
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import RECIPE, overrides
 from tests.rigs.serial.target.test_driver_faults import wait_until
 from tests.thorough import thorough

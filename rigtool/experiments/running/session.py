@@ -21,12 +21,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
-from rigtool.experiments.running.dry_run import (
-    dry_run,
-    rehearse,
-    require_gauges,
-    require_offered,
-)
+from rigtool.experiments.running.dry_run import dry_run, rehearse, require_gauges, require_offered
 from rigtool.experiments.running.lines import open_lines
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.terminal import open_live
@@ -227,11 +222,10 @@ def _permit(
     inputs: Mapping[str, Run],
 ) -> None:
     """Refuse motions beyond the rig's abilities or limits, show the plan, and ask for consent."""
-    assert recipe.serial is not None
     plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
-    require_gauges(plan, recipe.serial, procedure.command)
+    require_gauges(plan, recipe.line, procedure.command)
     require_offered(rig, plan, procedure.command)
-    plan.check(recipe.serial.limits)
+    plan.check(recipe.line.limits)
     rig.permit(str(plan))
 
 

@@ -15,10 +15,9 @@ from rigtool.rigs import Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import open_serial_rig
-from rigtool.rigs.serial.emulators.faults import Fault, Faults
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.transport.can_frames import CanFrame, encode
 from rigtool.rigs.serial.transport.spy import Spy
+from tests.rigs.serial.emulators.faults import Fault, inject, serve
 from tests.rigs.serial.emulators.vesc import framed
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.test_commands import DRIVES
@@ -76,11 +75,11 @@ def fail(failure, name, world, server, rig):
     elif failure == "stopped":
         rig.line.sleep_until = lambda moment: world.sleep(2.0)
     elif failure == "pulled":
-        server._in = Faults((Fault("pull", towards="device"),), "device", server._act)
+        inject(server, Fault("pull", towards="device"))
     elif failure == "deaf":
-        server._in = Faults((Fault("silence", towards="device"),), "device", server._act)
+        inject(server, Fault("silence", towards="device"))
     elif failure == "mute":
-        server._out = Faults((Fault("silence"),), "host", server._act)
+        inject(server, Fault("silence"))
     else:
         heartbeat = encode(CanFrame(0x705, b"\5"))
         talk(server.emulator, OTHERS.get(name, heartbeat))

@@ -189,6 +189,15 @@ def test_arrays_of_structures_and_columns_of_matrices(tmp_path):
             take(tmp_path / "a.mat", tmp_path / "b.h5", text.replace(names["i"], wrong))
 
 
+def test_objects_of_matlab_name_the_way_out(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["TT"] = np.zeros((1, 6), np.uint32)
+        file["TT"].attrs["MATLAB_class"] = np.bytes_("timetable")
+        file["TT"].attrs["MATLAB_object_decode"] = 3
+    with pytest.raises(RunFileError, match=r"TT is a timetable of MATLAB.*t = seconds\(TT\.Time\)"):
+        take(tmp_path / "a.mat", tmp_path / "a.h5", NAMED.replace('"t"', '"TT.Time"'))
+
+
 def test_a_file_that_is_cut_off_later_does_not_end_the_process(tmp_path):
     """Of a file that is mapped into memory, what is missing is a signal, not an error."""
     values = np.arange(100_000.0)
