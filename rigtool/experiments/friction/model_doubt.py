@@ -141,7 +141,8 @@ def _unmodelled(
 
     A term (n, k) has k columns.
     """
-    best, change, chance = 0.0, np.zeros(design.shape[1]), 1.0
+    best, chance = 0.0, 1.0
+    change: Array = np.zeros(design.shape[1])
     basis = np.linalg.qr(design)[0]
     for term in terms:
         rest = term - basis @ (basis.T @ term)
@@ -149,7 +150,7 @@ def _unmodelled(
         explained = float(np.sum((rest @ height) ** 2))
         if explained > best and np.all(np.sum(rest**2, 0) > 1e-6 * np.sum(term**2, 0)):
             best = explained
-            change = np.linalg.lstsq(design, term @ height, rcond=None)[0]
+            change = np.asarray(np.linalg.lstsq(design, term @ height, rcond=None)[0], float)
             left = residual - rest @ height
             scatter, _ = long_run_covariance(np.column_stack([design, term]), left, independent)
             k = len(height)

@@ -191,7 +191,7 @@ def _loads_outcome(run: Run, recipe: Recipe, learned: LearnedForce, loads: _Know
         model,
         speeds.tolist(),
         np.radians(np.arange(turn, settings.angle - turn + ANGLE_STEP_DEG / 2, ANGLE_STEP_DEG)),
-        np.linspace(0, largest, POINTS_OF_LOAD),
+        largest * np.linspace(0, 1, POINTS_OF_LOAD) ** 2,  # closest where friction sets in
         float(np.mean([record.torque_constant for record in learned.strokes.values()])),
     )
     return Outcome(
