@@ -15,6 +15,9 @@ from dataclasses import dataclass, replace
 REFERENCE_DEGC = 20.0
 """Temperature for which a result is stated, degC (ISO 1), a torque constant as well [7.1.1]."""
 
+HOTTEST_DEGC = 250.0
+"""Temperature that no motor has, degC: magnets and insulation end below it, kelvin are above it."""
+
 STANDARD_GRAVITY = 9.80665
 """Standard acceleration of free fall, m/s2, exact (3rd CGPM, 1901)."""
 

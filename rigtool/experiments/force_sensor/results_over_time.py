@@ -364,7 +364,7 @@ def _contact_notes(limits: Array) -> list[str]:
     return [
         f"contacts are found by torques that rise within {JUMP_WINDOW * 1e3:.0f} ms by more than "
         f"{', '.join(known)}: the tables show such errors less than once in "
-        f"{1 / FALSE_ALARMS / 3600:.0f} h"
+        f"{1 / max(map(sum, FALSE_ALARMS)) / 3600:.0f} h"
     ]
 
 

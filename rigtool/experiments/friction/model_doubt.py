@@ -141,7 +141,8 @@ def _unmodelled(
 
     A term (n, k) has k columns.
     """
-    best, change, chance = 0.0, np.zeros(design.shape[1]), 1.0
+    best, chance = 0.0, 1.0
+    change: Array = np.zeros(design.shape[1])
     basis = np.linalg.qr(design)[0]
     for term in terms:
         rest = term - basis @ (basis.T @ term)

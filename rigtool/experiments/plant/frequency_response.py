@@ -34,11 +34,15 @@ RADIUS_COVERAGE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Whole periods of one experiment in steady state: excitation, input, output (periods, n)."""
+    """Whole periods of one experiment in steady state: excitation, input, output (periods, n).
+
+    `angle` (periods, n) is that of the shaft, rad.
+    """
 
     reference: Array
     input: Array
     output: Array
+    angle: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ import numpy as np
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.controller_torque import naming, require_unlimited
 from rigtool.experiments.outcome import Outcome
+from rigtool.experiments.plant.angle_torque import without_angle_torque
 from rigtool.experiments.plant.fit import fit_plant
 from rigtool.experiments.plant.frequency_response import Experiment, frequency_response
 from rigtool.experiments.plant.multisine import LineNumbers, periodic
@@ -33,6 +34,9 @@ from rigtool.quantity import Quantity, combined, error_line
 from rigtool.recipe import Recipe
 from rigtool.rigs import Rig
 from rigtool.runfile import Recording, RecordingSpec, Run, RunWriter
+
+EDGE_STEPS = 2
+"""Steps of the set point at the ends of a stretch of constant speed that may differ from it."""
 
 
 def recordings(recipe: Recipe) -> tuple[RecordingSpec, ...]:
@@ -93,6 +97,10 @@ def analyse(runs: Sequence[Run], recipe: Recipe, *, kt: Run | None = None) -> Ou
     count = 2 * math.pi / recipe.rig.encoder_counts
     response = frequency_response(experiments, lines, sample_time, count)
     fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia)
+    if recipe.rig.attachment == "pulley":
+        experiments = without_angle_torque(experiments, lines, fit)
+        response = frequency_response(experiments, lines, sample_time, count)
+        fit = fit_plant(response, sample_time, recipe.rig.nominal_inertia)
     return plant_outcome(IdentifiedPlant(response, fit, constants[0], max(swings)), recipe)
 
 
@@ -119,10 +127,12 @@ def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -
     with naming(recording):
         remedy = "lower identify_plant.current_share or swing"
         require_unlimited(float(np.abs(asked).max(initial=0.0)), recipe, remedy)
+    angle = recording.read("encoder") * (2 * math.pi / recipe.rig.encoder_counts)
     signals = (
         torque_constant * recording.read("signal_current"),
         torque_constant * asked,
-        recording.read("encoder") * (2 * math.pi / recipe.rig.encoder_counts) - setpoint,
+        angle - setpoint,
+        angle,
     )
     period = round(recording.condition("period") / recipe.rig.sample_time)
     settle = round(recipe.identify_plant.settle_time / recipe.rig.sample_time)
@@ -144,13 +154,15 @@ def _experiments(recording: Recording, recipe: Recipe, torque_constant: float) -
 def _period_starts(steps: Array, step: float, settle: int, period: int) -> list[int]:
     """Return the starts of whole periods in each stretch of constant steps, after `settle` samples.
 
-    Periods end with the steps of the stretch, as its last sample has no step.
+    Periods end with the steps of the stretch, as its last sample has no step. A step that the
+    corner of the motion falls into is not constant: what `settle` leaves out may be shorter by
+    these two.
     """
     constant = np.abs(steps - step) < 1e-4 * abs(step)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], constant, [False]]).astype(np.int8)))
     starts: list[int] = []
     for first, stop in edges.reshape(-1, 2):
-        count = (stop - first - settle) // period
+        count = (stop - first - settle + EDGE_STEPS) // period
         starts += [int(stop) - k * period for k in range(count, 0, -1)]
     return starts
 

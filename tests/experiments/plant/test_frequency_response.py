@@ -1,5 +1,7 @@
 """A plant inside a loop that disturbances shake, simulated by scipy: no bias, an honest u."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -32,7 +34,7 @@ def experiments(count, noise, seed=0):
         closed = [1, GAIN * CONTROLLER - POLE]
         y = signal.lfilter([0, GAIN], closed, r) + signal.lfilter([1, -POLE], closed, v)
         u = r - CONTROLLER * y
-        made.append(Experiment(*(x[SAMPLES:].reshape(PERIODS, -1) for x in (r, u, y))))
+        made.append(Experiment(*(x[SAMPLES:].reshape(PERIODS, -1) for x in (r, u, y, y))))
     return made
 
 
@@ -98,7 +100,7 @@ def test_what_steps_of_the_output_cause():
     for e in made:
         wobble = rng.random((PERIODS, SAMPLES)) * step  # what else moves the shaft
         steps = np.floor((e.output + wobble) / step) * step - wobble + step / 2
-        rounded.append(Experiment(e.reference, e.input, steps))
+        rounded.append(replace(e, output=steps))
     found = frequency_response(rounded, LINES, SAMPLE_TIME, step)
     assert np.mean(np.square(found.u / found.quantisation)) == pytest.approx(1, abs=0.2)
 

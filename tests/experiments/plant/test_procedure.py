@@ -109,6 +109,25 @@ def test_other_rigs(folder, kt, overrides):
     assert off(outcome.results["viscous_friction"], recipe.virtual.motor.viscous_friction) < 5.8
 
 
+def test_friction_that_differs_around_the_turn(folder):
+    """A rig without other ripple; cut into one period less than recorded, friction is 4 % low."""
+    overrides = (
+        *SHORT,
+        "identify_plant.speeds=[10, 15]",
+        "identify_plant.realisations=1",
+        "rig.sample_time=500e-6",
+        "rig.encoder_counts=100000",
+        "virtual.motor.viscous_friction=6e-4",
+        "virtual.motor.viscous_modulation=[{order=1, amplitude=0.6}]",
+        "virtual.motor.friction_noise=1e-5",
+        "virtual.motor.cogging=[]",
+        "virtual.amplifier.offset_ripple=[]",
+    )
+    results = run(IDENTIFY_PLANT, RECIPE, folder / "turn.h5", *overrides).results
+    decay = results["viscous_friction"].value / results["inertia"].value
+    assert decay == pytest.approx(6e-4 / motor().inertia, rel=5e-3)
+
+
 def test_what_is_reported(pulley):
     outcome = pulley[1]
     results = outcome.results
