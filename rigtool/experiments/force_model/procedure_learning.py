@@ -150,7 +150,7 @@ def learn_force(
         found[..., 1] = np.hypot(found[..., 1], rig.loads_relative_u)
         model = replace(model, scales=found)
     unloaded = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
-    tried = [_trial(r, recipe, kt, model, creeping) for r in (explored, *unloaded, scatter)]
+    tried = [_trial(r, recipe, kt, model, creeping) for r in (explored, *unloaded)]
     return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded, scatter)
 
 
