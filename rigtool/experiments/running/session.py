@@ -16,7 +16,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rigtool.errors import RecipeError, RunFileError, UsageError
+import numpy as np
+
+from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.dry_run import dry_run, rehearse, require_gauges, require_offered
@@ -42,6 +44,24 @@ AS_IT_COMES = "as it comes"
 """Names in drawings of what a rig reports before the signals of a motion are complete."""
 
 
+@contextmanager
+def solvable() -> Iterator[None]:
+    """Turn equations that have no solution into `InsufficientDataError`: signals that are zero,
+    constant, or far from any rig's.
+    """
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raised = InsufficientDataError(
+            f"the signals determine no result ({error}): some are zero, constant, or in another "
+            "unit; look at them by `rigtool plot`"
+        )
+        for note in getattr(error, "__notes__", ()):
+            raised.add_note(note)
+        raise raised from error
+
+
+@solvable()
 def run_command(
     procedure: Procedure,
     sources: Sequence[str],
