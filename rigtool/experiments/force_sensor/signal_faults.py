@@ -5,8 +5,9 @@ by friction and by the load, so that the motor's torque changes there by less th
 
     T = 2 F + (1 + 2 m) M / n
 
-with friction F, that of the load m, the largest learned torque M and the torque factor n. Where it changes by more, the encoder does not count, or something blocks the rotor. Means over
-`WINDOW_TIME` are compared: within it, a torque beyond friction turns a rotor by more than a count.
+with friction F, that of the load m, the largest learned torque M and the torque factor n. Where it
+changes by more, the encoder does not count, or something blocks the rotor. Means over `WINDOW_TIME`
+are compared: within it, a torque beyond friction turns a rotor by more than a count.
 """
 
 from __future__ import annotations
