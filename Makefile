@@ -144,11 +144,11 @@ THESIS := $(BUILD)/thesis
 THESIS_RUNS := $(RUNS) $(addprefix $(THESIS)/,plant.h5 a.h5 b.h5 suspension.h5 idm640.h5)
 
 thesis: $(THESIS_RUNS)
-	$(BIN)/python -m rigtool.report.reproduction $^ --to $(THESIS) --html $(THESIS)/reproduction.html \
+	$(BIN)/python -m thesis.reproduction $^ --to $(THESIS) --html $(THESIS)/reproduction.html \
 		--against docs
 
 pages: $(THESIS_RUNS)
-	$(BIN)/python -m rigtool.report.reproduction $^ --to docs --html $(THESIS)/reproduction.html
+	$(BIN)/python -m thesis.reproduction $^ --to docs --html $(THESIS)/reproduction.html
 
 $(THESIS): | $(BUILD)
 	mkdir -p $@

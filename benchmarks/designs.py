@@ -359,10 +359,21 @@ def loaded() -> Iterator[Design]:
 def compare_errors(outcome: Outcome, recipe: Recipe) -> Compared:
     """Compare the errors of Table 8 or 9 with none: what both torques have in common cancels."""
     columns = outcome.tables["loads"].columns
-    names = ("applied_force", "error_torque", "error_torque_u")
-    for force, error, u in zip(*(columns[n].values[1:] for n in names), strict=True):
+    names = ("applied_force", "error_torque", "error_torque_u", "error_torque_dof")
+    for force, error, u, dof in zip(*(columns[n].values[1:] for n in names), strict=True):
         if math.isfinite(error):
-            yield f"error at {force:g} N", Quantity(float(error), "N m", float(u)), 0.0
+            known = float(dof) if math.isfinite(dof) else None
+            yield f"error at {force:g} N", Quantity(float(error), "N m", float(u), known), 0.0
+
+
+def compare_torques(outcome: Outcome, recipe: Recipe) -> Compared:
+    """Compare each row of Table 8 with the torque that acts, and its error with none."""
+    assert recipe.virtual is not None
+    wrong = recipe.virtual.misstated
+    scale = (1 + wrong.weights) * (1 + wrong.grasper_length)
+    for name, mean, applied in compare_loads(outcome, recipe):
+        yield name, mean, applied * scale
+    yield from compare_errors(outcome, recipe)
 
 
 def true_on_a_wrong_bench(recipe: Recipe) -> dict[str, float]:
@@ -383,6 +394,13 @@ def wrong_bench() -> Iterator[Design]:
     settings = PULLEY | {"measure_force.cycles": 20}
     step = Step(MEASURE_FORCE, settings, {"kt": KT, "tables": bare})
     yield Design("measure-force, pulley, wrong bench", wrong, step, compare_errors)
+    learned = Step(ILC_LEARN, LEARN, {"kt": KT})
+    yield Design("ilc-learn, D, wrong bench", wrong, learned, by_name(true_instrument))
+    for correction in ("load", "full"):
+        settings = {"measure_force.correction": correction, "measure_force.cycles": 20}
+        step = Step(MEASURE_FORCE, settings, {"kt": KT, "tables": learned})
+        name = f"measure-force, --correction {correction}, wrong bench"
+        yield Design(name, wrong, step, compare_torques)
 
 
 DESIGNS = (*calibrate_kt(), *turning(), *loaded(), *wrong_bench())

@@ -11,7 +11,7 @@ _VISIBLE = {
     for code in (*_INVISIBLE, *_BIDI)
     if chr(code) not in "\n\t"
 }
-_FORMULA = re.compile(r"[=+\-@\t\r]")
+_FORMULA = re.compile(r"[=+\-@\t\r\n＝＋－＠]")
 _LATEX = str.maketrans(
     {
         "\\": r"\textbackslash{}",

@@ -1,4 +1,4 @@
-"""Files that are read: no device, pipe or folder, and errors of the system as messages."""
+"""Files that are read: no device or folder, and errors of the system as messages."""
 
 from __future__ import annotations
 
@@ -26,15 +26,26 @@ def reading(path: str | os.PathLike[str], kind: type[RigtoolError]) -> Iterator[
         raise kind(f"{path!r}: holds a NUL, as no file's name does: correct it") from None
 
 
+def is_recipe(path: str | os.PathLike[str]) -> bool:
+    """Return whether a source is a recipe: by its name, or as a pipe, which no run file can be."""
+    try:
+        return os.fspath(path).endswith(".toml") or stat.S_ISFIFO(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
 @contextmanager
-def open_input(path: str | os.PathLike[str], kind: type[RigtoolError]) -> Iterator[BufferedReader]:
+def open_input(
+    path: str | os.PathLike[str], kind: type[RigtoolError], *, pipe: bool = False
+) -> Iterator[BufferedReader]:
     """Open a file for reading; raises an error of a `kind` where the system refuses.
 
-    A pipe or a device is not opened: that may block, and moves the lines of a serial port.
+    A device is not opened: that may block, and moves the lines of a serial port. A `pipe` is for
+    readers that read once, from its beginning.
     """
     with reading(path, kind):
         mode = os.stat(path).st_mode
-        if not stat.S_ISREG(mode):
+        if not (stat.S_ISREG(mode) or (pipe and stat.S_ISFIFO(mode))):
             what = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
             raise kind(f"{path}: is {what}, no file: give a file that was written to a disk")
         with open(path, "rb") as stream:

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: never swallowed, and never in the middle of a write.
+"""Ctrl-C, SIGTERM and their kin: never swallowed, and never in the middle of a write.
 
 A handler that raises is not enough. Inside a weakref callback or a finaliser, Python prints the
 exception and goes on (`sys.unraisablehook`); inside a write, the exception leaves half-written
@@ -16,13 +16,12 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
-SIGNALS = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
+NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+SIGNALS = tuple(getattr(signal, name) for name in NAMES if hasattr(signal, name))
 
 
 class Terminated(BaseException):
-    """SIGTERM or SIGHUP arrived: files are closed on the way out, as with Ctrl-C."""
+    """SIGTERM, SIGHUP or SIGQUIT arrived: files are closed on the way out, as with Ctrl-C."""
 
 
 class _State:

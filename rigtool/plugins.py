@@ -9,10 +9,13 @@ point that cannot be used is reported in one line, with its name.
 
 from __future__ import annotations
 
+import sys
+from contextlib import redirect_stdout
 from functools import cache
 from typing import TYPE_CHECKING, TypeVar
 
 from rigtool.errors import RigtoolError
+from rigtool.escapes import terminal
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -41,7 +44,8 @@ def plugins(group: str, taken: frozenset[str] = frozenset()) -> dict[str, EntryP
 def load_entry_point(entry: EntryPoint, kind: type[Plugin]) -> Plugin:
     """Import the object that an entry point names; `RigtoolError` where it is not of its kind."""
     try:
-        plugin = entry.load()
+        with redirect_stdout(sys.stderr):  # stdout may be a document of JSON
+            plugin = entry.load()
     except (Exception, SystemExit) as error:  # a package of anybody's may raise anything
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise RigtoolError(
@@ -90,4 +94,4 @@ def warn(message: str) -> None:
     """Write one line of warning to stderr."""
     import logging
 
-    logging.getLogger("rigtool").warning("Warning: %s", message)
+    logging.getLogger("rigtool").warning("Warning: %s", terminal(message))

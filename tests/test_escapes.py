@@ -44,7 +44,7 @@ def test_hostile_lines_compile_as_a_comment(tmp_path):
     assert done.stdout.strip() == ""
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+A1", "-A1", "@SUM(A1)", "\t=1"])
+@pytest.mark.parametrize("text", ["=1+1", "+A1", "-A1", "@SUM(A1)", "\t=1", "\n=1", "＝1"])
 def test_no_text_is_a_formula(text):
     stream = io.StringIO()
     csv.writer(stream).writerow([escapes.csv_text(text), escapes.csv_text("N m")])

@@ -125,7 +125,7 @@ def test_nothing_but_the_session_sees_the_virtual_rigs_parameters():
             assert "rigs.virtual" not in text, path
 
 
-WITHOUT_ROOM = ("attack", "fixtures", "emulators")
+WITHOUT_ROOM = ("attack", "fixtures", "emulators", "thesis")
 """Folders of tests that mirror no room."""
 
 

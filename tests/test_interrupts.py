@@ -10,6 +10,7 @@ import pytest
 from rigtool.interrupts import Terminated, handled, held, raise_swallowed
 
 KINDS = [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)]
+KINDS += [(signal.SIGQUIT, Terminated)]
 
 
 def send(number):

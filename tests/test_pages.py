@@ -8,6 +8,7 @@ minutes become seconds.
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import socket
@@ -21,19 +22,13 @@ import pytest
 
 import rigtool
 from rigtool.cli import main
+from rigtool.report.figures import style
+from tests.experiments.learned_loads import LINE, RIG, learned_loads
 from tests.fixtures.make import SHORT
 
 ROOT = Path(__file__).parents[1]
 BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
-LOADS = (
-    "ilc_learn.speeds_rev_per_s=[2]",
-    "ilc_learn.low_speeds_rev_per_s=[]",
-    "ilc_learn.moves=3",
-    "ilc_learn.loads.forces=[0.5, 3]",
-    "ilc_learn.loads.speeds_rev_per_s=[1, 2]",
-    "ilc_learn.loads.cycles=6",
-)
 SHORTER = {
     "calibrate-kt": SHORT["kt"],
     "stribeck": SHORT["friction"],
@@ -42,9 +37,9 @@ SHORTER = {
     "ilc-learn": SHORT["tables"],
     "ilc-learn --implementation A": SHORT["turning"][:-1],
     "ilc-learn --implementation B": SHORT["turning"][:-1],
-    "ilc-learn --implementation D": LOADS,
     "measure-force": SHORT["force"],
-    "measure-force --correction full": SHORT["force"],
+    "measure-force --correction full": (*SHORT["force"], *RIG),
+    "measure-force --record": RIG,
 }
 """Settings by command, with the option that decides what it measures."""
 
@@ -93,7 +88,6 @@ def run(arguments, capsys):
     settings = SHORTER[max(chosen, key=len)] if chosen else ()
     if "--record" in words:
         words[words.index("--record") + 1] = "3"
-        settings = ()
     before = signal.getsignal(signal.SIGTERM)
     try:
         with pytest.raises(SystemExit) as caught:
@@ -117,7 +111,21 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_the_chain_of_the_readme_runs(folder, capsys):
+@pytest.fixture
+def one_of_each(monkeypatch):
+    """Draw figures to the end, but only the first of those with the same axes."""
+    draw, drawn = style.render_figure, {}
+
+    def render(figure):
+        axes = tuple((one.get_xlabel(), one.get_ylabel(), one.get_title()) for one in figure.axes)
+        if axes not in drawn:
+            drawn[axes] = draw(figure)
+        return drawn[axes]
+
+    monkeypatch.setattr(style, "render_figure", render)
+
+
+def test_the_chain_of_the_readme_runs(folder, capsys, one_of_each):
     chain = blocks("README.md")[1]
     printed = run_all(chain, folder, capsys)
     assert len(printed) == 8
@@ -135,13 +143,21 @@ def test_the_chain_of_the_readme_runs(folder, capsys):
     assert "Table 9" in text
 
 
-def test_what_the_readme_learns_and_corrects_beyond_the_chain_runs(folder, capsys):
+def test_what_the_readme_learns_and_corrects_beyond_the_chain_runs(
+    folder, capsys, tmp_path_factory
+):
     chain, *others = blocks("README.md")[1:]
-    (folder / "build").mkdir()
+    build = folder / "build"
+    build.mkdir()
     for name in ("kt", "friction"):
-        shutil.copy(ROOT / "tests" / "fixtures" / f"{name}.h5", folder / "build")
-    lines = "\n".join([chain.splitlines()[0], *others])
-    assert len(run_all(lines, folder, capsys)) == 5
+        shutil.copy(ROOT / "tests" / "fixtures" / f"{name}.h5", build)
+    a, b, d, *measured = calls("\n".join([chain.splitlines()[0], *others]), folder)
+    assert len(measured) == 2
+    # One run of this line makes the tables of all tests that need known loads.
+    assert " ".join(d) == LINE.format(recipe=a[1], kt="build/kt.h5", tables="build/tables-loads.h5")
+    learned_loads(tmp_path_factory, build / "tables-loads.h5")
+    for line in (a, b, *measured):
+        run(line, capsys)
 
 
 def test_every_target_of_make_in_the_readme_exists():
@@ -215,9 +231,15 @@ def test_the_start_page_installs(tmp_path):
         checkout.mkdir(exist_ok=True)
         copy(ROOT / name, checkout / name)
     (lines,) = section("docs/start.md", "Install")
-    # Dependencies and setuptools are those of the tests: nothing is downloaded.
-    lines = lines.replace("pip install .", "pip install -q --no-deps --no-build-isolation .")
-    assert "--no-deps" in lines
+    # Dependencies, setuptools and pip are those of the tests: nothing is downloaded or unpacked.
+    python = shlex.quote(sys.executable)
+    for typed, instead in (
+        ("-m venv", "-m venv --without-pip"),
+        (".venv/bin/pip", f"{python} -m pip --python .venv"),
+        ("install .", "install -q --no-deps --no-build-isolation ."),
+    ):
+        assert typed in lines
+        lines = lines.replace(typed, instead)
     site = Path(np.__file__).parents[1]
     done = subprocess.run(
         ["bash", "-euc", f"PATH={Path(sys.executable).parent}:$PATH\n{lines}command -v rigtool"],

@@ -149,9 +149,10 @@ def test_a_broken_importer_costs_a_warning_and_no_import(install, tmp_path):
     assert "Traceback" not in done.stderr
 
 
-def test_what_a_package_raises_at_import_becomes_one_message(install):
+def test_what_a_package_raises_at_import_becomes_one_message(install, capsys):
     site = install("[rigtool.importers]\nquits = acme_quits:x\n")
-    (site / "acme_quits.py").write_text("import sys\nsys.exit('two\\nlines')\n")
+    (site / "acme_quits.py").write_text("import sys\nprint(1)\nsys.exit('two\\nlines')\n")
     (entry,) = plugins.plugins("rigtool.importers").values()
     with pytest.raises(RigtoolError, match=r"^importer quits of acme-rig .*SystemExit: two lines"):
         plugins.load_entry_point(entry, object)
+    assert capsys.readouterr() == ("", "1\n")  # stdout may be a document of JSON

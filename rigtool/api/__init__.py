@@ -22,6 +22,7 @@ from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
+from rigtool.inputs import is_recipe
 from rigtool.quantity import Quantity
 from rigtool.runfile import Run
 from rigtool.runfile import open_run as open
@@ -192,7 +193,7 @@ def _call(
 
 def _has_recipe(source: Source) -> bool:
     """Return whether a source is a recipe, or arrays that come with one."""
-    return isinstance(source, Mapping) or Path(_path(source)).suffix == ".toml"
+    return isinstance(source, Mapping) or is_recipe(_path(source))
 
 
 def _path(source: File | Run) -> str:

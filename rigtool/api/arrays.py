@@ -14,7 +14,11 @@ from rigtool.errors import UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.options import CommonOptions
-from rigtool.experiments.running.session import require_inputs
+from rigtool.experiments.running.session import (
+    require_inputs,
+    require_nothing_to_measure,
+    solvable,
+)
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.runfile import RecordingSpec, Run, RunWriter
@@ -30,6 +34,7 @@ SAME_INTERVAL = 0.05
 NOTE = "the signals were given as arrays, not recorded by rigtool"
 
 
+@solvable()
 def analyse_arrays(
     procedure: Procedure,
     arrays: Mapping[str, Signals],
@@ -45,6 +50,7 @@ def analyse_arrays(
     of a recording, its speed for instance, are those that the recipe plans. Raises `UsageError` for
     arrays that are no recording of this procedure and recipe.
     """
+    require_nothing_to_measure(options)
     require_inputs(procedure, inputs)
     overrides = [*options.overrides, *(["rig.attachment=pulley"] if procedure.bare_motor else [])]
     if isinstance(recipe, Recipe):
@@ -53,7 +59,7 @@ def analyse_arrays(
         known, text = load_recipe(os.fspath(recipe), overrides)
     plan = {spec.name: spec for spec in procedure.recordings(known)}
     if not arrays or not arrays.keys() <= plan.keys():
-        unknown = ", ".join(arrays.keys() - plan.keys()) or "nothing"
+        unknown = ", ".join(map(str, arrays.keys() - plan.keys())) or "nothing"
         raise UsageError(
             f"{procedure.command}: {unknown} is given, recordings of this recipe are "
             f"{', '.join(plan)}"
@@ -89,7 +95,12 @@ def _signals(spec: RecordingSpec, signals: Signals) -> dict[str, Array]:
     """Return the signals of a recording as f8; `UsageError` where they are none of it."""
     units = {channel.name: channel.unit for channel in spec.channels}
     known = ", ".join(f"{name} [{unit}]" for name, unit in units.items())
-    stated: Mapping[str, str] = getattr(signals, "attrs", {}).get("units", {})
+    if not hasattr(signals, "keys"):
+        what = type(signals).__name__
+        raise UsageError(f"{spec.name}: is a {what}: give a DataFrame or mapping of {known}")
+    stated = getattr(signals, "attrs", {}).get("units", {})
+    if not isinstance(stated, Mapping):
+        raise UsageError(f"{spec.name}: attrs['units'] is {stated!r}: map signals to their units")
     found = {}
     for name in signals:
         if name not in units:
@@ -110,8 +121,13 @@ def _signals(spec: RecordingSpec, signals: Signals) -> dict[str, Array]:
 
 
 def _numbers(what: str, values: Any) -> Array:
+    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
+        raise UsageError(f"{what}: {np.ma.count_masked(values)} samples are masked: leave them out")
     try:
-        found = np.asarray(values, dtype=np.float64)
+        found = np.asarray(values)
+        if found.dtype.kind in "cmMV":
+            raise TypeError(f"its type is {found.dtype}")
+        found = np.asarray(found, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise UsageError(f"{what}: is no array of numbers: {error}") from None
     if found.ndim != 1:

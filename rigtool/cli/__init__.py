@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import gc
 import importlib
+import io
 import keyword
 import os
 import re
@@ -227,7 +228,8 @@ def _report(error: BaseException, output: Output) -> int:
     notes = getattr(error, "__notes__", ())
     with suppress(OSError):  # nobody may be there to read it: the code says it too
         if isinstance(error, click.ClickException):
-            error.show()
+            error.show(shown := io.StringIO())
+            echo(shown.getvalue(), err=True, nl=False)
         else:
             for line in (message, *notes):
                 echo(line, err=True)

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import click
-
-from rigtool.cli.options import Command, common_options, example, run_and_print, source_arguments
+from rigtool.cli.options import common_options, measuring, run_and_print
 from rigtool.experiments.running.options import CommonOptions
 
 
-@click.command(
-    "calibrate-kt",
-    cls=Command,
-    epilog=example(
-        "rigtool calibrate-kt recipes/briaire-2006.toml -o kt.h5",
-        "rigtool calibrate-kt imported/*.h5 -o kt.h5",
-    ),
+@measuring(
+    "rigtool calibrate-kt recipes/briaire-2006.toml -o kt.h5",
+    "rigtool calibrate-kt imported/*.h5 -o kt.h5",
 )
-@source_arguments
 @common_options
 def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:
     """Find the torque constant against temperature.

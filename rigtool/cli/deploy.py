@@ -6,21 +6,17 @@ import click
 
 from rigtool.cli.options import (
     FILE_ARGUMENT,
-    Command,
+    command_with,
     current_output,
-    example,
     open_inputs,
     run_option,
     set_option,
 )
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --dry-run",
-        "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --yes",
-    ),
+@command_with(
+    "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --dry-run",
+    "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --yes",
 )
 @click.argument("tables", type=FILE_ARGUMENT, metavar="TABLES.h5")
 @click.option(
@@ -58,7 +54,12 @@ def command(
     from rigtool.recipe import load_recipe
     from rigtool.rigs.operator import Operator
     from rigtool.runfile import open_run
+    from rigtool.runfile.outputs import require_output
 
+    output = current_output()
+    if spy is not None:
+        read = [tables, rig, *([kt] if kt is not None else [])]
+        require_output(spy, overwrite=output.overwrite, inputs=read)
     recipe, _ = load_recipe(rig, overrides)
     with open_run(tables) as run, open_inputs(kt=kt) as inputs:
         done = deploy(
@@ -69,7 +70,6 @@ def command(
             dry_run=dry_run,
             operator=Operator(yes=yes, spy=spy),
         )
-    output = current_output()
     output.document(rig=recipe.rig.name, lines=list(done.lines), notes=list(done.remarks))
     for line in done.lines:
         output.line(line)

@@ -2,31 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from rigtool.cli.options import common_options, measuring, run_and_print, run_option
+from rigtool.experiments.running.options import CommonOptions
 
-import click
 
-from rigtool.cli.options import (
-    Command,
-    common_options,
-    example,
-    run_and_print,
-    run_option,
-    source_arguments,
+@measuring(
+    "rigtool fft-ripple recipes/briaire-2006.toml --kt kt.h5 -o ripple.h5",
+    "rigtool fft-ripple imported/comp_0.h5 imported/nocomp_0.h5 -o ripple.h5",
 )
-
-if TYPE_CHECKING:
-    from rigtool.experiments.running.options import CommonOptions
-
-
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool fft-ripple recipes/briaire-2006.toml --kt kt.h5 -o ripple.h5",
-        "rigtool fft-ripple imported/comp_0.h5 imported/nocomp_0.h5 -o ripple.h5",
-    ),
-)
-@source_arguments
 @run_option("--kt", "Run of calibrate-kt: current to torque; not needed for imported runs.")
 @common_options
 def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:

@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from rigtool.cli.options import common_options, measuring, run_and_print, run_option
+from rigtool.experiments.running.options import CommonOptions
 
-import click
 
-from rigtool.cli.options import (
-    Command,
-    common_options,
-    example,
-    run_and_print,
-    run_option,
-    source_arguments,
+@measuring(
+    "rigtool identify-plant recipes/briaire-2006.toml --kt kt.h5 -o plant.h5",
+    "rigtool identify-plant recipes/briaire-2006.toml --kt kt.h5 "
+    "--set rig.attachment=pulley -o plant-pulley.h5",
 )
-
-if TYPE_CHECKING:
-    from rigtool.experiments.running.options import CommonOptions
-
-
-@click.command(
-    "identify-plant",
-    cls=Command,
-    epilog=example(
-        "rigtool identify-plant recipes/briaire-2006.toml --kt kt.h5 -o plant.h5",
-        "rigtool identify-plant recipes/briaire-2006.toml --kt kt.h5 "
-        "--set rig.attachment=pulley -o plant-pulley.h5",
-    ),
-)
-@source_arguments
 @run_option("--kt", "Run of calibrate-kt; without it the data sheet's torque constant is used.")
 @common_options
 def command(sources: tuple[str, ...], output: str, kt: str | None, options: CommonOptions) -> None:

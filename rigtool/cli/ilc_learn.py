@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import click
 
 from rigtool.cli.options import (
-    Command,
     common_options,
     current_output,
-    example,
+    measuring,
     open_inputs,
     run_and_print,
     run_option,
-    source_arguments,
 )
+from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
-if TYPE_CHECKING:
-    from rigtool.experiments.running.options import CommonOptions
 
-
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool ilc-learn recipes/briaire-2006.toml --kt kt.h5 -o tables.h5",
-        "rigtool ilc-learn recipes/briaire-2006.toml --kt kt.h5 --check tables.h5 -o check.h5",
-    ),
+@measuring(
+    "rigtool ilc-learn recipes/briaire-2006.toml --kt kt.h5 -o tables.h5",
+    "rigtool ilc-learn recipes/briaire-2006.toml --kt kt.h5 --check tables.h5 -o check.h5",
 )
-@source_arguments
 @run_option("--kt", "Run of calibrate-kt: current to torque.")
 @run_option("--friction", "Run of stribeck: feed its friction forward while learning.")
 @run_option("--plant", "Run of identify-plant: the measured plant instead of the nominal one.")
@@ -112,7 +103,7 @@ def command(
         _check(sources, output, options, tables=check, kt=kt, plant=plant)
         return
     # Imported runs hold no recipe that names an implementation: D learns from known loads.
-    by_load = implementation == "D" and not any(source.endswith(".toml") for source in sources)
+    by_load = implementation == "D" and not any(map(is_recipe, sources))
     if prior is not None and not by_load:
         raise click.UsageError("--prior: is for imported runs with --implementation D")
     if not by_load:

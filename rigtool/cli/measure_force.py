@@ -7,26 +7,21 @@ from dataclasses import replace
 import click
 
 from rigtool.cli.options import (
-    Command,
     Integer,
     Number,
     common_options,
     current_output,
-    example,
+    measuring,
     run_and_print,
     run_option,
-    source_arguments,
 )
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5"
-    ),
+@measuring(
+    "rigtool measure-force recipes/briaire-2006.toml --kt kt.h5 --tables tables.h5 -o force.h5"
 )
-@source_arguments
 @run_option("--kt", "Run of calibrate-kt; not needed for imported runs.")
 @run_option("--tables", "Run of ilc-learn, of this rig and attachment.", required=True)
 @click.option(
@@ -76,8 +71,8 @@ def command(
     Lifts and lowers each load of the recipe with the learned table switched on; reads the torque at
     one angle of each rising stroke: mean, scatter, error. With an instrument, also reports friction
     that grows with load, and stiffness. --correction load subtracts friction that grows with load
-    from this reading; full reads whole strokes and also corrects for compliance, ripple by current
-    and motor temperature.
+    from this reading and corrects for compliance; full reads whole strokes and also corrects for
+    ripple by current and motor temperature.
 
     --record and --observe read an unknown force over time, with its 95 % interval, in any motion. A
     stored run without known loads is also read over time. Needs tables of implementation D. --live
@@ -108,7 +103,7 @@ def command(
                 f"--correction {correction} is one of known loads: leave it out, force over time "
                 "has all corrections"
             )
-        if not any(source.endswith(".toml") for source in sources):
+        if not any(map(is_recipe, sources)):
             raise click.UsageError(
                 "--record and --observe measure on the rig of a recipe; a stored run is read as it "
                 "is: leave them out"

@@ -2,8 +2,7 @@
 
 A measuring command reads:
 
-    @click.command(cls=Command, epilog=example("rigtool stribeck rig.toml --kt kt.h5 -o f.h5"))
-    @source_arguments
+    @measuring("rigtool stribeck rig.toml --kt kt.h5 -o f.h5")
     @run_option("--kt", "run file of calibrate-kt")
     @common_options
     def command(sources, output, kt, options): ...
@@ -25,6 +24,7 @@ from click.core import ParameterSource
 
 from rigtool.cli.output import Output, echo
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 if TYPE_CHECKING:
     from rigtool.experiments.procedure import Procedure
@@ -45,7 +45,7 @@ OPTION_HEADINGS = {
 }
 """Options by their parameter, under a heading of the help text; all other options come first."""
 
-WRITING_OPTIONS = ("output", "plot")
+WRITING_OPTIONS = ("output", "plot", "spy")
 """Parameters of a command that writes a file."""
 
 
@@ -106,17 +106,19 @@ def example(*lines: str) -> str:
 
 def source_arguments(function: CommandFunction) -> CommandFunction:
     """Add `sources`, a tuple of one or more paths, and `output`, a path."""
-    function = click.option(
-        "-o",
-        "--output",
-        required=True,
-        type=FILE_ARGUMENT,
-        metavar="RUN.h5",
-        help="Run file to write.",
-    )(function)
-    return click.argument(
+    sources = click.argument(
         "sources", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="SOURCE..."
-    )(function)
+    )
+    return sources(output_option("RUN.h5", "Run file to write.", required=True)(function))
+
+
+def output_option(
+    metavar: str, what: str, *, required: bool = False
+) -> Callable[[CommandFunction], CommandFunction]:
+    """Add the option -o, the file or folder that the command writes; None where it is left out."""
+    return click.option(
+        "-o", "--output", required=required, type=FILE_ARGUMENT, metavar=metavar, help=what
+    )
 
 
 def run_option(
@@ -263,6 +265,17 @@ def common_options(function: CommandFunction) -> CommandFunction:
     return collected
 
 
+def command_with(*examples: str) -> Callable[[CommandFunction], click.Command]:
+    """Make a command of a function, with `examples` in its help."""
+    return click.command(cls=Command, epilog=example(*examples))
+
+
+def measuring(*examples: str) -> Callable[[CommandFunction], click.Command]:
+    """Make a command of a function with `common_options`, and add `source_arguments`."""
+    make = command_with(*examples)
+    return lambda function: make(source_arguments(function))
+
+
 def _state_defaults(given: dict[str, Any]) -> None:
     """State what `rigtool.toml` gives to this command; imported runs need no --kt of it."""
     ctx = click.get_current_context()
@@ -287,7 +300,7 @@ def _imported(sources: tuple[str, ...]) -> bool:
     """Return whether the first source is a run of `rigtool import`."""
     from rigtool.runfile import open_run
 
-    if sources[0].endswith(".toml"):
+    if is_recipe(sources[0]):
         return False
     with open_run(sources[0]) as run:
         return run.command == "import"

@@ -7,18 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, command_with, current_output, output_option
 from rigtool.cli.output import table_document
 
 if TYPE_CHECKING:
     from rigtool.report.build import Report
 
 
-@click.command(cls=Command, epilog=example("rigtool report kt.h5 tables.h5 force.h5 -o report"))
+@command_with("rigtool report kt.h5 tables.h5 force.h5 -o report")
 @click.argument("paths", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="RUN.h5...")
-@click.option(
-    "-o", "--output", required=True, type=FILE_ARGUMENT, metavar="FOLDER", help="Folder to write."
-)
+@output_option("FOLDER", "Folder to write.", required=True)
 @click.option("--pdf", is_flag=True, help="Write report.pdf too (pip install rigtool[pdf]).")
 def command(paths: tuple[str, ...], output: str, pdf: bool) -> None:
     """Write tables, figures and one page from any run files.

@@ -4,27 +4,16 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import (
-    Command,
-    common_options,
-    example,
-    run_and_print,
-    run_option,
-    source_arguments,
-)
+from rigtool.cli.options import common_options, measuring, run_and_print, run_option
 from rigtool.experiments.running.options import CommonOptions
+from rigtool.inputs import is_recipe
 
 
-@click.command(
-    "stribeck",
-    cls=Command,
-    epilog=example(
-        "rigtool stribeck recipes/briaire-2006.toml --kt kt.h5 -o friction.h5",
-        "rigtool stribeck imported/*.h5 -o friction.h5",
-        "rigtool stribeck loaded.h5 --against bare.h5 --kt kt.h5 -o payload.h5",
-    ),
+@measuring(
+    "rigtool stribeck recipes/briaire-2006.toml --kt kt.h5 -o friction.h5",
+    "rigtool stribeck imported/*.h5 -o friction.h5",
+    "rigtool stribeck loaded.h5 --against bare.h5 --kt kt.h5 -o payload.h5",
 )
-@source_arguments
 @run_option("--kt", "Run of calibrate-kt: current to torque; not needed for imported runs.")
 @run_option(
     "--against",
@@ -56,6 +45,6 @@ def command(
     """
     from rigtool.experiments.friction.procedure import PROCEDURE
 
-    if against is not None and any(source.endswith(".toml") for source in sources):
+    if against is not None and any(map(is_recipe, sources)):
         raise click.UsageError("--against: compares stored runs: measure first, then compare")
     run_and_print(PROCEDURE, sources, output, options, kt=kt, against=against, reference=reference)

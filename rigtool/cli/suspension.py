@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import click
-
-from rigtool.cli.options import Command, common_options, example, run_and_print, source_arguments
-
-if TYPE_CHECKING:
-    from rigtool.experiments.running.options import CommonOptions
+from rigtool.cli.options import common_options, measuring, run_and_print
+from rigtool.experiments.running.options import CommonOptions
 
 
-@click.command(
-    cls=Command, epilog=example("rigtool suspension recipes/briaire-2006.toml -o suspension.h5")
-)
-@source_arguments
+@measuring("rigtool suspension recipes/briaire-2006.toml -o suspension.h5")
 @common_options
 def command(sources: tuple[str, ...], output: str, options: CommonOptions) -> None:
     """Measure the motor's leaf springs; compute what eccentric pulleys do.

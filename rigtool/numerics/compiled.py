@@ -50,7 +50,7 @@ class _Compiled:
             from numba import config, njit
         except ValueError as error:
             raise UsageError(f"numba: {error}: correct the variables NUMBA_*") from None
-        if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        if config.DISABLE_JIT:
             raise UsageError("NUMBA_DISABLE_JIT is set, without numba nothing is fast: unset it")
         options: dict[str, Any] = {"error_model": "numpy", "nogil": True}
         with _LOCK:

@@ -51,24 +51,25 @@ def cosine_transform(values: Array) -> Array:
     return np.concatenate([turned.real, -turned.imag[(count - 1) // 2 : 0 : -1]])
 
 
-def kept_by_fit(design: Array, lowest: int) -> Array:
+def kept_by_fit(design: Array, lowest: int, more: Array | None = None) -> Array:
     """Return the part (p,) of the moments' lowest coefficients that a fit leaves in residuals.
 
     Under independent errors e, the residuals are M e, M = I - X (X'X)^-1 X', so that the power of a
     coefficient w'e is that of M w: small where slow regressors of `design` (n, p) resemble each
     other times a slow cosine. A covariance over the product of two roots of it is that without the
-    loss (the leverage correction of MacKinnon & White, J. Econometrics 29, 305-325, 1985).
+    loss (the leverage correction of MacKinnon & White, J. Econometrics 29, 305-325, 1985). `more`
+    (n, q) are regressors whose parameters are not asked for.
     """
-    count = len(design)
-    phase = np.pi * (np.arange(count) + 0.5) / count
-    basis = np.linalg.qr(design)[0]
-    left, all_of_it = np.zeros(design.shape[1]), np.zeros(design.shape[1])
-    for j in range(1, lowest + 1):
-        moment = design * np.cos(j * phase)[:, None]
-        power = np.sum(moment**2, axis=0)
-        left += power - np.sum((basis.T @ moment) ** 2, axis=0)
-        all_of_it += power
-    kept: Array = left / all_of_it
+    basis = np.linalg.qr(design if more is None else np.column_stack([design, more]))[0]
+    lowest = min(lowest, (len(design) - 1) // 2)
+    # cos^2 = (1 + cos 2)/2 makes the sum of squares one of coefficients.
+    power = np.sum(design**2, axis=0) * lowest / 2
+    power += np.sum(cosine_transform(design**2)[2 : 2 * lowest + 1 : 2], axis=0) / 2
+    lost = [
+        np.sum(cosine_transform(basis * column[:, None])[1 : lowest + 1] ** 2)
+        for column in design.T
+    ]
+    kept: Array = 1 - np.array(lost) / power
     return kept
 
 

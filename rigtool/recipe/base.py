@@ -13,6 +13,8 @@ from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
+from rigtool.quantity import HOTTEST_DEGC
+
 UNIT_BOUNDS = {
     "N m s/rad": (1e-12, 1e3),
     "N m/rad": (1e-9, 1e9),
@@ -28,7 +30,7 @@ UNIT_BOUNDS = {
     "rev/s": (1e-4, 1e3),
     "rad": (1e-9, 1e6),
     "deg": (0.0, 36e3),
-    "degC": (0.0, 250.0),
+    "degC": (0.0, HOTTEST_DEGC),
     "Hz": (1e-4, 1e6),
     "s": (1e-6, 86400.0),
     "m": (1e-9, 10.0),
@@ -43,8 +45,8 @@ UNIT_BOUNDS = {
 }
 """Smallest and largest magnitude by unit, beside zero.
 
-A motor turns with at most 95,000 rpm; magnets and insulation of motors end below 250 degC; torque
-constants go from coreless motors of a gram to direct drives."""
+A motor turns with at most 95,000 rpm; torque constants go from coreless motors of a gram to direct
+drives."""
 
 _UNIT = re.compile(rf"(?:^|, )({'|'.join(map(re.escape, UNIT_BOUNDS))})(?=$|[ ,;])")
 

@@ -144,6 +144,9 @@ class Signal(Section):
     time: int | str | None = Field(
         None, description="column of its own time, in the unit of `time`, where it has one"
     )
+    nanoseconds: int | str | None = Field(
+        None, description="column of nanoseconds, to be added to a time in s"
+    )
     counts_per_turn: float | None = Field(
         None, gt=0, description="turns counts into rad; per metre on a linear axis, into m"
     )
@@ -159,13 +162,15 @@ class Signal(Section):
 
     @model_validator(mode="after")
     def _makes_sense(self) -> Signal:
-        for column in (self.column, self.time):
+        for column in (self.column, self.time, self.nanoseconds):
             if isinstance(column, int) and column < 1:
                 raise ValueError(f"columns are counted from 1, got {column}")
         if self.scale == 0:
             raise ValueError("scale 0 leaves nothing of the signal")
         if self.counts_per_turn is not None and self.unit not in ("count", "count/s"):
             raise ValueError('counts_per_turn goes with unit = "count" or "count/s"')
+        if self.nanoseconds is not None and (self.unit, self.scale) != ("s", 1.0):
+            raise ValueError('nanoseconds go with whole seconds: unit = "s", no scale')
         return self
 
 
@@ -317,6 +322,7 @@ class Mapping(Section):
     def columns(self) -> list[int | str]:
         """Columns of the signals, of their own times, and of conditions."""
         signals = [signal.column for signal in self.signals.values()]
+        signals += [s.nanoseconds for s in self.signals.values() if s.nanoseconds is not None]
         found = [item.column for item in self.conditions if item.column is not None]
         return list(dict.fromkeys([*signals, *self.own_times, *found]))
 

@@ -110,3 +110,9 @@ class Serial(Section):
     operator: bool = Field(
         True, description="somebody is there to hang loads, clamp, heat and switch off"
     )
+
+    @property
+    def instruments(self) -> dict[str, MeasuringInstrument]:
+        """The instruments beside the drive, by their channels."""
+        given = {name: getattr(self, name) for name in ("force", "temperature", "deflection")}
+        return {name: settings for name, settings in given.items() if settings is not None}

@@ -8,21 +8,18 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 from rigtool.errors import RunFileError, UsageError
 from rigtool.report.figures import Picture, draw_figures
-from rigtool.report.figures.plots import HEADLINE
+from rigtool.report.figures.plots import HEADLINE, other_unit_drawn
 from rigtool.report.formats import ReportTable
 from rigtool.report.published import is_of_thesis
 from rigtool.report.requirements import requirements_table
 from rigtool.report.tables import attachment_of, budget_tables, force_tables, results_table
 from rigtool.report.units import other_unit
+from rigtool.runfile import Run
 from rigtool.runfile.opened import guard
 from rigtool.runfile.provenance import file_sha256
-
-if TYPE_CHECKING:
-    from rigtool.runfile import Run
 
 COMMAND_ORDER = (
     "calibrate-kt",
@@ -176,7 +173,7 @@ def _warnings(labelled: Sequence[tuple[str, Run]]) -> list[str]:
     if len(rigs) > 1:
         found.append(f"These runs come from {len(rigs)} rigs: {', '.join(rigs)}.")
     for label, run in labelled:
-        if run.command != "import" and (other := other_unit(run, *run.tables)) is not None:
+        if (other := other_unit_drawn(run)) is not None:
             found.append(f"{label}: {other}: figures of such tables are left out.")
     shown: dict[str, dict[str, str]] = {}
     for label, run in labelled:

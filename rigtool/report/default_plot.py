@@ -6,7 +6,7 @@ import io
 import itertools
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,6 @@ from rigtool.report.figures import PLOTS, style
 from rigtool.runfile import Recording, Run, Table
 from rigtool.runfile.opened import guard
 from rigtool.runfile.outputs import replacing, require_output
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PLOT_FORMATS = (".png", ".svg", ".pdf")
 
@@ -94,14 +90,12 @@ def chosen_name(run: Run, name: str | None) -> str:
     )
 
 
-def draw_plot(run: Run, name: str) -> Figure:
+def draw_plot(run: Run, name: str) -> style.Figure:
     """Return the picture of one of `plot_names`."""
     kind, _, rest = name.partition("/")
     if not rest:
         return PLOTS[int(kind.removeprefix("figure-"))].draw(run)
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 5), layout="constrained")
+    figure = style.empty(5.0, 8.0)
     axes = figure.add_subplot()
     if kind == "tables":
         _draw_table(axes, run.table(rest))
@@ -112,7 +106,7 @@ def draw_plot(run: Run, name: str) -> Figure:
     return figure
 
 
-def _draw_table(axes: Axes, table: Table) -> None:
+def _draw_table(axes: style.Axes, table: Table) -> None:
     """Draw the signal along the last axis, one line for each point of the other axes.
 
     Along whole numbers, such as loads, a few points stand alone. No line passes zero speed, where
@@ -148,7 +142,7 @@ def _draw_table(axes: Axes, table: Table) -> None:
     axes.set_ylabel(_label(table.signal, unit))
 
 
-def _draw_rows(axes: Axes, table: Table) -> None:
+def _draw_rows(axes: style.Axes, table: Table) -> None:
     """Draw the signal of rows over their time, one line for each recording."""
     signal = table.columns[table.signal]
     factor, unit = display_unit(signal.unit, _size(signal.values))
@@ -171,7 +165,7 @@ def _size(values: NDArray[Any]) -> float:
     return float(finite.max(initial=0.0))
 
 
-def _scale(axes: Axes, places: NDArray[Any], along: str, values: NDArray[Any]) -> None:
+def _scale(axes: style.Axes, places: NDArray[Any], along: str, values: NDArray[Any]) -> None:
     """Make the axes of a response over frequency logarithmic, where values allow it."""
     if along != "frequency" or not places.size or places.min() <= 0:
         return
@@ -199,7 +193,7 @@ def _spread(count: int) -> list[int]:
     return sorted(set(np.linspace(0, count - 1, min(count, _MOST_LINES)).round().astype(int)))
 
 
-def _draw_recording(axes: Axes, recording: Recording, name: str) -> None:
+def _draw_recording(axes: style.Axes, recording: Recording, name: str) -> None:
     """Draw the lowest and highest value of each bin: no peak of a long recording is lost.
 
     Nothing is drawn across gaps of the time.

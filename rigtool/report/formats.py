@@ -10,13 +10,10 @@ import io
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from rigtool import escapes
 from rigtool.quantity import format_number
-
-if TYPE_CHECKING:
-    from rigtool.runfile import Table
+from rigtool.runfile import Table
 
 MISSING_TEXT = "–"
 """Text of a cell without a value."""

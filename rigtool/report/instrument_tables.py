@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rigtool.report.formats import Cell, ReportColumn, ReportTable, mean_cell, number_cell
 from rigtool.report.published import published_accuracy
-
-if TYPE_CHECKING:
-    from rigtool.runfile import Run
+from rigtool.runfile import Run
 
 _ACCURACY = (
     ReportColumn("source", "From", numeric=False),

@@ -12,17 +12,17 @@ from rigtool.report.build import Report
 
 def render_page(report: Report) -> str:
     """Return the page as HTML with all figures in it; the same report gives the same text."""
-    return render_template("page.html", report=report, data_uri=_data_uri, minus=_minus) + "\n"
+    source = files("rigtool.report").joinpath("page.html").read_text("utf-8")
+    return render_template(source, report=report, data_uri=_data_uri, minus=_minus) + "\n"
 
 
-def render_template(template: str, **values: Any) -> str:
-    """Return a template of this folder filled with values; text in them is escaped."""
+def render_template(source: str, **values: Any) -> str:
+    """Return the text of a template filled with values; text in them is escaped."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    source = files("rigtool.report").joinpath(template).read_text("utf-8")
     return environment.from_string(source).render(**values)
 
 

@@ -9,15 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rigtool.quantity import format_number
 from rigtool.report.formats import NO_VALUE, Cell, ReportColumn, ReportTable
-
-if TYPE_CHECKING:
-    from rigtool.runfile import Run
+from rigtool.runfile import Run
 
 COVERAGE_FACTOR = 2.0
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from rigtool.quantity import Quantity, customary, format_number, format_quantity
 from rigtool.report.formats import (
@@ -17,10 +16,8 @@ from rigtool.report.formats import (
 )
 from rigtool.report.instrument_tables import instrument_tables
 from rigtool.report.published import is_of_thesis, published_table, published_value
+from rigtool.runfile import Run
 from rigtool.runfile.summary import budget_shares
-
-if TYPE_CHECKING:
-    from rigtool.runfile import Run
 
 _FORCE_COLUMNS = (
     ReportColumn("applied_force", "Force", "mN", "N"),

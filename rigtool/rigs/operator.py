@@ -8,14 +8,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from rigtool.errors import HardwareError, UsageError
+from rigtool.escapes import terminal
 
 
 def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+    """Show text at the terminal, that of a device too, which may hold anything."""
+    print(terminal(text), file=sys.stderr, flush=True)
 
 
 def _ask(question: str) -> str:
-    print(f"\n{question}", end=" ", file=sys.stderr, flush=True)  # below a bar or a drawing
+    # Below a bar or a drawing.
+    print(f"\n{terminal(question)}", end=" ", file=sys.stderr, flush=True)
     answer = sys.stdin.readline()
     if not answer:
         raise HardwareError(f"stdin ended before an answer to: {question}")

@@ -21,8 +21,9 @@ from rigtool.escapes import csv_text
 from rigtool.quantity import Quantity
 from rigtool.runfile import schema
 from rigtool.runfile.model import Table
+from rigtool.runfile.opened import CHANGED_MEANWHILE
 from rigtool.runfile.outputs import replacing, require_output
-from rigtool.runfile.reader import Run
+from rigtool.runfile.reader import Run, open_run
 from rigtool.runfile.recording import Recording
 
 if TYPE_CHECKING:
@@ -172,6 +173,13 @@ def write_parquet(frame: ExportedPart, path: Path) -> None:
 
 def _copy(run: Run, path: Path) -> None:
     shutil.copyfile(run.path, path)
+    try:
+        with open_run(path) as copy:
+            same = copy.content_sha256 == run.content_sha256
+    except RunFileError:
+        same = False
+    if not same:
+        raise RunFileError(f"{run.path}: {CHANGED_MEANWHILE}")
 
 
 def _write_mat(run: Run, path: Path) -> None:

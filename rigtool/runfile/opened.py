@@ -27,6 +27,7 @@ _CHUNK_CACHE = {"rdcc_nbytes": 2 * 8 * schema.CHUNK, "rdcc_nslots": 101}
 """Two chunks for each open signal: blocks end where chunks do, so that no chunk is read twice. The
 8 MiB of HDF5's default would only displace the samples from the processor's cache."""
 
+CHANGED_MEANWHILE = "was replaced or changed while it was being read: run the command again"
 DAMAGED_REMEDY = "restore it from a copy, or make it anew"
 
 
@@ -88,10 +89,7 @@ class SharedFile:
         identity = _identity(file)
         if self._identity not in (None, identity):
             file.close()
-            raise RunFileError(
-                f"{self._path}: was replaced or changed while it was being read: run the command "
-                "again"
-            )
+            raise RunFileError(f"{self._path}: {CHANGED_MEANWHILE}")
         self._identity = identity
         return file
 

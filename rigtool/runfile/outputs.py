@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rigtool.errors import UsageError
+from rigtool.escapes import is_text
 from rigtool.runfile.storage import storage_errors
 
 MAX_NAME = 250
@@ -42,6 +43,8 @@ def require_output(
     Raises `UsageError` where the folder is missing or cannot be written, where `path` is a folder,
     a device, a link to itself or one of the `inputs`, and where it exists, unless `overwrite`.
     """
+    if not is_text(os.fspath(path)):
+        raise UsageError(f"{path!r}: is not UTF-8, or holds a NUL: give another name")
     try:
         found = Path(os.path.realpath(path))
         known = found.parent.is_dir()

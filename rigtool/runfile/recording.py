@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rigtool.errors import RunFileError
 from rigtool.numerics.arrays import Array
-from rigtool.quantity import Quantity
+from rigtool.quantity import HOTTEST_DEGC, Quantity
 from rigtool.runfile import schema, tree
 from rigtool.runfile.model import Channel, Column, dataset, description_of
 from rigtool.runfile.opened import OpenFile, SharedFile, guard
@@ -26,6 +26,9 @@ from rigtool.runfile.opened import OpenFile, SharedFile, guard
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+
+MOST_HZ = 1e9
+"""Sampling rate that no bench of a motor has, Hz."""
 
 BLOCK_SAMPLES = 16 * schema.CHUNK
 """Samples that `Recording.blocks` reads at a time: HDF5 opens each signal anew for a block."""
@@ -74,10 +77,25 @@ class Recording:
     def read(self, channel: str, start: int = 0, stop: int | None = None) -> Array:
         """Return samples start..stop (stop excluded) of a channel as f8, in its unit.
 
-        Raises `RunFileError` where the channel is missing, damaged, or holds NaN or infinity.
+        Raises `RunFileError` where the channel is missing, damaged, or holds NaN, infinity or
+        numbers beyond `schema.LARGEST_NUMBER`, or `HOTTEST_DEGC`, or is a time of samples closer
+        than any are.
         """
         values = self.read_stored(channel, start, stop).astype(np.float64, copy=False)
-        self._require_finite(channel, values, start)
+        bad, limit = self._unusable(channel, values)
+        if bad.size:
+            raise RunFileError(
+                f"{self._path}: channel {channel!r} of recording {self.name!r} holds {bad.size} "
+                f"value{'s' if bad.size > 1 else ''} that {'are' if bad.size > 1 else 'is'} NaN, "
+                f"infinite or beyond {limit:g} {self.units[channel]}, the first at sample "
+                f"{start + bad[0]}; record it again, or leave that part out"
+            )
+        duration = values[-1] - values[0] if channel == schema.TIME and values.size else 0.0
+        if 0 < duration < (values.size - 1) / MOST_HZ:
+            raise RunFileError(
+                f"{self._path}: recording {self.name!r} has samples at more than {MOST_HZ:g} Hz: "
+                "its time is not in s; record or import it again"
+            )
         return values
 
     def blocks(
@@ -90,18 +108,23 @@ class Recording:
     ) -> Iterator[tuple[Array, ...]]:
         """Read samples start..stop of several channels together, `size` samples at a time.
 
-        Memory does not grow with the recording; raises as `read` does, NaN and infinity are given
-        where `finite` is false.
+        Memory does not grow with the recording; raises as `read` does, but gives NaN where `finite`
+        is false.
         """
         stop = self.size if stop is None else min(stop, self.size)
         # Blocks end where chunks do: none is decompressed twice.
         edges = [start, *range(start - start % size + size, stop, size), stop]
 
         def read(begin: int, end: int) -> tuple[Array, ...]:
-            if not finite:
-                stored = (self.read_stored(channel, begin, end) for channel in channels)
-                return tuple(values.astype(np.float64, copy=False) for values in stored)
-            return tuple(self.read(channel, begin, end) for channel in channels)
+            if finite:
+                return tuple(self.read(channel, begin, end) for channel in channels)
+            stored = [
+                self.read_stored(channel, begin, end).astype(np.float64, copy=False)
+                for channel in channels
+            ]
+            for channel, values in zip(channels, stored, strict=True):
+                values[self._unusable(channel, values)[0]] = np.nan
+            return tuple(stored)
 
         if len(edges) == 2:  # no thread for what is short
             if start < stop:
@@ -187,20 +210,14 @@ class Recording:
         }
         return dataset((schema.TIME,), columns)
 
-    def _require_finite(self, channel: str, values: Array, start: int) -> None:
-        # One pass without a temporary array: a sum is finite only if all its terms are.
+    def _unusable(self, channel: str, values: Array) -> tuple[NDArray[np.intp], float]:
+        """Return where values are NaN or larger than a signal of this unit is, and that limit."""
+        limit = HOTTEST_DEGC if self.units[channel] == "degC" else schema.LARGEST_NUMBER
+        # One pass without a temporary array, mostly: no square is larger than the sum of all.
         with np.errstate(over="ignore", invalid="ignore"):
-            if np.isfinite(np.sum(values)):
-                return
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size == 0:
-            return
-        raise RunFileError(
-            f"{self._path}: channel {channel!r} of recording {self.name!r} holds {bad.size} "
-            f"value{'s' if bad.size > 1 else ''} that {'are' if bad.size > 1 else 'is'} NaN or "
-            f"infinite, the first at sample {start + bad[0]}; record it again, or leave that part "
-            "out"
-        )
+            if np.dot(values, values) <= limit**2:
+                return np.empty(0, np.intp), limit
+        return np.flatnonzero(~(np.abs(values) <= limit)), limit
 
 
 def _common_size(recording: tree.Group) -> int:

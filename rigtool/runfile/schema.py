@@ -77,8 +77,8 @@ MAX_COMPRESSION = 1100
 """Deflate cannot shrink by more than 1032; a dataset that claims more is not in the file."""
 
 LARGEST_NUMBER = 1e30
-"""Largest result or entry of a table that a command computes with, in SI units: far beyond any rig,
-and its powers stay numbers."""
+"""Largest sample, result or entry of a table that a command computes with, in SI units: far beyond
+any rig, and its powers stay numbers."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,99}")
 

@@ -157,6 +157,15 @@ def test_sources_that_do_not_go_together(kt, staircase):
         rigtool.calibrate_kt(kt, ouput="kt.h5")
 
 
+def masked(frame):
+    return np.ma.array(frame.force, mask=np.arange(len(frame)) == 7)
+
+
+def stating(frame, units):
+    frame.attrs["units"] = units
+    return frame
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -181,6 +190,19 @@ def test_sources_that_do_not_go_together(kt, staircase):
             lambda frame: {"staircase": {**frame, "force": frame[["force"]]}},
             r"has shape \(31200, 1\)",
         ),
+        (
+            lambda frame: {"staircase": {**frame, "force": masked(frame)}},
+            "force: 1 samples are masked",
+        ),
+        (lambda frame: {"staircase": {**frame, "force": frame.force + 1j}}, "type is complex"),
+        (
+            lambda frame: {"staircase": frame.assign(time=pd.to_timedelta(frame.time, "s"))},
+            "type is timedelta64",
+        ),
+        (lambda frame: {"staircase": frame.to_records(index=False)}, "is a recarray: give a"),
+        (lambda frame: {"staircase": None}, "is a NoneType: give a DataFrame"),
+        (lambda frame: {1: frame}, "1 is given, recordings of this recipe are staircase"),
+        (lambda frame: {"staircase": stating(frame, "mN")}, r"attrs\['units'\] is 'mN'"),
     ],
 )
 def test_arrays_that_are_no_recording_are_refused(staircase, change, message):
@@ -196,11 +218,20 @@ def test_units_that_a_frame_states_are_compared(staircase):
         rigtool.calibrate_kt({"staircase": staircase}, recipe=RECIPE)
 
 
-def test_arrays_that_fail_leave_nothing_behind(kt, staircase, tmp_path):
-    staircase.loc[5, "force"] = math.nan
+def test_arrays_are_not_drawn_and_outputs_have_names(staircase):
+    with pytest.raises(UsageError, match="nothing is drawn"):
+        rigtool.calibrate_kt({"staircase": staircase}, recipe=RECIPE, seed=3)
+    with pytest.raises(UsageError, match="holds a NUL"):
+        rigtool.calibrate_kt(path_of("kt"), output="a\0b")
+
+
+@pytest.mark.parametrize("value", [math.nan, -math.inf, 2e30])
+def test_arrays_that_fail_leave_nothing_behind(kt, staircase, tmp_path, value):
+    staircase.loc[5, "force"] = value
     output = tmp_path / "kt.h5"
     with pytest.raises(RunFileError, match=r"'force'.*NaN") as caught:
         rigtool.calibrate_kt({"staircase": staircase}, recipe=kt.recipe, output=output)
+    assert "the first at sample 5" in str(caught.value)
     assert not getattr(caught.value, "__notes__", [])
     assert list(tmp_path.iterdir()) == []
 

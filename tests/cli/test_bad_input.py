@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import h5py
@@ -28,9 +29,8 @@ COMMANDS = {
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Work among copies of the fixtures."""
-    for file in FIXTURES.glob("*.h5"):
-        shutil.copy(file, tmp_path)
+    """Work beside a recipe and a calibration."""
+    shutil.copy(FIXTURES / "kt.h5", tmp_path)
     shutil.copy(RECIPE, tmp_path / "rig.toml")
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -57,13 +57,15 @@ def refused(capsys):
 @pytest.fixture(params=COMMANDS)
 def command(request, folder, refused):
     """Return a function that runs one command on a source; it gives the code and the message."""
-    _, inputs = COMMANDS[request.param]
+    fixture, inputs = COMMANDS[request.param]
+    for name in {f"{fixture}.h5", *inputs[1::2]}:
+        shutil.copy(FIXTURES / name, folder)
 
     def run(source, *more, output="out.h5"):
         return refused([request.param, str(source), *inputs, "-o", output, *more])
 
     run.name = request.param
-    run.fixture = f"{COMMANDS[request.param][0]}.h5"
+    run.fixture = f"{fixture}.h5"
     return run
 
 
@@ -119,8 +121,9 @@ def test_file_of_a_newer_schema(command, folder):
     assert "schema version 99.0" in message
 
 
-def test_run_of_another_command(command):
+def test_run_of_another_command(command, folder):
     other = "kt.h5" if command.name != "calibrate-kt" else "ripple.h5"
+    shutil.copy(FIXTURES / other, folder)
     code, message = command(other)
     assert code == 3
     assert command.name in message
@@ -166,6 +169,7 @@ def test_unknown_setting(command):
     ],
 )
 def test_tables_learned_elsewhere(folder, refused, setting, reason):
+    shutil.copy(FIXTURES / "tables.h5", folder)
     line = ["measure-force", "rig.toml", "--kt", "kt.h5", "--tables", "tables.h5"]
     code, message = refused([*line, "-o", "out.h5", "--set", setting])
     assert code == 3
@@ -274,8 +278,10 @@ def _link(path, target):
 def test_paths_of_every_kind_are_refused(kind, folder, refused):
     """One place opens inputs: no pipe is waited for, and each refusal has the same exit code."""
     path = str(PATHS[kind](folder))
-    source = ["import", "rig.toml", "--map", path, "-o", "out.h5"]
-    for line in (["info", path], ["recover", path, "-o", "out.h5"], source):
+    lines = [["info", path], ["recover", path, "-o", "out.h5"]]
+    if kind != "pipe":
+        lines.append(["import", "rig.toml", "--map", path, "-o", "out.h5"])
+    for line in lines:
         code, message = refused(line)
         assert code == (2 if kind == "NUL" else 3)
         assert message.count(": ") >= 2  # what was given, what is wrong, what helps
@@ -283,7 +289,58 @@ def test_paths_of_every_kind_are_refused(kind, folder, refused):
     if kind not in ("folder", "NUL"):
         assert refused(["import", path, "-o", "out.h5"])[0] == 3
     with pytest.raises(RecipeError):
-        read_document(path, "recipe", "recipes/")
+        read_document(path, "recipe", "recipes/", pipe=False)
+
+
+@pytest.fixture
+def pipe():
+    """Return what gives the name of a pipe that holds a text, as `<(...)` of a shell does."""
+    ends = []
+
+    def holding(text):
+        reader, writer = os.pipe()
+        ends.append(reader)
+        os.write(writer, text.encode())
+        os.close(writer)
+        return f"/dev/fd/{reader}"
+
+    yield holding
+    for end in ends:
+        os.close(end)
+
+
+def test_recipes_and_mappings_come_through_pipes(folder, pipe, refused):
+    dry = ["calibrate-kt", pipe(RECIPE.read_text("utf-8")), "--dry-run", "-o", "out.h5"]
+    with pytest.raises(SystemExit, match="0"):
+        main(dry)
+    Path("i.csv").write_text("time,current\n" + "".join(f"{n},{n}\n" for n in range(9)))
+    mapping = (
+        'mapping = 1\n[rig]\nname = "x"\n[signals.time]\ncolumn = "time"\nunit = "s"\n'
+        '[signals.current]\ncolumn = "current"\nunit = "A"\n'
+    )
+    with pytest.raises(SystemExit, match="0"):
+        main(["import", "i.csv", "--map", pipe(mapping), "-o", "imported.h5"])
+    assert Path("imported.h5").exists()
+    code, message = refused(["calibrate-kt", pipe("x = 1\n" * 9000), "-o", "again.h5"])
+    assert (code, "Cannot overwrite a value" in message) == (3, True)
+    assert not Path("again.h5").exists()
+
+
+def test_a_pipe_that_never_ends_is_refused(folder, refused):
+    reader, writer = os.pipe()
+    with ThreadPoolExecutor(1) as worker:
+        writing = worker.submit(_write_for_ever, writer)
+        code, message = refused(["calibrate-kt", f"/dev/fd/{reader}", "-o", "out.h5"])
+        os.close(reader)
+        with pytest.raises(BrokenPipeError):
+            writing.result()
+    os.close(writer)
+    assert (code, "is larger than 262144 bytes" in message) == (3, True)
+
+
+def _write_for_ever(end):
+    while True:
+        os.write(end, b"# nothing\n" * 1000)
 
 
 @pytest.mark.parametrize("output", ["", ".", "/", "a" * 300, "a/" * 2100])

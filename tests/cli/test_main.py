@@ -245,6 +245,14 @@ def test_options_arrive_together():
     assert "Example:\n    rigtool x a.toml -o a.h5" in command.get_help(click.Context(command))
 
 
+def test_a_name_in_a_message_of_usage_cannot_steer_the_terminal(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["info", "kt.h5", "evil\x1b]0;title\a.h5"])
+    err = capsys.readouterr().err
+    assert "Usage: rigtool info" in err
+    assert r"(evil\x1b]0;title\x07.h5)" in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "terminal", "drawn"),
     [([], True, True), (["-q"], True, False), (["--no-progress"], True, False), ([], False, False)],

@@ -21,6 +21,7 @@ LINES = {
     "analysed": "calibrate-kt kt.h5 -o kt.h5 --overwrite",
     "a line over its recipe": "calibrate-kt line.toml -o o.h5 --spy line.toml --overwrite",
     "a line over a run": "stribeck line.toml --kt kt.h5 -o o.h5 --spy kt.h5 --overwrite",
+    "a line over a stored table": "deploy kt.h5 --rig line.toml --spy kt.h5 --overwrite",
     "recovered": "recover kt.h5.part -o kt.h5.part --overwrite",
 }
 

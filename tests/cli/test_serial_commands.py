@@ -12,12 +12,11 @@ import h5py
 import pytest
 
 from rigtool.recipe import load_recipe
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.target.link import TargetState
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import RECIPE, overrides
 from tests.rigs.serial.target.test_driver_faults import wait_until
 from tests.thorough import thorough
@@ -110,6 +109,14 @@ def test_dry_run_refuses_what_no_drive_measures(tmp_path, capsys, driver, expect
         assert "it records force, which odrive does not measure: add [serial.force]" in err
     else:
         assert "Whether the drive offers all of this is checked when it is connected" in out
+
+
+@pytest.mark.parametrize(("name", "port"), [("sqale", "/dev/none"), ("sauter", "")])
+def test_dry_run_refuses_instruments_that_nobody_can_read(tmp_path, capsys, name, port):
+    more = [f"serial.force.driver={name}", f'serial.force.port="{port}"']
+    code, _out, err = calibrate(capsys, tmp_path, "/dev/none", "--dry-run", more=more)
+    assert code == 3
+    assert ("serial.force.port is missing" if name == "sauter" else "use one of operator") in err
 
 
 def test_dry_run_refuses_what_is_beyond_the_limits(tmp_path, capsys):

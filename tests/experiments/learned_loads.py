@@ -3,9 +3,11 @@
 import os
 import shutil
 
-from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
+import pytest
+
+from rigtool.cli import main
 from tests.alone import alone
-from tests.experiments.virtual_runs import RECIPE, run
+from tests.experiments.virtual_runs import RECIPE
 
 KT = RECIPE.parents[1] / "tests" / "fixtures" / "kt.h5"
 RIG = ("virtual.instrument.stiffness=0.13", "virtual.instrument.load_friction=0.2")
@@ -21,9 +23,12 @@ D = (
     "ilc_learn.loads.cycles=12",
 )
 
+LINE = "ilc-learn {recipe} --kt {kt} --implementation D -o {tables}"
+"""What is typed, as the README shows it."""
 
-def learned_loads(tmp_path_factory, folder):
-    """Return the path of the tables, copied into a folder; the first who asks learns them."""
+
+def learned_loads(tmp_path_factory, path):
+    """Copy the tables to a path, which is returned; the first who asks learns them."""
     session = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         session = session.parent
@@ -31,6 +36,10 @@ def learned_loads(tmp_path_factory, folder):
     with alone(session / "learned-loads.lock"):
         if not shared.exists():
             mine = tmp_path_factory.mktemp("learning") / "tables.h5"
-            run(ILC_LEARN, RECIPE, mine, *RIG, *D, kt=KT)
+            settings = [part for setting in (*RIG, *D) for part in ("--set", setting)]
+            line = LINE.format(recipe=RECIPE, kt=KT, tables=mine).split()
+            with pytest.raises(SystemExit) as ended:
+                main([*line, *settings])
+            assert ended.value.code == 0
             mine.rename(shared)
-    return shutil.copy(shared, folder / "tables.h5")
+    return shutil.copy(shared, path)

@@ -58,6 +58,7 @@ SHORT = {
         "measure_force.record_every=40",
     ),
     IDENTIFY_PLANT: (
+        "rig.attachment=pulley",
         "identify_plant.speeds=[16]",
         "identify_plant.realisations=2",
         "identify_plant.periods=4",

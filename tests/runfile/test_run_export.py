@@ -2,6 +2,7 @@
 
 import os
 import sys
+from pathlib import Path
 
 import netCDF4
 import numpy as np
@@ -11,10 +12,12 @@ import pytest
 import xarray
 from scipy.io import loadmat
 
-from rigtool.errors import UsageError
+from rigtool.errors import RunFileError, UsageError
 from rigtool.runfile import Recording, RunWriter, open_run
 from rigtool.runfile.export import export
 from tests.runfile.whole_run import SIZE, SPECS, TABLES, samples, write
+
+KT = Path(__file__).parents[1] / "fixtures" / "kt.h5"
 
 
 def exported(run_path, path, part=None, overwrite=False):
@@ -142,6 +145,21 @@ def test_netcdf(run_path, tmp_path):
     path = exported(run_path, tmp_path / "a.nc")
     with xarray.open_dataset(path, engine="h5netcdf", group="entry/recordings/holds") as data:
         np.testing.assert_array_equal(data["torque"], samples()["holds"]["torque"])
+
+
+@pytest.mark.parametrize("other", [b"something else", KT.read_bytes()])
+def test_a_run_that_is_replaced_before_it_is_copied(run_path, tmp_path, other):
+    with open_run(run_path) as run:
+        (tmp_path / "new").write_bytes(other)
+        moved = tmp_path / "moved.h5"
+        os.rename(run_path, moved)
+        os.replace(tmp_path / "new", run_path)
+        try:
+            with pytest.raises(RunFileError, match="was replaced or changed"):
+                export(run, tmp_path / "a.nc", None, False)
+        finally:
+            os.replace(moved, run_path)  # it is of other tests too
+    assert not (tmp_path / "a.nc").exists()
 
 
 def test_netcdf_of_another_reader(run_path, tmp_path):

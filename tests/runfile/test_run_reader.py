@@ -12,7 +12,7 @@ import pytest
 
 from rigtool.errors import RunFileError
 from rigtool.experiments.learning.stored_table import stored_table_from
-from rigtool.runfile import RecordingSpec, RunWriter, open_run, provenance
+from rigtool.runfile import Channel, RecordingSpec, RunWriter, open_run, provenance
 from rigtool.runfile.objects import make_group, make_text, set_attribute
 from tests.runfile.whole_run import SPECS, samples, write
 
@@ -283,12 +283,40 @@ def test_a_signal_with_a_hole(tmp_path, bad):
 
 def test_large_numbers_are_no_hole(tmp_path):
     path = tmp_path / "run.h5"
-    block = {"time": np.arange(2.0), "torque": np.full(2, 1.5e308)}
+    block = {"time": np.arange(2.0), "torque": np.full(2, 9e29)}
     with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
         out.append("holds", block)
         out.finish({}, {})
     with open_run(path) as run:
-        assert run.recording("holds").read("torque").tolist() == [1.5e308] * 2
+        assert run.recording("holds").read("torque").tolist() == [9e29] * 2
+
+
+@pytest.mark.parametrize(("unit", "most"), [("degC", 250.0), ("N m", 1e30)])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_no_signal_is_larger_than_its_unit_allows(tmp_path, unit, most, sign):
+    path, values = tmp_path / "run.h5", np.full(5000, sign * most)
+    values[3] = math.nextafter(sign * most, sign * math.inf)
+    channels = (Channel("time", "s", "f8", "time"), Channel("signal", unit, "f8", "signal"))
+    spec = RecordingSpec("holds", channels)
+    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=[spec]) as out:
+        out.append("holds", {"time": np.arange(5000.0), "signal": values})
+        out.finish({}, {})
+    with open_run(path) as run:
+        recording = run.recording("holds")
+        assert np.all(recording.read("signal", 4) == sign * most)
+        with pytest.raises(RunFileError, match=r"1 value that is NaN.*the first at sample 3;"):
+            recording.read("signal", 2)
+        (read,) = np.concatenate([*recording.blocks("signal", finite=False)])
+    assert np.flatnonzero(np.isnan(read)).tolist() == [3]
+
+
+def test_a_time_that_is_not_in_seconds(tmp_path):
+    path = tmp_path / "run.h5"
+    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+        out.append("holds", {"time": np.arange(9.0) * 0.9e-9, "torque": np.zeros(9)})
+        out.finish({}, {})
+    with open_run(path) as run, pytest.raises(RunFileError, match="its time is not in s"):
+        run.recording("holds").rate()
 
 
 def test_a_damaged_chunk_is_named(tmp_path):

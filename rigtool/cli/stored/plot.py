@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, completed, current_output, example
+from rigtool.cli.options import (
+    FILE_ARGUMENT,
+    command_with,
+    completed,
+    current_output,
+    output_option,
+)
 
 
 def _names(path: str) -> list[str]:
@@ -15,24 +21,15 @@ def _names(path: str) -> list[str]:
         return plot_names(run)
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool plot friction.h5",
-        "rigtool plot friction.h5 torque_speed -o curve.pdf",
-        "rigtool plot friction.h5 recordings/holds/encoder -o encoder.png",
-        "rigtool plot friction.h5 figure-30",
-    ),
+@command_with(
+    "rigtool plot friction.h5",
+    "rigtool plot friction.h5 torque_speed -o curve.pdf",
+    "rigtool plot friction.h5 recordings/holds/encoder -o encoder.png",
+    "rigtool plot friction.h5 figure-30",
 )
 @click.argument("path", type=FILE_ARGUMENT, metavar="RUN.h5")
 @click.argument("name", required=False, shell_complete=completed(_names))
-@click.option(
-    "-o",
-    "--output",
-    type=FILE_ARGUMENT,
-    metavar="FILE",
-    help="Picture to write: .png, .svg or .pdf.  [default: RUN-NAME.svg]",
-)
+@output_option("FILE", "Picture to write: .png, .svg or .pdf.  [default: RUN-NAME.svg]")
 def command(path: str, name: str | None, output: str | None) -> None:
     """Draw a table, a signal or a figure of a run.
 

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, command_with, current_output, output_option
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool recover kt.h5.part", "rigtool recover kt.h5.part -o rescued.h5 --overwrite"
-    ),
-)
+@command_with("rigtool recover kt.h5.part", "rigtool recover kt.h5.part -o rescued.h5 --overwrite")
 @click.argument("part", type=FILE_ARGUMENT, metavar="RUN.h5.part")
-@click.option("-o", "--output", type=FILE_ARGUMENT, metavar="RUN.h5", help="Run file to write.")
+@output_option("RUN.h5", "Run file to write.")
 def command(part: str, output: str | None) -> None:
     """Make a run file from the remains of an interrupted run.
 

@@ -120,12 +120,12 @@ struct rs_model {
     /* ripple of another power-up: experiments/force_sensor/power_up.py has the equations */
     rs_real wave_kept, wave_gain, wave_mean[RS_WAVES], wave_variance[RS_WAVES], wave_doubt[RS_WAVES];
     rs_real row_noise, row_walk[2], row_reversal, row_contact, row_untouched, row_kept;
-    rs_real row_begins, row_ends, row_changes, row_least, row_certain, row_largest;
+    rs_real row_begins, row_ends, row_changes, row_least, row_evidence, row_certain, row_largest;
     /* states */
     rs_real sliding, slow, speed_limit, torque_limit, current_limit, largest_current, cold, warm;
     int32_t lowest, highest; /* counts */
     /* the reading: low-pass q' = A q + B M, y = C q + D M, and u^2 = (c s)^2 + (g y)^2 of its
-     * deviation s, by state, and while the rotor creeps */
+     * deviation s, by state, and while the rotor creeps; the ripple's variance is added */
     rs_real low_pass[RS_ORDER + 1][RS_ORDER + 1], scales[RS_KINDS][2], coverage;
 };
 
@@ -818,7 +818,8 @@ static inline void rs_take(struct rigtool_sensor *s)
     const rs_real plain = s->row[0] - s->plain, own = s->plain_variance + m->row_noise;
     rs_real part;
     int j;
-    s->other += likely - rs_weighed(&s->plain_touched, rs_density(plain, own), touching);
+    s->other += m->row_evidence
+        * (likely - rs_weighed(&s->plain_touched, rs_density(plain, own), touching));
     part = (1 - s->plain_touched) * s->plain_variance / own;
     s->plain += part * plain;
     s->plain_variance *= 1 - part;
@@ -829,7 +830,7 @@ static inline void rs_take(struct rigtool_sensor *s)
     for (j = 0; j < RS_WAVES; j += 2) {
         const rs_real *c = &m->wave_mean[j], *beta = &s->ripples[j + 1];
         if (rs_square(beta[0] - c[0]) + rs_square(beta[1] - c[1])
-            > m->row_largest * (c[0] * c[0] + c[1] * c[1])) {
+            > m->row_largest * (m->wave_variance[j] + m->wave_variance[j + 1])) {
             rs_begin_anew(s); /* a force that repeats with the angle */
             break;
         }
@@ -983,8 +984,8 @@ static inline int rs_read(struct rigtool_sensor *s)
             variance += c[i] * s->own[i][j] * c[j];
     }
     torque -= rs_rippled(s, &other);
-    variance = (variance > 0 ? variance : 0) + other;
-    if (!isfinite(torque) || !isfinite(variance))
+    variance = variance > 0 ? variance : 0;
+    if (!isfinite(torque + variance + other))
         return 0;
     now->fresh = 1;
     now->state = rs_state(s, torque);
@@ -995,7 +996,8 @@ static inline int rs_read(struct rigtool_sensor *s)
     now->torque = torque;
     i = now->state <= RIGTOOL_SENSOR_WITH && s->creeps ? RS_CREEPING : (int)now->state;
     scales = rs_model.scales[i];
-    now->u = RS_MATH(sqrt)(rs_square(scales[0]) * variance + rs_square(scales[1] * torque));
+    now->u = RS_MATH(sqrt)(
+        rs_square(scales[0]) * variance + rs_square(scales[1] * torque) + other);
     half = rs_model.coverage * now->u;
     now->low = torque - half;
     now->high = torque + half;

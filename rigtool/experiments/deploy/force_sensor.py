@@ -160,8 +160,7 @@ def _filter(instrument: SensorProperties) -> dict[str, Number]:
 
 def _ripple(instrument: SensorProperties) -> dict[str, Number]:
     model, step_time = instrument.model, instrument.grid.step_time
-    own, gain = power_up.learned_ripple(model)
-    amplitude = np.repeat(np.hypot(own[::2], own[1::2]), 2)
+    own, drawn, gain = power_up.learned_ripple(model)
     uncertainty = model.uncertainty
     size = model.plant(step_time).torque_factor * (uncertainty.stroke + uncertainty.friction_noise)
     row_time = power_up.row_steps(step_time) * step_time
@@ -169,8 +168,8 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "wave_kept": math.exp(-step_time / model.learned.shape.ripple_time),
         "wave_gain": gain,
         "wave_mean": -own,
-        "wave_variance": amplitude**2 / 2,
-        "wave_doubt": amplitude**2 / 2 * (power_up.WAVE_COUNT * row_time / power_up.FORGOTTEN),
+        "wave_variance": drawn,
+        "wave_doubt": drawn * (power_up.WAVE_COUNT * row_time / power_up.FORGOTTEN),
         "row_noise": (power_up.NOISE * size) ** 2,
         "row_walk": (np.array(power_up.WALKS) * size) ** 2 * row_time,
         "row_reversal": (power_up.AFTER_REVERSAL * size) ** 2 * row_time / power_up.ROW_TIME,
@@ -181,6 +180,7 @@ def _ripple(instrument: SensorProperties) -> dict[str, Number]:
         "row_ends": power_up.ENDS * row_time,
         "row_changes": power_up.CHANGES * row_time,
         "row_least": power_up.MIN_UNTOUCHED_PROBABILITY,
+        "row_evidence": power_up.ROW_EVIDENCE,
         "row_certain": power_up.MAX_LOG_RATIO,
         "row_largest": power_up.LARGEST_RIPPLE_RATIO**2,
     }

@@ -261,5 +261,9 @@ PROCEDURE = Procedure(
         "measure_force.correction",
         "measure_force.zero",
         "measure_force.motion.bandwidth_hz",
+        "rig.weights_relative_u",
+        "rig.pulley_radius_u",
+        "rig.instrument.grasper_length_u",
+        "rig.instrument.angle_ratio_relative_u",
     ),
 )

@@ -1,7 +1,8 @@
 """From the filter's deviation to the standard uncertainty, by the state of motion.
 
-    u^2 = (c s)^2 + (g M)^2,   s the filter's deviation, M the torque on the output
+    u^2 = (c s)^2 + (g M)^2 + r^2,   s the filter's deviation, M the torque on the output
 
+r is the deviation of another power-up's ripple: no error under known loads has a part of it.
 c and g of each kind of motion (`Judge.kinds`) are those whose 95 % intervals, half as wide as
 h = 1.96 u, have the least score under known loads with errors e (T. Gneiting, A. E. Raftery, J. Am.
 Stat. Assoc. 102(477) 359-378, 2007, section 6.2), in units of s:
@@ -60,10 +61,12 @@ class Errors:
     kinds: States
 
 
-def uncertainty_of_kinds(scales: Array, deviation: Array, torque: Array, kinds: States) -> Array:
-    """Return u (m,) N m by c and g of each kind, (kinds, 2)."""
+def uncertainty_of_kinds(
+    scales: Array, deviation: Array, torque: Array, kinds: States, variance: Array
+) -> Array:
+    """Return u (m,) N m by c and g of each kind, (kinds, 2); `variance` (m,) N2 m2 is r^2."""
     factor, share = scales[kinds].T
-    u: Array = np.hypot(factor * deviation, share * torque)
+    u: Array = np.sqrt((factor * deviation) ** 2 + (share * torque) ** 2 + variance)
     return u
 
 

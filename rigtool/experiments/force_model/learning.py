@@ -126,6 +126,19 @@ class SlidingFit:
             covariance=covariance,
         )
 
+    def moved_by(self, records: Sequence[Record], known: Known) -> Array:
+        """Return by how much the logarithms of the shape (p,) change where loads and rig are
+        others than they were said to be, to first order."""
+        own, model = self.problem, self.learned
+        other = Problem(records, own.terms, known, own.start, own.deviation, own.friction)
+        other.variance = own.variance
+        there, here = (
+            own.solved(normal.sum(axis=0), model.shape, len(SLIDING_PARAMETERS))[0]
+            for normal in (other.normal(model.shape, model.coefficient), self.normal)
+        )
+        moved: Array = (there - here)[: len(SLIDING_PARAMETERS)]
+        return moved
+
 
 def learn_sliding(
     records: Sequence[Record], known: Known, count: float, deviation: Deviations
@@ -158,8 +171,10 @@ def _searched(problem: Problem, shape: Shape) -> tuple[Shape, Array]:
 
     A step that raises the cost is taken anew, shorter (D. W. Marquardt, J. SIAM 11(2), 431, 1963):
     where a load swings with little damping, the model is linear over a small part of a step only.
+    Once near its end, records keep weights of their own: between those and equal ones, the search
+    would go to and fro.
     """
-    count, lift = len(SLIDING_PARAMETERS), 0.0
+    count, lift, near = len(SLIDING_PARAMETERS), 0.0, False
     coefficient, cost = problem.cost(shape)
     for _ in range(ROUNDS):
         normal = problem.normal(shape, coefficient).sum(axis=0)
@@ -176,10 +191,12 @@ def _searched(problem: Problem, shape: Shape) -> tuple[Shape, Array]:
             lift = max(4 * lift, MIN_LIFT)
         if cost_there < cost:
             shape, coefficient = there, coefficient_there
-        if not np.any(np.abs(step) >= enough):
+        ended = not np.any(np.abs(step) >= enough)
+        if ended and near:
             break
         lift /= 4
-        problem.weigh(shape, coefficient, near=bool(np.all(np.abs(step) < REWEIGHED_STEP)))
+        near = near or ended or bool(np.all(np.abs(step) < REWEIGHED_STEP))
+        problem.weigh(shape, coefficient, near)
         coefficient, cost = problem.cost(shape)
     return shape, coefficient
 

@@ -14,7 +14,12 @@ from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
 from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.contacts import Trial, thresholds, trial
-from rigtool.experiments.force_model.deviations import deviations, kept_by_mean, repeating
+from rigtool.experiments.force_model.deviations import (
+    MAX_SCATTER_RATIO,
+    deviations,
+    kept_by_mean,
+    scatter_ratios,
+)
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import TIME_APART, Errors, scales
 from rigtool.experiments.force_model.learning import SlidingFit, learn_sliding
@@ -70,11 +75,13 @@ def exploring(recipe: Recipe, number: int = 0) -> SpeedProfile:
 @dataclass(frozen=True)
 class LearnedForce:
     """The `model` of motor and instrument, and what `sliding` alone shows, from the strokes under
-    known loads `strokes` by the names of their recordings."""
+    known loads `strokes` by the names of their recordings; `scatter` is that of their cycles, in
+    that of most strokes."""
 
     model: ForceModel
     sliding: SlidingFit
     strokes: dict[str, Record]
+    scatter: dict[str, float]
 
 
 def learn_force(
@@ -93,11 +100,12 @@ def learn_force(
     rig = recipe.rig
     warm = float(np.mean([np.mean(recording.read("temperature")) for recording in strokes]))
     loaded = {r.name: stroke_record(r, recipe, kt, r.condition("force")) for r in strokes}
+    scatter = dict(zip(loaded, scatter_ratios(list(loaded.values())), strict=True))
     records = [
-        mean if same else replace(_whole(*_known(r, recipe, kt)), passes=mean.cycles)
-        for r, mean, same in zip(
-            strokes, loaded.values(), repeating(list(loaded.values())), strict=True
-        )
+        mean
+        if scatter[r.name] <= MAX_SCATTER_RATIO
+        else replace(_whole(*_known(r, recipe, kt)), passes=mean.cycles)
+        for r, mean in zip(strokes, loaded.values(), strict=True)
     ]
     records += [_repeated(r, recipe, kt, warm, 0.0) for r in moves]
     own = _condition(recipe, kt, float(np.mean(explored.read("temperature"))), 0.0)
@@ -133,13 +141,17 @@ def learn_force(
         rested = learn_turns(rested, turns, ForceModel(rested, deviating).untouched, STEP_TIME)
     model = ForceModel(rested, deviating)
     slowest = min(r.condition("speed") for r in strokes)
+    creeping = CREEP_SPEED_RATIO * slowest
     if checks:
         compared = [*checks, *_compared(strokes)]
-        errors = [_errors(r, recipe, kt, model, CREEP_SPEED_RATIO * slowest) for r in compared]
-        model = replace(model, scales=scales(errors))
+        errors = [_errors(r, recipe, kt, model, creeping) for r in compared]
+        found = scales(errors)
+        # as far as the known loads are off, so is all that is read in terms of them
+        found[..., 1] = np.hypot(found[..., 1], rig.loads_relative_u)
+        model = replace(model, scales=found)
     unloaded = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
-    tried = [_trial(r, recipe, kt, model) for r in (explored, *unloaded)]
-    return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded)
+    tried = [_trial(r, recipe, kt, model, creeping) for r in (explored, *unloaded)]
+    return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded, scatter)
 
 
 def _compared(strokes: Sequence[Recording]) -> list[Recording]:
@@ -168,8 +180,9 @@ def _input(own: LoopSignals, under: LoadCase, model: ForceModel) -> Signals:
     ]
 
 
-def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel) -> Trial:
-    """Return the tests for contacts along a recording in which nothing touches."""
+def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, slow: float) -> Trial:
+    """Return the tests for contacts along a recording in which nothing touches; a sliding rotor
+    creeps below `slow` rad/s."""
     own, under = _known(recording, recipe, kt)
     grid, corner_hz = FilterSteps.of(_interval(own)), recipe.measure_force.motion.corner_hz
     signals, plant = _input(own, under, model), model.plant(grid.sample_time)
@@ -178,9 +191,10 @@ def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel) -> 
         for u in (model.uncertainty, model.untouched)
     )
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(causal.low))
-    judge = Judge(UNLIMITED_REACH, under.count, grid.step_time, causal=True)
-    states = judge.states(Moments(causal.low, *moving, causal.passed, zeros, zeros))
-    return trial(untouched.torque, untouched.deviation, states, grid.step_time)
+    judge = Judge(replace(UNLIMITED_REACH, slow=slow), under.count, grid.step_time, causal=True)
+    moments = Moments(causal.low, *moving, causal.passed, zeros, zeros)
+    kinds = judge.kinds(judge.states(moments), moments)
+    return trial(untouched.torque, untouched.deviation, kinds, grid.step_time)
 
 
 def _errors(

@@ -5,19 +5,22 @@ Of a torque M on the output the filter finds, at the torque factor n,
     M^ = M + n sum of beta_j lag(w_j) + e,    w_j cosine and sine of orders of the rotor's angle
 
 with beta what the amplifier's ripple is off from the learned one, c. Either the power-up is that of
-the learning, beta = 0, or another: c + beta then has the learned amplitudes A with other phases,
+the learning, beta = 0, or another: c + beta then has amplitudes A with other phases,
 
-    beta ~ N(-c, A^2 / 2).
+    beta ~ N(-c, A^2 / 2),    A^2 = |c|^2 + share of the variance of c, of each order.
 
-A weak force that repeats with the angle looks like ripple. Once an order of c + beta is more than
-`LARGEST_RIPPLE_RATIO` times A it is none, and the second hypothesis begins anew.
+Along a part of a turn the low orders look like the housing's friction, so that c may be far smaller
+than the ripple is. A weak force that repeats with the angle looks like ripple, too. Once an order
+of c + beta is more than `LARGEST_RIPPLE_RATIO` times A it is none, and the second hypothesis begins
+anew.
 
 Under each hypothesis a Kalman filter reads M^ row by row. Where nothing touches, M is what strokes
 deviate by: about zero, and drawn anew by a reversal. So the mean of the ripple along the part of a
 turn that a motion uses shows, too. Where something touches, M^ is a random walk that may leap, and
 shows no ripple. Contacts begin and end at a rate, and a row counts by the probability that nothing
 touches (probabilistic data association: Y. Bar-Shalom, E. Tse, Automatica 11(5) 451-460, 1975), so
-that a weak contact is not taken for ripple. The likelihoods of both hypotheses weigh them; given is
+that a weak contact is not taken for ripple. The likelihoods of both hypotheses weigh them, by less
+than their ratio: the errors of rows that follow one another are alike. Given is
 the mean of the mixture, and its variance (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, Estimation with
 Applications to Tracking and Navigation, 2001, section 11.6.2, static multiple models).
 """
@@ -34,6 +37,7 @@ from rigtool.experiments.force_filter import passed
 from rigtool.experiments.force_filter.motion_states import SLIDING_DEFLECTION
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED, TORQUE, Record
 from rigtool.experiments.force_model.force_model import ForceModel
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.model import RIPPLE_ORDERS, Kind
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
@@ -51,7 +55,15 @@ BEGINS, ENDS, CHANGES = 0.2, 0.7, 2.0
 MIN_UNTOUCHED_PROBABILITY = 1e-6
 """Probability that nothing touches, below which a row does not count."""
 
-MEMORY, FORGOTTEN = 2.0, 60.0
+ROW_EVIDENCE = 0.5
+"""Part of the logarithm of a row's ratio of likelihoods that counts: noise of a row lasts for more
+than one."""
+
+UNCERTAIN_SHARE = 0.3
+"""Part of the variance of the learned waves that counts: that of the high orders is their prior's,
+which is several times what amplifiers have."""
+
+MEMORY, FORGOTTEN = 2.0, 300.0
 """Of M where nothing touches, s: about that of a stroke. And the time of sliding in which the doubt
 of the ripple grows by what it was at first: strokes pay back what others deviate by, a weak contact
 may be taken for ripple, and rows are not as independent as the equations have it."""
@@ -103,8 +115,7 @@ class PowerUp:
 
     def __init__(self, model: ForceModel, step_time: float, corner_hz: float) -> None:
         # ripple that grows with the current is in the variance alone
-        own, gain = learned_ripple(model)
-        amplitude = np.repeat(np.hypot(own[::2], own[1::2]), 2)
+        own, drawn, gain = learned_ripple(model)
         size = model.uncertainty.stroke + model.uncertainty.friction_noise
         factor = model.plant(step_time).torque_factor
         steps = row_steps(step_time)
@@ -115,8 +126,8 @@ class PowerUp:
         self._state = np.zeros(1, dtype=STATE)
         self._state["mean"][0, :-1] = -own
         self._state["learned"][0] = own
-        self._state["drawn"][0] = amplitude**2 / 2
-        variances = np.append(amplitude**2 / 2, (factor * size) ** 2)
+        self._state["drawn"][0] = drawn
+        variances = np.append(drawn, (factor * size) ** 2)
         self._state["covariance"][0] = np.diag(variances)
         self._state["plain_variance"] = variances[-1]
         self._state["level_variance"] = (CONTACT * factor * size) ** 2
@@ -165,17 +176,22 @@ def row_steps(step_time: float) -> int:
     return max(1, round(ROW_TIME / step_time))
 
 
-def learned_ripple(model: ForceModel) -> tuple[Array, float]:
+def learned_ripple(model: ForceModel) -> tuple[Array, Array, float]:
     """Return the ripple of the learned power-up, cosine and sine of each order N m, as it is at
-    low speed, and its root mean square per torque."""
-    own, gain = np.zeros(2 * len(RIPPLE_ORDERS)), 0.0
-    learned = model.learned
-    for term, value in zip(learned.terms, learned.coefficient.tolist(), strict=True):
+    low speed; the variance that another power-up's have; and its root mean square per torque."""
+    learned, gain = model.learned, 0.0
+    sums = np.zeros((WAVE_COUNT, len(learned.terms)))
+    for number, term in enumerate(learned.terms):
         if term.kind in (Kind.RIPPLE, Kind.COGGING) and term.order in RIPPLE_ORDERS:
-            own[2 * (term.order - 1) + term.quarter] += value
+            sums[2 * (term.order - 1) + term.quarter, number] = 1.0
         elif term.kind is Kind.GAIN_RIPPLE:
-            gain += value**2
-    return own, math.sqrt(gain)
+            gain += float(learned.coefficient[number]) ** 2
+    own = sums @ learned.coefficient
+    first = len(SLIDING_PARAMETERS)
+    doubt = np.diag(sums @ learned.covariance[first:, first:] @ sums.T)
+    squares = own**2 + UNCERTAIN_SHARE * doubt
+    drawn = np.repeat(squares.reshape(-1, 2).mean(axis=1), 2)
+    return own, drawn, math.sqrt(gain)
 
 
 @compiled
@@ -244,10 +260,11 @@ def _read(s: Record, p: Record) -> None:
         part = (1.0 - s.plain_touched) * s.plain_variance / variance
         s.plain += part * plain
         s.plain_variance *= 1.0 - part
-        s.other = min(max(s.other + likely - without, -MAX_LOG_RATIO), MAX_LOG_RATIO)
+        s.other += ROW_EVIDENCE * (likely - without)
+        s.other = min(max(s.other, -MAX_LOG_RATIO), MAX_LOG_RATIO)
         for i in range(0, WAVE_COUNT, 2):
             first, second = s.mean[i] + s.learned[i], s.mean[i + 1] + s.learned[i + 1]
-            square = s.learned[i] ** 2 + s.learned[i + 1] ** 2
+            square = s.drawn[i] + s.drawn[i + 1]
             if first * first + second * second > LARGEST_RIPPLE_RATIO**2 * square:
                 _begin_anew(s)
                 break

@@ -101,7 +101,7 @@ def _signals(recording: Recording, kt: Run | None, found: Findings) -> MotionSig
 def _notes(change: ParameterChange, recording: Recording, against: Recording) -> list[str]:
     notes = [
         f"{place(recording)} minus {place(against)}, at the same points of one motion; the second "
-        f"of them is {0.0 - change.shift:.4g} s later",
+        f"of them is {round(-change.shift, 9) + 0.0:.4g} s later",
         "what both runs share cancels: ripple, friction that is no straight line over speed, "
         "joints that move alike; coupling to other joints of an arm that the change brings is not "
         "in u",

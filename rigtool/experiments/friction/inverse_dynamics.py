@@ -44,11 +44,13 @@ from rigtool.experiments.friction.motion_terms import (
     NEAR_STANDSTILL,
     SPLIT,
     SmoothedMotion,
+    drift_terms,
     independent,
     weighted,
+    with_drift,
 )
 from rigtool.numerics.arrays import Array
-from rigtool.numerics.residual_covariance import long_run_covariance
+from rigtool.numerics.residual_covariance import kept_by_fit, long_run_covariance
 
 AS_WELL, ON_ONE_SIDE = 3.0, 2.0
 """Standard deviations by which chance raises the power of residuals near standstill, and moves
@@ -146,6 +148,7 @@ def identify_dynamics(motions: Sequence[SmoothedMotion]) -> Dynamics:
     _require_friction(np.concatenate([motion.design[motion.used] for motion in motions]))
     without = _resolves_inertia(motions)[1]
     plain = [1, 2, 3] if without else [0, 1, 2, 3]
+    motions = with_drift(motions, [*plain, SPLIT])
     motions, delay, change = on_time(motions, [*plain, SPLIT])
     late = [DELAY] if delay else []
     split = [*plain, SPLIT, *late]
@@ -176,8 +179,9 @@ def _with_all_that_fits(
         design, torque, weight = weighted(here)
         solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
         _, _, wider = weighted(more)
-        rows = np.concatenate([motion.design for motion in motions])[:, chosen]
-        left = np.concatenate([motion.torque for motion in motions]) - rows @ solution
+        left = np.concatenate(
+            [torque - design[:, chosen] @ solution for design, torque in (m.rows() for m in here)]
+        )
         new = (wider > 0) & (weight == 0)
         along = (left * np.sign(_speed(motions)))[new]
         others = float(np.mean(left[weight > 0] ** 2))
@@ -202,6 +206,8 @@ def _fit(
     covariance, dof = long_run_covariance(
         design[:, chosen], residual, independent(motions, residual)
     )
+    loss = np.sqrt(kept_by_fit(design[:, chosen], dof, drift_terms(motions)))
+    covariance = covariance / np.outer(loss, loss)
     doubt, by_speed, by_position = _doubt(motions, design[:, chosen], residual, weight)
     doubt = np.hypot(doubt, _choice(motions, chosen, solution))
     if 0 in chosen:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +31,12 @@ from rigtool.numerics.smoothing import (
 DYNAMICS_PARAMETERS = ("inertia", "viscous", "coulomb", "offset", "viscous_difference", "delay")
 
 SPLIT, DELAY = DYNAMICS_PARAMETERS.index("viscous_difference"), DYNAMICS_PARAMETERS.index("delay")
+
+SPEED = DYNAMICS_PARAMETERS.index("viscous")
+
+DRIFT_REVERSALS, MOST_DRIFT, LEAST_DRIFT, DRIFT_RATIO = 4, 10, 2, 3.0
+"""Reversals for each cosine of a drift, its most and fewest cosines, and the ratio of their power
+to that of the next ones from which on there is a drift."""
 
 NARROWEST_KERNEL = 2.0
 """Smallest standard deviation of the kernel, in samples."""
@@ -71,7 +77,8 @@ class SmoothedMotion:
     `design` (n, 5) for J, fv, fc, offset, fd; `torque` (n,); `position` (n,); `used` (n,) is one of
     `sliding` (k, n), those for each of `NEAR_STANDSTILL`; `noise` are the standard deviations of
     speed and acceleration that the position's noise makes; `cutoff` in Hz; of the recorded
-    `samples` a row stands for `every`; `resampled` where the time axis was irregular.
+    `samples` a row stands for `every`; `resampled` where the time axis was irregular. With `drift`,
+    so many slow cosines of time are taken out of design and torque before a fit.
     """
 
     design: Array
@@ -85,11 +92,30 @@ class SmoothedMotion:
     samples: int
     every: int
     resampled: bool
+    drift: int = 0
 
     @property
     def left_out(self) -> int:
         """Number of samples that are not used."""
         return max(0, self.samples - int(self.used.sum()) * self.every)
+
+    def slow(self, count: int) -> Array:
+        """Return the `count` slowest cosines over the recording but the constant, (n, count)."""
+        phase = np.pi * (np.arange(len(self.torque)) + 0.5) / len(self.torque)
+        cosines: Array = np.cos(np.multiply.outer(phase, np.arange(1, count + 1)))
+        return cosines
+
+    def rows(self) -> tuple[Array, Array]:
+        """Return design (n, 5 or 6) and torque (n,) without what the slow cosines explain.
+
+        A fit to these is one that has the cosines among its regressors (Frisch & Waugh,
+        Econometrica 1(4) 387-401, 1933).
+        """
+        if self.drift == 0:
+            return self.design, self.torque
+        slow, both = self.slow(self.drift), np.column_stack([self.design, self.torque])
+        both -= slow @ np.linalg.lstsq(slow[self.used], both[self.used], rcond=None)[0]
+        return both[:, :-1], both[:, -1]
 
 
 def band_limit(
@@ -187,8 +213,42 @@ def _highest_frequency(signal: Array, spacing: float) -> float:
 def weighted(motions: Sequence[SmoothedMotion]) -> tuple[Array, Array, Array]:
     """Return design (n, 5 or 6), torque (n,), weight (n,); each second has the same weight."""
     weight = np.concatenate([m.used * m.spacing**0.5 for m in motions])
-    design = np.concatenate([motion.design for motion in motions]) * weight[:, None]
-    return design, np.concatenate([motion.torque for motion in motions]) * weight, weight
+    rows = [motion.rows() for motion in motions]
+    design = np.concatenate([design for design, _ in rows]) * weight[:, None]
+    return design, np.concatenate([torque for _, torque in rows]) * weight, weight
+
+
+def drift_terms(motions: Sequence[SmoothedMotion]) -> Array:
+    """Return the cosines of all drifts (n, k), weighted as `weighted` does."""
+    found = [np.zeros((len(motion.torque), sum(m.drift for m in motions))) for motion in motions]
+    first = 0
+    for motion, terms in zip(motions, found, strict=True):
+        here = motion.slow(motion.drift) * motion.used[:, None] * motion.spacing**0.5
+        terms[:, first : first + motion.drift] = here
+        first += motion.drift
+    return np.concatenate(found)
+
+
+def with_drift(motions: Sequence[SmoothedMotion], chosen: Sequence[int]) -> list[SmoothedMotion]:
+    """Return the motions, with a drift of the effort where the residuals of a fit show one.
+
+    The slowest cosines of a recording, well below the frequency of its reversals, then have
+    `DRIFT_RATIO` times the power of the next ones.
+    """
+    design, torque, _ = weighted(motions)
+    solution = np.linalg.lstsq(design[:, chosen], torque, rcond=None)[0]
+    found = []
+    for motion in motions:
+        turned = int(np.count_nonzero(np.diff(np.sign(motion.design[:, SPEED]))))
+        count = min(turned // DRIFT_REVERSALS, MOST_DRIFT)
+        if count >= LEAST_DRIFT:
+            left = (motion.torque - motion.design[:, chosen] @ solution)[motion.used]
+            slow = motion.slow(3 * count)[motion.used]
+            power = np.linalg.lstsq(slow, left, rcond=None)[0] ** 2
+            if power[:count].mean() > DRIFT_RATIO * power[count:].mean():
+                motion = replace(motion, drift=count)
+        found.append(motion)
+    return found
 
 
 def independent(motions: Sequence[SmoothedMotion], residual: Array) -> float:

@@ -200,8 +200,8 @@ def _transient(speed: Array, memory: int) -> Mask:
     wild = magnitude > OUTLIER_RATIO * max(float(np.percentile(magnitude, 95)), 1e-300)
     if not wild.any():
         return wild
-    spread: Mask = np.convolve(wild, np.ones(2 * memory + 1), "same") > 0.5
-    return spread
+    spread: Mask = np.convolve(wild, np.ones(2 * memory + 1)) > 0.5
+    return spread[memory : memory + wild.size]
 
 
 def find_scales(paths: Sequence[ShaftPath], torques: Sequence[Array], turn: float) -> Scales:

@@ -53,6 +53,10 @@ APART_SPEED = 0.1
 FEWEST_LEFT = 3
 """Levels without the last that show how well the model holds beyond them, at least."""
 
+LEAST_FRICTION = 0.05
+"""Friction of the wrong sign, in standard deviations of the effort, from which on current and
+position have opposite signs."""
+
 ALIKE_RATIO = 1.96 / 1.44
 """Ratio of factors on u: an interval narrower by this holds 85 instead of 95 %."""
 
@@ -151,7 +155,7 @@ def learn_load_model(
     sides, held = [side for side, _ in found], [out for _, out in found]
     torque, speed, place, recording = _both(rows, "torque", "speed", "place", "recording")
     error, u, resolved, slope = _both(held, "error", "u", "resolved", "slope")
-    direction = int(np.sign(np.mean(slope) * np.mean(torque))) or 1
+    direction = resisted_direction(rows, float(np.mean(slope)))
     spacing = float(np.ptp(torque)) / (levels - 1)
     measured = np.where(resolved, torque + error, np.nan)
     model = LoadModel(
@@ -178,6 +182,21 @@ def learn_load_model(
 def _both(parts: Sequence[Rows] | Sequence[HeldOut], *names: str) -> list[NDArray]:
     """Return values of both directions, one behind the other."""
     return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
+
+
+def resisted_direction(rows: Sequence[Rows], slope: float) -> int:
+    """Return the sign of the speed that the load resists, from `rows` of positive and of negative
+    speeds and the `slope` of effort by torque.
+
+    There the load raises the effort as friction does, also where current and position have opposite
+    signs; friction is what efforts of both directions differ by at one torque.
+    """
+    (rising, falling), (along, back) = (
+        [float(np.mean(getattr(one, name))) for one in rows] for name in ("effort", "torque")
+    )
+    friction = rising - falling - slope * (along - back)
+    opposite = -1 if friction < -LEAST_FRICTION else 1
+    return opposite * int(np.sign(slope * (along + back))) or 1
 
 
 def _fit(rows: Rows, folds: Numbers, levels: int, pace: Numbers, prior: Side | None) -> Fit:

@@ -168,7 +168,8 @@ def _steadied(floor: Array) -> Array:
     five shows less than half the scatter that corresponds to its amplitude.
     """
     window = np.ones(2 * NEIGHBOURING_ORDERS + 1)
-    around = np.convolve(floor**2, window, "same") / np.convolve(floor**0, window, "same")
+    here = slice(NEIGHBOURING_ORDERS, NEIGHBOURING_ORDERS + floor.size)
+    around = (np.convolve(floor**2, window) / np.convolve(floor**0, window))[here]
     steadied: Array = np.maximum(floor, np.sqrt(around))
     return steadied
 

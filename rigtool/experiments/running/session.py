@@ -16,19 +16,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rigtool.errors import RecipeError, RunFileError, UsageError
+import numpy as np
+
+from rigtool.errors import (
+    NO_RESULT_REMEDY,
+    InsufficientDataError,
+    RecipeError,
+    RunFileError,
+    UsageError,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
-from rigtool.experiments.running.dry_run import (
-    dry_run,
-    rehearse,
-    require_gauges,
-    require_offered,
-)
+from rigtool.experiments.running.dry_run import dry_run, rehearse, require_gauges, require_offered
 from rigtool.experiments.running.lines import open_lines
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.terminal import open_live
 from rigtool.experiments.torque_per_ampere import torque_per_ampere
+from rigtool.inputs import is_recipe
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.rigs import Block, Rig, open_rig
 from rigtool.rigs.operator import Operator
@@ -46,6 +50,23 @@ AS_IT_COMES = "as it comes"
 """Names in drawings of what a rig reports before the signals of a motion are complete."""
 
 
+@contextmanager
+def solvable() -> Iterator[None]:
+    """Turn equations that have no solution into `InsufficientDataError`: signals that are zero,
+    constant, or far from any rig's.
+    """
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raised = InsufficientDataError(
+            f"the signals determine no result ({error}): {NO_RESULT_REMEDY}"
+        )
+        for note in getattr(error, "__notes__", ()):
+            raised.add_note(note)
+        raise raised from error
+
+
+@solvable()
 def run_command(
     procedure: Procedure,
     sources: Sequence[str],
@@ -59,9 +80,9 @@ def run_command(
     `inputs` are open runs by the name of their option. Raises `UsageError` for sources that do not
     go together.
     """
-    recipes = [source for source in sources if Path(source).suffix == ".toml"]
+    recipes = [source for source in sources if is_recipe(source)]
     if not recipes:
-        _require_nothing_to_measure(options)
+        require_nothing_to_measure(options)
         return _analyse_stored(procedure, sources, output, options, inputs)
     if len(sources) > 1:
         raise UsageError(
@@ -206,15 +227,14 @@ def _permit(
     inputs: Mapping[str, Run],
 ) -> None:
     """Refuse motions beyond the rig's abilities or limits, show the plan, and ask for consent."""
-    assert recipe.serial is not None
     plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
-    require_gauges(plan, recipe.serial, procedure.command)
+    require_gauges(plan, recipe.line, procedure.command)
     require_offered(rig, plan, procedure.command)
-    plan.check(recipe.serial.limits)
+    plan.check(recipe.line.limits)
     rig.permit(str(plan))
 
 
-def _require_nothing_to_measure(options: CommonOptions) -> None:
+def require_nothing_to_measure(options: CommonOptions) -> None:
     """Raise `UsageError` for an option that has no meaning where signals are stored already."""
     if options.dry_run:
         raise UsageError("--dry-run: of stored runs nothing would move: leave it out")

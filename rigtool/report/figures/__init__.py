@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLOTS
     force,
     headline,
+    imports,
     instrument,
     learning,
     motor,
@@ -23,10 +23,8 @@ from rigtool.report.figures import (  # noqa: F401  each adds its figures to PLO
 from rigtool.report.figures.plots import HEADLINE, PLOTS, Plot
 from rigtool.report.figures.side_by_side import Drawn, draw_all
 from rigtool.report.published import is_of_thesis
+from rigtool.runfile import Run
 from rigtool.runfile.opened import guard
-
-if TYPE_CHECKING:
-    from rigtool.runfile import Run
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rigtool.numerics.arrays import Array
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from rigtool.runfile import Run, Table
-
+from rigtool.report.figures import style
+from rigtool.runfile import Run, Table
 
 MILLI = 1e3
 COUNTS_LABEL = "encoder position [quad counts]"
@@ -50,13 +46,13 @@ def full_cycle(position: Array, rising: Array, falling: Array, end: float) -> tu
     )
 
 
-def cycle_axis(axes: Axes, end: float) -> None:
+def cycle_axis(axes: style.Axes, end: float) -> None:
     """Set the abscissa to one up-and-down, 0 to 2 `end`, with a tick every quarter stroke."""
     axes.set_xlim(0, 2 * end)
     axes.set_xticks(np.linspace(0, 2 * end, 9).round())
 
 
-def fit_height(axes: Axes, *curves: Array, margin: float = 0.08) -> None:
+def fit_height(axes: style.Axes, *curves: Array, margin: float = 0.08) -> None:
     """Set the ordinate to the range of these curves; other curves may leave the plot."""
     low = min(float(np.nanmin(curve)) for curve in curves)
     high = max(float(np.nanmax(curve)) for curve in curves)

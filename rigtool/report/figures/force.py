@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from rigtool.numerics.arrays import Array, Mask
@@ -20,12 +18,7 @@ from rigtool.report.figures.axes import (
     thin,
 )
 from rigtool.report.figures.plots import plot
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run, Table
+from rigtool.runfile import Run, Table
 
 MAX_POINTS = 175
 """Points of each cycle where all cycles are drawn."""
@@ -34,7 +27,7 @@ PROBABILITY_TICKS = (0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99)
 
 
 @plot(58, "measure-force", "Feed-forward signal at the measuring speed", "feedforward")
-def draw_feedforward(run: Run, table: Table) -> Figure:
+def draw_feedforward(run: Run, table: Table) -> style.Figure:
     """Fig. 58: feed-forward from the learned table over one up-and-down."""
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
     position = counts(run, table, "position")
@@ -44,7 +37,7 @@ def draw_feedforward(run: Run, table: Table) -> Figure:
 
 
 @plot(59, "measure-force", "Variation over the cycles without load", "cycles_no_load")
-def draw_variation(run: Run, table: Table) -> Figure:
+def draw_variation(run: Run, table: Table) -> style.Figure:
     """Fig. 59: the torque that remains without load, all cycles in one plot."""
     figure, axes = style.one_panel(UP_AND_DOWN, OUTPUT_TORQUE)
     position, torque = counts(run, table, "position"), MILLI * table["torque"]
@@ -60,7 +53,7 @@ def draw_variation(run: Run, table: Table) -> Figure:
 @plot(
     60, "measure-force", "Normal probability plot of the readings without load", "probability_plot"
 )
-def draw_probability_plot(run: Run, table: Table) -> Figure:
+def draw_probability_plot(run: Run, table: Table) -> style.Figure:
     """Fig. 60: normal probability plot of the readings without load."""
     quantile, value = table["quantile"], MILLI * table["value"]
     figure, axes = style.one_panel("torque without load [mN m]", "probability")
@@ -77,7 +70,7 @@ def draw_probability_plot(run: Run, table: Table) -> Figure:
 
 
 @plot(61, "measure-force", "Feed-forward and remaining disturbance of one cycle", "feedforward")
-def draw_remaining(run: Run, table: Table) -> Figure:
+def draw_remaining(run: Run, table: Table) -> style.Figure:
     """Fig. 61: feed-forward (blue) and remaining disturbance (green) of one cycle."""
     figure, axes = style.one_panel(UP_AND_DOWN, MOTOR_TORQUE)
     position = counts(run, table, "position")
@@ -90,7 +83,7 @@ def draw_remaining(run: Run, table: Table) -> Figure:
 
 
 @plot(62, "measure-force", "High torque: the peak is shifted", "shift")
-def draw_shift(run: Run, table: Table) -> Figure:
+def draw_shift(run: Run, table: Table) -> style.Figure:
     """Fig. 62: a high load, whose peak is late because the instrument is compliant."""
     figure, axes, middle = _lifted(run, table)
     if "peak_shift_counts" in run.results:
@@ -103,7 +96,7 @@ def draw_shift(run: Run, table: Table) -> Figure:
 
 
 @plot(63, "measure-force", "Lifting and lowering a mass", "hysteresis")
-def draw_lifting_lowering(run: Run, table: Table) -> Figure:
+def draw_lifting_lowering(run: Run, table: Table) -> style.Figure:
     """Fig. 63: a mass lifted and lowered; the difference is friction that grows with load."""
     figure, axes, middle = _lifted(run, table)
     for name, x in (("lifting_torque", middle), ("lowering_torque", 3 * middle)):
@@ -115,7 +108,7 @@ def draw_lifting_lowering(run: Run, table: Table) -> Figure:
     return figure
 
 
-def _lifted(run: Run, table: Table) -> tuple[Figure, Axes, float]:
+def _lifted(run: Run, table: Table) -> tuple[style.Figure, style.Axes, float]:
     """Draw a load lifted and lowered; also return the middle of the stroke, quad counts."""
     stroke = counts(run, table, "position")
     end = float(stroke[-1])
@@ -137,7 +130,7 @@ def _lifted(run: Run, table: Table) -> tuple[Figure, Axes, float]:
     return figure, axes, end / 2
 
 
-def _straight(run: Run, axes: Axes, position: Array) -> Mask:
+def _straight(run: Run, axes: style.Axes, position: Array) -> Mask:
     """Return where the motion has constant speed, (n,); draw grey bands where it reverses.
 
     In the bands, friction reverses and inertia acts; the figures do not show these.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -10,18 +10,14 @@ from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI
 from rigtool.report.figures.plots import HEADLINE, plot
 from rigtool.report.tables import UNCORRECTED_TABLE, correction_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run, Table
+from rigtool.runfile import Run, Table
 
 COVERAGE_FACTOR = 2.0
 """Of the error bars."""
 
 
 @plot(HEADLINE, "measure-force", "Measured against applied torque", "loads")
-def draw_headline(run: Run, loads: Table) -> Figure:
+def draw_headline(run: Run, loads: Table) -> style.Figure:
     """Mean readings over applied torque, uncorrected and corrected, with k = 2 bars.
 
     Below, the errors in percent; the band is the recipe's requirement.

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from rigtool.experiments.force_filter.motion_states import STATE_NAMES, State
+from rigtool.numerics.arrays import Mask
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI
 from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rigtool.numerics.arrays import Mask
-    from rigtool.runfile import Run, Table
+from rigtool.runfile import Run, Table
 
 
 @plot(
@@ -25,7 +19,7 @@ if TYPE_CHECKING:
     "force",
     "loads",
 )
-def draw_hysteresis(run: Run, table: Table, loads: Table) -> Figure:
+def draw_hysteresis(run: Run, table: Table, loads: Table) -> style.Figure:
     """Loop of the motor's effort against the sensor's torque."""
     effort = table.columns["effort"]
     name = "current" if effort.unit == "A" else "torque"
@@ -47,7 +41,7 @@ def draw_hysteresis(run: Run, table: Table, loads: Table) -> Figure:
     "force",
     "loads",
 )
-def draw_error_by_level(run: Run, table: Table, loads: Table) -> Figure:
+def draw_error_by_level(run: Run, table: Table, loads: Table) -> style.Figure:
     """Errors of single samples over the torque of their run, against and with the load."""
     error = MILLI * (table["torque"] - table["reference"])
     figure, axes = style.one_panel("torque at the load, sensor [mN m]", "error [mN m]", 3.6)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -21,11 +21,7 @@ from rigtool.report.figures.axes import (
     thin,
 )
 from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run, Table
+from rigtool.runfile import Run, Table
 
 PUBLISHED_SPEEDS_REV_PER_S = (1.0, 2.0)
 
@@ -37,13 +33,11 @@ PUBLISHED_SPEEDS_REV_PER_S = (1.0, 2.0)
     "lookup",
     implementations=("B", "C", "D"),
 )
-def draw_lookup_table(run: Run, table: Table) -> Figure:
+def draw_lookup_table(run: Run, table: Table) -> style.Figure:
     """Fig. 50: content of the two-dimensional table, torque by position and speed, as two views."""
-    from matplotlib.figure import Figure as NewFigure
-
     position, torque = thin(120, counts(run, table, "position"), MILLI * table["torque"])
     speeds = table["speed"]
-    figure = NewFigure(figsize=(style.WIDTH, 6.4))
+    figure = style.empty(6.4, layout=None)
     axes: Any = figure.add_axes((0, 0.42, 1, 0.58), projection="3d")
     axes.plot_surface(
         *np.meshgrid(position, speeds),
@@ -72,7 +66,7 @@ def draw_lookup_table(run: Run, table: Table) -> Figure:
 @plot(
     FIRST_OWN_NUMBER + 11, "ilc-learn", "Disturbance before and after learning", "residual_by_speed"
 )
-def draw_residual_by_speed(run: Run, table: Table) -> Figure:
+def draw_residual_by_speed(run: Run, table: Table) -> style.Figure:
     """Disturbance by speed: before, with the table on, and what does not repeat."""
     figure, axes = style.one_panel("motor speed [rad/s]", "rms [mN m]")
     speed = table["speed"]
@@ -88,7 +82,7 @@ def draw_residual_by_speed(run: Run, table: Table) -> Figure:
 
 
 @plot(FIRST_OWN_NUMBER + 12, "ilc-check", "Health of the learned table", "table_health")
-def draw_health(run: Run, table: Table) -> Figure:
+def draw_health(run: Run, table: Table) -> style.Figure:
     """Mismatch of the table by speed beside the scatter of one move, and the change of the mean."""
     labels = ["rms [mN m]", "change of mean [mN m]"]
     figure, (size, mean) = style.panels(2, "motor speed [rad/s]", labels, 4.2)
@@ -112,7 +106,7 @@ def draw_health(run: Run, table: Table) -> Figure:
     "residual_waveforms",
     implementations=("C", "D"),
 )
-def draw_residual(run: Run, table: Table) -> Figure:
+def draw_residual(run: Run, table: Table) -> style.Figure:
     """Fig. 56: feed-forward from the table (blue) and remaining disturbance (green)."""
     speeds = np.asarray(table["speed"])
     ratio, end = _stroke(run)

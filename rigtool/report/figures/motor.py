@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from rigtool.numerics.arrays import Array
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, counts
 from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run, Table
+from rigtool.runfile import Run, Table
 
 
 @plot(20, "calibrate-kt", "Torque constant as function of motor temperature", "torque_constant")
-def draw_torque_constant(run: Run, table: Table) -> Figure:
+def draw_torque_constant(run: Run, table: Table) -> style.Figure:
     """Fig. 20: torque constant against motor temperature, with the fitted line."""
     degc, constant = table["temperature"], table["torque_constant"]
     figure, axes = style.one_panel("motor temperature [°C]", "torque constant [mN m/A]")
@@ -47,7 +40,7 @@ def draw_torque_constant(run: Run, table: Table) -> Figure:
 
 
 @plot(22, "stribeck", "Static friction: one slow ramp of torque", "breakaway_ramp")
-def draw_breakaway(run: Run, table: Table) -> Figure:
+def draw_breakaway(run: Run, table: Table) -> style.Figure:
     """Fig. 22: one slow ramp of torque, the rotor position during it, and where it breaks away."""
     labels = ["torque [mN m]", "rotor position [quad counts]"]
     figure, (torque, position) = style.panels(2, "time [s]", labels, 4.2)
@@ -91,7 +84,7 @@ def _breakaway_of(run: Run, table: Table) -> tuple[float, float] | None:
 
 
 @plot(30, "stribeck", "Torque-speed curve without compensation", "torque_speed")
-def draw_torque_speed(run: Run, table: Table) -> Figure:
+def draw_torque_speed(run: Run, table: Table) -> style.Figure:
     """Fig. 30: torque against speed without compensation."""
     figure, axes = _torque_speed(table, table)
     if "friction_model" in run.tables:
@@ -108,7 +101,7 @@ def draw_torque_speed(run: Run, table: Table) -> Figure:
     "torque_speed",
     "torque_speed_coulomb",
 )
-def draw_torque_speed_coulomb(run: Run, whole: Table, table: Table) -> Figure:
+def draw_torque_speed_coulomb(run: Run, whole: Table, table: Table) -> style.Figure:
     """Fig. 32: the same with Coulomb compensation; the dashed line is the viscous friction."""
     figure, axes = _torque_speed(whole, table)
     viscous = run.result("viscous_friction").value
@@ -125,14 +118,14 @@ def draw_torque_speed_coulomb(run: Run, whole: Table, table: Table) -> Figure:
     "torque_speed",
     "torque_speed_viscous",
 )
-def draw_torque_speed_viscous(run: Run, whole: Table, table: Table) -> Figure:
+def draw_torque_speed_viscous(run: Run, whole: Table, table: Table) -> style.Figure:
     """Fig. 34: the same with Coulomb and viscous compensation: flat."""
     figure, axes = _torque_speed(whole, table)
     style.legend_above(axes)
     return figure
 
 
-def _torque_speed(whole: Table, table: Table) -> tuple[Figure, Axes]:
+def _torque_speed(whole: Table, table: Table) -> tuple[style.Figure, style.Axes]:
     """Draw torque by speed with its expanded uncertainty, on the ordinate of the whole curve."""
     figure, axes = style.one_panel("motor speed [rad/s]", "torque [mN m]")
     bar, label = None, "measured"
@@ -145,7 +138,7 @@ def _torque_speed(whole: Table, table: Table) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _branches(axes: Axes, speed: Array, torque: Array, label: str | None) -> None:
+def _branches(axes: style.Axes, speed: Array, torque: Array, label: str | None) -> None:
     """Draw a curve of each direction; none goes through zero speed, where friction reverses."""
     for own in (speed > 0, speed < 0):
         if own.any():
@@ -158,7 +151,7 @@ STRIBECK_ZONE = 5.0
 
 
 @plot(FIRST_OWN_NUMBER + 6, "calibrate-kt", "Residuals of the torque constant", "torque_constant")
-def draw_constant_residuals(run: Run, table: Table) -> Figure:
+def draw_constant_residuals(run: Run, table: Table) -> style.Figure:
     """Measured constant over the fitted line, by temperature, with expanded uncertainty."""
     degc, line = table["temperature"], _line_of(run, table["temperature"])
     figure, axes = style.one_panel("motor temperature [°C]", "measured / fitted − 1 [%]")
@@ -177,7 +170,7 @@ def _line_of(run: Run, degc: Array) -> Array:
 
 
 @plot(FIRST_OWN_NUMBER + 7, "calibrate-kt", "Linearity of the amplifier", "linearity")
-def draw_linearity(run: Run, table: Table) -> Figure:
+def draw_linearity(run: Run, table: Table) -> style.Figure:
     """Deviation of the measured current from the line through its set points."""
     figure, axes = style.one_panel("current set point [A]", "deviation from the line [µA]")
     style.points(axes, table["current_setpoint"], 1e6 * table["deviation"], None, "deviation")
@@ -186,7 +179,7 @@ def draw_linearity(run: Run, table: Table) -> Figure:
 
 
 @plot(FIRST_OWN_NUMBER + 8, "calibrate-kt", "Hysteresis of the staircase", "hysteresis")
-def draw_staircase_hysteresis(run: Run, table: Table) -> Figure:
+def draw_staircase_hysteresis(run: Run, table: Table) -> style.Figure:
     """Torque on the way up and on the way down, each less the mean of both."""
     figure, axes = style.one_panel("current [A]", "torque less mean of both ways [mN m]")
     middle = (table["rising"] + table["falling"]) / 2
@@ -199,7 +192,7 @@ def draw_staircase_hysteresis(run: Run, table: Table) -> Figure:
 
 
 @plot(FIRST_OWN_NUMBER + 9, "stribeck", "Breakaway torque by rotor position", "breakaway")
-def draw_breakaway_by_position(run: Run, table: Table) -> Figure:
+def draw_breakaway_by_position(run: Run, table: Table) -> style.Figure:
     """Breakaway torque around the turn in both directions, with radial load, too."""
     figure, axes = style.one_panel("rotor position [deg]", "breakaway torque [mN m]")
     degrees = np.degrees(table["position"])
@@ -225,17 +218,15 @@ def draw_breakaway_by_position(run: Run, table: Table) -> Figure:
     "Friction at constant speeds, in the Stribeck zone where one was found",
     "holds",
 )
-def draw_stribeck_zone(run: Run, table: Table) -> Figure:
+def draw_stribeck_zone(run: Run, table: Table) -> style.Figure:
     """Torque at constant low speeds with its uncertainty, and the model; a panel a direction."""
-    from matplotlib.figure import Figure as NewFigure
-
     speed, torque = table["speed"], MILLI * table["torque"]
     velocity = run.results.get("stribeck_velocity")
     zone = STRIBECK_ZONE * velocity.value if velocity is not None else float("nan")
     if not np.isfinite(zone):
         zone = float(np.abs(speed).max()) / 4
     zone = max(zone, float(np.sort(np.abs(speed))[: min(12, len(speed))].max()))
-    figure = NewFigure(figsize=(style.WIDTH, style.HEIGHT), layout="constrained")
+    figure = style.empty()
     for axes, sign in zip(figure.subplots(1, 2), (-1, 1), strict=True):
         own = (sign * speed > 0) & (np.abs(speed) <= zone)
         u = 2 * MILLI * table["u"][own]

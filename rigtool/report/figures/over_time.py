@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rigtool.experiments.force_filter.motion_states import STATE_NAMES, State
+from rigtool.numerics.arrays import Array, Mask
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, OUTPUT_TORQUE, thin
 from rigtool.report.figures.plots import FIRST_OWN_NUMBER, plot
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from rigtool.numerics.arrays import Array, Mask
-    from rigtool.runfile import Run, Table
+from rigtool.runfile import Run, Table
 
 MAX_POINTS = 4000
 """Points of each curve over the whole time."""
@@ -30,7 +24,7 @@ STATED_COVERAGE = 0.95
 
 
 @plot(FIRST_OWN_NUMBER + 3, "measure-force", "Torque over time with its 95 % interval", "force")
-def draw_over_time(run: Run, table: Table) -> Figure:
+def draw_over_time(run: Run, table: Table) -> style.Figure:
     """Torque and interval over the first recording; below, the error, where it has a reference."""
     time, signals = _first_recording(table)
     drawn = thin(MAX_POINTS, time, *signals.values())
@@ -39,7 +33,7 @@ def draw_over_time(run: Run, table: Table) -> Figure:
 
 
 @plot(FIRST_OWN_NUMBER + 4, "measure-force", "Torque around its largest value", "force")
-def draw_around_peak(run: Run, table: Table) -> Figure:
+def draw_around_peak(run: Run, table: Table) -> style.Figure:
     """The same within `AROUND_PEAK` of the largest torque."""
     time, signals = _first_recording(table)
     torque = np.nan_to_num(np.abs(signals["torque"]), nan=-1.0)
@@ -53,7 +47,7 @@ def draw_around_peak(run: Run, table: Table) -> Figure:
     "Error and coverage by load and state of motion",
     "force_accuracy",
 )
-def draw_accuracy(run: Run, table: Table) -> Figure:
+def draw_accuracy(run: Run, table: Table) -> style.Figure:
     """Root mean square of the error, and coverage of the 95 % interval, of each load and state."""
     seen = np.isfinite(table["rmse"]).any(axis=1)
     bands, states = MILLI * table["band"], table["state"]
@@ -83,7 +77,7 @@ def _first_recording(table: Table) -> tuple[Array, dict[str, Array]]:
     return time - time[0], {name: MILLI * table[name][rows] for name in names}
 
 
-def _torque_and_error(time: Array, signals: dict[str, Array]) -> Figure:
+def _torque_and_error(time: Array, signals: dict[str, Array]) -> style.Figure:
     """Draw torque with its interval; below, its error with the same interval about zero."""
     judged = "reference" in signals and bool(np.isfinite(signals["reference"]).any())
     figure, panels = style.panels(
@@ -106,5 +100,5 @@ def _torque_and_error(time: Array, signals: dict[str, Array]) -> Figure:
     return figure
 
 
-def _band(axes: Axes, time: Array, low: Array, high: Array) -> None:
+def _band(axes: style.Axes, time: Array, low: Array, high: Array) -> None:
     axes.fill_between(time, low, high, color=style.SKY, alpha=0.4, linewidth=0, label="95 %")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 from rigtool.numerics.arrays import Array
 from rigtool.report.figures import style
 from rigtool.report.figures.plots import plot
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run, Table
+from rigtool.runfile import Run, Table
 
 FREQUENCY_LABEL = "frequency [Hz]"
 MAGNITUDE_LABEL = "magnitude [dB]"
@@ -31,7 +26,7 @@ PLANT_HEIGHT = 4.6
     "frequency_response",
     "fit",
 )
-def draw_measured_plant(run: Run, measured: Table, fit: Table) -> Figure:
+def draw_measured_plant(run: Run, measured: Table, fit: Table) -> style.Figure:
     """Fig. 35: measured response of the plant with its uncertainty, and the mass line."""
     figure, magnitude, phase = _bode()
     _measured(measured, magnitude, phase)
@@ -55,7 +50,7 @@ def draw_measured_plant(run: Run, measured: Table, fit: Table) -> Figure:
     "frequency_response",
     "fit",
 )
-def draw_fitted_plant(run: Run, measured: Table, fit: Table) -> Figure:
+def draw_fitted_plant(run: Run, measured: Table, fit: Table) -> style.Figure:
     """Fig. 39: simulated (the fit) and measured response of the plant."""
     figure, magnitude, phase = _bode()
     _measured(measured, magnitude, phase)
@@ -73,7 +68,7 @@ def draw_fitted_plant(run: Run, measured: Table, fit: Table) -> Figure:
     "frequency_response",
     "sensitivities",
 )
-def draw_open_loop(run: Run, measured: Table, sensitivities: Table) -> Figure:
+def draw_open_loop(run: Run, measured: Table, sensitivities: Table) -> style.Figure:
     """Fig. 76: the open loop and its sensitivities."""
     figure, magnitude, phase = _bode()
     table = _within(measured, sensitivities)
@@ -90,7 +85,7 @@ def draw_open_loop(run: Run, measured: Table, sensitivities: Table) -> Figure:
 
 
 @plot(40, "ilc-learn", "Complementary sensitivity T and learning filter L, its inverse", "transfer")
-def draw_learning_filter(run: Run, whole: Table) -> Figure:
+def draw_learning_filter(run: Run, whole: Table) -> style.Figure:
     """Fig. 40, right: T and the learning filter L, with and without its phase advance."""
     figure, magnitude, phase = _bode()
     # Close to half the sampling rate T vanishes.
@@ -110,7 +105,7 @@ def draw_learning_filter(run: Run, whole: Table) -> Figure:
 
 
 @plot(41, "ilc-learn", "Convergence criterion", "convergence")
-def draw_convergence(run: Run, whole: Table) -> Figure:
+def draw_convergence(run: Run, whole: Table) -> style.Figure:
     """Fig. 41: the convergence criterion; dashed: its bound over the plant's uncertainty."""
     figure, axes = style.one_panel(FREQUENCY_LABEL, "|Q (1 − p L T)| [dB]")
     table = _positive(whole)
@@ -144,7 +139,7 @@ def degrees(phase: NDArray[Any]) -> Array:
     return np.asarray(np.degrees(phase - first), dtype=np.float64)
 
 
-def _bode() -> tuple[Figure, Axes, Axes]:
+def _bode() -> tuple[style.Figure, style.Axes, style.Axes]:
     figure, (magnitude, phase) = style.panels(
         2, FREQUENCY_LABEL, [MAGNITUDE_LABEL, PHASE_LABEL], PLANT_HEIGHT
     )
@@ -152,7 +147,7 @@ def _bode() -> tuple[Figure, Axes, Axes]:
     return figure, magnitude, phase
 
 
-def _measured(table: Table, magnitude: Axes, phase: Axes) -> None:
+def _measured(table: Table, magnitude: style.Axes, phase: style.Axes) -> None:
     """Draw a measured response, in grey where a line was not used."""
     frequency, value, radius = (table[name] for name in ("frequency", "magnitude", "radius"))
     used = table["used"] == 1

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import COUNTS_LABEL, MILLI, TORQUE_LABEL, Array, counts, thin
 from rigtool.report.figures.plots import plot
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run, Table
+from rigtool.runfile import Run, Table
 
 MAX_POINTS = 1000
 MAX_SPECTRA = 4
@@ -22,7 +15,7 @@ MAX_SPECTRA = 4
 
 
 @plot(23, "fft-ripple", "Ripple after power off and on", "power_waveforms")
-def draw_power_cycles(run: Run, table: Table) -> Figure:
+def draw_power_cycles(run: Run, table: Table) -> style.Figure:
     """Fig. 23: ripple before and after the amplifier was switched off and on."""
     figure, axes = style.one_panel(COUNTS_LABEL, TORQUE_LABEL)
     position, waves = _waveforms(run, table)
@@ -34,7 +27,7 @@ def draw_power_cycles(run: Run, table: Table) -> Figure:
 
 
 @plot(24, "fft-ripple", "Ripple of single revolutions", "revolutions")
-def draw_revolutions(run: Run, table: Table) -> Figure:
+def draw_revolutions(run: Run, table: Table) -> style.Figure:
     """Fig. 24: many revolutions in one plot; their spread shows how well the ripple repeats."""
     figure, axes = style.one_panel(COUNTS_LABEL, TORQUE_LABEL)
     position, waves = _waveforms(run, table)
@@ -44,7 +37,7 @@ def draw_revolutions(run: Run, table: Table) -> Figure:
 
 
 @plot(25, "fft-ripple", "Ripple grows with motor current", "torque_waveforms")
-def draw_ripple_by_current(run: Run, table: Table) -> Figure:
+def draw_ripple_by_current(run: Run, table: Table) -> style.Figure:
     """Fig. 25: ripple at several constant torques, on one scale."""
     figure, axes = style.one_panel(COUNTS_LABEL, TORQUE_LABEL)
     position, waves = _waveforms(run, table)
@@ -62,13 +55,11 @@ def draw_ripple_by_current(run: Run, table: Table) -> Figure:
     "torque_waveforms",
     "torque_spectrum",
 )
-def draw_shape_by_current(run: Run, table: Table, spectrum: Table) -> Figure:
+def draw_shape_by_current(run: Run, table: Table, spectrum: Table) -> style.Figure:
     """Fig. 26: the same, each on its own scale, with its content by order of rotation."""
-    from matplotlib.figure import Figure as NewFigure
-
     torques = table["torque"]
     position, waves = _waveforms(run, table)
-    figure = NewFigure(figsize=(style.WIDTH, 0.8 + 1.3 * len(torques)), layout="constrained")
+    figure = style.empty(0.8 + 1.3 * len(torques))
     grid = figure.subplots(
         len(torques), 2, sharex="col", squeeze=False, gridspec_kw={"width_ratios": (3, 2)}
     )
@@ -86,7 +77,7 @@ def draw_shape_by_current(run: Run, table: Table, spectrum: Table) -> Figure:
 
 
 @plot(27, "fft-ripple", "Ripple at all motor speeds", "speed_waveforms")
-def draw_ripple_by_speed(run: Run, table: Table) -> Figure:
+def draw_ripple_by_speed(run: Run, table: Table) -> style.Figure:
     """Fig. 27: ripple at each speed, one above the other on one scale."""
     position, waves = _waveforms(run, table)
     step = 1.1 * float(np.ptp(waves, axis=1).max())
@@ -101,7 +92,7 @@ def draw_ripple_by_speed(run: Run, table: Table) -> Figure:
 
 
 @plot(28, "fft-ripple", "PSD of the ripple at all motor speeds", "speed_psd")
-def draw_psd_by_speed(run: Run, table: Table) -> Figure:
+def draw_psd_by_speed(run: Run, table: Table) -> style.Figure:
     """Fig. 28: power spectral densities of some of these signals, slow to fast.
 
     Dotted lines mark the first and second order of rotation.
@@ -132,11 +123,11 @@ def _waveforms(run: Run, table: Table) -> tuple[Array, Array]:
     return position, waves - waves.mean(axis=-1, keepdims=True)
 
 
-def _one_turn(axes: Axes, position: Array) -> None:
+def _one_turn(axes: style.Axes, position: Array) -> None:
     axes.set_xlim(0, np.ceil(position[-1] / 100) * 100)
 
 
-def _bars(axes: Axes, order: Array, amplitude: Array, orders: int = 8) -> None:
+def _bars(axes: style.Axes, order: Array, amplitude: Array, orders: int = 8) -> None:
     shown = (order >= 1) & (order <= orders)
     axes.bar(order[shown], amplitude[shown], color=style.ORANGE, width=0.6)
     axes.set_xticks(range(1, orders + 1))
@@ -144,7 +135,7 @@ def _bars(axes: Axes, order: Array, amplitude: Array, orders: int = 8) -> None:
     axes.grid(visible=False, axis="x")
 
 
-def _scale_bar(axes: Axes, step: float) -> None:
+def _scale_bar(axes: style.Axes, step: float) -> None:
     """Draw a scale bar of torque beside the curves."""
     length = float(f"{step:.1g}")
     right = axes.get_xlim()[1] * 1.015

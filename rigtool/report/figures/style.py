@@ -10,7 +10,7 @@ import io
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from rigtool.errors import UsageError
 
@@ -77,6 +77,17 @@ def styled() -> Iterator[None]:
         yield
 
 
+def empty(
+    height: float = HEIGHT,
+    width: float = WIDTH,
+    layout: Literal["constrained"] | None = "constrained",
+) -> Figure:
+    """Return a figure without axes; height and width in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout=layout)
+
+
 def one_panel(x: str, y: str, height: float = HEIGHT) -> tuple[Figure, Axes]:
     """Return a figure with one pair of axes and their labels."""
     figure, (axes,) = panels(1, x, [y], height)
@@ -87,9 +98,7 @@ def panels(
     count: int, x: str, ys: list[str], height: float = HEIGHT, **options: Any
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with `count` panels, one above the other, on one abscissa."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure = empty(height)
     grid = figure.subplots(count, 1, sharex=True, squeeze=False, **options)
     axes = [row[0] for row in grid]
     for panel, label in zip(axes, ys, strict=True):

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from rigtool.report.figures import style
 from rigtool.report.figures.plots import plot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run, Table
+from rigtool.runfile import Run, Table
 
 
 @plot(70, "suspension", "Spring constant of the motor's suspension", "spring_curve")
-def draw_spring_curve(run: Run, table: Table) -> Figure:
+def draw_spring_curve(run: Run, table: Table) -> style.Figure:
     """Fig. 70: force against deflection, with the line whose slope is the spring constant."""
     stiffness = run.result("spring_constant")
     figure, axes = style.one_panel("deflection [mm]", "force [N]")
@@ -27,7 +22,7 @@ def draw_spring_curve(run: Run, table: Table) -> Figure:
 
 
 @plot(75, "suspension", "Disturbance torque due to pulley eccentricity", "eccentric_torque")
-def draw_eccentric_torque(run: Run, table: Table) -> Figure:
+def draw_eccentric_torque(run: Run, table: Table) -> style.Figure:
     """Fig. 75: torque of the moving mass over a turn, at the slowest speed."""
     slowest = int(abs(table["speed"]).argmin())
     turning = table["speed"][slowest] / (2 * math.pi)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,12 +11,7 @@ from rigtool.numerics.arrays import Array
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import MILLI, MOTOR_TORQUE, fit_height
 from rigtool.report.figures.plots import plot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run, Table
-
+from rigtool.runfile import Run, Table
 
 MAX_POINTS = 4000
 """Points of a curve over the sweep: more than its picture has columns."""
@@ -28,7 +22,7 @@ CONTROLLER_LABEL = "controller"
 
 
 @plot(42, "ilc-learn", "Amplitude and phase tables by speed", "tuning")
-def draw_tuning(run: Run, table: Table) -> Figure:
+def draw_tuning(run: Run, table: Table) -> style.Figure:
     """Fig. 42: amplitude and phase tables, with twice their standard uncertainty."""
     speed = _rev_per_s(table["speed"])
     figure, axes = style.panels(2, SPEED_LABEL, ["amplitude [1]", "shift [deg]"], 4.2)
@@ -51,7 +45,7 @@ def draw_tuning(run: Run, table: Table) -> Figure:
     "iterations",
     implementations=("A", "standard"),
 )
-def draw_iterations(run: Run, table: Table) -> Figure:
+def draw_iterations(run: Run, table: Table) -> style.Figure:
     """Fig. 44: amplitudes of the repeating and the non-repeating part, run by run."""
     unit = table.columns["rms"].unit
     figure, axes = style.one_panel("learning runs made before [1]", f"rms [m{unit}]")
@@ -76,7 +70,7 @@ def draw_iterations(run: Run, table: Table) -> Figure:
     return figure
 
 
-def torque_over_speed(variant: str, feedforward: bool, run: Run, swept: Table) -> Figure:
+def torque_over_speed(variant: str, feedforward: bool, run: Run, swept: Table) -> style.Figure:
     """Draw the controller's torque over the speed, on the ordinate of the one without table.
 
     `variant` names the column of the sweep; `feedforward` adds the torque of the table.

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Limits
 
 Mode = Literal["position", "velocity", "current"]
@@ -58,6 +60,30 @@ class Sample:
     current: float = math.nan
     current_setpoint: float = math.nan
     temperature: float = math.nan
+
+
+def unwrapped(angle: float, speed: float, moment: float, then: Sample) -> tuple[float, float]:
+    """Return an angle, rad, with the turns predicted by speed since an earlier sample, and the way.
+
+    Speeds in rad/s, times in s; the way since then is in rad.
+    """
+    moved = (then.speed + speed) / 2 * (moment - then.time)
+    turns = round((then.position + moved - angle) / (2 * math.pi))
+    return angle + 2 * math.pi * turns, moved
+
+
+def persist(
+    act: Callable[[], None], attempts: int, before_again: Callable[[], object] = lambda: None
+) -> None:
+    """Act; try again where that raises a `HardwareError`, which is raised at last."""
+    for left in reversed(range(attempts)):
+        try:
+            return act()
+        except HardwareError:
+            if not left:
+                raise
+        before_again()
+    return None
 
 
 class Drive(Protocol):

@@ -10,7 +10,6 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -44,9 +43,8 @@ class SerialRig(Rig, ABC):
     def __init__(
         self, recipe: Recipe, torque_constant: float, use: str, operator: Operator
     ) -> None:
-        assert recipe.serial is not None
-        self._recipe, self._settings = recipe, recipe.serial
-        self._limits = recipe.serial.limits
+        self._recipe, self._settings = recipe, recipe.line
+        self._limits = recipe.line.limits
         self._torque_constant = torque_constant
         self._use, self._operator = use, operator
         self._line: Line | None = None
@@ -57,12 +55,7 @@ class SerialRig(Rig, ABC):
         self._clamp_angle = math.nan
         self._gauges: dict[str, Gauge] = {
             name: open_gauge(name, settings, operator, lambda: self._line)
-            for name, settings in (
-                ("force", recipe.serial.force),
-                ("temperature", recipe.serial.temperature),
-                ("deflection", recipe.serial.deflection),
-            )
-            if settings is not None
+            for name, settings in recipe.line.instruments.items()
         }
         self._unused: list[str] = []
         self.notes: list[str] = []
@@ -125,12 +118,7 @@ class SerialRig(Rig, ABC):
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Stop, switch off, restore, release. A failure here is reported, and hides no error."""
         problems = []
         with held():
@@ -139,7 +127,7 @@ class SerialRig(Rig, ABC):
             for what, act in (("stop", self._halt), ("restore its settings", self._restore)):
                 try:
                     act()
-                except HardwareError as failure:
+                except Exception as failure:  # whatever it is, what follows has to be done
                     problems.append(f"the drive could not be made to {what}: {failure}")
                     break  # the line is lost: further requests would only wait
             for gauge in self._gauges.values():
@@ -289,7 +277,7 @@ class SerialRig(Rig, ABC):
 
         The thread that uses the line releases it first.
         """
-        with held(), contextlib.suppress(HardwareError):
+        with held(), contextlib.suppress(Exception):
             if self._running is not None:
                 self._running.close()
             self._halt()

@@ -23,7 +23,15 @@ from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays
 from rigtool.runfile.importers.conditions import unchanged_parts
 from rigtool.runfile.importers.contradictions import contradictions
-from rigtool.runfile.importers.convert import intervals, irregular, longest, stem, to_si
+from rigtool.runfile.importers.convert import (
+    intervals,
+    irregular,
+    longest,
+    stem,
+    to_si,
+    whole_times,
+)
+from rigtool.runfile.importers.counters import with_shown_ends
 from rigtool.runfile.importers.maps import read_map
 from rigtool.runfile.importers.one_axis import on_one_axis
 from rigtool.runfile.importers.plan import is_binary, plan
@@ -226,10 +234,12 @@ def understand(
     Raises `RunFileError` for a bad file.
     """
     raw, known, notes = _read(source, mapping, skip_bad)
+    raw = whole_times(raw, known)
+    known, ends = with_shown_ends(raw, known)
     raw, filled = on_one_axis(source, raw, known)
     signals, raw = to_si(source, raw, known, skip_bad)
     uneven = irregular(intervals(signals["time"], raw))
-    notes += [note for note in (*filled, uneven, _left_out_note(raw)) if note]
+    notes += [note for note in (*ends, *filled, uneven, _left_out_note(raw)) if note]
     notes += [*contradictions(longest(signals, raw), known), *_slips(known)]
     return signals, raw, known, notes
 

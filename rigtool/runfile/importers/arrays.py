@@ -52,17 +52,28 @@ _NAMELESS = ""
 def read_arrays(
     path: Path, variable: str | None, columns: Sequence[ColumnKey], skip_bad: bool
 ) -> Raw:
-    """Read columns of a binary file as numbers.
+    """Read columns of a binary file as numbers; raises the errors of `columns_of`."""
+    return columns_of(path, load_arrays(path), variable, columns, skip_bad)
+
+
+def columns_of(
+    path: Path,
+    arrays: dict[str, Any],
+    variable: str | None,
+    columns: Sequence[ColumnKey],
+    skip_bad: bool,
+) -> Raw:
+    """Return columns (n,) of the arrays of a file.
 
     Raises `RunFileError` for what is missing or no array of numbers, and, unless `skip_bad`, for
     samples that are NaN or infinite.
     """
-    arrays = load_arrays(path)
     found: dict[ColumnKey, Array] = {}
     for column in columns:
         part = _COLUMN.fullmatch(column) if isinstance(column, str) else None
         if isinstance(column, str) and (column in arrays or part is None):
             if column not in arrays:
+                require_no_object(path, arrays, column)
                 raise missing_column(path, column, list(arrays), len(arrays))
             found[column] = _vector(path, column, arrays[column])
         else:
@@ -92,6 +103,17 @@ def read_arrays(
     return Raw(found, place, place + 1, "sample").without(bad)
 
 
+def require_no_object(path: Path, arrays: Mapping[str, Any], column: str) -> None:
+    """Raise `RunFileError` for a column of an object of MATLAB: a table, a time, a string."""
+    name = column.partition(".")[0]
+    kind = arrays.get(name)
+    if isinstance(kind, str):
+        raise RunFileError(
+            f"{path}: {name} is a {kind}, which only MATLAB reads: there, save its columns as "
+            f"plain arrays, e.g. t = seconds({name}.Time); x = {name}.x; save('x.mat', 't', 'x')"
+        )
+
+
 def read_vector(path: Path, variable: str | None) -> Array:
     """Return the one series of numbers (n,) that a file holds, or that `variable` names."""
     arrays = load_arrays(path)
@@ -109,7 +131,7 @@ def load_arrays(path: Path) -> dict[str, Any]:
         start = stream.read(6)
     try:
         if start == b"\x93NUMPY":
-            return _fields("", np.load(path, allow_pickle=False, mmap_mode="r"))
+            return _fields("", np.load(path, allow_pickle=False))
         if start[:2] == b"PK":
             return _load_npz(path)
         if h5py.is_hdf5(path):
@@ -202,7 +224,10 @@ def _load_hdf5(path: Path) -> dict[str, Any]:
             # HDF5 unpacks whole chunks, which may be larger than what they hold.
             claimed += max(node.size, math.prod(node.chunks or ())) * node.dtype.itemsize
             require_size(path, claimed)
-            if not node.is_virtual and node.dtype.kind in "iufb":
+            if "MATLAB_object_decode" in node.attrs:
+                kind = node.attrs.get("MATLAB_class", b"object")
+                found[name] = f"{kind.decode() if isinstance(kind, bytes) else kind} of MATLAB"
+            elif not node.is_virtual and node.dtype.kind in "iufb":
                 found[name.replace("/", ".")] = node[()]
 
     with open_file(path, "r") as file:
@@ -267,6 +292,7 @@ def _vector(path: Path, name: str, value: Any) -> Array:
 
 
 def _numbers(path: Path, name: str, value: Any) -> Array:
+    require_no_object(path, {name: value}, name)
     array = np.asarray(value)
     if array.dtype.kind not in "iufb":
         raise RunFileError(

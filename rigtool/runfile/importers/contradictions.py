@@ -15,6 +15,7 @@ import numpy as np
 
 from rigtool.errors import RunFileError
 from rigtool.recipe import mapping as mappings
+from rigtool.runfile.importers.counters import POSITIONS
 from rigtool.runfile.importers.raw import Array
 from rigtool.runfile.schema import TIME
 
@@ -35,6 +36,10 @@ OTHER_GEAR = 1.05
 
 EFFORT_ORDER = ("current", "torque", "force", "relative_torque")
 """Signals that overcome the friction of the motor, in the order in which one is taken."""
+
+JUMP_RATIO, JUMP_PART, MIN_AROUND = 10.0, 0.05, 10
+"""A jump of position: in speeds of the samples around it, in parts of the range; and how few
+samples show none."""
 
 BLOCKS, SLOW, FEWEST_BLOCKS, CERTAIN = 400, 0.1, 10, 5.0
 """Parts of a recording by which the sign of the effort is judged, the part of the farthest way that
@@ -103,7 +108,31 @@ def contradictions(signals: Mapping[str, Array], mapping: mappings.Mapping) -> l
     """Return notes on what the mapping states and the signals contradict."""
     pairs = [*_motions(signals, mapping.rig), *_torques(signals, mapping.rig)]
     notes = [pair.contradiction() for pair in pairs]
-    return [note for note in (*notes, _sign_of_work(signals, mapping.rig)) if note is not None]
+    found = (*notes, *_jumps(signals), _sign_of_work(signals, mapping.rig))
+    return [note for note in found if note is not None]
+
+
+def _jumps(signals: Mapping[str, Array]) -> Iterator[str]:
+    """Yield notes on positions that jump between two samples, as nothing that has mass does.
+
+    A jump is a speed `JUMP_RATIO` times as high as those two and three samples before and after it,
+    over `JUMP_PART` of the range.
+    """
+    for name in POSITIONS:
+        if name not in signals or len(signals[name]) < 2 * MIN_AROUND:
+            continue
+        steps = np.diff(signals[name])
+        speed = np.abs(steps / np.diff(signals[TIME]))
+        far = [np.roll(speed, shift) for shift in (-3, -2, 2, 3)]
+        jump = speed > JUMP_RATIO * np.max(far, axis=0)
+        jump &= np.abs(steps) > JUMP_PART * float(np.ptp(signals[name]))
+        at = np.flatnonzero(jump)
+        if at.size:
+            yield (
+                f"{name} jumps {at.size} times, first by {steps[at[0]]:.4g} at "
+                f"{signals[TIME][at[0] + 1]:.6g} s: state wraps_at for a counter that begins "
+                "again, or take out samples that are wrong"
+            )
 
 
 def _motions(signals: Mapping[str, Array], rig: mappings.ImportedRig) -> Iterator[_Pair]:

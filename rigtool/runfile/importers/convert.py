@@ -12,7 +12,7 @@ import numpy as np
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import Mapping
 from rigtool.runfile.importers.contradictions import require_same_motion
-from rigtool.runfile.importers.one_axis import unwrapped
+from rigtool.runfile.importers.counters import unwrapped
 from rigtool.runfile.importers.raw import Array, Raw, require_good
 from rigtool.runfile.schema import TIME
 
@@ -67,6 +67,16 @@ def to_si(path: Path, raw: Raw, mapping: Mapping, skip_bad: bool) -> tuple[dict[
     return signals, raw
 
 
+def whole_times(raw: Raw, mapping: Mapping) -> Raw:
+    """Return the columns with nanoseconds added to the seconds of times, from the first second."""
+    columns = dict(raw.columns)
+    for signal in mapping.signals.values():
+        if signal.nanoseconds is not None:
+            seconds = columns[signal.column] - np.nanmin(columns[signal.column])
+            columns[signal.column] = seconds + 1e-9 * columns[signal.nanoseconds]
+    return replace(raw, columns=columns)
+
+
 def longest(signals: dict[str, Array], raw: Raw) -> dict[str, Array]:
     """Return the signals of the longest recording of a file."""
     a, b = max(pairwise(raw.edges), key=lambda part: part[1] - part[0])
@@ -74,7 +84,11 @@ def longest(signals: dict[str, Array], raw: Raw) -> dict[str, Array]:
 
 
 def _not_risen(now: float, before: float) -> str:
-    same = "; state sampling_rate_hz for `time` if its clock is too coarse" if now == before else ""
+    same = (
+        "; state sampling_rate_hz for `time` if its clock is too coarse, or `nanoseconds` of "
+        "`time` where these have a column of their own"
+    )
+    same = same if now == before else ""
     return f"time does not rise: {now:.9g} s after {before:.9g} s{same}"
 
 

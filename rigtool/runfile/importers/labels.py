@@ -8,9 +8,13 @@ from rigtool.runfile.importers.header import Lines
 from rigtool.runfile.importers.marks import Marks
 
 _LABELLED = re.compile(
-    r'([^\W\d]\w*)"?\s*(?:\(\d+\))?\s*[:=]\s*"?([+-]?[\d.][\w.+-]*|nan\b|null\b)'
+    r"([^\W\d]\w*)[\"']?\s*(?:\(\d+\)|:\s*\d+>)?\s*[:=]\s*(?:np\.\w+\()?"
+    r"[\"']?([+-]?[\d.][\w.+-]*+(?!>)|nan\b|null\b)"
 )
-"""A name, a number behind it as some programs count their registers, and its value."""
+"""A name, a number behind it as some programs count their registers, and its value.
+
+Also as Python prints dictionaries: `'a': np.float64(0.5)`, `<Register.POSITION: 1>: 0.5`.
+"""
 
 
 def labelled(lines: Lines, wanted: set[str]) -> tuple[list[str], Lines, Marks] | None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import Mapping
 from rigtool.runfile.importers.contradictions import EFFORT_ORDER
+from rigtool.runfile.importers.counters import unwrapped
 from rigtool.runfile.importers.raw import Array, ColumnKey, Raw
 from rigtool.runfile.schema import TIME
 
@@ -115,10 +116,3 @@ def _courses(
         if wraps_at is not None:
             values = unwrapped(values, wraps_at)
         yield name, _Course(column, line, time[line], values)
-
-
-def unwrapped(values: Array, wraps_at: float) -> Array:
-    """Return a counter (n,) that goes on over its overflows, steps of half its range."""
-    turns = np.round(np.diff(values) / wraps_at)
-    found: Array = values - wraps_at * np.concatenate([[0.0], np.cumsum(turns)])
-    return found

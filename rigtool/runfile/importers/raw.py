@@ -37,8 +37,9 @@ BINARY_REMEDY = "save the numbers as .npy, .npz or a matrix in .mat, or split th
 NO_TEXT = {
     b"PK\x03\x04": "a spreadsheet or an archive",
     b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1": "a spreadsheet",
-    b"PAR1": "a Parquet file",
-    b"ARROW1": "a Feather file",
+    b"PAR1": "a Parquet file (pandas.read_parquet and to_csv make text of it)",
+    b"ARROW1": "a Feather file (pandas.read_feather and to_csv make text of it)",
+    b"FEA1": "a Feather file (pandas.read_feather and to_csv make text of it)",
     b"TDSm": "a TDMS file of LabVIEW",
     b"MDF ": "an MDF file",
     b"#ROSBAG": "a ROS bag",

@@ -20,6 +20,7 @@ from rigtool.errors import RunFileError
 from rigtool.recipe import mapping as mappings
 from rigtool.recipe.mapping import FileLayout
 from rigtool.recipe.units import DATE
+from rigtool.runfile.importers.arrays import columns_of
 from rigtool.runfile.importers.dates import is_date, seconds_of
 from rigtool.runfile.importers.header import Lines, decoded_text, header_of, split_lines
 from rigtool.runfile.importers.labels import labelled
@@ -46,6 +47,7 @@ from rigtool.runfile.importers.raw import (
     read_bytes,
     require_good,
 )
+from rigtool.runfile.importers.stacked import json_arrays, read_stacked
 
 Words = Mapping[ColumnKey, tuple[Callable[[Sequence[str]], Array], str]]
 """What makes numbers of the texts of columns, NaN for any other text, and what that then is."""
@@ -67,16 +69,28 @@ def read_text(
     short, or hold something else than numbers.
     """
     layout = mapping.file
-    lines = split_lines(decoded_text(path, read_bytes(path)), layout.comment)
+    text = decoded_text(path, read_bytes(path))
+    asked = list(columns) or mapping.columns
+    if (arrays := json_arrays(text)) is not None:
+        return columns_of(path, arrays, None, asked, skip_bad), []
+    lines = split_lines(text, layout.comment)
     if (longest := max(map(len, lines.text), default=0)) > MAX_LINE:
         raise RunFileError(
             f"{path}: a line has {longest} characters, above {MAX_LINE}: {BINARY_REMEDY}"
         )
-    asked = list(columns) or mapping.columns
     if (found := labelled(lines, {str(column) for column in asked})) is not None:
         names, lines, marks = found
         return read_numbers(path, lines, marks, asked, names, skip_bad, words_of(mapping)), []
     marks = marks_of(lines.text[len(lines.text) // 2 :], layout)
+
+    def read(
+        data: Lines, asked: Sequence[ColumnKey], names: Sequence[str], more: Words | None = None
+    ) -> Raw:
+        words = {**words_of(mapping), **(more or {})}
+        return read_numbers(path, data, marks, asked, names, skip_bad, words)
+
+    if (stacked := read_stacked(lines, marks, asked, read)) is not None:
+        return stacked, marks.notes(layout)
     head, names = header_of(path, lines, marks, layout, asked)
     notes = marks.notes(layout)
     if layout.header_lines is None and head != bool(names):
@@ -84,7 +98,7 @@ def read_text(
     data = lines.after(head)
     if layout.sampling_rate_hz is None:
         data = data.without(set(lines.text[:head]))
-    return read_numbers(path, data, marks, asked, names, skip_bad, words_of(mapping)), notes
+    return read(data, asked, names), notes
 
 
 def words_of(mapping: mappings.Mapping) -> Words:
@@ -274,5 +288,11 @@ def _parse_exactly(
 
 
 def _no_number(index: int, text: str) -> str:
-    hint = f': a date or clock time has unit = "{DATE}"' if is_date(text) else ""
+    hints = {
+        f': a date or clock time has unit = "{DATE}"': is_date(text),
+        ": a list: give each of its elements a column": text[:2].strip("\"'")[:1] in ("[", "("),
+        ": write it with base 10": text[:2].lower() == "0x",
+        ": take the unit out of the fields": NUMBER.match(text) and text[-1:].isalpha(),
+    }
+    hint = next((hint for hint, fits in hints.items() if fits), "")
     return f"column {index + 1} holds {text[:40]!r}, no number{hint}"

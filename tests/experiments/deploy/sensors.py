@@ -23,6 +23,7 @@ from rigtool.experiments.force_filter.plant import (
     as_record,
 )
 from rigtool.experiments.force_model.drive import MotorMap
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS
 from rigtool.experiments.force_model.model import Kind, Term
 from rigtool.experiments.force_sensor.sensor import Sensor, SensorProperties
 from rigtool.numerics.compiled import compiled as machine_code
@@ -54,6 +55,7 @@ RIPPLE = {1: 5e-4, 2: 3e-4, 3: 1e-4, 6: 2e-4}
 LEARNED = SimpleNamespace(
     terms=[Term(Kind.RIPPLE, 1e-3, order, order % 2) for order in RIPPLE],
     coefficient=np.array(list(RIPPLE.values())),
+    covariance=1e-8 * np.eye(len(SLIDING_PARAMETERS) + len(RIPPLE)),
     shape=SimpleNamespace(ripple_time=0.05),
 )
 """Of the terms, those of the ripple that a power-up draws."""

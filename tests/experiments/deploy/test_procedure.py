@@ -17,13 +17,12 @@ from rigtool.experiments.learning.implementations import bare_motor
 from rigtool.experiments.learning.stored_table import learned_table_from
 from rigtool.experiments.ripple import procedure as fft_ripple
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.motor import EmulatedMotor
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.moteus.frames import text_to_drive
 from rigtool.rigs.serial.moteus.link import Link
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.moteus import TABLE, MoteusEmulator
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe
 

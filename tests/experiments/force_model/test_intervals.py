@@ -9,6 +9,8 @@ from rigtool.experiments.force_model.intervals import Errors, scales, uncertaint
 MINUTES = 30_000
 """Compared steps of ten minutes."""
 
+NO_RIPPLE = np.zeros(1)
+
 
 def drawn(factor, share, kind, count=MINUTES, seed=3, tails=False):
     """Return errors, half of them without load; with heavy `tails` 95 % hold, too."""
@@ -32,7 +34,7 @@ def test_factor_and_share_are_those_of_the_errors(factor, share, kind):
     found = every[:, kind]
     np.testing.assert_allclose(found[:, 0], factor, rtol=0.05)
     np.testing.assert_allclose(found[:, 1], share, atol=8e-3)
-    u = uncertainty_of_kinds(every[1], own.deviation[1], own.torque, own.kinds)
+    u = uncertainty_of_kinds(every[1], own.deviation[1], own.torque, own.kinds, NO_RIPPLE)
     assert 0.945 < np.mean(np.abs(own.error[1]) < 1.96 * u) < 0.955
 
 
@@ -51,8 +53,19 @@ def test_kinds_have_their_own_errors_and_sliding_has_one_for_both_directions():
 def test_heavy_tails_do_not_widen_the_intervals():
     own = drawn(1.5, 0.0, State.REVERSED, tails=True)
     np.testing.assert_allclose(scales([own])[:, State.REVERSED, 0], 1.5, rtol=0.05)
-    u = uncertainty_of_kinds(scales([own])[0], own.deviation[0], own.torque, own.kinds)
+    u = uncertainty_of_kinds(scales([own])[0], own.deviation[0], own.torque, own.kinds, NO_RIPPLE)
     assert 0.945 < np.mean(np.abs(own.error[0]) < 1.96 * u) < 0.955
+
+
+def test_ripple_of_another_power_up_widens_u_as_it_is():
+    """Known loads have no error from it, so that their factor, here of rest, does not scale it."""
+    factors = np.ones((KIND_COUNT, 2)) * (1.0, 0.0)
+    factors[State.STILL] = 0.4, 0.1
+    kinds = np.array([State.STILL, State.AGAINST])
+    u = uncertainty_of_kinds(
+        factors, np.array([1e-3, 1e-3]), np.full(2, 5e-3), kinds, np.full(2, 0.36e-6)
+    )
+    np.testing.assert_allclose(u, np.sqrt([0.16e-6 + 0.25e-6 + 0.36e-6, 1.36e-6]), rtol=1e-12)
 
 
 def test_few_strokes_hardly_change_what_slides():

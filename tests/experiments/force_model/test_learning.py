@@ -7,20 +7,29 @@ import numpy as np
 import pytest
 
 from rigtool.errors import InsufficientDataError
+from rigtool.experiments.force_model import learning
 from rigtool.experiments.force_model.deviations import (
+    MAX_SCATTER_RATIO,
     Deviations,
     deviations,
     kept_by_mean,
-    repeating,
+    scatter_hz,
+    scatter_ratios,
 )
+from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import (
     SLIDING_PARAMETERS,
     learn_sliding,
     stepped_shape,
 )
 from rigtool.experiments.force_model.model import Kind, Known
+from rigtool.experiments.force_model.procedure_learning import LearnedForce
+from rigtool.experiments.force_model.records import ROWS_HZ
+from rigtool.experiments.learning.implementations.d_tendon import swing_notes, tendon_results
+from rigtool.recipe import load_recipe
 from tests.experiments.force_model import known_plant as plant
 from tests.experiments.force_model.known_plant import strokes
+from tests.experiments.virtual_runs import RECIPE
 
 KNOWN = Known(plant.RATIO, plant.FACTOR, plant.INERTIA)
 CALM = Deviations(2e-4, 1e-3, 1e-4, 0.1)
@@ -68,6 +77,35 @@ def test_a_longer_step_that_raises_the_cost_is_shortened(fit):
     assert lengths[0] > lengths[1] > 10 * lengths[2]
 
 
+class Scripted:
+    """A problem of which each step, in logarithms of one parameter, is known beforehand."""
+
+    def __init__(self, *steps):
+        self.steps, self.near, self.costs = iter(steps), [], iter(range(100, 0, -1))
+
+    def cost(self, shape):
+        return np.zeros(1), next(self.costs)
+
+    def normal(self, shape, coefficient):
+        return np.zeros((1, 1, 1))
+
+    def solved(self, normal, shape, first, lift=0.0):
+        return np.eye(first)[0] * next(self.steps), np.eye(first)
+
+    def weigh(self, shape, coefficient, near):
+        self.near.append(near)
+
+
+def test_records_keep_the_weights_of_their_own_until_the_search_ends(fit):
+    problem = Scripted(0.6, 0.1, 0.4, 0.35, 0.2)
+    learning._searched(problem, fit.learned.shape)
+    assert problem.near == [False, True, True, True]
+    assert next(problem.steps, None) is None
+    at_once = Scripted(0.1, 0.1)  # no end without weights of their own
+    learning._searched(at_once, fit.learned.shape)
+    assert at_once.near == [True]
+
+
 def test_tendon_and_load_friction_are_given_back(learned):
     assert learned.shape.stiffness == pytest.approx(plant.STIFFNESS, rel=0.01)
     carried = np.array([5e-3, 20e-3, 50e-3])
@@ -79,6 +117,28 @@ def test_tendon_and_load_friction_are_given_back(learned):
     found = upright * (np.hypot(carried, onset) - onset)
     expected = plant.LOAD_FRICTION * (np.hypot(carried, plant.ONSET) - plant.ONSET)
     np.testing.assert_allclose(found, expected, rtol=0.03)
+
+
+def test_what_the_bench_has_wrong_is_in_the_budget_of_the_tendon(fit, learned):
+    """What the loads are the measure of grows with them; how they swing, with length squared."""
+    rig = load_recipe(RECIPE)[0].rig
+    off = rig.instrument.model_copy(
+        update={"grasper_length_u": 0.2e-3, "angle_ratio_relative_u": 0.01}
+    )
+    rig = rig.model_copy(update={"weights_relative_u": 0.01, "instrument": off})
+    force = LearnedForce(ForceModel(learned, CALM), fit, {}, {})
+    found = tendon_results(force, [], np.ones(1), rig)
+    relative = {
+        name: {line.name: line.u * line.sensitivity / one.value for line in one.budget}
+        for name, one in found.items()
+    }
+    assert relative["tendon_stiffness"]["weights"] == pytest.approx(0.01, rel=0.1)
+    assert 0.009 < relative["tendon_stiffness"]["length to the load"] < 0.021
+    assert abs(relative["tendon_stiffness"]["angle ratio"]) > 0.01
+    assert all(len(lines) == 4 for lines in relative.values())
+    number = SLIDING_PARAMETERS.index("stiffness")
+    u = np.sqrt(fit.learned.covariance[number, number])
+    assert relative["tendon_stiffness"]["strokes under known loads"] == pytest.approx(u, rel=0.05)
 
 
 def test_friction_is_given_back_wherever_it_slides(learned):
@@ -132,7 +192,28 @@ def test_cycles_that_differ_by_more_than_friction_does_do_not_repeat():
             [(0.0, 0.2e-3), (0.0, 0.3e-3), (20e-3, 0.3e-3), (50e-3, 5e-3)]
         )
     ]
-    assert repeating(every) == [True, True, True, False]
+    swings = [ratio > MAX_SCATTER_RATIO for ratio in scatter_ratios(every)]
+    assert swings == [False, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("hertz", "cause"), [(1.0, "lets the load swing"), (4.0, "something else")]
+)
+def test_a_load_that_swings_anew_in_each_cycle_gets_a_remark(fit, learned, hertz, cause):
+    calm = strokes(50e-3, 1.0, cycles=8, deviation=0.3e-3, seed=1)
+    inertia = learned.shape.stiffness / (2 * math.pi) ** 2  # swings at 1 Hz
+    time = np.arange(calm.count) / ROWS_HZ
+    phases = np.linspace(0, 5, 8)[:, None]
+    wave = 5e-3 * np.sin(2 * math.pi * hertz * time + phases)
+    swinging = replace(calm, torques=calm.torques + wave, load_inertia=inertia)
+    found = {"known_000_000": calm, "known_000_001": swinging}
+    force = LearnedForce(
+        ForceModel(learned, CALM), fit, found, {"known_000_000": 1.0, "known_000_001": 9.0}
+    )
+    (note,) = swing_notes(force)
+    assert note.startswith("known_000_001: its cycles scatter by 9 times")
+    assert cause in note
+    assert scatter_hz(swinging) == pytest.approx(hertz, abs=0.2)
 
 
 def test_what_comes_back_in_each_pass_is_no_news(fit):

@@ -9,6 +9,7 @@ import pytest
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.experiments.learning.check import procedure as ilc_check
 from rigtool.experiments.learning.check.procedure import PROCEDURE as ILC_CHECK
+from rigtool.experiments.learning.imported import _steadied
 from rigtool.experiments.learning.procedure import PROCEDURE as ILC_LEARN
 from rigtool.experiments.learning.stored_table import learned_table_from, lookup_table_from
 from rigtool.experiments.running.options import CommonOptions
@@ -59,6 +60,12 @@ def rig(tmp_path_factory):
     paths = dict(zip(files, take(folder, SLOW, files), strict=True))
     outcome = learn([paths["off_0"], paths["off_1"]], folder / "map.h5")
     return folder, paths, outcome
+
+
+@pytest.mark.parametrize("count", [1, 7, 20, 21, 40])
+def test_noise_floors_of_few_orders_are_steadied_among_themselves(count):
+    steadied = _steadied(np.full(count, 2.0))
+    np.testing.assert_allclose(steadied, np.full(count, 2.0), rtol=1e-12, atol=0)
 
 
 def test_the_map_is_what_repeats(rig):

@@ -1,11 +1,14 @@
 """calibrate-kt on the virtual rig, from recipe to torque constant and back from the file."""
 
+import json
 import math
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from numpy.testing import assert_allclose
 
+from rigtool.cli.info import command as info
 from rigtool.errors import InsufficientDataError, RecipeError
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -184,6 +187,49 @@ def test_instruments_that_are_off_are_in_the_budget(tmp_path, draw):
         assert abs(used.value / torque - 1) < 2.5 * used.u / used.value
         assert not names & {"gain of the current reading", "thermometer"}
         assert used.u / used.value < math.hypot(stated["arm"], 8e-3)
+
+
+@pytest.mark.parametrize(
+    ("line", "setting", "stated", "off"),
+    [
+        ("arm length", "arm.length_u", 5.4e-3, "misstated.arm_length=0.015"),
+        ("gauge calibration", "arm.gauge_relative_u", 0.01, "sensors.force_gain=1.015"),
+        ("gauge linearity", "arm.gauge_linearity", 0.02, "sensors.force_linearity=0.06"),
+        (
+            "gain of the current reading",
+            "current_reading_relative_u",
+            0.01,
+            "sensors.current_gain=1.015",
+        ),
+        ("thermometer", "thermometer_u", 5.0, "sensors.temperature_offset=7.5"),
+    ],
+)
+def test_an_interval_holds_with_the_line_of_what_is_off_and_not_without(
+    tmp_path, line, setting, stated, off
+):
+    measured, again = tmp_path / "kt.h5", tmp_path / "again.h5"
+    run(CALIBRATE_KT, RECIPE, measured, *SHORT, f"rig.{setting}={stated}", f"virtual.{off}")
+    run(CALIBRATE_KT, measured, again, f"rig.{setting}=0")
+    (with_line, row), (without, no_row) = (
+        budget_of(path, "torque_constant", line) for path in (measured, again)
+    )
+    assert abs(with_line["value"] - 45.8e-3) < 2 * with_line["u"]
+    assert abs(without["value"] - 45.8e-3) > 4 * without["u"]
+    # as shown: value, u, sensitivity, contribution, degrees of freedom, share
+    assert float(row[-1].rstrip("%")) > 50
+    assert row[-2] == "inf"
+    assert no_row is None
+
+
+def budget_of(path, result, line):
+    """Return a result, and the words that info shows in a line of its budget, None without it."""
+    shown, document = (
+        CliRunner().invoke(info, [str(path), "--budget", result, *more], catch_exceptions=False)
+        for more in ([], ["--json"])
+    )
+    rows = [row.strip() for row in shown.output.splitlines()]
+    words = next((row.removeprefix(line).split() for row in rows if row.startswith(line)), None)
+    return json.loads(document.output)["results"][result], words
 
 
 def _normal(seed, count):

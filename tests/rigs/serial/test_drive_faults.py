@@ -15,8 +15,6 @@ from rigtool.errors import HardwareError
 from rigtool.rigs import Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.maxon import driver as maxon
 from rigtool.rigs.serial.maxon import guard as maxon_guard
@@ -24,6 +22,7 @@ from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.odrive import driver as odrive
 from rigtool.runfile import open_run
 from tests.cli.test_run_commands import call
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.maxon import DesEmulator, Epos2Emulator, Epos4Emulator
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
 from tests.rigs.serial.emulators.odrive import IDLE, ODriveEmulator

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.errors import HardwareError, RecipeError
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import Emulator, serve
+from rigtool.rigs.serial.emulators.server import Emulator
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
 from rigtool.rigs.serial.transport.spy import Event, Spy, read_spy
+from tests.rigs.serial.emulators.faults import Fault, serve
 
 
 class Echo(Emulator):

@@ -15,9 +15,9 @@ from rigtool.rigs import Task
 from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import open_serial_rig
-from rigtool.rigs.serial.emulators.faults import Fault, Faults
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.transport.can_frames import CanFrame, encode
+from rigtool.rigs.serial.transport.spy import Spy
+from tests.rigs.serial.emulators.faults import Fault, inject, serve
 from tests.rigs.serial.emulators.vesc import framed
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.test_commands import DRIVES
@@ -75,11 +75,11 @@ def fail(failure, name, world, server, rig):
     elif failure == "stopped":
         rig.line.sleep_until = lambda moment: world.sleep(2.0)
     elif failure == "pulled":
-        server._in = Faults((Fault("pull", towards="device"),), "device", server._act)
+        inject(server, Fault("pull", towards="device"))
     elif failure == "deaf":
-        server._in = Faults((Fault("silence", towards="device"),), "device", server._act)
+        inject(server, Fault("silence", towards="device"))
     elif failure == "mute":
-        server._out = Faults((Fault("silence"),), "host", server._act)
+        inject(server, Fault("silence"))
     else:
         heartbeat = encode(CanFrame(0x705, b"\5"))
         talk(server.emulator, OTHERS.get(name, heartbeat))
@@ -143,3 +143,33 @@ def test_shaft_that_runs_away_is_no_faster_than_was_stated(world, name):
     stated = float(re.search(r"at up to (\S+) rad/s", note)[1])
     print(name, top, note)
     assert top < stated
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_a_log_on_a_full_disk_disturbs_no_motion_and_no_stop(world, name, tmp_path, caplog):
+    device = DRIVES[name][0]()
+    world.tick = 0.005
+    motion = Task(SpeedProfile((0.0, 0.1, 0.5), (0.0, 3.0, 0.0)))
+    with serve(device) as server, rig_of(name, server.port) as rig:
+        spy = rig.line._spy = Spy(tmp_path / "line.spy", name)
+        running = rig.perform(motion)
+        next(running)
+        spy._file.close()
+        spy._file = open("/dev/full", "w", buffering=1)  # noqa: SIM115
+        list(running)
+        assert not is_on(name, device)
+        assert is_moving_again(rig, device, name, motion)
+    assert not is_on(name, device)
+    spy.close()
+    (warning,) = [record.getMessage() for record in caplog.records]
+    assert "line.spy: ends here" in warning
+    assert "the disk is full" in warning
+
+
+def is_moving_again(rig, device, name, motion):
+    """Break a motion off in the middle: what stops it goes over the line of the full log."""
+    running = rig.perform(motion)
+    next(running)
+    on = is_on(name, device)
+    running.close()
+    return on and not is_on(name, device)

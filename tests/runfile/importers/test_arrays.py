@@ -1,5 +1,7 @@
 """Files of MATLAB and NumPy, as these programs and h5py write them."""
 
+import os
+
 import h5py
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from scipy.io import savemat
 from rigtool.errors import RunFileError
 from rigtool.runfile import open_run
 from rigtool.runfile.importers import import_files
+from rigtool.runfile.importers.arrays import load_arrays
 from tests.runfile.importers.mappings import TEXT, columns, mapping, take
 
 NAMED = TEXT
@@ -184,3 +187,21 @@ def test_arrays_of_structures_and_columns_of_matrices(tmp_path):
     for wrong in ("rec.more(:,3)", "rec.Y(3).Data"):
         with pytest.raises(RunFileError, match=r"has no column 'rec\."):
             take(tmp_path / "a.mat", tmp_path / "b.h5", text.replace(names["i"], wrong))
+
+
+def test_objects_of_matlab_name_the_way_out(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["TT"] = np.zeros((1, 6), np.uint32)
+        file["TT"].attrs["MATLAB_class"] = np.bytes_("timetable")
+        file["TT"].attrs["MATLAB_object_decode"] = 3
+    with pytest.raises(RunFileError, match=r"TT is a timetable of MATLAB.*t = seconds\(TT\.Time\)"):
+        take(tmp_path / "a.mat", tmp_path / "a.h5", NAMED.replace('"t"', '"TT.Time"'))
+
+
+def test_a_file_that_is_cut_off_later_does_not_end_the_process(tmp_path):
+    """Of a file that is mapped into memory, what is missing is a signal, not an error."""
+    values = np.arange(100_000.0)
+    np.save(tmp_path / "a.npy", values)
+    (found,) = load_arrays(tmp_path / "a.npy").values()
+    os.truncate(tmp_path / "a.npy", 128)
+    assert np.array_equal(found, values)

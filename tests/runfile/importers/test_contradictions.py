@@ -33,6 +33,10 @@ def signals(counts=4096, constant=0.05, noise=0.0, friction=0.0):
     }
 
 
+wrong = signals()["position"] / 35
+wrong[700] = -1
+
+
 @pytest.mark.parametrize(
     ("found", "messages"),
     [
@@ -47,6 +51,7 @@ def signals(counts=4096, constant=0.05, noise=0.0, friction=0.0):
         (signals() | {"force": signals()["torque"] / 0.2}, []),
         (signals() | {"force": signals()["torque"] / 200}, ["changes by 200 N m for each newton"]),
         (signals() | {"current_setpoint": -signals()["current"]}, ["current changes -1 times"]),
+        (signals() | {"output_position": wrong}, ["motor moves", "output_position jumps 2 times"]),
         (signals(friction=0.1), []),
         (signals(friction=-0.1), ["current is larger backwards than forwards, by about 0.19"]),
     ],

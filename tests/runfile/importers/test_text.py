@@ -1,6 +1,8 @@
 """Delimited text: what is good comes in exactly, what is bad is named by its line."""
 
+import csv
 import gzip
+import json
 
 import numpy as np
 import pandas as pd
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import parse_mapping
 from rigtool.runfile import open_run
+from rigtool.runfile.importers.marks import fields_of
 from rigtool.runfile.importers.text import read_text
 from tests.runfile.importers.mappings import ROWS, TEXT, columns, lines, take
 
@@ -298,12 +301,25 @@ def test_what_other_programs_put_around_numbers(tmp_path, text):
         np.testing.assert_array_equal(run.recording("imported").read("current"), [-1, -2, -3])
 
 
-def test_marks_of_thousands_are_no_numbers(tmp_path):
-    """A number in quotes that the delimiter cuts is not its first digit."""
-    (tmp_path / "a.csv").write_text("".join(f'{n},"{n + 1},234.5"\n' for n in range(9)))
+SURE = ['"{},234.5"', "{}'234.5", "{}.234,5", "{}\u202f234,5", "{} 234,5"]
+UNSURE = ['"{},234"', "{}.234"]
+
+
+@pytest.mark.parametrize("number", SURE + UNSURE)
+def test_marks_of_thousands(tmp_path, number):
+    """They are read past where no decimal mark is like them; what may be one is no number."""
+    delimiter = "," if '"' in number else ";"
+    rows = (f"{n}{delimiter}{number.format(n + 1)}{delimiter}0,5\n" for n in range(9))
+    (tmp_path / "a.csv").write_text("".join(row.replace(",0,5", ",0.5") for row in rows))
     text = NAMED.replace('"t"', "1").replace('"i"', "2")
-    with pytest.raises(RunFileError, match=r"column 2 holds '1,234\.5', no number"):
-        take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+    if number in UNSURE:
+        with pytest.raises(RunFileError, match=r"column 2 holds '1[,.]234', no number"):
+            take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+        return
+    take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+    np.testing.assert_array_equal(
+        read(tmp_path / "a.h5", "current"), np.arange(1, 10) * 1000 + 234.5
+    )
 
 
 @pytest.mark.parametrize(
@@ -373,6 +389,11 @@ def test_one_time_that_falls_back_starts_no_recording(tmp_path):
         take(write(tmp_path / "a.csv", ["t,i", *rows]), tmp_path / "a.h5", NAMED)
 
 
+def test_a_quoted_field_longer_than_python_reads():
+    line = '1,"' + "2" * csv.field_size_limit() + '"'
+    assert [len(field) for field in fields_of(line, ",")] == [1, csv.field_size_limit() + 2]
+
+
 def test_a_last_line_without_end(tmp_path):
     """It stays where its last field is as long as the others; else it may be cut short."""
     for last, kept in (("2,3.25", 3), ("2,3.2", 2)):
@@ -389,6 +410,8 @@ def test_a_last_line_without_end(tmp_path):
         ("2/28/2021 11:59:59 PM", "3/1/2021 12:00:01 AM", 2.0),
         ("28/2/2021 1:00", "1/3/2021 1:00", None),
         ("23:59:59.9", "00:00:00.2", 0.3),
+        ("2024-03-31T01:59:59.5+01:00", "2024-03-31T03:00:00+0200", 0.5),
+        ("20240331T235959.5Z", "20240401T000000Z", 0.5),
     ],
 )
 def test_dates_and_clock_times(tmp_path, first, second, seconds):
@@ -416,6 +439,8 @@ LABELLED = [
     "t={t} i={i} state=OK",
     '{{"t": {t}, "i": {i}, "mode": "on"}}',
     "i(4): {i}, t(1): {t}",
+    "{{'t': {t}, 'i': np.float64({i})}}",
+    "{{<Register.t: 0>: {t}, <Register.i: 1>: {i}}}",
 ]
 
 
@@ -460,4 +485,60 @@ def test_a_clock_that_overflows_is_named(tmp_path):
     rows = [f"{(2**16 - 150 + 10 * n) % 2**16},{n}\n" for n in range(30)]
     (tmp_path / "a.csv").write_text("t,i\n" + "".join(rows))
     (done,) = take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED).done
-    assert "state wraps_at = 65536 for `time`" in "".join(done.notes)
+    assert "time begins again at 65536: state wraps_at" in "".join(done.notes)
+    assert np.ptp(read(tmp_path / "a.h5", "time")) == 290
+    del rows[15]
+    (tmp_path / "a.csv").write_text("t,i\n" + "".join(rows))
+    (done,) = take(tmp_path / "a.csv", tmp_path / "b.h5", NAMED).done
+    assert "if the clock overflows there, state wraps_at = 65536" in "".join(done.notes)
+
+
+LONG = [f"{n};{name};A;{value:.3f}" for n in range(30) for name, value in (("i", n), ("x", -1))]
+
+
+def test_one_column_that_names_the_signal_of_each_line(tmp_path):
+    (tmp_path / "a.csv").write_text("\n".join(["t;name;unit;value", *LONG, ""]).replace(".", ","))
+    take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED)
+    np.testing.assert_array_equal(read(tmp_path / "a.h5", "current"), np.arange(30))
+    (tmp_path / "a.csv").write_text("\n".join(["t;name;unit;value", "0;i;A;off", *LONG]))
+    with pytest.raises(RunFileError, match=r"line 2: column 4 holds 'off', no number"):
+        take(tmp_path / "a.csv", tmp_path / "b.h5", NAMED)
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        [{"t": n, "drive": {"i": n / 8}} for n in range(30)],
+        {"log": {"t": list(range(30)), "i": [n / 8 for n in range(30)]}},
+    ],
+)
+def test_documents_of_json(tmp_path, document):
+    for name, indent in (("a", None), ("b", 1)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(document, indent=indent))
+        take(tmp_path / f"{name}.json", tmp_path / f"{name}.h5", NAMED)
+        np.testing.assert_array_equal(read(tmp_path / f"{name}.h5", "current"), np.arange(30) / 8)
+    (tmp_path / "c.json").write_text(json.dumps(document).replace(" 0.5", " null"))
+    with pytest.raises(RunFileError, match="sample 5: column 'i' is nan"):
+        take(tmp_path / "c.json", tmp_path / "c.h5", NAMED)
+
+
+def test_seconds_and_nanoseconds(tmp_path):
+    """Stamps of ROS, to the nanosecond."""
+    rows = "".join(f"{1700000000 + n // 4},{n % 4 * 250000001},{n}\n" for n in range(40))
+    (tmp_path / "a.csv").write_text("sec,nanosec,i\n" + rows)
+    text = NAMED.replace('column = "t"', 'column = "sec"')
+    with pytest.raises(RunFileError, match="or `nanoseconds` of `time`"):
+        take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+    text = text.replace('unit = "s"', 'unit = "s", nanoseconds = "nanosec"')
+    take(tmp_path / "a.csv", tmp_path / "a.h5", text)
+    expected = np.arange(40) // 4 + np.arange(40) % 4 * 0.250000001
+    np.testing.assert_allclose(read(tmp_path / "a.h5", "time"), expected, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("field", "hint"), [("[1.5, 2]", "a list"), ("0x1F", "base 10"), ("1.5 A", "the unit out")]
+)
+def test_fields_that_only_others_read(tmp_path, field, hint):
+    (tmp_path / "a.csv").write_text("t;i\n" + f"0;{field}\n" * 9)
+    with pytest.raises(RunFileError, match=hint):
+        take(tmp_path / "a.csv", tmp_path / "a.h5", NAMED)

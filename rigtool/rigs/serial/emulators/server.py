@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator
 
 from rigtool.errors import HardwareError, UsageError
-from rigtool.rigs.serial.emulators.faults import Fault, Faults, Pulled
 
 IDLE_TIME = 0.002
 """Longest time between two calls of `Emulator.idle`, s."""
@@ -29,6 +28,10 @@ MAX_PORT = 65535
 
 UNREAD_TIME = 1.0
 """Time after which bytes that nobody reads are dropped, s."""
+
+
+class Pulled(Exception):
+    """The cable is pulled: the server closes its side and ends."""
 
 
 class Emulator:
@@ -62,12 +65,10 @@ class Emulator:
 class Server:
     """Serves an emulator; the host opens `port`. End it with `stop`."""
 
-    def __init__(self, emulator: Emulator, faults: tuple[Fault, ...] = ()) -> None:
+    def __init__(self, emulator: Emulator) -> None:
         self.emulator = emulator
         self.port = ""
         self.error: BaseException | None = None
-        self._out = Faults(faults, "host", self._act)
-        self._in = Faults(faults, "device", self._act)
         self._stop = threading.Event()
         self._waiting = bytearray()
         self._taken = time.monotonic()
@@ -89,12 +90,6 @@ class Server:
         while self._thread.is_alive() and (left := end - time.monotonic()) > 0:
             self._thread.join(min(left, 0.2))
 
-    def _act(self, fault: Fault) -> None:
-        if fault.kind == "reset":
-            self.emulator.reset()
-        elif fault.kind == "refuse":
-            self.emulator.refuse(fault.count)
-
     def _serve(self) -> None:
         try:
             while not self._stop.is_set() and self.serve_once():
@@ -111,9 +106,9 @@ class Server:
         try:
             ready = self._ready(0.0 if self.emulator.busy and not self._waiting else IDLE_TIME)
             if ready and (data := self._read()):
-                self._waiting += self._out.apply(self.emulator.receive(self._in.apply(data)))
+                self._waiting += self.emulator.receive(data)
             if len(self._waiting) < BACKLOG_BYTES:
-                self._waiting += self._out.apply(self.emulator.idle())
+                self._waiting += self.emulator.idle()
             self._send()
         except Pulled:
             return False
@@ -193,10 +188,8 @@ class PtyServer(Server):
 class TcpServer(Server):
     """An emulator on a TCP socket, one host at a time; `port` is a URL of pyserial."""
 
-    def __init__(
-        self, emulator: Emulator, faults: tuple[Fault, ...] = (), address: str = "127.0.0.1:0"
-    ) -> None:
-        super().__init__(emulator, faults)
+    def __init__(self, emulator: Emulator, address: str = "127.0.0.1:0") -> None:
+        super().__init__(emulator)
         self._address = address
         self._host: socket.socket | None = None
 
@@ -260,9 +253,9 @@ class TcpServer(Server):
 
 
 @contextlib.contextmanager
-def serve(emulator: Emulator, *faults: Fault, tcp: bool = False) -> Iterator[Server]:
+def serve(emulator: Emulator, *, tcp: bool = False) -> Iterator[Server]:
     """Serve an emulator while the `with` block runs: on a pseudo-terminal, or on a TCP socket."""
-    server = TcpServer(emulator, faults) if tcp else PtyServer(emulator, faults)
+    server = TcpServer(emulator) if tcp else PtyServer(emulator)
     server.start()
     try:
         yield server

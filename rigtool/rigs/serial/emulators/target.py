@@ -172,6 +172,7 @@ class TargetEmulator(Emulator):
             abilities &= ~Ability.KEEPS_LOG
         rig = self._recipe.rig
         return link.Hello(
+            link.VERSION,
             boot,
             abilities,
             self._max_payload,

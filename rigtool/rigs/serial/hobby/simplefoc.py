@@ -18,15 +18,10 @@ import re
 from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, persist
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
-from rigtool.rigs.serial.maxon.guard import (
-    SHORTEST_SILENCE,
-    SILENCE,
-    Guard,
-    require_emergency_stop,
-)
+from rigtool.rigs.serial.maxon.guard import Guard, make_guard
 
 BAUD_RATE = 115200
 DECIMALS = 4
@@ -144,19 +139,14 @@ class SimpleFoc:
 
     def halt(self) -> None:
         """Switch off, in any state; `HardwareError` where the drive does not confirm it."""
-        for attempt in range(HALT_ATTEMPTS):
-            try:
-                self._line.write(b"\n")  # ends half a line
-                if attempt:
-                    self._line.settle()
-                self._off()
-                break
-            except HardwareError:
-                if attempt == HALT_ATTEMPTS - 1:
-                    raise
+        persist(self._stop, HALT_ATTEMPTS, self._line.settle)
         self._on = False
         if self._guard is not None:
             self._guard.rest()
+
+    def _stop(self) -> None:
+        self._line.write(b"\n")  # ends half a line
+        self._off()
 
     def _off(self) -> None:
         self._target(0.0)
@@ -261,14 +251,9 @@ def probe(line: Line) -> str | None:
 
 def make_drive(line: Line, recipe: Recipe) -> SimpleFoc:
     """Return the drive that a recipe names, not connected yet."""
-    assert recipe.serial is not None
-    settings, guard = recipe.serial, None
-    require_emergency_stop(settings, "SimpleFOC has")
-    if not line.replays:
-        silence = max(SHORTEST_SILENCE, SILENCE * settings.watchdog)
-        baud_rate = settings.baud_rate or BAUD_RATE
-        guard = Guard(settings.port, baud_rate, settings.node, silence, driver="simplefoc")
-    return SimpleFoc(line, settings.node, guard)
+    node = recipe.line.node
+    guard = make_guard(line, recipe.line, node, "SimpleFOC has", "simplefoc", BAUD_RATE)
+    return SimpleFoc(line, node, guard)
 
 
 def switch_off(line: Line, node: int) -> None:

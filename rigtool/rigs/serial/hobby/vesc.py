@@ -18,7 +18,7 @@ from typing import NamedTuple
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, persist, unwrapped
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost
 
@@ -224,17 +224,16 @@ class Vesc:
         Raises `HardwareError` where it does not come.
         """
         self._setpoint = 0.0
-        for attempt in range(HALT_ATTEMPTS):
-            try:
-                self._line.write(self._current(0.0))
-                self._ask_state(0.0)
-                if not self._on or self._wait_for(timed_out=True):
-                    self._on = False
-                    return
-            except HardwareError:
-                if attempt == HALT_ATTEMPTS - 1:
-                    raise
-        raise HardwareError(f"{self._line.port}: the drive's timeout does not come: switch it off")
+        persist(self._stop, HALT_ATTEMPTS)
+
+    def _stop(self) -> None:
+        self._line.write(self._current(0.0))
+        self._ask_state(0.0)
+        if self._on and not self._wait_for(timed_out=True):
+            raise HardwareError(
+                f"{self._line.port}: the drive's timeout does not come: switch it off"
+            )
+        self._on = False
 
     # -- samples
 
@@ -282,8 +281,7 @@ class Vesc:
         if self._last is None:
             return angle
         then = self._last
-        moved = (then.speed + speed) / 2 * (moment - then.time)
-        angle += TURN * round((then.position + moved - angle) / TURN)
+        angle, moved = unwrapped(angle, speed, moment, then)
         if not self._on:  # a shaft that is turned by hand meanwhile is no fault
             self._drift = self._way = 0.0
             return angle
@@ -344,10 +342,9 @@ def probe(line: Line) -> str | None:
 
 def make_drive(line: Line, recipe: Recipe) -> Vesc:
     """Return the drive on a line, not connected yet; `RecipeError` for a node behind it."""
-    assert recipe.serial is not None
-    if recipe.serial.node:
+    if recipe.line.node:
         raise RecipeError(
-            f"serial.node is {recipe.serial.node}: rigtool drives the VESC at the line itself, "
+            f"serial.node is {recipe.line.node}: rigtool drives the VESC at the line itself, "
             "none behind it on CAN: set it to 0"
         )
     return Vesc(line)

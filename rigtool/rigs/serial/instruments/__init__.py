@@ -115,10 +115,23 @@ def open_gauge(
     """Return the gauge that a recipe names for a channel; not connected yet.
 
     `beside` returns the line of the drive once that is open: clock and spy file are shared. Raises
-    `RecipeError` for an unknown driver, or one without a port.
+    as `require_instrument` does.
     """
+    require_instrument(channel, settings)
     if settings.driver == "operator":
         return OperatorGauge(channel, settings, operator)
+    from rigtool.rigs.serial.instruments.gauge import LineGauge
+
+    module = instrument_module(settings.driver)
+    return LineGauge(
+        channel, settings, module.make_reader, baud_rate=module.BAUD_RATE, beside=beside
+    )
+
+
+def require_instrument(channel: str, settings: MeasuringInstrument) -> None:
+    """Raise `RecipeError` for an instrument with an unknown driver, or one without a port."""
+    if settings.driver == "operator":
+        return
     if settings.driver not in INSTRUMENT_MODULES:
         raise RecipeError(
             f"serial.{channel}.driver {settings.driver!r} is not known: use one of operator, "
@@ -128,9 +141,3 @@ def open_gauge(
         raise RecipeError(
             f"serial.{channel}.port is missing: a {settings.driver} is on a port of its own"
         )
-    from rigtool.rigs.serial.instruments.gauge import LineGauge
-
-    module = instrument_module(settings.driver)
-    return LineGauge(
-        channel, settings, module.make_reader, baud_rate=module.BAUD_RATE, beside=beside
-    )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import struct
+from dataclasses import replace
 
 from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Limits
 from rigtool.rigs.serial.cia402.states import RPM
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, unwrapped
 from rigtool.rigs.serial.maxon.drive import NO_WATCHDOG, MaxonDrive
 from rigtool.rigs.serial.maxon.frames import LockStepFrames
 
@@ -46,7 +46,7 @@ class DesDrive(MaxonDrive[int]):
         super().__init__(frames.line, encoder_counts)
         self._frames = frames
         self._mode: Mode = "velocity"
-        self._last: tuple[float, float, float] | None = None
+        self._last: Sample | None = None
 
     def connect(self) -> str:
         """See that the drive reports no error and has the recipe's encoder."""
@@ -100,10 +100,8 @@ class DesDrive(MaxonDrive[int]):
     def _unwrap(self, angle: float, speed: float, moment: float) -> float:
         """Return the position nearest to the one that the speed since the last sample predicts."""
         if self._last is not None:
-            then, position, before = self._last
-            expected = position + (before + speed) / 2 * (moment - then)
-            angle += 2 * math.pi * round((expected - angle) / (2 * math.pi))
-        self._last = (moment, angle, speed)
+            angle, _ = unwrapped(angle, speed, moment, self._last)
+        self._last = Sample(moment, angle, speed)
         return angle
 
     def _confirm(self) -> None:
@@ -120,7 +118,7 @@ class DesDrive(MaxonDrive[int]):
     def _switch_off(self) -> bool:
         self._command(ENABLE, 0, retries=1)
         if self._last is not None:  # it comes to rest unseen
-            self._last = (*self._last[:2], 0.0)
+            self._last = replace(self._last, speed=0.0)
         return not self._read(STATUS, retries=1) & STATUS_ENABLED
 
     def _require_obedience(self) -> None:

@@ -24,12 +24,7 @@ from rigtool.rigs.serial.maxon.frames import (
     DleFrames,
     LockStepFrames,
 )
-from rigtool.rigs.serial.maxon.guard import (
-    SHORTEST_SILENCE,
-    SILENCE,
-    Guard,
-    require_emergency_stop,
-)
+from rigtool.rigs.serial.maxon.guard import make_guard
 from rigtool.rigs.serial.maxon.objects import EPOS2_ACCESS, EPOS4_ACCESS, EposObjects
 
 BAUD_RATES = (115200, 38400)
@@ -55,13 +50,10 @@ def make_drive(line: Line, recipe: Recipe) -> Drive:
 
     Raises `RecipeError` for a recipe without an emergency stop.
     """
-    assert recipe.serial is not None
-    settings, node = recipe.serial, recipe.serial.node or FACTORY_NODE
-    require_emergency_stop(settings, "maxon drives have")
+    settings, node = recipe.line, recipe.line.node or FACTORY_NODE
+    guard = make_guard(line, settings, node, "maxon drives have", "maxon", BAUD_RATES[0])
     drive = drive_on(line, node, recipe.rig.encoder_counts)
-    if not line.replays:
-        silence = max(SHORTEST_SILENCE, SILENCE * settings.watchdog)
-        drive.guard = Guard(settings.port, settings.baud_rate or BAUD_RATES[0], node, silence)
+    drive.guard = guard
     return drive
 
 

@@ -16,6 +16,7 @@ import threading
 
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe.serial import Serial
+from rigtool.rigs.serial.line import Line
 
 ON, OFF = b"1", b"0"
 READY_BYTE = b"r"
@@ -25,14 +26,24 @@ SILENCE, SHORTEST_SILENCE = 2.0, 1.0
 gives up first, and switching on takes a while."""
 
 
-def require_emergency_stop(settings: Serial, name: str) -> None:
-    """Raise `RecipeError` for a recipe without an emergency stop."""
+def make_guard(
+    line: Line, settings: Serial, node: int, name: str, driver: str, baud_rate: int
+) -> Guard | None:
+    """Return the guard of a drive at a node, None where a record is played back.
+
+    `baud_rate` is the usual one of the drive, in bit/s. Raises `RecipeError` for a recipe without
+    an emergency stop.
+    """
     if not settings.emergency_stop:
         raise RecipeError(
             f"{settings.port}: {name} no watchdog on this line: where computer or cable fail, the "
             "motor follows its last set point. Wire the enable or STO input, or the supply, to an "
             "emergency stop within reach, try it, and set serial.emergency_stop = true"
         )
+    if line.replays:
+        return None
+    silence = max(SHORTEST_SILENCE, SILENCE * settings.watchdog)
+    return Guard(settings.port, settings.baud_rate or baud_rate, node, silence, driver)
 
 
 class Guard:

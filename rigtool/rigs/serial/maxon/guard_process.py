@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from rigtool.errors import HardwareError
+from rigtool.interrupts import SIGNALS
 from rigtool.rigs.serial.drivers import driver
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.maxon.guard import ON, READY_BYTE
@@ -30,9 +30,8 @@ ATTEMPT_PAUSE = 0.05
 
 def main(kind: str, port: str, baud_rate: str, node: str, silence: str) -> None:
     """Watch over standard input, and switch the drive off where that ends or falls silent."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # it ends with the program that it watches
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    for number in SIGNALS:  # it ends with the program that it watches
+        signal.signal(number, signal.SIG_IGN)
     words: queue.Queue[bytes] = queue.Queue()
     threading.Thread(target=_listen, args=(words,), daemon=True).start()
     off = driver(kind).switch_off
@@ -77,7 +76,7 @@ def switch_off(off: Callable[[Line, int], None], port: str, baud_rate: int, node
                 off(line, node)
             report += "it is switched off now"
             break
-        except HardwareError as error:
+        except Exception as error:  # whatever it is, the drive is still on
             if time.monotonic() > deadline:
                 report += f"it could not be switched off ({error}): switch off its supply"
                 break

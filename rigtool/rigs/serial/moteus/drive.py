@@ -14,48 +14,21 @@ from dataclasses import dataclass
 
 from rigtool.errors import HardwareError
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, persist
 from rigtool.rigs.serial.moteus import frames
+from rigtool.rigs.serial.moteus import registers as reg
 from rigtool.rigs.serial.moteus.link import Link
-from rigtool.rigs.serial.moteus.registers import (
-    COMMAND,
-    COMMAND_INTEGRAL,
-    COMMAND_TIMEOUT,
-    CONTROL_TORQUE,
-    CURRENT,
-    FAULT,
-    FAULTY,
-    IDENTITY,
-    IN_POSITION,
-    MODE,
-    MOTOR_TEMPERATURE,
-    POSITION,
-    SERIAL_NUMBER,
-    STOPPED,
-    TIMED_OUT,
-    TORQUE,
-    VELOCITY,
-)
 
 TURN = 2 * math.pi
 
 STATE = (
-    frames.read(MODE, 5)
-    + frames.read(MOTOR_TEMPERATURE)
-    + frames.read(FAULT, 1, frames.INT8)
-    + frames.read(CONTROL_TORQUE)
+    frames.read(reg.MODE, 5)
+    + frames.read(reg.MOTOR_TEMPERATURE)
+    + frames.read(reg.FAULT, 1, frames.INT8)
+    + frames.read(reg.CONTROL_TORQUE)
 )
-EXPECTED_REGISTERS = (
-    MODE,
-    POSITION,
-    VELOCITY,
-    TORQUE,
-    CURRENT,
-    MOTOR_TEMPERATURE,
-    FAULT,
-    CONTROL_TORQUE,
-)
-STOP = frames.write(MODE, [STOPPED], frames.INT8)
+EXPECTED_REGISTERS = (*range(5), reg.MOTOR_TEMPERATURE, reg.FAULT, reg.CONTROL_TORQUE)
+STOP = frames.write(reg.MODE, [reg.STOPPED], frames.INT8)
 
 TORQUE_FACTOR = 1.5 / math.sqrt(3) * 60 / TURN
 """Torque constant times Kv in the drive's own firmware, N m/A rpm/V."""
@@ -71,6 +44,7 @@ LARGEST_BOUND = 32768.0
 TEXT_ROUNDING = 1e-6
 """Turns that a bound may differ by its text of six decimals."""
 
+HALT_ATTEMPTS = 3
 STARTING_TIME = 2.0
 """Longest time in which a drive has to be ready after it is switched on, s."""
 
@@ -101,8 +75,9 @@ FAULTS = {
 
 def read_identity(link: Link) -> str:
     """Return model, firmware and serial number of the drive in a line."""
-    question = frames.read(IDENTITY, 2, frames.INT32) + frames.read(SERIAL_NUMBER, 3, frames.INT32)
-    numbers = (IDENTITY, IDENTITY + 1, *range(SERIAL_NUMBER, SERIAL_NUMBER + 3))
+    wanted = ((reg.IDENTITY, 2), (reg.SERIAL_NUMBER, 3))
+    question = b"".join(frames.read(first, count, frames.INT32) for first, count in wanted)
+    numbers = tuple(first + n for first, count in wanted for n in range(count))
     found = link.query(question, numbers)
     model, firmware, *serial = (int(found[number]) & 0xFFFFFFFF for number in numbers)
     version = ".".join(str(firmware >> shift & 0xFF) for shift in (16, 8, 0))
@@ -144,7 +119,7 @@ class Moteus:
         self.link.find_seal(STATE)
         identity = read_identity(self.link)
         state = self.link.query(STATE, EXPECTED_REGISTERS)
-        if state[MODE] == FAULTY:
+        if state[reg.MODE] == reg.FAULTY:
             raise HardwareError(
                 f"{identity}: reports a fault: {_fault(state)}; find its cause, then switch the "
                 "drive off and on"
@@ -213,7 +188,7 @@ class Moteus:
         highest = self._lower("servo.max_velocity", limits.speed / TURN * self.motor.ratio)
         self._lets_go = (highest + FADING_SPEED) * TURN / self.motor.ratio
         self._change("servo.default_timeout_s", f"{watchdog:g}")
-        self._change("servo.timeout_mode", f"{STOPPED}")
+        self._change("servo.timeout_mode", f"{reg.STOPPED}")
         # Limits of its own trajectories would make it lag behind the motions that it is sent.
         self._change("servo.default_velocity_limit", "nan")
         self._change("servo.default_accel_limit", "nan")
@@ -289,14 +264,14 @@ class Moteus:
         hold = self._command(SetPoint(position=math.nan))
         for _ in range(math.ceil(STARTING_TIME / 0.005)):
             state = self.link.query(hold + STATE, EXPECTED_REGISTERS)
-            if state[MODE] == IN_POSITION:
+            if state[reg.MODE] == reg.IN_POSITION:
                 return
-            if state[MODE] in (FAULTY, TIMED_OUT):
+            if state[reg.MODE] in (reg.FAULTY, reg.TIMED_OUT):
                 self._require_running(state)
             self.line.pause(0.005)
         raise HardwareError(
             f"moteus {self.link.node} was not ready in {STARTING_TIME:g} s: it is in mode "
-            f"{state[MODE]:g}; look at its supply"
+            f"{state[reg.MODE]:g}; look at its supply"
         )
 
     def _set_table(self, *, on: bool) -> None:
@@ -331,10 +306,10 @@ class Moteus:
             self._limits.current * torque,
         )
         return (
-            frames.write(MODE, [IN_POSITION], frames.INT8)
-            + frames.write(COMMAND, values)
-            + frames.write(COMMAND_TIMEOUT, [self._watchdog])
-            + frames.write(COMMAND_INTEGRAL, [gain])
+            frames.write(reg.MODE, [reg.IN_POSITION], frames.INT8)
+            + frames.write(reg.COMMAND, values)
+            + frames.write(reg.COMMAND_TIMEOUT, [self._watchdog])
+            + frames.write(reg.COMMAND_INTEGRAL, [gain])
         )
 
     def _measure(self, command: bytes, *, running: bool) -> Sample:
@@ -344,19 +319,19 @@ class Moteus:
             state, asked, answered = self._ask(b"")
         if running:
             self._require_running(state)
-            if not (math.isfinite(state[POSITION]) and math.isfinite(state[CURRENT])):
+            if not (math.isfinite(state[reg.POSITION]) and math.isfinite(state[reg.CURRENT])):
                 raise HardwareError(
                     f"moteus {self.link.node} lost its position or its current (they read "
-                    f"{state[POSITION]:g} turns, {state[CURRENT]:g} A): look at its encoder"
+                    f"{state[reg.POSITION]:g} turns, {state[reg.CURRENT]:g} A): look at its encoder"
                 )
         ratio = self.motor.ratio
         return Sample(
             time=(asked + answered) / 2,
-            position=state[POSITION] * TURN / ratio,
-            speed=state[VELOCITY] * TURN / ratio,
-            current=state[CURRENT],
-            current_setpoint=state[CONTROL_TORQUE] * ratio / self.motor.torque_constant,
-            temperature=state[MOTOR_TEMPERATURE] if self.motor.has_thermometer else math.nan,
+            position=state[reg.POSITION] * TURN / ratio,
+            speed=state[reg.VELOCITY] * TURN / ratio,
+            current=state[reg.CURRENT],
+            current_setpoint=state[reg.CONTROL_TORQUE] * ratio / self.motor.torque_constant,
+            temperature=state[reg.MOTOR_TEMPERATURE] if self.motor.has_thermometer else math.nan,
         )
 
     def _ask(self, command: bytes) -> tuple[Mapping[int, float], float, float]:
@@ -368,39 +343,34 @@ class Moteus:
         return state, asked, answered
 
     def _require_running(self, state: Mapping[int, float]) -> None:
-        if state[MODE] == IN_POSITION:
+        if state[reg.MODE] == reg.IN_POSITION:
             return
-        if state[MODE] == FAULTY:
+        if state[reg.MODE] == reg.FAULTY:
             raise HardwareError(f"moteus {self.link.node} stopped by itself: {_fault(state)}")
-        if state[MODE] == TIMED_OUT:
+        if state[reg.MODE] == reg.TIMED_OUT:
             raise HardwareError(
                 f"moteus {self.link.node} stopped: its watchdog received nothing for "
                 f"{self._watchdog:g} s; raise serial.watchdog, or find what delays the line"
             )
         raise HardwareError(
-            f"moteus {self.link.node} is switched off, mode {state[MODE]:g}: it was reset, or "
+            f"moteus {self.link.node} is switched off, mode {state[reg.MODE]:g}: it was reset, or "
             "another program stopped it"
         )
 
     def halt(self) -> None:
-        """Switch the power stage off; tried three times, then raises `HardwareError`."""
-        for last in (False, False, True):
-            try:
-                state = self.link.query(STOP + frames.read(MODE), (MODE,))
-                # The answer holds the state before the stop.
-                state = self.link.query(STOP + frames.read(MODE), (MODE,))
-            except HardwareError:
-                if last:
-                    raise
-                continue
-            if state[MODE] == STOPPED:
-                return
-        raise HardwareError(
-            f"moteus {self.link.node} was sent a stop and is still in mode {state[MODE]:g}: "
-            "switch its supply off"
-        )
+        """Switch the power stage off; raises `HardwareError` where it stays on."""
+        persist(self._stop, HALT_ATTEMPTS)
+
+    def _stop(self) -> None:
+        for _ in range(2):  # an answer holds the state before the stop
+            state = self.link.query(STOP + frames.read(reg.MODE), (reg.MODE,))
+        if state[reg.MODE] != reg.STOPPED:
+            raise HardwareError(
+                f"moteus {self.link.node} was sent a stop and is still in mode "
+                f"{state[reg.MODE]:g}: switch its supply off"
+            )
 
 
 def _fault(state: Mapping[int, float]) -> str:
-    code = int(state[FAULT])
+    code = int(state[reg.FAULT])
     return f"fault {code}, {FAULTS.get(code, 'see the list of faults of moteus')}"

@@ -12,12 +12,12 @@ such steps, but discards the feed-forward of torque.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from rigtool.errors import HardwareError
 from rigtool.recipe import Recipe
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint
+from rigtool.rigs.serial.drive import Abilities, Mode, Sample, SetPoint, persist
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import DamagedReply, Line
 from rigtool.rigs.serial.odrive.settings import Settings, as_said
@@ -190,7 +190,7 @@ class ODrive:
 
     def restore(self) -> None:
         """Restore the settings that `configure` changed."""
-        _persist(lambda: self._settings.restore(f"u {self._axis}"))
+        persist(lambda: self._settings.restore(f"u {self._axis}"), HALT_ATTEMPTS)
 
     # -- states
 
@@ -232,7 +232,7 @@ class ODrive:
 
         Raises `HardwareError` where it does not become idle.
         """
-        _persist(self._stop)
+        persist(self._stop, HALT_ATTEMPTS)
 
     def _stop(self) -> None:
         if not self._reach(IDLE):
@@ -369,17 +369,6 @@ class ODrive:
         return self._protocol.ask([f"r {self._name(name)}"], lambda replies: number(replies[0]))
 
 
-def _persist(act: Callable[[], None]) -> None:
-    """Act; try again where that fails."""
-    for attempt in range(HALT_ATTEMPTS):
-        try:
-            return act()
-        except HardwareError:
-            if attempt == HALT_ATTEMPTS - 1:
-                raise
-    return None
-
-
 def _first(replies: list[str]) -> str:
     return replies[0]
 
@@ -401,8 +390,7 @@ def probe(line: Line) -> str | None:
 
 def make_drive(line: Line, recipe: Recipe) -> ODrive:
     """Return the drive that a recipe names, not connected yet."""
-    assert recipe.serial is not None
-    return ODrive(line, recipe.serial.node, recipe.rig.sample_time)
+    return ODrive(line, recipe.line.node, recipe.rig.sample_time)
 
 
 DRIVER = Driver(probe, (115200,), make_drive)

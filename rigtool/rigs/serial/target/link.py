@@ -10,7 +10,7 @@ import math
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -105,10 +105,31 @@ class Ability(enum.IntFlag):
     POWER_CYCLE = 512
 
 
+class Message:
+    """A dataclass of numbers, which `_LAYOUT` packs in their order, and a text behind them."""
+
+    _LAYOUT: ClassVar[struct.Struct]
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def pack(self) -> bytes:
+        """Return the payload of a frame, or an object."""
+        *numbers, text = (getattr(self, name) for name in self.__dataclass_fields__)
+        return self._LAYOUT.pack(*numbers) + text.encode()
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Read what `pack` returned; raises `DamagedReply` where it is too short."""
+        text = payload[cls._LAYOUT.size :].decode("utf-8", "replace")
+        kind: Any = cls  # a dataclass
+        found: Self = kind(*_unpack(cls._LAYOUT, payload), text)
+        return found
+
+
 @dataclass(frozen=True)
-class Hello:
+class Hello(Message):
     """A target's reply to HELLO."""
 
+    version: int
     boot: int
     abilities: Ability
     max_payload: int
@@ -117,40 +138,15 @@ class Hello:
     encoder_counts: int
     channels: int
     name: str
-    version: int = VERSION
 
     _LAYOUT = struct.Struct("<BIHHIdIH")
 
-    def pack(self) -> bytes:
-        """Return the payload of the reply to HELLO."""
-        return (
-            self._LAYOUT.pack(
-                self.version,
-                self.boot,
-                self.abilities,
-                self.max_payload,
-                self.log_bytes,
-                self.sample_time,
-                self.encoder_counts,
-                self.channels,
-            )
-            + self.name.encode()
-        )
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Hello:
-        """Read the payload of the reply to HELLO."""
-        version, boot, abilities, largest, log_bytes, period, counts, channels = _unpack(
-            cls._LAYOUT, payload
-        )
-        name = payload[cls._LAYOUT.size :].decode("utf-8", "replace")
-        return cls(
-            boot, Ability(abilities), largest, log_bytes, period, counts, channels, name, version
-        )
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "abilities", Ability(self.abilities))
 
 
 @dataclass(frozen=True)
-class Status:
+class Status(Message):
     """State of a target; `samples` recorded since START, `time` of the bench clock, s."""
 
     boot: int
@@ -164,17 +160,8 @@ class Status:
 
     _LAYOUT = struct.Struct("<IBIdddd")
 
-    def pack(self) -> bytes:
-        """Return the payload of the reply to STATUS."""
-        numbers = (self.samples, self.time, self.position, self.current, self.temperature)
-        return self._LAYOUT.pack(self.boot, self.state, *numbers) + self.text.encode()
-
-    @classmethod
-    def unpack(cls, payload: bytes) -> Status:
-        """Read the payload of the reply to STATUS."""
-        boot, state, samples, time, position, current, temperature = _unpack(cls._LAYOUT, payload)
-        text = payload[cls._LAYOUT.size :].decode("utf-8", "replace")
-        return cls(boot, TargetState(state), samples, time, position, current, temperature, text)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "state", TargetState(self.state))
 
 
 BEGIN = struct.Struct("<BI")
@@ -236,8 +223,8 @@ def sample_type(mask: int) -> np.dtype[np.void]:
 
 
 @dataclass(frozen=True)
-class RigSetup:
-    """The rig as a target needs it; `use` names the command."""
+class RigSetup(Message):
+    """The rig as a target needs it, in slot RIG; `use` names the command."""
 
     torque_constant: float
     sample_time: float
@@ -248,17 +235,8 @@ class RigSetup:
 
     _LAYOUT = struct.Struct("<dddd?")
 
-    def pack(self) -> bytes:
-        """Return the object of slot RIG."""
-        numbers = (self.torque_constant, self.sample_time, self.encoder_counts, self.current_limit)
-        return self._LAYOUT.pack(*numbers, self.instrument) + self.use.encode()
-
-    @classmethod
-    def unpack(cls, data: bytes) -> RigSetup:
-        """Read the object of slot RIG."""
-        constant, period, counts, limit, instrument = _unpack(cls._LAYOUT, data)
-        use = data[cls._LAYOUT.size :].decode("utf-8")
-        return cls(constant, period, int(counts), limit, instrument, use)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "encoder_counts", int(self.encoder_counts))
 
 
 def pack_limits(limits: Limits, watchdog: float) -> bytes:

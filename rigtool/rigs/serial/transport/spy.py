@@ -13,14 +13,16 @@ instrument. Files of version 1 have neither instruments, `-` nor `!`.
 
 from __future__ import annotations
 
+import contextlib
 import re
 import threading
 from collections import deque
 from pathlib import Path
 from typing import NamedTuple
 
-from rigtool.errors import HardwareError, RecipeError
+from rigtool.errors import HardwareError, RecipeError, refusal
 from rigtool.inputs import open_input
+from rigtool.plugins import warn
 
 HEAD = "# rigtool spy"
 VERSION = 2
@@ -44,31 +46,41 @@ class Spy:
     """Writes a spy file. Every event reaches the file at once, so that a kill loses none.
 
     Several lines write into it, each from a thread of its own. Raises `HardwareError` where it
-    cannot be written.
+    cannot be begun. A disk that is full later ends the file with a warning, and nothing else: what
+    stops the motor is sent over the same line.
     """
 
     def __init__(self, path: str | Path, driver: str) -> None:
+        self._path, self._lock, self._complete = path, threading.Lock(), True
         try:
             self._file = Path(path).open("w", encoding="ascii", buffering=1)  # noqa: SIM115
+            self._file.write(f"{HEAD} {VERSION} driver={driver}\n")
         except OSError as error:
-            raise HardwareError(f"--spy {path}: cannot be written: {error.strerror}") from None
-        self._lock = threading.Lock()
-        self._file.write(f"{HEAD} {VERSION} driver={driver}\n")
+            raise HardwareError(f"--spy {path}: cannot be written: {refusal(error)}") from None
 
     def name(self, role: str, driver: str, port: str) -> None:
         """Write the driver and the port of an instrument."""
-        with self._lock:
-            self._file.write(f"# {role} driver={driver} port={port!a}\n")
+        self._write(f"# {role} driver={driver} port={port!a}\n")
 
     def note(self, event: Event) -> None:
         """Write an event."""
         text = event.data.decode("latin-1").encode("unicode_escape").decode("ascii")
+        self._write(f"{event.time!r} {event.role}{event.kind} {text}\n")
+
+    def _write(self, line: str) -> None:
         with self._lock:
-            self._file.write(f"{event.time!r} {event.role}{event.kind} {text}\n")
+            if not self._complete:
+                return
+            try:
+                self._file.write(line)
+            except OSError as error:
+                self._complete = False
+                warn(f"--spy {self._path}: ends here, what follows is lost: {refusal(error)}")
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        with contextlib.suppress(OSError):  # of what is not complete
+            self._file.close()
 
 
 def read_spy(path: str | Path) -> tuple[str, list[Event]]:

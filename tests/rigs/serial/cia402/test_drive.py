@@ -15,8 +15,6 @@ from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import open_serial_rig
 from rigtool.rigs.serial.drive import SetPoint
 from rigtool.rigs.serial.drivers import driver
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.ports import find_devices
@@ -28,6 +26,7 @@ from tests.rigs.serial.emulators.canopen import (
     CiA402Emulator,
     Epos4CanEmulator,
 )
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
 
 ROOT = Path(__file__).parents[4]

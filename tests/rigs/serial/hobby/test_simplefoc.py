@@ -10,12 +10,11 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hobby import simplefoc
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.simplefoc import SimpleFocEmulator
 from tests.rigs.serial.recipes import serial_recipe
 

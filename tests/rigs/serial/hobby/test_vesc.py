@@ -14,11 +14,10 @@ from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hobby import vesc
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.vesc import VescEmulator
 from tests.rigs.serial.hobby.test_simplefoc import LOOP, perform
 from tests.rigs.serial.recipes import serial_recipe

@@ -14,11 +14,10 @@ from rigtool.rigs import NEED_DESCRIPTIONS, Feedforward, Load, Task
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, Observe, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import Abilities
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import LineLost
 from tests.rigs.serial import toy
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver_faults import wait_until
 from tests.rigs.serial.test_safety import operator

@@ -17,12 +17,11 @@ from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs import Load, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.instruments import gauge, open_gauge
 from rigtool.rigs.serial.instruments.gauge import SPIKE_RATIO
 from tests.rigs.serial import toy
 from tests.rigs.serial.emulators import instruments as emulators
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.hosted.test_hosted import toy_rig
 from tests.rigs.serial.instruments.test_runs import Loaded
 from tests.thorough import first_of

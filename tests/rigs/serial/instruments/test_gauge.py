@@ -8,11 +8,10 @@ import pytest
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.recipe.serial import MeasuringInstrument
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.instruments import INSTRUMENT_MODULES, gauge, instrument_module, open_gauge
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.instruments import (
     KernEmulator,
     Mark10Emulator,

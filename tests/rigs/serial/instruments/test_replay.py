@@ -11,10 +11,9 @@ from rigtool.errors import HardwareError
 from rigtool.rigs import Load, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.transport.spy import read_spy
 from tests.rigs.serial import toy
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.instruments import (
     Mark10Emulator,
     NumberLinesEmulator,

@@ -22,11 +22,10 @@ from rigtool.rigs import Load, Task
 from rigtool.rigs.motion import CurrentSteps
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import drivers
-from rigtool.rigs.serial.emulators.faults import Fault
 from rigtool.rigs.serial.emulators.motor import EmulatedMotor
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.runfile import RunWriter, open_run
 from tests.rigs.serial import toy
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.instruments import Mark10Emulator, NumberLinesEmulator
 from tests.rigs.serial.hosted.test_hosted import toy_rig
 from tests.rigs.serial.recipes import RECIPE, overrides, serial_recipe

@@ -20,8 +20,6 @@ from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.cia402.objects import MODE, POSITION, TARGET_SPEED, TARGET_TORQUE
-from rigtool.rigs.serial.emulators.faults import Fault, Faults
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
@@ -30,6 +28,7 @@ from rigtool.rigs.serial.maxon import guard as maxon_guard
 from rigtool.rigs.serial.maxon.frames import OKAY, DleFrames, crc, dle_frame, lock_step_frame
 from rigtool.rigs.serial.maxon.objects import CURRENT_TARGET_2
 from rigtool.rigs.serial.ports import find_devices
+from tests.rigs.serial.emulators.faults import Fault, inject, serve
 from tests.rigs.serial.emulators.maxon import (
     NOT_AWAITED,
     DesEmulator,
@@ -335,12 +334,6 @@ def test_power_cycle_brings_limits_back_and_restores_what_was_first(epos4):
 # -- faults
 
 DAMAGE = ("flip", "lose", "double", "cut")
-
-
-def inject(server, *faults):
-    """Let faults act from now on; their writes count from here."""
-    server._in = Faults(faults, "device", server._act)
-    server._out = Faults(faults, "host", server._act)
 
 
 def spread(device, delayed):

@@ -9,14 +9,13 @@ from rigtool.rigs.motion import SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import open_serial_rig
 from rigtool.rigs.serial.drive import SetPoint
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line
 from rigtool.rigs.serial.moteus import can
 from rigtool.rigs.serial.ports import find_devices
 from tests.rigs.serial.emulators.can_drives import MoteusCanEmulator
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
 
 PERIOD = 0.01

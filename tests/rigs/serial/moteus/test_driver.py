@@ -18,14 +18,13 @@ from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import SetPoint
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import Line, LineLost
 from rigtool.rigs.serial.moteus import driver as moteus
 from rigtool.rigs.serial.moteus import frames
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.moteus import MoteusEmulator
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver_faults import wait_until

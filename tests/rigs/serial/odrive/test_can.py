@@ -10,13 +10,12 @@ from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial import open_serial_rig
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted import loop
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.odrive import can
 from rigtool.rigs.serial.ports import find_devices
 from tests.rigs.serial.emulators.can_drives import IDLE, ODriveCanEmulator
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
 
 PERIOD = 0.01

@@ -17,8 +17,6 @@ from rigtool.rigs import Feedforward, Task
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drive import SetPoint
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.hosted.rig import HostedRig
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, RequestRefused
 from rigtool.rigs.serial.odrive import driver as odrive
@@ -33,6 +31,7 @@ from rigtool.rigs.serial.odrive.text import (
 )
 from rigtool.rigs.serial.ports import find_devices
 from tests.cli.test_run_commands import call
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.odrive import CLOSED_LOOP, IDLE, ODriveEmulator
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver_faults import wait_until

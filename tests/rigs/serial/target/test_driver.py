@@ -13,9 +13,8 @@ from rigtool.recipe.virtual import Tissue
 from rigtool.rigs import CHANNELS, Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import RECIPE, serial_recipe
 
 KT = 0.0454

@@ -11,12 +11,11 @@ import serial
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.rigs import Feedforward, Task, open_rig
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.emulators.target import TargetEmulator
 from rigtool.rigs.serial.line import LineLost
 from rigtool.rigs.serial.target import protocol
 from rigtool.rigs.serial.target.link import TargetState
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import serial_recipe
 from tests.rigs.serial.target.test_driver import KT, assert_same, blocks_of, target_rig, virtual
 

@@ -136,7 +136,7 @@ def test_objects_come_back_as_they_were():
     assert link.unpack_load(link.pack_load(load)) == load
     setup = link.RigSetup(0.0454, 125e-6, 4000, 3.5, True, "calibrate-kt")
     assert link.RigSetup.unpack(setup.pack()) == setup
-    hello = link.Hello(7, link.Ability.TABLE, 256, 1000, 1e-3, 4000, 0x1FF, "Ärger")
+    hello = link.Hello(link.VERSION, 7, link.Ability.TABLE, 256, 1000, 1e-3, 4000, 0x1FF, "Ärger")
     assert link.Hello.unpack(hello.pack()) == hello
     status = link.Status(7, link.TargetState.TRIPPED, 3, 0.5, 1.0, 2.0, 30.0, "hot")
     assert link.Status.unpack(status.pack()) == status

@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigtool.errors import HardwareError, UsageError
-from rigtool.rigs.serial.emulators.faults import Fault
-from rigtool.rigs.serial.emulators.server import serve
 from rigtool.rigs.serial.line import DamagedReply, Line, LineLost, LineTimeout
 from rigtool.rigs.serial.transport.can_frames import SIZES, CanFrame, decode, encode
+from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.emulators.slcan import SlcanEmulator
 
 FRAMES = st.builds(

@@ -1,6 +1,6 @@
 """The page that compares rigtool with the thesis, figure by figure: `make thesis`.
 
-    python -m rigtool.report.reproduction RUN.h5... --to FOLDER [--html PAGE] [--against docs]
+    python -m thesis.reproduction RUN.h5... --to FOLDER [--html PAGE] [--against docs]
 
 `reproduction.toml` lists the rows of the page; it names a run by the stem of its file. In the
 folder it writes reproduction.md and reproduction/ with the pictures and numbers.json, and one HTML
@@ -20,21 +20,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.quantity import Quantity, display_unit, format_number
-from rigtool.report.figures import PLOTS, style, turns
+from rigtool.report.figures import PLOTS, style
 from rigtool.report.page import render_template
-from rigtool.report.published import published_entry
-from rigtool.report.reproduction_values import Runs, evaluate, low_current_refusal
+from thesis import turns
+from thesis.values import Runs, evaluate, low_current_refusal, published_entry
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rigtool.runfile import Run
+
+FOLDER = Path(__file__).parent
 
 SAME_DIFFERENCE = 1e-3
 """Relative difference of numbers that count as the same."""
@@ -114,7 +115,7 @@ class PageRow:
 @cache
 def reference_rows() -> tuple[dict[str, Any], ...]:
     """Return the rows of `reproduction.toml`, with a number for each load of Tables 8 and 9."""
-    text = files("rigtool.report").joinpath("reproduction.toml").read_text("utf-8")
+    text = FOLDER.joinpath("reproduction.toml").read_text("utf-8")
     return tuple(
         row | {"numbers": [n for number in row["numbers"] for n in _by_load(number)]}
         for row in tomllib.loads(text)["rows"]
@@ -351,7 +352,7 @@ def _summary(shown: Sequence[PageRow]) -> str:
 def html(shown: Sequence[PageRow]) -> str:
     """Return the page as one HTML file with all pictures in it."""
     return render_template(
-        "reproduction.html",
+        FOLDER.joinpath("reproduction.html").read_text("utf-8"),
         rows=shown,
         head=TABLE_HEAD,
         cells=_number_cells,

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from rigtool.report.figures import style
 from rigtool.report.figures.axes import COUNTS_LABEL, MILLI, TORQUE_LABEL, Array, fit_height, thin
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rigtool.runfile import Run
+from rigtool.runfile import Run
 
 MAX_POINTS = 200
 """Points of a curve over one turn, in which Q passes at most twenty orders."""
@@ -24,12 +18,10 @@ BAR_PERCENTILES = (0.5, 99.5)
 """Percentiles of the samples of a hold at the ends of its bar."""
 
 
-def draw_before_learning(run: Run, kt: Run) -> Figure:
+def draw_before_learning(run: Run, kt: Run) -> style.Figure:
     """Fig. 43: twenty turns before learning, and their mean."""
-    from matplotlib.figure import Figure as NewFigure
-
     counts, turns = _turns(run, kt, "learn_000")
-    figure = NewFigure(figsize=(style.WIDTH, style.HEIGHT), layout="constrained")
+    figure = style.empty()
     left, right = figure.subplots(1, 2, sharey=True)
     left.plot(counts, turns.T, color=style.BLUE, linewidth=0.5, alpha=0.5)
     left.set_title(f"{len(turns)} revolutions", loc="left")
@@ -42,7 +34,7 @@ def draw_before_learning(run: Run, kt: Run) -> Figure:
     return figure
 
 
-def draw_after_learning(run: Run, kt: Run) -> Figure:
+def draw_after_learning(run: Run, kt: Run) -> style.Figure:
     """Fig. 45: the disturbance after the first learning run, on the scale of Fig. 43."""
     counts, turns = _turns(run, kt, "iterate_01_000")
     _, before = _turns(run, kt, "learn_000")
@@ -53,7 +45,7 @@ def draw_after_learning(run: Run, kt: Run) -> Figure:
     return figure
 
 
-def draw_faulty_amplifier(run: Run, kt: Run) -> Figure:
+def draw_faulty_amplifier(run: Run, kt: Run) -> style.Figure:
     """Fig. 68: torque against speed with an amplifier that is not linear at low current.
 
     Constant speeds only: the fault of the amplifier is detected before a sweep.

@@ -1,4 +1,4 @@
-"""Faults of a line, on demand: for tests, and to rehearse a bench.
+"""Faults of a line, on demand.
 
 A `Fault` acts on the bytes that the device sends or gets. Numbers of writes count from 0, those of
 the device, or with `towards="device"` those of the host.
@@ -6,6 +6,7 @@ the device, or with `towards="device"` those of the host.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,11 +14,10 @@ from typing import Literal
 
 import numpy as np
 
+from rigtool.rigs.serial.emulators import server
+from rigtool.rigs.serial.emulators.server import Emulator, Pulled
+
 FaultKind = Literal["flip", "lose", "double", "cut", "silence", "late", "pull", "reset", "refuse"]
-
-
-class Pulled(Exception):
-    """The cable is pulled: the server closes its side and ends."""
 
 
 @dataclass(frozen=True)
@@ -106,3 +106,44 @@ class Faults:
         if fault.kind == "lose":
             return np.delete(values, hit).tobytes()
         return np.insert(values, hit, values[hit]).tobytes()
+
+
+class Disturbed(Emulator):
+    """A device behind a line with faults."""
+
+    def __init__(self, device, faults):
+        self._device = device
+        self._out = Faults(faults, "host", self._act)
+        self._in = Faults(faults, "device", self._act)
+
+    def __getattr__(self, name):
+        return getattr(self._device, name)
+
+    @property
+    def busy(self):
+        return self._device.busy
+
+    def receive(self, data):
+        return self._out.apply(self._device.receive(self._in.apply(data)))
+
+    def idle(self):
+        return self._out.apply(self._device.idle())
+
+    def _act(self, fault):
+        if fault.kind == "reset":
+            self._device.reset()
+        elif fault.kind == "refuse":
+            self._device.refuse(fault.count)
+
+
+@contextlib.contextmanager
+def serve(device, *faults, tcp=False):
+    """Serve a device, with faults of its line, while the `with` block runs."""
+    with server.serve(Disturbed(device, faults) if faults else device, tcp=tcp) as running:
+        yield running
+
+
+def inject(running, *faults):
+    """Let the line of a running server have these faults from now on, and no others."""
+    device = vars(running.emulator).get("_device", running.emulator)
+    running.emulator = Disturbed(device, faults)

@@ -1,0 +1,1 @@
+"""The page that compares rigtool with the thesis: how the project makes its docs/reproduction."""
