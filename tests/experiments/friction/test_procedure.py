@@ -9,11 +9,14 @@ from scipy import signal
 
 from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError, RunFileError
+from rigtool.experiments.friction import holds
 from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
-from rigtool.experiments.friction.procedure_analysis import _encoder_shaking
+from rigtool.experiments.friction.procedure_analysis import _encoder_shaking, _find_holds
+from rigtool.experiments.friction.results import Scale
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
+from rigtool.quantity import Quantity
 from rigtool.recipe import load_recipe, override_recipe
 from rigtool.recipe.commands import Stribeck
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
@@ -303,3 +306,13 @@ def test_how_far_the_steps_of_the_encoder_shake_the_shaft():
     angle = signal.lfilter(np.concatenate([delays, loop.num]), loop.den, noise)
     speed = np.diff(angle) / recipe.rig.sample_time
     assert _encoder_shaking(recipe) == pytest.approx(np.std(speed[1000:]), rel=0.03)
+
+
+def test_samples_that_do_not_show_the_shaking_take_what_the_steps_make(measured, monkeypatch):
+    recipe = load_recipe(RECIPE, ["rig.encoder_counts=2000"])[0]
+    monkeypatch.setattr(holds, "_shaking", lambda *_: 0.0)
+    with open_run(measured[0]) as stored:
+        found = _find_holds(
+            stored.recording("holds"), recipe, Scale(Quantity(0.045, "N m/A", 1e-5))
+        )
+    assert_allclose(found.shaking, _encoder_shaking(recipe) / np.abs(found.speed))
