@@ -71,8 +71,8 @@ def command(
     Lifts and lowers each load of the recipe with the learned table switched on; reads the torque at
     one angle of each rising stroke: mean, scatter, error. With an instrument, also reports friction
     that grows with load, and stiffness. --correction load subtracts friction that grows with load
-    from this reading; full reads whole strokes and also corrects for compliance, ripple by current
-    and motor temperature.
+    from this reading and corrects for compliance; full reads whole strokes and also corrects for
+    ripple by current and motor temperature.
 
     --record and --observe read an unknown force over time, with its 95 % interval, in any motion. A
     stored run without known loads is also read over time. Needs tables of implementation D. --live

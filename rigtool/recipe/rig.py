@@ -6,6 +6,7 @@ rig knows; no analysis reads those.
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar, Literal
 
 from pydantic import Field, model_validator
@@ -181,6 +182,11 @@ class RigDescription(Section):
         if self.attachment == "instrument":
             return self.instrument.grasper_length_u
         return self.pulley_radius_u
+
+    @property
+    def loads_relative_u(self) -> float:
+        """Relative standard uncertainty common to the torques of all hanging loads."""
+        return math.hypot(self.weights_relative_u, self.load_arm_u / self.load_arm)
 
     @property
     def angle_ratio_relative_u(self) -> float:

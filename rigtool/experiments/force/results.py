@@ -17,6 +17,7 @@ from rigtool.experiments.force.cycles import (
     up_and_down,
 )
 from rigtool.experiments.force_model.records import Record
+from rigtool.experiments.load_disturbance.results_known_loads import ratio_line, reference_lines
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
 from rigtool.quantity import (
@@ -236,10 +237,6 @@ def loads_table(
     )
 
 
-ANGLE_RATIO, WEIGHTS, LOAD_ARM = "angle ratio", "weights", "length to the load"
-"""Lines of budgets that a torque and its reference share."""
-
-
 def _mean_quantity(
     row: LoadStatistics, recipe: Recipe, constant: Quantity, offset_u: float, method_u: float
 ) -> Quantity:
@@ -255,7 +252,7 @@ def _mean_quantity(
         *inherited(constant, mean / constant.value, "torque constant"),
         Component("zero reading or learned table", 0.0, "N m", offset_u, None, rig.torque_factor),
         error_line("method of the reading", method_u, "N m"),
-        _ratio_line(recipe, -mean),
+        ratio_line(recipe, -mean),
     ]
     return combined(mean, "N m", lines)
 
@@ -270,24 +267,8 @@ def _applied_quantity(recipe: Recipe, force: float, angle: float) -> Quantity:
         return Quantity(value, "N m", 0.0)
     turned = force * recipe.rig.load_arm * math.cos(angle) * angle
     return combined(
-        value, "N m", [*reference_lines(recipe, force, value), _ratio_line(recipe, -turned)]
+        value, "N m", [*reference_lines(recipe, force, value), ratio_line(recipe, -turned)]
     )
-
-
-def reference_lines(recipe: Recipe, force: float, torque: float) -> list[Component]:
-    """Return the budget lines of a reference torque, which weights on a length make."""
-    rig = recipe.rig
-    return [
-        Component(WEIGHTS, force, "N", force * rig.weights_relative_u, None, torque / force),
-        Component(LOAD_ARM, rig.load_arm, "m", rig.load_arm_u, None, torque / rig.load_arm),
-    ]
-
-
-def _ratio_line(recipe: Recipe, relative: float) -> Component:
-    """Return the line of the angle ratio, by which a torque changes by `relative` N m."""
-    rig = recipe.rig
-    u = rig.angle_ratio * rig.angle_ratio_relative_u
-    return Component(ANGLE_RATIO, rig.angle_ratio, "1", u, None, relative / rig.angle_ratio)
 
 
 def _values_table(loads: Sequence[LoadReadings]) -> Table:

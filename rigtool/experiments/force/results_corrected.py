@@ -1,11 +1,11 @@
 """Table 8 with the disturbance of the load taken off: `measure-force --correction load|full`.
 
 `load` takes friction that grows with load off the thesis's reading, at one angle of the rising
-strokes; what remains, by the tendon's stretch and by ripple that grows with the current, is part of
-its uncertainty. `full` reads the load from whole strokes, lifting and lowering, with the model
-learned at known loads (`experiments.load_disturbance.reading`), the torque constant at the motor's
-own temperature. A load outside the learned range has no value; near standstill every load has a
-dead band instead of a value.
+strokes, and puts back what the tendon's stretch takes off; what remains, by ripple that grows with
+the current, is part of its uncertainty. `full` reads the load from whole strokes, lifting and
+lowering, with the model learned at known loads (`experiments.load_disturbance.reading`), the torque
+constant at the motor's own temperature. A load outside the learned range has no value; near
+standstill every load has a dead band instead of a value.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from rigtool.experiments.force.results import (
     LoadReadings,
     LoadRow,
     loads_table,
-    reference_lines,
     row_results,
 )
 from rigtool.experiments.force_model.records import Record
@@ -32,6 +31,7 @@ from rigtool.experiments.load_disturbance.reading import (
     dead_band,
     read_loads,
 )
+from rigtool.experiments.load_disturbance.results_known_loads import reference_lines
 from rigtool.experiments.load_disturbance.stored import Disturbance, disturbance_from, rising_load
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array
@@ -43,6 +43,7 @@ LARGEST_LOAD_RATIO = 1.05
 """Loads up to this many times the largest learned one are still read."""
 
 LOAD_FRICTION = "friction that grows with load"
+CORRECTED = f"--correction load: {LOAD_FRICTION} and the tendon's stretch are corrected"
 SPEED_SLACK = 1.01
 MAX_ITERATIONS = 50
 
@@ -53,24 +54,25 @@ MAX_ITERATIONS = 50
 def without_load_friction(
     loads: Sequence[LoadReadings], recipe: Recipe, tables: Run
 ) -> tuple[list[LoadReadings], Array]:
-    """Return readings without the friction that grows with load, and the u that this adds, N m
-    (loads,).
+    """Return readings without friction that grows with load and without the tendon's stretch, and
+    the u that this adds, N m (loads,).
 
-    `loads` begin with the one without load. Solves T + friction(T) = reading - zero for T. u
-    includes that of the friction and the errors that remain, of stretch and ripple: the correction
-    is that of friction alone. The u of a load beyond the learned ones is NaN.
+    `loads` begin with the one without load. Solves x + friction(x) = reading - zero for what a load
+    adds to the tendon, and takes the stretch off x. u includes that of both and what remains, of
+    ripple. The u of a load beyond the learned ones is NaN.
     """
     disturbance = corrects(tables, recipe)
     zero = float(loads[0].values.mean())
     found, us = [loads[0]], [0.0]
     for load in loads[1:]:
         shown = load.values - zero
-        torque = shown.copy()
+        shift = shown.copy()
         for _ in range(MAX_ITERATIONS):
-            added = rising_load(tables, recipe, disturbance.model, torque)
-            torque = shown - added.friction
+            rising = rising_load(tables, recipe, disturbance.model, shift)
+            shift = shown - rising.friction
+        torque = rising.torque
         inside = float(torque.mean()) <= LARGEST_LOAD_RATIO * disturbance.torque
-        u = math.hypot(added.u.mean(), added.remains.mean())
+        u = math.hypot(rising.u.mean(), rising.remains.mean())
         us.append(u if inside else math.nan)
         found.append(replace(load, values=zero + torque))
     return found, np.array(us)
@@ -92,22 +94,20 @@ def load_outcome(
     rows = [
         row.blank()
         if math.isnan(u)
-        else replace(
-            row, mean=_also(row.mean, error_line("friction that grows with load", u, "N m"))
-        )
+        else replace(row, mean=_also(row.mean, error_line(LOAD_FRICTION, u, "N m")))
         for row, u in zip(found, added_u.tolist(), strict=True)
     ]
     described = {
         "mean_torque_u": "standard uncertainty: as for --correction none, the friction's, and what "
-        "stretch and ripple add"
+        "ripple adds"
     }
     return _with_rows(
         base,
         rows,
         thesis,
         described,
-        "torque read while rising, without the friction that grows with load; NaN: not learned",
-        ("--correction load: friction that grows with load is taken off", *base.notes),
+        "torque read while rising, less friction by load, and without stretch; NaN: not learned",
+        (CORRECTED, *base.notes),
     )
 
 

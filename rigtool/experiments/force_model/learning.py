@@ -126,6 +126,19 @@ class SlidingFit:
             covariance=covariance,
         )
 
+    def moved_by(self, records: Sequence[Record], known: Known) -> Array:
+        """Return by how much the logarithms of the shape (p,) change where loads and rig are
+        others than they were said to be, to first order."""
+        own, model = self.problem, self.learned
+        other = Problem(records, own.terms, known, own.start, own.deviation, own.friction)
+        other.variance = own.variance
+        there, here = (
+            own.solved(normal.sum(axis=0), model.shape, len(SLIDING_PARAMETERS))[0]
+            for normal in (other.normal(model.shape, model.coefficient), self.normal)
+        )
+        moved: Array = (there - here)[: len(SLIDING_PARAMETERS)]
+        return moved
+
 
 def learn_sliding(
     records: Sequence[Record], known: Known, count: float, deviation: Deviations

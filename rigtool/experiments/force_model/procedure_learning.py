@@ -137,11 +137,12 @@ def learn_force(
     if checks:
         compared = [*checks, *_compared(strokes)]
         errors = [_errors(r, recipe, kt, model, creeping) for r in compared]
-        model = replace(model, scales=scales(errors))
+        found = scales(errors)
+        # as far as the known loads are off, so is all that is read in terms of them
+        found[..., 1] = np.hypot(found[..., 1], rig.loads_relative_u)
+        model = replace(model, scales=found)
     unloaded = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
-    tried = [
-        _trial(r, recipe, kt, model, CREEP_SPEED_RATIO * slowest) for r in (explored, *unloaded)
-    ]
+    tried = [_trial(r, recipe, kt, model, creeping) for r in (explored, *unloaded)]
     return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded)
 
 

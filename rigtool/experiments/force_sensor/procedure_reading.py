@@ -33,6 +33,7 @@ from rigtool.experiments.force_sensor.results_over_time import (
     steps_of_a_row,
 )
 from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
+from rigtool.experiments.force_sensor.signal_faults import SignalWatch
 from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array, Mask
@@ -178,6 +179,7 @@ class Stretch:
         self._began = began - instrument.interval / 2
         self._every = steps_of_a_row(step_time, instrument.corner_hz)
         self._sensor = Sensor(instrument)
+        self._watch = SignalWatch(instrument)
         self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._untouched: Filter | None = None
@@ -196,6 +198,7 @@ class Stretch:
     def add(self, samples: Array, *, last: bool = False) -> None:
         """Read samples (c, n): encoder, current, temperature, and the reference where it is."""
         sensed = self._sensor.add(samples, last=last)
+        self._watch.add(samples)
         self._limited += int(self._instrument.limited(samples[1]).sum())
         self._settle()
         estimate = sensed.estimate
@@ -281,7 +284,13 @@ class Stretch:
         if referred and np.isfinite(found := self._taken("reference")).any():
             reference, judged = filled(found, round(rate / corner_hz))
         torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
-        inside, rows = states != State.OUTSIDE, slice(None, None, every)
+        faults = self._watch.faults()
+        rows, causal_states = slice(None, None, every), self._taken("causal_states")
+        for fault in faults:
+            at_row = time - self._began
+            states[rows][fault.within(at_row, causal=False)] = State.OUTSIDE
+            causal_states[fault.within(at_row, causal=True)] = State.OUTSIDE
+        inside = states != State.OUTSIDE
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
         at = step_time * every, self._taken("passed"), sliding, self._instrument.reach.angle
         return [
@@ -294,7 +303,7 @@ class Stretch:
                 states[rows].astype(np.int32),
                 self._taken("causal"),
                 self._taken("causal_u"),
-                self._taken("causal_states").astype(np.int32),
+                causal_states.astype(np.int32),
                 None
                 if reference is None
                 else np.where(judged, held_lowpass(rate, reference, corner_hz), np.nan)[rows],
@@ -307,6 +316,7 @@ class Stretch:
                 response=None
                 if reference is None
                 else Spectra.of(torque, reference, inside & judged, rate),
+                faults=faults,
                 passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
             )
         ]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigtool.errors import RunFileError
-from rigtool.experiments.force_model.learning import LearnedModel
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, LearnedModel
 from rigtool.experiments.force_model.stored import TERMS, model_from
 from rigtool.experiments.load_disturbance.sliding import DisturbanceGrid
 from rigtool.numerics.arrays import Array
@@ -84,35 +84,45 @@ def grid_tables(grid: DisturbanceGrid, recipe: Recipe) -> dict[str, Table]:
 
 @dataclass(frozen=True, eq=False)
 class RisingLoad:
-    """What a rising reading holds besides loads (l,) carried, N m at the output: `friction` that
-    grows with them, its `u`, and what `remains` when that is taken off."""
+    """What a rising reading holds besides the torque (l,) N m that a load adds to the tendon:
+    `friction` that grows with it, its `u`, and what `remains` when that is taken off. `torque` is
+    that of the load at the angle of the reading, of which stretch took a part."""
 
     friction: Array
     u: Array
     remains: Array
+    torque: Array
 
 
-def rising_load(tables: Run, recipe: Recipe, model: LearnedModel, load: Array) -> RisingLoad:
-    """Return what loads (l,) N m add to a reading of `measure_force`, from the stored tables.
+def rising_load(tables: Run, recipe: Recipe, model: LearnedModel, added: Array) -> RisingLoad:
+    """Return what belongs to torques (l,) N m that loads add to the tendon while
+    `measure_force` lifts them, from the stored tables.
 
-    What remains is the part of the disturbance that does not change its sign with the direction,
-    and what the tendon's stretch s / k takes off: at angle b the load M shows s = M sin(b - s / k).
+    The tendon carries s = added + t, with friction t of the tip. Its stretch turns the output back
+    by s / k: at angle b, the load M shows added = M sin(b - s / k), and M sin b is its torque.
+    What remains is the part of the disturbance that does not change its sign with the direction.
     """
     from scipy.interpolate import interpn
 
     settings, ratio = recipe.measure_force, recipe.rig.angle_ratio
     position = math.radians(settings.measure_angle)
     speed = 2 * math.pi * settings.speed_rev_per_s * ratio
+    carried = added + model.shape.tip_friction
+    loads = np.append(carried, model.shape.tip_friction)
 
     def at(name: str, column: str) -> Array:
         table = tables.table(name, *AXES, speed="rad/s", position="rad", load="N m", torque="N m")
         axes = [table[axis] for axis in AXES]
-        points = np.stack([np.full_like(load, speed), np.full_like(load, position * ratio), load])
-        inside = [np.clip(p, axis[0], axis[-1]) for p, axis in zip(points, axes, strict=True)]
+        place = [np.full_like(loads, speed), np.full_like(loads, position * ratio), loads]
+        inside = [np.clip(p, axis[0], axis[-1]) for p, axis in zip(place, axes, strict=True)]
         found: Array = interpn(axes, table[column], np.stack(inside, axis=-1))
-        return found
+        return found[:-1] if column == "u" else found[:-1] - found[-1]
 
-    friction = at(LOAD_FRICTION, "torque")
+    friction, friction_u = at(LOAD_FRICTION, "torque"), at(LOAD_FRICTION, "u")
+    stretch = carried / model.shape.stiffness
+    torque = added * math.sin(position) / np.sin(position - stretch)
+    number = SLIDING_PARAMETERS.index("stiffness")
+    relative = math.sqrt(model.covariance[number, number])
+    stretch_u = torque * stretch / np.tan(position - stretch) * relative
     sided = at(DISTURBANCE, "torque") - friction
-    stretched = np.sin(position - load / model.shape.stiffness) / math.sin(position)
-    return RisingLoad(friction, at(LOAD_FRICTION, "u"), sided - load * (1 / stretched - 1))
+    return RisingLoad(friction, np.hypot(friction_u, stretch_u), sided, torque)

@@ -51,6 +51,9 @@ FEWEST_PLATEAUS = 5
 ON_PLATEAUS = 0.3
 """Smallest part of the time on plateaus of a staircase."""
 
+MAX_ALONG = 0.1
+"""Largest change along a plateau, in terms of the step to the next one."""
+
 SETTLING_PART = 0.25
 """Part of each plateau that is left out at its start."""
 
@@ -65,9 +68,14 @@ Machines, 2010, ch. 3), a rectangular distribution (GUM 4.3.7)."""
 TRANSITION_LENGTHS = (0.01, 0.03, 0.1, 0.3)
 """Lengths s of Dahl's transition that are tried, relative to the span of the current."""
 
-FRICTION, DRIFT, BENT, CURVATURE = 0.05, 0.01, 0.004, 0.015
-"""Prior sizes: of h, of a straight and a bent drift, relative to the span of the torque; of the
-change of torque per ampere from half the current to all of it, by saturation of the iron."""
+FRICTION, DRIFT, BENT, RIPPLE, CURVATURE = 0.05, 0.01, 0.004, 0.002, 0.015
+"""Prior sizes: of h, of a straight and a bent drift, and of each wave of ripple, relative to the
+span of the torque; of the change of torque per ampere from half the current to all of it, by
+saturation of the iron."""
+
+RIPPLE_WAVES = 4
+"""Half waves of ripple over the span of the current of a ramp: its torque twists the shaft, which
+turns through ripple. Shorter ones are scatter."""
 
 NO_CURRENT = 0.02
 """Currents below this part of the largest turn no shaft."""
@@ -158,13 +166,14 @@ def find_points(course: Course) -> Points:
             f"the current changes by {span:.3g} A, its noise is {noise:.2g} A: step it, or ramp it"
         )
     band = max(FLAT_RANGE * math.sqrt(2) * noise, 1e-3 * span)
-    followed = _play(level, band)
+    followed = _one_way(level, band)
     path = np.stack([_dahl(followed, part * span) for part in TRANSITION_LENGTHS], axis=1)
     way = np.diff(followed)
     up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
     parts = find_plateaus(level, max(band, 1e-4 * span), max(MAX_PLATEAU_CHANGE * span, 2 * band))
     on_them = sum(b - a for a, b in parts)
-    if len(parts) < FEWEST_PLATEAUS or on_them < ON_PLATEAUS * blocks:
+    stairs = len(parts) >= FEWEST_PLATEAUS and on_them >= ON_PLATEAUS * blocks
+    if not stairs or not _steps(level, parts):
         ends = np.linspace(0, blocks, min(RAMP_PARTS, blocks) + 1).round().astype(np.int64)
         parts = list(pairwise(ends.tolist()))
         settled = False
@@ -186,18 +195,40 @@ def find_points(course: Course) -> Points:
     )
 
 
+def _steps(level: Array, parts: Sequence[tuple[int, int]]) -> bool:
+    """Return whether a level (n,) changes between its parts, and not along them as on a ramp."""
+    along = np.median([abs(level[b - 1] - level[a]) for a, b in parts])
+    between = np.median(np.abs(np.diff([level[a:b].mean() for a, b in parts])))
+    return bool(along <= MAX_ALONG * between)
+
+
 def _means(values: Array, edges: NDArray[np.int64]) -> Array:
     means: Array = np.add.reduceat(values, edges[:-1]) / np.diff(edges)
     return means
 
 
-def _play(values: Array, band: float) -> Array:
-    """Return values (n,) that follow only changes of direction by more than a band."""
-    followed = np.empty(len(values))
-    at = values[0]
+def _one_way(values: Array, band: float) -> Array:
+    """Return values (n,) that go one way between turns by more than a band.
+
+    A turn is at the extreme itself, which later values show.
+    """
+    turns, way, high, low = [0], 0, 0, 0
     for index, value in enumerate(values.tolist()):
-        at = min(max(at, value - band), value + band)
-        followed[index] = at
+        high, low = (
+            (index if value > values[high] else high),
+            (index if value < values[low] else low),
+        )
+        if way >= 0 and values[high] - value > band:
+            turns.append(high)
+            way, low = -1, index
+        elif way <= 0 and value - values[low] > band:
+            turns.append(low)
+            way, high = 1, index
+    followed = values.copy()
+    for start, stop in pairwise([*turns, len(values) - 1]):
+        rises = values[stop] >= values[start]
+        along = np.maximum if rises else np.minimum
+        followed[start : stop + 1] = along.accumulate(values[start : stop + 1])
     return followed
 
 
@@ -265,6 +296,11 @@ def fit_constant(runs: Sequence[Points]) -> CurrentFit:
     way = np.sign(np.where(np.abs(current) > NO_CURRENT * top, current, 0.0))
     if speed is None and np.ptp(way) > 1:
         add("driven", way, FRICTION * torques)  # a motor that drives a brake turns with its torque
+    if not turning and not all(run.plateaus for run in runs):
+        part = (current - current.min()) / np.ptp(current)
+        for half_waves in range(1, RIPPLE_WAVES + 1):
+            for wave in (np.cos, np.sin):
+                add("ripple", wave(np.pi * half_waves * part), RIPPLE * torques)
     if turning:
         fits = [_Fit(columns, torque)]
     else:
@@ -327,7 +363,11 @@ class _Fit:
 def _result(
     fits: Sequence[_Fit], runs: Sequence[Points], middle: float, *, one_way: bool, turning: bool
 ) -> CurrentFit:
-    best = min(fits, key=lambda fit: fit.power)
+    power = np.array([fit.power for fit in fits])
+    if not all(run.plateaus for run in runs):
+        # A wrong model has fewer independent samples, as its residuals are correlated in time.
+        power /= [fit.independent for fit in fits]
+    best = fits[int(np.argmin(power))]
     torque, current = best.torque, best.design[:, 0]
     rms, span = math.sqrt(float(np.mean(best.residual**2))), float(np.ptp(torque))
     if rms > MAX_MISFIT * span:
@@ -336,7 +376,6 @@ def _result(
             "span "
             f"of {span:.3g} N m is the limit: see to the units and to what else loads the shaft"
         )
-    power = np.array([fit.power for fit in fits])
     weight = (power / power.min()) ** (-best.independent / 2)
     weight /= weight.sum()
 

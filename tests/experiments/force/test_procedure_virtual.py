@@ -21,6 +21,7 @@ STEADY = (
     "virtual.instrument.drift=0",
     "rig.controller.integrator_hz=2",  # stable with 5 N on any spring
 )
+FREE = ("virtual.instrument.load_friction=0", "virtual.instrument.tip_friction=0")
 SHORT = (
     "ilc_learn.speeds_rev_per_s=[0.2]",
     "ilc_learn.low_speeds_rev_per_s=[0.1]",
@@ -53,6 +54,12 @@ def force(tmp_path_factory):
         every = (*SHORT, *sets, *stated)
         return run(MEASURE_FORCE, RECIPE, output, *every, seed=seed, kt=kt, tables=tables)
 
+    def again(*sets, setting):
+        """Analyse the last measurement again."""
+        stored, inputs = folder / "force.h5", {"kt": kt, "tables": learned(*sets, seed=None)}
+        return run(MEASURE_FORCE, stored, folder / "again.h5", setting, **inputs)
+
+    measured.again = again
     return measured
 
 
@@ -77,8 +84,7 @@ def test_stiffness_comes_back_from_the_shift(force, stiffness):
 
 
 def test_load_friction_is_told_from_the_rest(force):
-    free = ("virtual.instrument.load_friction=0", "virtual.instrument.tip_friction=0")
-    results = force(*STEADY, *free).results
+    results = force(*STEADY, *FREE).results
     assert results["load_friction"].value == pytest.approx(0, abs=0.6e-3)
     assert results["lifting_torque"].value == pytest.approx(60e-3, rel=0.02)
     assert force(*STEADY).results["load_friction"].value > 5e-3
@@ -146,6 +152,41 @@ def test_weights_and_a_radius_that_are_off_are_in_the_error_of_a_load(force, dra
     np.testing.assert_allclose(loads["error_torque_u"], both, rtol=1e-9, atol=0)
     assert (np.abs(loads["error_torque"][1:]) < 2.5 * loads["error_torque_u"][1:]).all()
     assert abs(off - 1) > 5e-3
+
+
+@pytest.mark.parametrize(
+    ("line", "setting", "u", "off", "sets"),
+    [
+        ("weights", "weights_relative_u", 0.01, "weights", (PULLEY, *STEADY)),
+        ("length to the load", "pulley_radius_u", 0.14e-3, "pulley_radius", (PULLEY, *STEADY)),
+        (
+            "length to the load",
+            "instrument.grasper_length_u",
+            0.2e-3,
+            "grasper_length",
+            (*STEADY, *FREE),
+        ),
+        (
+            "angle ratio",
+            "instrument.angle_ratio_relative_u",
+            0.01,
+            "angle_ratio",
+            (*STEADY, *FREE),
+        ),
+    ],
+)
+def test_an_interval_holds_with_the_line_of_what_is_off_and_not_without(
+    force, line, setting, u, off, sets
+):
+    stated = (f"rig.{setting}={u}", f"virtual.misstated.{off}=0.015")
+    error = force(*sets, stated=stated).results["error_torque_load_002"]
+    assert abs(error.value) < 2 * error.u
+    (own,) = (one for one in error.budget if one.name == line)
+    assert own.contribution > 0.7 * error.u
+    without = force.again(*sets, setting=f"rig.{setting}=0").results["error_torque_load_002"]
+    assert without.value == pytest.approx(error.value, rel=1e-9)
+    assert abs(without.value) > 4 * without.u
+    assert line not in {one.name for one in without.budget}
 
 
 def test_an_angle_ratio_that_is_off_is_in_the_torque_at_the_output(force):

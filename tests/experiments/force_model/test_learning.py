@@ -14,14 +14,19 @@ from rigtool.experiments.force_model.deviations import (
     kept_by_mean,
     repeating,
 )
+from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import (
     SLIDING_PARAMETERS,
     learn_sliding,
     stepped_shape,
 )
 from rigtool.experiments.force_model.model import Kind, Known
+from rigtool.experiments.force_model.procedure_learning import LearnedForce
+from rigtool.experiments.learning.implementations.d_tendon import tendon_results
+from rigtool.recipe import load_recipe
 from tests.experiments.force_model import known_plant as plant
 from tests.experiments.force_model.known_plant import strokes
+from tests.experiments.virtual_runs import RECIPE
 
 KNOWN = Known(plant.RATIO, plant.FACTOR, plant.INERTIA)
 CALM = Deviations(2e-4, 1e-3, 1e-4, 0.1)
@@ -109,6 +114,28 @@ def test_tendon_and_load_friction_are_given_back(learned):
     found = upright * (np.hypot(carried, onset) - onset)
     expected = plant.LOAD_FRICTION * (np.hypot(carried, plant.ONSET) - plant.ONSET)
     np.testing.assert_allclose(found, expected, rtol=0.03)
+
+
+def test_what_the_bench_has_wrong_is_in_the_budget_of_the_tendon(fit, learned):
+    """What the loads are the measure of grows with them; how they swing, with length squared."""
+    rig = load_recipe(RECIPE)[0].rig
+    off = rig.instrument.model_copy(
+        update={"grasper_length_u": 0.2e-3, "angle_ratio_relative_u": 0.01}
+    )
+    rig = rig.model_copy(update={"weights_relative_u": 0.01, "instrument": off})
+    force = LearnedForce(ForceModel(learned, CALM), fit, {})
+    found = tendon_results(force, [], np.ones(1), rig)
+    relative = {
+        name: {line.name: line.u * line.sensitivity / one.value for line in one.budget}
+        for name, one in found.items()
+    }
+    assert relative["tendon_stiffness"]["weights"] == pytest.approx(0.01, rel=0.1)
+    assert 0.009 < relative["tendon_stiffness"]["length to the load"] < 0.021
+    assert abs(relative["tendon_stiffness"]["angle ratio"]) > 0.01
+    assert all(len(lines) == 4 for lines in relative.values())
+    number = SLIDING_PARAMETERS.index("stiffness")
+    u = np.sqrt(fit.learned.covariance[number, number])
+    assert relative["tendon_stiffness"]["strokes under known loads"] == pytest.approx(u, rel=0.05)
 
 
 def test_friction_is_given_back_wherever_it_slides(learned):

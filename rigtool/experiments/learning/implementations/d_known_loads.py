@@ -27,6 +27,7 @@ from rigtool.experiments.force_model.procedure_learning import (
 )
 from rigtool.experiments.force_model.records import Record
 from rigtool.experiments.learning.implementations.c_limited_angle import LimitedAngle
+from rigtool.experiments.learning.implementations.d_tendon import tendon_results
 from rigtool.experiments.learning.stored_table import feedforward, friction_results
 from rigtool.experiments.load_disturbance.reading import LoadedPair, read_loads
 from rigtool.experiments.load_disturbance.sliding import DisturbanceGrid, grid_of
@@ -190,12 +191,12 @@ def _loads_outcome(run: Run, recipe: Recipe, learned: LearnedForce, loads: _Know
         model,
         speeds.tolist(),
         np.radians(np.arange(turn, settings.angle - turn + ANGLE_STEP_DEG / 2, ANGLE_STEP_DEG)),
-        np.linspace(0, largest, POINTS_OF_LOAD),
+        largest * np.linspace(0, 1, POINTS_OF_LOAD) ** 2,  # closest where friction sets in
         float(np.mean([record.torque_constant for record in learned.strokes.values()])),
     )
     return Outcome(
         {
-            **_tendon_results(learned, loads),
+            **tendon_results(learned, loads.pairs, loads.speed, recipe.rig),
             "load_friction_coefficient": _friction_coefficient(grid, recipe),
             "learned_torque": Quantity(
                 largest, "N m", reason="a bound of what was learned, not measured"
@@ -224,30 +225,6 @@ def _friction_coefficient(grid: DisturbanceGrid, recipe: Recipe) -> Quantity:
     )
     load = float(grid.load[-1])
     return Quantity(friction / load, "1", u / load)
-
-
-def _tendon_results(learned: LearnedForce, loads: _KnownLoads) -> dict[str, Quantity]:
-    """Return the tendon's parameters, its stiffness also by the slowest and fastest speed alone.
-
-    The slowest shows it by the shift of the peak, the fastest by how the load swings.
-    """
-    whole = stored.model_results(learned.model)
-    results = {
-        "tendon_stiffness": whole[f"{stored.MODEL_PREFIX}stiffness"],
-        "tendon_damping": whole[f"{stored.MODEL_PREFIX}damping"],
-        "tip_friction": whole[f"{stored.MODEL_PREFIX}tip_friction"],
-    }
-    speeds, sliding = np.unique(loads.speed), learned.sliding
-    if len(speeds) > 1:
-        for name, speed in (("shift", speeds[0]), ("resonance", speeds[-1])):
-            own = [p for p, v in zip(loads.pairs, loads.speed, strict=True) if v == speed]
-            used = [record for pair in own for record in (pair.loaded, *pair.unloaded)]
-            alone = sliding.learned_from(
-                [any(r is u for u in used) for r in sliding.problem.records]
-            )
-            stiffness = stored.shape_results(alone)[f"{stored.MODEL_PREFIX}stiffness"]
-            results[f"tendon_stiffness_{name}"] = stiffness
-    return results
 
 
 def _left_out(learned: LearnedForce, loads: _KnownLoads, recipe: Recipe) -> Table:

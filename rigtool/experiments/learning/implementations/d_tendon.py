@@ -1,0 +1,87 @@
+"""The tendon's parameters as results of implementation D, with what the bench may have wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rigtool.experiments.force_model import stored
+from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, SlidingFit
+from rigtool.experiments.force_model.procedure_learning import LearnedForce
+from rigtool.experiments.force_model.records import Record
+from rigtool.experiments.load_disturbance.reading import LoadedPair
+from rigtool.experiments.load_disturbance.results_known_loads import ANGLE_RATIO, LOAD_ARM, WEIGHTS
+from rigtool.numerics.arrays import Array
+from rigtool.quantity import Component, Quantity, combined, error_line
+from rigtool.recipe.rig import RigDescription
+
+TENDON = {
+    "stiffness": "tendon_stiffness",
+    "damping": "tendon_damping",
+    "tip_friction": "tip_friction",
+}
+"""Parameters of the model that are results of their own."""
+
+
+def tendon_results(
+    learned: LearnedForce, pairs: Sequence[LoadedPair], speed: Array, rig: RigDescription
+) -> dict[str, Quantity]:
+    """Return the tendon's parameters, its stiffness also by the slowest and fastest speed alone.
+
+    `speed` (n,) rad/s of the motor is that of each of the `pairs`. The slowest shows the stiffness
+    by the shift of the peak, the fastest by how the load swings.
+    """
+    whole = stored.model_results(learned.model)
+    lines = _bench_lines(learned.sliding, rig)
+    results = {}
+    for parameter, name in TENDON.items():
+        found = whole[f"{stored.MODEL_PREFIX}{parameter}"]
+        number = SLIDING_PARAMETERS.index(parameter)
+        off = [
+            replace(line, sensitivity=found.value * float(moved[number]) / line.u)
+            for line, moved in lines
+        ]
+        own = error_line("strokes under known loads", found.u or 0.0, found.unit)
+        results[name] = combined(found.value, found.unit, [own, *off])
+    if np.ptp(speed):
+        for name, own_speed in (("shift", speed.min()), ("resonance", speed.max())):
+            own_pairs = [p for p, v in zip(pairs, speed, strict=True) if v == own_speed]
+            used = [record for pair in own_pairs for record in (pair.loaded, *pair.unloaded)]
+            alone = learned.sliding.learned_from(
+                [any(r is u for u in used) for r in learned.sliding.problem.records]
+            )
+            stiffness = stored.shape_results(alone)[f"{stored.MODEL_PREFIX}stiffness"]
+            results[f"tendon_stiffness_{name}"] = stiffness
+    return results
+
+
+def _bench_lines(sliding: SlidingFit, rig: RigDescription) -> list[tuple[Component, Array]]:
+    """Return the budget line of each thing that the bench may have wrong, and by how much it moves
+    the logarithms of the shape (p,): one more step of the search, with it off by its u."""
+    weights, length = rig.weights_relative_u, rig.load_arm_u / rig.load_arm
+    ratio, known = rig.angle_ratio_relative_u, sliding.problem.known
+    turned = replace(
+        known,
+        angle_ratio=known.angle_ratio * (1 + ratio),
+        torque_factor=known.torque_factor / (1 + ratio),
+    )
+
+    def hung(moment: float, inertia: float) -> list[Record]:
+        return [
+            replace(r, moment=r.moment * moment, load_inertia=r.load_inertia * inertia)
+            for r in sliding.problem.records
+        ]
+
+    longer = 1 + length
+    cases = [
+        (WEIGHTS, 1.0, "1", weights, hung(1 + weights, 1 + weights), known),
+        (LOAD_ARM, rig.load_arm, "m", rig.load_arm_u, hung(longer, longer**2), known),
+        (ANGLE_RATIO, rig.angle_ratio, "1", rig.angle_ratio * ratio, hung(1, 1), turned),
+    ]
+    return [
+        (Component(name, value, unit, u, None, 1.0), sliding.moved_by(records, other))
+        for name, value, unit, u, records, other in cases
+        if u
+    ]
