@@ -150,7 +150,7 @@ def _unmodelled(
         explained = float(np.sum((rest @ height) ** 2))
         if explained > best and np.all(np.sum(rest**2, 0) > 1e-6 * np.sum(term**2, 0)):
             best = explained
-            change[:] = np.linalg.lstsq(design, term @ height, rcond=None)[0]
+            change = np.asarray(np.linalg.lstsq(design, term @ height, rcond=None)[0], float)
             left = residual - rest @ height
             scatter, _ = long_run_covariance(np.column_stack([design, term]), left, independent)
             k = len(height)
