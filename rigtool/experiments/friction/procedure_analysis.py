@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError, UsageError
 from rigtool.experiments.between_set_points import (
     SET_POINT_REMEDY,
@@ -57,6 +58,9 @@ NOTED_SHARE = 0.1
 """Part of its limit above which unsampled torque gets a note."""
 
 SATURATED_REMEDY = "lower stribeck.speed_max, or the load on the shaft"
+
+SPECTRUM_POINTS = 500
+"""Frequencies up to half the rate at which the loop's answer to the encoder is taken."""
 
 HOLD_RECORDING = "holds"
 SWEEP_RECORDINGS = ("sweep", "sweep_coulomb", "sweep_viscous")
@@ -168,7 +172,26 @@ def _find_holds(recording: Recording, recipe: Recipe, scale: Scale) -> Holds:
     # Twice the variance: both directions are rounded to the same steps and err alike, so that the
     # mean of the two is no better than each.
     step = scale.value * setpoint_resolution(recording, recipe.stribeck.record_every)
-    return replace(found, u=np.hypot(found.u, step / math.sqrt(6)))
+    expected = _encoder_shaking(recipe) / np.maximum(np.abs(found.speed), 1e-300)
+    return replace(
+        found,
+        u=np.hypot(found.u, step / math.sqrt(6)),
+        shaking=np.where(found.shaking > 0, found.shaking, expected),
+    )
+
+
+def _encoder_shaking(recipe: Recipe) -> float:
+    """Return the standard deviation of speed, rad/s, that the encoder's steps make in the loop.
+
+    For samples too far apart to show it. The steps are noise of variance step^2/12, evenly up to
+    half the rate (B. Widrow, I. Kollar, Quantization Noise, 2008), which the nominal loop follows.
+    """
+    rig = recipe.rig
+    frequency = np.linspace(0, 0.5 / rig.sample_time, SPECTRUM_POINTS)[1:]
+    answer = position_loop(**rig.loop_design).complementary_sensitivity.response(frequency)
+    speed = np.abs(answer) * 2 * np.pi * frequency
+    step = 2 * np.pi / rig.encoder_counts
+    return step * math.sqrt(float(np.mean(speed**2)) / 12)
 
 
 def _fit_holds(

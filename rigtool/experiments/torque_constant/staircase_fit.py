@@ -49,7 +49,8 @@ FEWEST_STEPS, CLEAR_STEPS = 10, 40
 class Slopes:
     """Torque constants of m staircases, friction and heat taken out.
 
-    `slope` (m,) in N m/A, `u` (m,) its standard uncertainty from scatter with `dof`; `temperature`
+    `slope` (m,) in N m/A, `u` (m,) its standard uncertainty from scatter with `dof`; `zero` (m,) is
+    the torque without current, N m; `temperature`
     (m,) in degC, weighted as the slope weights its plateaus; `rotor_angle` (m,) in rad.
     `heating` is the relative amount by which heat in the winding lowered the slopes on average,
     `heating_u` its standard uncertainty with `heating_dof`; `steady_heating` 1/A2 is what a current
@@ -64,6 +65,7 @@ class Slopes:
     """
 
     slope: Array
+    zero: Array
     u: Array
     dof: int
     temperature: Array
@@ -114,6 +116,7 @@ def fit_staircases(plateaus: Plateaus) -> Slopes:
     hysteresis, hysteresis_u, hysteresis_dof = _hysteresis(stairs, solution.off_line)
     return Slopes(
         slope=solution.slope + hypotheses.shift,
+        zero=solution.fit.own[:, 1],
         u=solution.u,
         dof=solution.dof,
         temperature=solution.temperature,

@@ -43,8 +43,18 @@ PATH_U, TREND_U = 0.3, 0.2
 uncertainty of a slope, times the squared part that friction takes of it, and of the change of that
 part with temperature, relative."""
 
-DEFLECTION_U = 0.03
+RIPPLE_PATH_U = 0.4
+"""Standard uncertainty of what friction takes of the ripple, relative: its path follows each
+staircase, and of its law only the mean of all is known."""
+
+DEFLECTION_U = 0.02
 """Standard uncertainty of the angle by which the arm gives way in a staircase, rad."""
+
+ALIKE = 6**-0.5
+"""Root mean square of the part that two patterns of six orders have in common by chance."""
+
+SMALLEST_PART = 100.0
+"""Range of the torques without current, over the errors of it that are considered at least."""
 
 LINEARITY_LIMIT = 5e-3
 """Largest deviation of the amplifier from a straight line, relative to the span."""
@@ -198,6 +208,7 @@ class _Fit:
     scatter: float  # relative part of value_u from the scatter that the slopes state
     turn: float  # relative part of value_u from the ripple
     ripple: Quantity  # relative standard deviation of r over a turn
+    single: float  # relative standard uncertainty of one staircase
     angles: int
 
 
@@ -237,25 +248,44 @@ def _fit_temperature(slopes: Slopes) -> _Fit:
         gain=1 + found.effect / value,
         scatter=scatter / value,
         turn=math.sqrt(value_u**2 - scatter**2) / value,
-        ripple=_ripple(found, value, slopes.friction_share),
+        ripple=_ripple(found, value, slopes, known=not unknown),
+        single=math.hypot(float(np.median(slopes.u)) / value, slopes.resolution_u),
         angles=0 if unknown else len(group_angles(slopes.rotor_angle)[0]),
     )
 
 
-def _ripple(found: AngleEffects, value: float, friction: float) -> Quantity:
+def _ripple(found: AngleEffects, value: float, slopes: Slopes, *, known: bool) -> Quantity:
     """Return the relative standard deviation of r over a turn.
 
-    Friction changes each slope by a part `friction`, which need not grow with the gain: the
-    deviation is uncertain by that part of it. The arm's deflection d has the same effect: within a
-    staircase the angle changes with the torque, which adds k d of the amplitude of order k.
+    Friction lowers the slopes by a part `friction_share`, and their deviation by about that part
+    of it: it is added. The arm's deflection d adds in two ways, since the angle changes with the
+    torque within a staircase: k d of the amplitude of order k, and k d of what order k of the
+    torque without current is relative to the largest. The gauge rounds each staircase by its own
+    zero.
     """
+    deviation = found.deviation * (1 + slopes.friction_share)
     order = np.repeat(np.arange(1, len(found.amplitudes) // 2 + 1), 2)
     square = found.amplitudes**2
     bent = float(np.sum(square * (1 + (order * DEFLECTION_U) ** 2)) / max(np.sum(square), 1e-300))
-    model = found.deviation * math.hypot(friction, math.sqrt(max(bent, 1.0)) - 1)
+    path = deviation * RIPPLE_PATH_U * slopes.friction_share
+    own = deviation * (math.sqrt(max(bent, 1.0)) - 1)
+    carried = _carried(slopes) if known else 0.0
+    more = math.hypot(deviation, carried) - deviation  # of phases that have nothing in common
+    rounding = value * slopes.resolution_u
+    model = math.hypot(path, own, more, ALIKE * carried, rounding)
     u = math.hypot(found.deviation_u, model)
     dof = found.deviation_dof * (u / found.deviation_u) ** 4  # Welch and Satterthwaite
-    return Quantity(found.deviation / value, "1", u / value, dof)
+    return Quantity(deviation / value, "1", u / value, dof)
+
+
+def _carried(slopes: Slopes) -> float:
+    """Return the standard deviation of slopes, N m/A, by torque without current that changes with
+    the angle, which the arm's deflection changes with the torque."""
+    noise = np.full(len(slopes.zero), max(float(np.ptp(slopes.zero)), 1e-12) / SMALLEST_PART)
+    zero = fit_angle_effects(np.ones((len(noise), 1)), slopes.zero, noise, slopes.rotor_angle)
+    order = np.repeat(np.arange(1, len(zero.amplitudes) // 2 + 1), 2)
+    rate = math.sqrt(float(np.sum((order * zero.amplitudes) ** 2)) / 2)
+    return rate * DEFLECTION_U / float(np.ptp(slopes.level))
 
 
 def _hidden(fit: _Fit) -> float:
@@ -276,6 +306,12 @@ def _stated_ripple(fit: _Fit) -> Quantity | None:
         reason = (
             f"{fit.angles} rotor angles do not show all orders: their ripple may be larger; clamp "
             f"the arm at {RIPPLE_ANGLES} or more"
+        )
+        return Quantity(fit.ripple.value, "1", reason=reason)
+    if fit.ripple.value < fit.single:
+        reason = (
+            f"a single staircase scatters by {100 * fit.single:.2g} %, more than the ripple that "
+            "shows: it may hide there; take a finer or quieter gauge, or raise current_max"
         )
         return Quantity(fit.ripple.value, "1", reason=reason)
     return fit.ripple

@@ -5,13 +5,16 @@ import json
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import signal
 
+from rigtool.control.position_loop import position_loop
 from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
+from rigtool.experiments.friction.procedure_analysis import _encoder_shaking
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
-from rigtool.recipe import override_recipe
+from rigtool.recipe import load_recipe, override_recipe
 from rigtool.recipe.commands import Stribeck
 from rigtool.runfile import RecordingSpec, RunWriter, open_run
 from tests.experiments.virtual_runs import RECIPE, run, write_kt
@@ -289,3 +292,14 @@ def test_what_samples_lack_is_in_the_uncertainty_of_friction_or_refuses_it(measu
         InsufficientDataError, match=r"most at 30(\.\d)? rad/s .* 10% of the torque"
     ):
         between_set_points(path, kt, [(30.0, 0.02)])
+
+
+def test_how_far_the_steps_of_the_encoder_shake_the_shaft():
+    """Against noise of a step, evenly distributed, through the loop by scipy."""
+    recipe = load_recipe(RECIPE, ["rig.encoder_counts=2000"])[0]
+    loop = position_loop(**recipe.rig.loop_design).complementary_sensitivity
+    noise = (np.random.default_rng(1).random(100_000) - 0.5) * 2 * np.pi / 2000
+    delays = np.zeros(loop.relative_degree)
+    angle = signal.lfilter(np.concatenate([delays, loop.num]), loop.den, noise)
+    speed = np.diff(angle) / recipe.rig.sample_time
+    assert _encoder_shaking(recipe) == pytest.approx(np.std(speed[1000:]), rel=0.03)

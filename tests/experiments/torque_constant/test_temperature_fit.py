@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose
 
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.torque_constant.staircase import amplifier_linearity, plateaus_of_set_point
-from rigtool.experiments.torque_constant.temperature_fit import Calibration, calibrate
+from rigtool.experiments.torque_constant.temperature_fit import Calibration, _ripple, calibrate
+from rigtool.numerics.angle_effects import AngleEffects
 from rigtool.numerics.turn_mean import mean_over_turn
 from tests.experiments.torque_constant.staircases import Bench
 
@@ -143,6 +144,43 @@ def test_ripple_that_few_angles_may_not_show_has_no_uncertainty():
     assert "6 rotor angles do not show all orders" in few.reason
     enough = analyse(sixth, sixth.record((20, 50), angles=13, shifted=False)).ripple
     assert abs(enough.value - 0.006 / np.sqrt(2)) < 3 * enough.u
+
+
+def test_what_the_ripple_is_uncertain_by(thesis):
+    """Each part alone, against the formula written out; dof by Welch and Satterthwaite."""
+    amplitudes = np.zeros(24)
+    amplitudes[4] = 2e-4  # cosine of order 3
+    found = AngleEffects(*([np.zeros(1)] * 4), 2e-4 / np.sqrt(2), 1e-6, 10.0, amplitudes)
+    bare = replace(
+        thesis.slopes, zero=0.0 * thesis.slopes.zero, friction_share=0.0, resolution_u=0.0
+    )
+    deflected = found.deviation * (np.hypot(1, 3 * 0.02) - 1)
+
+    def of(**changes) -> tuple[float, float, float]:
+        ripple = _ripple(found, 0.045, replace(bare, **changes), known=True)
+        return ripple.value * 0.045, ripple.u * 0.045, ripple.dof
+
+    value, u, dof = of()
+    assert_allclose([value, u], [found.deviation, np.hypot(1e-6, deflected)], rtol=1e-6)
+    assert_allclose(dof, 10.0 * (u / 1e-6) ** 4, rtol=1e-6)
+    value, u, _ = of(friction_share=0.1)
+    assert_allclose(value, 1.1 * found.deviation)
+    parts = 1e-6, 1.1 * deflected, 0.04 * 1.1 * found.deviation
+    assert_allclose(u, np.linalg.norm(parts), rtol=1e-6)
+    _, u, _ = of(resolution_u=1e-3)
+    assert_allclose(u, np.linalg.norm([1e-6, deflected, 45e-6]), rtol=1e-6)
+    # 1 mN m of order 2 without current: its slope over the angle, times 0.02 rad
+    _, u, _ = of(zero=1e-3 * np.cos(2 * bare.rotor_angle + 0.3))
+    carried = 2e-3 / np.sqrt(2) * 0.02 / np.ptp(bare.level)
+    more = np.hypot(found.deviation, carried) - found.deviation
+    assert_allclose(u, np.linalg.norm([1e-6, deflected, more, carried / np.sqrt(6)]), rtol=0.02)
+
+
+def test_ripple_below_the_scatter_of_a_staircase_has_no_uncertainty():
+    noisy = Bench(ripple=(2e-4,), saturation=0.0, force_noise=0.05)
+    found = analyse(noisy, noisy.record((20, 50), angles=13, shifted=False)).ripple
+    assert found.u is None
+    assert "a single staircase scatters by" in found.reason
 
 
 def test_errors_scatter_as_stated():
