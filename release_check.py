@@ -114,13 +114,19 @@ def build(folder: Path) -> tuple[Path, Path]:
                 target = Path(scratch, name)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(ROOT / name, target)
-        code = f"import setuptools.build_meta as b; b.build_sdist({str(folder)!r})"
-        output(sys.executable, "-c", code, cwd=Path(scratch))
+        _build("sdist", Path(scratch), folder)
     (source,) = folder.glob("*.tar.gz")
-    pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check")
-    output(*pip, "--no-deps", "--no-build-isolation", "-w", str(folder), str(source))
+    with tempfile.TemporaryDirectory() as scratch:
+        with tarfile.open(source) as archive:
+            archive.extractall(scratch, filter="data")
+        _build("wheel", next(Path(scratch).iterdir()), folder)
     (wheel,) = folder.glob("*.whl")
     return source, wheel
+
+
+def _build(kind: str, project: Path, folder: Path) -> None:
+    code = f"import setuptools.build_meta as b; b.build_{kind}({str(folder)!r})"
+    output(sys.executable, "-c", code, cwd=project)
 
 
 def faults_of(source: Path, wheel: Path) -> Iterator[str]:

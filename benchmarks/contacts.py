@@ -72,20 +72,20 @@ def found_by_sensor(recorded: Recorded, instrument: SensorProperties) -> list[Co
     for first in range(0, samples.shape[1], PIECE):
         sensed = sensor.add(samples[:, first : first + PIECE])
         other = untouched.add(sensed.signals, less=sensed.less)
-        parts.append((other.torque, other.deviation, sensed.states, sensed.doubt))
-    torque, deviation, states, doubt = (np.concatenate(p) for p in zip(*parts, strict=True))
-    tested = trial(torque, deviation, states, instrument.grid.step_time, doubt)
+        parts.append((other.torque, other.deviation, sensed.kinds, sensed.doubt))
+    torque, deviation, kinds, doubt = (np.concatenate(p) for p in zip(*parts, strict=True))
+    tested = trial(torque, deviation, kinds, instrument.grid.step_time, doubt)
     return contacts(tested, instrument.model.limits)
 
 
 def found_by_oracle(recorded: Recorded, instrument: SensorProperties) -> list[Contact]:
     """Return the contacts that the same tests find in the oracle's torque, in steps."""
-    states = Sensor(instrument).add(samples_of(recorded), last=True).states
+    kinds = Sensor(instrument).add(samples_of(recorded), last=True).kinds
     u, plant = uncertainty_of(recorded.recipe), plant_of(recorded.recipe)
     quiet = replace(u, slow_torque_rate=u.torque_rate, step_torque_rate=u.torque_rate)
     found = Filter(plant, quiet, STEP // AVERAGED, instrument.corner_hz).add(signals_of(recorded))
-    size, step_time = min(len(found.low), len(states)), instrument.grid.step_time
-    tested = trial(found.torque[:size], found.deviation[:size], states[:size], step_time)
+    size, step_time = min(len(found.low), len(kinds)), instrument.grid.step_time
+    tested = trial(found.torque[:size], found.deviation[:size], kinds[:size], step_time)
     return contacts(tested, instrument.model.limits)
 
 

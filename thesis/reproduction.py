@@ -27,9 +27,8 @@ from rigtool.errors import RigtoolError, UsageError
 from rigtool.quantity import Quantity, display_unit, format_number
 from rigtool.report.figures import PLOTS, style
 from rigtool.report.page import render_template
-from rigtool.report.published import published_entry
 from thesis import turns
-from thesis.values import Runs, evaluate, low_current_refusal
+from thesis.values import Runs, evaluate, low_current_refusal, published_entry
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

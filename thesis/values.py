@@ -24,7 +24,7 @@ import numpy as np
 
 from rigtool.errors import InsufficientDataError, RunFileError, UsageError
 from rigtool.quantity import Quantity
-from rigtool.report.published import published_entry
+from rigtool.report.published import published
 
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
@@ -45,6 +45,17 @@ _REDUCE: dict[str, Callable[[np.ndarray], float]] = {
     "span": lambda values: float(np.ptp(values)),
     "mean": lambda values: float(np.mean(values)),
 }
+
+
+def published_entry(path: str) -> Any:
+    """Return the entry at a dotted path of `published.toml`: a value with section, or a list.
+
+    Raises `KeyError` where there is none.
+    """
+    entry: Any = published()
+    for name in path.split("."):
+        entry = entry[name]
+    return entry
 
 
 def evaluate(expression: str, runs: Runs, run: str) -> Quantity:
@@ -184,9 +195,9 @@ def _phase_advance_of_published_transfer(runs: Runs, run: str) -> Quantity:
     from rigtool.control.position_loop import TransferFunction
     from rigtool.experiments.learning.filters import zpetc
 
-    published = published_entry("transfer")
+    stated = published_entry("transfer")
     system = TransferFunction.from_z(
-        published["numerator"], published["denominator"], published["sample_time"]
+        stated["numerator"], stated["denominator"], stated["sample_time"]
     )
     # Its zero near 1.0008 is a rounded 1: a radius slightly above 1 includes it.
     advance = zpetc(system, cancel_radius=1.01).advance

@@ -14,7 +14,11 @@ from rigtool.errors import UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.options import CommonOptions
-from rigtool.experiments.running.session import require_inputs, require_nothing_to_measure
+from rigtool.experiments.running.session import (
+    require_inputs,
+    require_nothing_to_measure,
+    solvable,
+)
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe, load_recipe, override_recipe
 from rigtool.runfile import RecordingSpec, Run, RunWriter
@@ -30,6 +34,7 @@ SAME_INTERVAL = 0.05
 NOTE = "the signals were given as arrays, not recorded by rigtool"
 
 
+@solvable()
 def analyse_arrays(
     procedure: Procedure,
     arrays: Mapping[str, Signals],

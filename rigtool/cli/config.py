@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import click
-
-from rigtool.cli.options import Command, current_output, example
+from rigtool.cli.options import command_with, current_output
 
 
-@click.command(cls=Command, epilog=example("rigtool config --json"))
+@command_with("rigtool config --json")
 def command() -> None:
     """Show the defaults that rigtool.toml states for this folder.
 

@@ -6,21 +6,17 @@ import click
 
 from rigtool.cli.options import (
     FILE_ARGUMENT,
-    Command,
+    command_with,
     current_output,
-    example,
     open_inputs,
     run_option,
     set_option,
 )
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --dry-run",
-        "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --yes",
-    ),
+@command_with(
+    "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --dry-run",
+    "rigtool deploy turning.h5 --rig moteus.toml --kt kt.h5 --speed 12.566 --yes",
 )
 @click.argument("tables", type=FILE_ARGUMENT, metavar="TABLES.h5")
 @click.option(

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import Command, current_output, example
+from rigtool.cli.options import command_with, current_output
 
 
-@click.command(
-    cls=Command, epilog=example("rigtool devices", "rigtool devices --driver moteus --json")
-)
+@command_with("rigtool devices", "rigtool devices --driver moteus --json")
 @click.argument("ports", metavar="[PORT]...", nargs=-1)
 @click.option("--driver", "drivers", multiple=True, help="Query for this kind of device only.")
 def command(ports: tuple[str, ...], drivers: tuple[str, ...]) -> None:

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example, output_option
+from rigtool.cli.options import FILE_ARGUMENT, command_with, current_output, output_option
 
 
-@click.command(
-    "import",
-    cls=Command,
-    epilog=example(
-        "rigtool import run07.csv --map recipes/import/mis-tool.toml -o run07.h5",
-        "rigtool import epos-exports/ -o runs/",
-        "rigtool import run07.csv --preview",
-    ),
+@command_with(
+    "rigtool import run07.csv --map recipes/import/mis-tool.toml -o run07.h5",
+    "rigtool import epos-exports/ -o runs/",
+    "rigtool import run07.csv --preview",
 )
 @click.argument("sources", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="SOURCE...")
 @output_option("RUN.h5|FOLDER", "Run file, or folder for many.")

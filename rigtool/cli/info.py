@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, command_with, current_output
 from rigtool.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
@@ -14,14 +14,11 @@ if TYPE_CHECKING:
     from rigtool.runfile import Run
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool info kt.h5",
-        "rigtool info kt.h5 --json",
-        "rigtool info kt.h5 --plot kt.svg",
-        "rigtool info kt.h5 --budget torque_constant_mean",
-    ),
+@command_with(
+    "rigtool info kt.h5",
+    "rigtool info kt.h5 --json",
+    "rigtool info kt.h5 --plot kt.svg",
+    "rigtool info kt.h5 --budget torque_constant_mean",
 )
 @click.argument("path", type=FILE_ARGUMENT, metavar="RUN.h5")
 @click.option(

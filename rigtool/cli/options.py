@@ -265,12 +265,14 @@ def common_options(function: CommandFunction) -> CommandFunction:
     return collected
 
 
-def measuring(*examples: str) -> Callable[[CommandFunction], click.Command]:
-    """Make a command of a function with `common_options`, and add `source_arguments`.
+def command_with(*examples: str) -> Callable[[CommandFunction], click.Command]:
+    """Make a command of a function, with `examples` in its help."""
+    return click.command(cls=Command, epilog=example(*examples))
 
-    `examples` are those of its help: lines that a user can run as they are.
-    """
-    make = click.command(cls=Command, epilog=example(*examples))
+
+def measuring(*examples: str) -> Callable[[CommandFunction], click.Command]:
+    """Make a command of a function with `common_options`, and add `source_arguments`."""
+    make = command_with(*examples)
     return lambda function: make(source_arguments(function))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, completed, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, command_with, completed, current_output
 from rigtool.cli.output import Output
 
 
@@ -19,7 +19,7 @@ def _names(path: str) -> list[str]:
     return list(shipped_recipes())
 
 
-@click.command(cls=Command, epilog=example("rigtool recipe briaire-2006 -o rig.toml"))
+@command_with("rigtool recipe briaire-2006 -o rig.toml")
 @click.argument("name", required=False, shell_complete=completed(_names))
 @click.option("-o", "--output", type=FILE_ARGUMENT, metavar="FILE.toml", help="Recipe to write.")
 @click.option(

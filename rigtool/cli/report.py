@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example, output_option
+from rigtool.cli.options import FILE_ARGUMENT, command_with, current_output, output_option
 from rigtool.cli.output import table_document
 
 if TYPE_CHECKING:
     from rigtool.report.build import Report
 
 
-@click.command(cls=Command, epilog=example("rigtool report kt.h5 tables.h5 force.h5 -o report"))
+@command_with("rigtool report kt.h5 tables.h5 force.h5 -o report")
 @click.argument("paths", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="RUN.h5...")
 @output_option("FOLDER", "Folder to write.", required=True)
 @click.option("--pdf", is_flag=True, help="Write report.pdf too (pip install rigtool[pdf]).")

@@ -6,19 +6,15 @@ import click
 
 from rigtool.cli.options import (
     FILE_ARGUMENT,
-    Command,
     Integer,
     Number,
+    command_with,
     current_output,
-    example,
     set_option,
 )
 
 
-@click.command(
-    cls=Command,
-    epilog=example("rigtool target-emulator recipes/briaire-2006.toml --tcp 127.0.0.1:0 --for 0.5"),
-)
+@command_with("rigtool target-emulator recipes/briaire-2006.toml --tcp 127.0.0.1:0 --for 0.5")
 @click.argument("recipe", type=FILE_ARGUMENT, metavar="RECIPE.toml")
 @click.option(
     "--tcp", metavar="HOST:PORT", help="Serve at this address instead of a pseudo-terminal."

@@ -13,17 +13,8 @@ from pydantic import ValidationError, model_validator
 
 from rigtool.errors import RecipeError, UsageError
 from rigtool.inputs import open_input
+from rigtool.recipe import commands
 from rigtool.recipe.base import Section
-from rigtool.recipe.commands import (
-    CalibrateKt,
-    FftRipple,
-    IdentifyPlant,
-    IlcLearn,
-    MeasureForce,
-    Requirements,
-    Stribeck,
-    Suspension,
-)
 from rigtool.recipe.mistakes import described_mistakes
 from rigtool.recipe.rig import RigDescription
 from rigtool.recipe.serial import Serial
@@ -50,14 +41,14 @@ class Recipe(Section):
     rig: RigDescription
     virtual: Virtual | None = None
     serial: Serial | None = None
-    calibrate_kt: CalibrateKt = CalibrateKt()
-    stribeck: Stribeck = Stribeck()
-    fft_ripple: FftRipple = FftRipple()
-    identify_plant: IdentifyPlant = IdentifyPlant()
-    suspension: Suspension = Suspension()
-    ilc_learn: IlcLearn = IlcLearn()
-    measure_force: MeasureForce = MeasureForce()
-    requirements: Requirements = Requirements()
+    calibrate_kt: commands.CalibrateKt = commands.CalibrateKt()
+    stribeck: commands.Stribeck = commands.Stribeck()
+    fft_ripple: commands.FftRipple = commands.FftRipple()
+    identify_plant: commands.IdentifyPlant = commands.IdentifyPlant()
+    suspension: commands.Suspension = commands.Suspension()
+    ilc_learn: commands.IlcLearn = commands.IlcLearn()
+    measure_force: commands.MeasureForce = commands.MeasureForce()
+    requirements: commands.Requirements = commands.Requirements()
 
     @model_validator(mode="after")
     def _has_its_source(self) -> Recipe:
@@ -80,12 +71,16 @@ class Recipe(Section):
         return self
 
     @property
+    def line(self) -> Serial:
+        """The table [serial], which the recipe of a rig on a line has."""
+        assert self.serial is not None, "the rig is on no line"
+        return self.serial
+
+    @property
     def highest_current(self) -> float:
         """The lowest of the limits of current, A: of the amplifier, and of a rig on a line."""
-        limits = [self.rig.current_limit]
-        if self.rig.source == "serial" and self.serial is not None:
-            limits.append(self.serial.limits.current)
-        return min(limits)
+        own = self.rig.current_limit
+        return min(own, self.line.limits.current) if self.rig.source == "serial" else own
 
     def resolved(self) -> str:
         """Return the recipe with all defaults filled in, as canonical JSON."""

@@ -8,15 +8,13 @@ import unicodedata
 from collections.abc import Sequence
 
 from rigtool.errors import did_you_mean
+from rigtool.quantity import STANDARD_GRAVITY
 
 RATED = "% of rated torque"
 """Unit of drives that report torque relative to the motor's rated torque."""
 
 DATE = "date"
 """Unit of a column of dates or clock times as text; it is turned into seconds since the first."""
-
-GRAVITY = 9.80665
-"""Standard acceleration, m/s2 (CGPM 1901): weights given by mass are forces by it."""
 
 POUND, INCH = 0.45359237, 0.0254
 """International pound, kg, and inch, m."""
@@ -59,19 +57,20 @@ UNITS: dict[str, tuple[float, str]] = {
     "N": (1.0, "N"),
     "mN": (1e-3, "N"),
     "kN": (1e3, "N"),
-    "g": (1e-3 * GRAVITY, "N"),
-    "kg": (GRAVITY, "N"),
-    "lbf": (POUND * GRAVITY, "N"),
+    "g": (1e-3 * STANDARD_GRAVITY, "N"),
+    "kg": (STANDARD_GRAVITY, "N"),
+    "lbf": (POUND * STANDARD_GRAVITY, "N"),
+    "ozf": (POUND / 16 * STANDARD_GRAVITY, "N"),
     "N m": (1.0, "N m"),
     "mN m": (1e-3, "N m"),
     "uN m": (1e-6, "N m"),
     "N cm": (1e-2, "N m"),
     "N mm": (1e-3, "N m"),
-    "g cm": (1e-5 * GRAVITY, "N m"),
-    "kg cm": (1e-2 * GRAVITY, "N m"),
-    "oz in": (POUND / 16 * GRAVITY * INCH, "N m"),
-    "lbf in": (POUND * GRAVITY * INCH, "N m"),
-    "lbf ft": (12 * POUND * GRAVITY * INCH, "N m"),
+    "g cm": (1e-5 * STANDARD_GRAVITY, "N m"),
+    "kg cm": (1e-2 * STANDARD_GRAVITY, "N m"),
+    "oz in": (POUND / 16 * STANDARD_GRAVITY * INCH, "N m"),
+    "lbf in": (POUND * STANDARD_GRAVITY * INCH, "N m"),
+    "lbf ft": (12 * POUND * STANDARD_GRAVITY * INCH, "N m"),
     "degC": (1.0, "degC"),
 }
 """Units that files may have: factor and SI unit. A mass is the weight that it has."""
@@ -104,12 +103,24 @@ SPELLINGS = {
     "lbf in": ("lb in", "in lbf", "in lb"),
     "lbf ft": ("lb ft", "ft lbf", "ft lb"),
     "lbf": ("lb",),
+    "ozf": ("oz",),
+    "in": ("inch", "inches"),
 }
 """Other ways to write a unit, in lower case."""
 
 _OTHERS = {other: name for name, others in SPELLINGS.items() for other in others}
 _JOINED = {name.replace(" ", ""): name for name in UNITS if " " in name}
 _PRODUCT = re.compile(r"\s*[*.\u00b7\u22c5]\s*|\s+|(?<=[^\W\d])-(?=[^\W\d])")
+
+
+def spelled(unit: str) -> dict[str, float]:
+    """Return the factors of all units whose SI unit this is, by their spellings in lower case."""
+    return {
+        spelling.lower(): factor
+        for name, (factor, si) in UNITS.items()
+        if si == unit
+        for spelling in (name, *SPELLINGS.get(name, ()))
+    }
 
 
 def unit_name(text: str) -> str:

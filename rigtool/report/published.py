@@ -43,13 +43,13 @@ class PublishedValue:
 
 def is_of_thesis(rig: str | None) -> bool:
     """Return whether a rig is the thesis's, by its name: only then published numbers are shown."""
-    return bool(rig == _published()["rig"])
+    return bool(rig == published()["rig"])
 
 
 @cache
 def published_table(attachment: str) -> PublishedTable:
     """Return Table 8 for the attachment "instrument", Table 9 for "pulley"."""
-    data = dict(_published()["tables"][attachment])
+    data = dict(published()["tables"][attachment])
     head = {name: data.pop(name) for name in ("number", "section", "title")}
     return PublishedTable(**head, columns={name: tuple(map(float, c)) for name, c in data.items()})
 
@@ -59,21 +59,10 @@ def published_value(command: str, result: str, attachment: str | None) -> Publis
 
     `attachment` is that of the run; values that belong to another attachment do not count.
     """
-    found = _published()["results"].get(command, {}).get(result)
+    found = published()["results"].get(command, {}).get(result)
     if found is None or found.get("attachment", attachment) != attachment:
         return None
     return PublishedValue(float(found["value"]), found["section"])
-
-
-def published_entry(path: str) -> Any:
-    """Return the entry at a dotted path of `published.toml`: a value with section, or a list.
-
-    Raises `KeyError` where there is none.
-    """
-    entry: Any = _published()
-    for name in path.split("."):
-        entry = entry[name]
-    return entry
 
 
 def published_accuracy(rig: str, folders: Collection[str]) -> list[dict[str, Any]]:
@@ -91,7 +80,8 @@ def published_accuracy(rig: str, folders: Collection[str]) -> list[dict[str, Any
     ]
 
 
-def _published() -> dict[str, Any]:
+def published() -> dict[str, Any]:
+    """Return all that the thesis states, as in `published.toml`."""
     return _reference("published.toml")
 
 

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
 
+MOST_HZ = 1e9
+"""Sampling rate that no bench of a motor has, Hz."""
+
 BLOCK_SAMPLES = 16 * schema.CHUNK
 """Samples that `Recording.blocks` reads at a time: HDF5 opens each signal anew for a block."""
 
@@ -75,7 +78,8 @@ class Recording:
         """Return samples start..stop (stop excluded) of a channel as f8, in its unit.
 
         Raises `RunFileError` where the channel is missing, damaged, or holds NaN, infinity or
-        numbers beyond `schema.LARGEST_NUMBER`, or `HOTTEST_DEGC`.
+        numbers beyond `schema.LARGEST_NUMBER`, or `HOTTEST_DEGC`, or is a time of samples closer
+        than any are.
         """
         values = self.read_stored(channel, start, stop).astype(np.float64, copy=False)
         bad, limit = self._unusable(channel, values)
@@ -85,6 +89,12 @@ class Recording:
                 f"value{'s' if bad.size > 1 else ''} that {'are' if bad.size > 1 else 'is'} NaN, "
                 f"infinite or beyond {limit:g} {self.units[channel]}, the first at sample "
                 f"{start + bad[0]}; record it again, or leave that part out"
+            )
+        duration = values[-1] - values[0] if channel == schema.TIME and values.size else 0.0
+        if 0 < duration < (values.size - 1) / MOST_HZ:
+            raise RunFileError(
+                f"{self._path}: recording {self.name!r} has samples at more than {MOST_HZ:g} Hz: "
+                "its time is not in s; record or import it again"
             )
         return values
 

@@ -13,7 +13,6 @@ import shutil
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import h5py
@@ -22,22 +21,12 @@ from numpy.typing import NDArray
 from rigtool.errors import RigtoolError, UsageError
 from rigtool.interrupts import held, raise_swallowed
 from rigtool.quantity import Quantity
-from rigtool.runfile import layout, provenance, schema, tree
+from rigtool.runfile import layout, provenance, schema, storage, tree
 from rigtool.runfile.model import RecordingSpec, Table
 from rigtool.runfile.opened import OpenFile, open_hdf5
 from rigtool.runfile.outputs import own_file, require_output
 from rigtool.runfile.reader import Run
 from rigtool.runfile.recording import Recording
-from rigtool.runfile.storage import (
-    flush,
-    is_locked,
-    lock,
-    open_file,
-    reserve,
-    storage_errors,
-    sync_folder,
-    sync_path,
-)
 from rigtool.runfile.stream import Stream
 from rigtool.runfile.superblock import clear_times
 
@@ -111,7 +100,7 @@ class RunWriter:
         self._line: str | None = None
 
     def __enter__(self) -> Self:
-        with storage_errors(self.path):
+        with storage.storage_errors(self.path):
             try:
                 with held():
                     self._start()
@@ -120,12 +109,7 @@ class RunWriter:
                 raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if self._finished:
             return
         kept = self._abandon()
@@ -151,7 +135,7 @@ class RunWriter:
         with held():
             stream.append(block)
             if stream.waiting >= stream.chunk:
-                with storage_errors(self.path):
+                with storage.storage_errors(self.path):
                     self._write(stream, stream.waiting - stream.waiting % stream.chunk)
                     self._sync()
         raise_swallowed()
@@ -165,7 +149,7 @@ class RunWriter:
         if self._recorded is not None:
             return self._recorded.recording(name)
         stream = self._streams[name]
-        with storage_errors(self.path), held():
+        with storage.storage_errors(self.path), held():
             self._complete(stream)
             self._sync()
             file = self._file
@@ -174,7 +158,7 @@ class RunWriter:
     def recorded(self) -> Run:
         """Return all recordings, complete and readable; the run has no results yet."""
         if self._recorded is None:
-            with storage_errors(self.path):
+            with storage.storage_errors(self.path):
                 self._close_streams()
                 file = open_hdf5(self.part)
                 self._recorded = Run(OpenFile(file), tree.read_tree(file), self.path)
@@ -188,29 +172,29 @@ class RunWriter:
     ) -> None:
         """Write results, tables (the first is what a viewer shows) and remarks; take the name."""
         raise_swallowed()
-        with storage_errors(self.path), own_file(self.path) as new:
+        with storage.storage_errors(self.path), own_file(self.path) as new:
             self._close_streams()
             self._close_recorded()
             # Signals are safe in the .part until the new file is whole: a kill, a full disk or
             # an unwritable result while it is being completed costs nothing.
             self._require_own_part()
             shutil.copyfile(self.part, new)
-            with open_file(new, "r+", libver=schema.LIBVER) as file:
+            with storage.open_file(new, "r+", libver=schema.LIBVER) as file:
                 self._reserve(file, layout.footer_size(tables, notes) + self._head_size())
                 for stream in self._streams.values():
                     stream.seal(file)
                 layout.write_footer(file, results, tables, notes)
                 provenance.note_line(file, self._line)
                 provenance.seal(file)
-                flush(file)
+                storage.flush(file)
             clear_times(new)
-            sync_path(new)
+            storage.sync_path(new)
             with held():
                 self._require_own_part()
                 os.replace(new, self.path)
                 self._finished = True
                 self.part.unlink()
-                sync_folder(self.path.parent)
+                storage.sync_folder(self.path.parent)
 
     def _require_free(self, inputs: Sequence[str | os.PathLike[str]]) -> None:
         """Refuse an output, or a part beside it, that would be lost."""
@@ -227,7 +211,7 @@ class RunWriter:
             raise UsageError(f"{self.part}: is no part of a run of rigtool: move it away")
         if any(os.path.exists(name) and self.part.samefile(name) for name in inputs):
             raise UsageError(f"{self.part}: is an input of this run: give the output another name")
-        if is_locked(self.part):
+        if storage.is_locked(self.part):
             raise UsageError(
                 f"{self.part}: is being written by another run now: give the output another name"
             )
@@ -248,9 +232,11 @@ class RunWriter:
         self.part.unlink(missing_ok=True)  # `_require_free` looked at it
         with self.part.open("xb") as stream:
             self._inode = os.fstat(stream.fileno()).st_ino
-            reserve(stream.fileno(), self._head_size())
-        self._file = file = open_file(self.part, "w", libver=schema.LIBVER, **schema.PAGE_SETTINGS)
-        lock(file.id.get_vfd_handle())
+            storage.reserve(stream.fileno(), self._head_size())
+        self._file = file = storage.open_file(
+            self.part, "w", libver=schema.LIBVER, **schema.PAGE_SETTINGS
+        )
+        storage.lock(file.id.get_vfd_handle())
         self._reserve(file, self._head_size())
         layout.write_head(file, self._command, self._rig, self._specs, self._provenance)
         for spec in self._specs:
@@ -265,7 +251,7 @@ class RunWriter:
         return HEADROOM_BYTES + 4096 * channels + 4 * sum(len(text or "") for text in texts)
 
     def _reserve(self, file: h5py.File, size: int) -> None:
-        reserve(file.id.get_vfd_handle(), file.id.get_filesize() + size)
+        storage.reserve(file.id.get_vfd_handle(), file.id.get_filesize() + size)
 
     def _write(self, stream: Stream, count: int) -> None:
         assert self._file is not None
@@ -289,7 +275,7 @@ class RunWriter:
         assert self._file is not None
         now = time.monotonic()
         if force or now - self._synced >= SYNC_INTERVAL:
-            flush(self._file)
+            storage.flush(self._file)
             os.fsync(self._file.id.get_vfd_handle())
             self._synced = time.monotonic()
             self._unsynced = 0

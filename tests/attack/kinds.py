@@ -30,6 +30,7 @@ from tests.attack.bench import (
 from tests.attack.edited import edited
 from tests.attack.surroundings import refusing
 from tests.attack.trial import Trial, at, content, run
+from tests.attack.wrong_inputs import another_kind, changing, samples
 
 Kind = Callable[[Bench], Trial]
 
@@ -86,9 +87,9 @@ def interrupt(bench: Bench) -> Trial:
     command = bench.luck.choice(list(MEASURING))
     expected, duration = bench.expected(command)
     output = bench.file("run.h5")
-    number = bench.luck.choice([signal.SIGINT, signal.SIGTERM])
+    number = bench.luck.choice([signal.SIGINT, signal.SIGTERM, signal.SIGQUIT])
     strike = at(bench.luck.uniform(0, duration), number)
-    codes = frozenset({0, 128 + number})
+    codes = frozenset({0, 128 + number, 130 if number == signal.SIGINT else 143})
     found = run(measuring(command, output), strike, codes)
     faults = []
     if found.code == 0 and content(output) != expected:
@@ -388,4 +389,7 @@ KINDS: dict[str, Kind] = {
     "settings": setting,
     "imports": imported,
     "refusals": refusing,
+    "changed inputs": changing,
+    "samples": samples,
+    "other files": another_kind,
 }

@@ -164,7 +164,7 @@ def require_beginning(path: Path, counts: dict[str, int], whole: Path) -> None:
                 )
 
 
-@pytest.mark.parametrize("kills", first_of([6, 34]))
+@pytest.mark.parametrize("kills", first_of([4, 36]))
 @pytest.mark.parametrize("command", ["stribeck", *thorough("ilc-learn", "measure-force")])
 def test_a_command_killed_at_any_moment(tmp_path, capsys, command, kills):
     path, back, whole = (tmp_path / name for name in ("run.h5", "back.h5", "whole.h5"))
@@ -197,7 +197,7 @@ def test_a_command_killed_at_any_moment(tmp_path, capsys, command, kills):
             require_beginning(back, counts, whole)
         outcomes["recovered" if counts else "nothing"] += 1
     # Some moments are in the middle of it, or the test would prove little.
-    assert outcomes["recovered"] >= kills // 6, outcomes
+    assert outcomes["recovered"] >= max(1, kills // 6), outcomes
 
 
 def interrupted(path: Path, size: int = 10_000, recordings=SPECS) -> Path:

@@ -310,6 +310,15 @@ def test_no_signal_is_larger_than_its_unit_allows(tmp_path, unit, most, sign):
     assert np.flatnonzero(np.isnan(read)).tolist() == [3]
 
 
+def test_a_time_that_is_not_in_seconds(tmp_path):
+    path = tmp_path / "run.h5"
+    with RunWriter(path, command="x", recipe=None, recipe_text=None, recordings=SPECS[1:]) as out:
+        out.append("holds", {"time": np.arange(9.0) * 0.9e-9, "torque": np.zeros(9)})
+        out.finish({}, {})
+    with open_run(path) as run, pytest.raises(RunFileError, match="its time is not in s"):
+        run.recording("holds").rate()
+
+
 def test_a_damaged_chunk_is_named(tmp_path):
     path = write(tmp_path / "run.h5")
     with h5py.File(path, "r") as file:

@@ -16,10 +16,9 @@ from hypothesis import strategies as st
 
 from rigtool import cli
 from rigtool.errors import RunFileError, UsageError
-from rigtool.report.published import published_entry
 from rigtool.runfile import open_run
 from thesis import reproduction
-from thesis.values import evaluate
+from thesis.values import evaluate, published_entry
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

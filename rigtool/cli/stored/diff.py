@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, Number, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, Number, command_with, current_output
 
 
-@click.command(cls=Command, epilog=example("rigtool diff kt.h5 kt-again.h5 --rtol 1e-6"))
+@command_with("rigtool diff kt.h5 kt-again.h5 --rtol 1e-6")
 @click.argument("first", type=FILE_ARGUMENT, metavar="RUN.h5")
 @click.argument("second", type=FILE_ARGUMENT, metavar="RUN.h5")
 @click.option("--rtol", type=Number(min=0), default=0.0, help="Relative tolerance.")

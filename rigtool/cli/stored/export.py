@@ -8,10 +8,9 @@ import click
 
 from rigtool.cli.options import (
     FILE_ARGUMENT,
-    Command,
+    command_with,
     completed,
     current_output,
-    example,
     open_inputs,
     output_option,
     run_option,
@@ -26,15 +25,12 @@ def _parts(path: str) -> list[str]:
         return list(run_parts(run))
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool export friction.h5 --part tables/friction_model -o friction.csv",
-        "rigtool export friction.h5 --part recordings/holds -o holds.parquet",
-        "rigtool export friction.h5 -o friction.mat",
-        "rigtool export tables.h5 -o table.h",
-        "rigtool export tables-loads.h5 --kt kt.h5 --format c-sensor -o sensor.h",
-    ),
+@command_with(
+    "rigtool export friction.h5 --part tables/friction_model -o friction.csv",
+    "rigtool export friction.h5 --part recordings/holds -o holds.parquet",
+    "rigtool export friction.h5 -o friction.mat",
+    "rigtool export tables.h5 -o table.h",
+    "rigtool export tables-loads.h5 --kt kt.h5 --format c-sensor -o sensor.h",
 )
 @click.argument("path", type=FILE_ARGUMENT, metavar="RUN.h5")
 @output_option("FILE", ".csv, .parquet, .mat, .nc, .h, .json.", required=True)

@@ -6,10 +6,9 @@ import click
 
 from rigtool.cli.options import (
     FILE_ARGUMENT,
-    Command,
+    command_with,
     completed,
     current_output,
-    example,
     output_option,
 )
 
@@ -22,14 +21,11 @@ def _names(path: str) -> list[str]:
         return plot_names(run)
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool plot friction.h5",
-        "rigtool plot friction.h5 torque_speed -o curve.pdf",
-        "rigtool plot friction.h5 recordings/holds/encoder -o encoder.png",
-        "rigtool plot friction.h5 figure-30",
-    ),
+@command_with(
+    "rigtool plot friction.h5",
+    "rigtool plot friction.h5 torque_speed -o curve.pdf",
+    "rigtool plot friction.h5 recordings/holds/encoder -o encoder.png",
+    "rigtool plot friction.h5 figure-30",
 )
 @click.argument("path", type=FILE_ARGUMENT, metavar="RUN.h5")
 @click.argument("name", required=False, shell_complete=completed(_names))

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example, output_option
+from rigtool.cli.options import FILE_ARGUMENT, command_with, current_output, output_option
 
 
-@click.command(
-    cls=Command,
-    epilog=example(
-        "rigtool recover kt.h5.part", "rigtool recover kt.h5.part -o rescued.h5 --overwrite"
-    ),
-)
+@command_with("rigtool recover kt.h5.part", "rigtool recover kt.h5.part -o rescued.h5 --overwrite")
 @click.argument("part", type=FILE_ARGUMENT, metavar="RUN.h5.part")
 @output_option("RUN.h5", "Run file to write.")
 def command(part: str, output: str | None) -> None:

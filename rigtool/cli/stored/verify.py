@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import click
 
-from rigtool.cli.options import FILE_ARGUMENT, Command, current_output, example
+from rigtool.cli.options import FILE_ARGUMENT, command_with, current_output
 
 
-@click.command(
-    cls=Command, epilog=example("rigtool verify force.h5", "rigtool verify kt.h5 tables.h5")
-)
+@command_with("rigtool verify force.h5", "rigtool verify kt.h5 tables.h5")
 @click.argument("paths", nargs=-1, required=True, type=FILE_ARGUMENT, metavar="RUN.h5...")
 def command(paths: tuple[str, ...]) -> None:
     """Check run files and everything they were made from.

@@ -61,11 +61,10 @@ def deploy(
     is restored.
     """
     make_table_store, usual_baud_rate = _store_of(recipe)
-    assert recipe.serial is not None
     turn, remarks = _map(tables, recipe, speed, kt)
     remarks.append(_ripple_remark(tables, turn.speed))
     remarks = [*remarks, *_origin_remarks(tables, recipe)]
-    settings = recipe.serial
+    settings = recipe.line
     baud_rate = settings.baud_rate or usual_baud_rate
     with Line(
         settings.port, baud_rate, timeout=FLASH_TIMEOUT, spy=operator.spy, driver=settings.driver
@@ -121,7 +120,6 @@ def _map(
     tables: Run, recipe: Recipe, speed: float | None, kt: Run | None
 ) -> tuple[PositionMap, list[str]]:
     """Return the map for the drive, in A, and remarks."""
-    assert recipe.serial is not None
     learned = learned_table_from(tables)
     for run in (tables, kt):
         if run is not None and run.rig is not None and run.rig != recipe.rig.name:
@@ -130,7 +128,7 @@ def _map(
                 f"{recipe.rig.name}: a table fits the motor it was learned on only"
             )
     turn = in_unit(position_map(learned.table, learned.u, speed), learned, "moteus", kt)
-    peak, limit = float(np.abs(turn.values).max()), recipe.serial.limits.current
+    peak, limit = float(np.abs(turn.values).max()), recipe.line.limits.current
     if peak > limit:
         raise UsageError(
             f"{tables.path}: takes up to {peak:.4g} A, beyond serial.limits.current = "
@@ -177,7 +175,6 @@ def _line_facts(run: Run) -> dict[str, Any]:
 
 def _origin_remarks(tables: Run, recipe: Recipe) -> list[str]:
     """Refuse a table that was learned through another kind of drive; return remarks."""
-    assert recipe.serial is not None
     facts = _line_facts(tables)
     if not facts:
         return [
@@ -185,10 +182,10 @@ def _origin_remarks(tables: Run, recipe: Recipe) -> list[str]:
             "have to be those of this drive"
         ]
     driver = facts.get("driver")
-    if driver != recipe.serial.driver:
+    if driver != recipe.line.driver:
         raise UsageError(
             f"{tables.path}: was learned through {driver}, whose position zero is not that of a "
-            f"{recipe.serial.driver}: learn it with the drive that is to hold it"
+            f"{recipe.line.driver}: learn it with the drive that is to hold it"
         )
     if TABLE_ON in str(facts.get("identity", "")):
         raise UsageError(

@@ -7,6 +7,7 @@ nothing else: errors by kind of stroke, and a Table 8 at one position of the clo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -126,44 +127,54 @@ def _of_this_mounting(
 ) -> tuple[list[Measured], list[str]]:
     """Return the estimates with u widened where strokes to and fro disagree, and notes.
 
-    Raises `InsufficientDataError` where strokes disagree more than in any learned recording.
+    Raises `InsufficientDataError` where strokes disagree more than in any learned recording, or all
+    runs together in one sense.
     """
     loop = model.loop
-    misfits = np.array([_misfit(item, model) for item in measured])
-    known = misfits[np.isfinite(misfits)]
-    if not known.size:
+    offsets, shapes = np.array([_loop_parts(item, model) for item in measured]).T
+    known = np.isfinite(offsets)
+    if not known.any():
         return list(measured), [
             "no run has strokes in both directions at the same places: whether the tables are of "
             "this mounting cannot be checked"
         ]
-    typical, limit = float(np.median(known)), loop.limit(REFUSED)
-    if typical > limit:
-        raise InsufficientDataError(
-            f"strokes to and fro disagree {typical:.1f} times as much as in the runs that "
-            f"{tables.path} was learned from, {limit:.1f} times at most is by chance: these runs "
-            "are of another instrument or mounting, or of loads unlike the learned ones; learn "
-            "tables from runs of this mounting (two loads are enough with --prior)"
-        )
-    doubted = np.nan_to_num(misfits) > loop.limit(DOUBTED)
+    misfits = np.maximum(np.abs(offsets), shapes)
+    typical, together = float(np.median(misfits[known])), abs(float(np.mean(offsets[known])))
+    doubted, refused = (
+        (loop.limit(level), loop.limit_of_mean(level, int(known.sum())))
+        for level in (DOUBTED, REFUSED)
+    )
+    for found, most, whose in ((typical, refused[0], ""), (together, refused[1], " in one sense")):
+        if found > most:
+            raise InsufficientDataError(
+                f"strokes to and fro disagree {found:.1f} times as much{whose} as in the runs that "
+                f"{tables.path} was learned from, {most:.1f} times at most is by chance: these "
+                "runs are of another instrument or mounting, or of loads unlike the learned ones: "
+                "learn tables from runs of this mounting (two loads are enough with --prior)"
+            )
+    factors = np.where(np.nan_to_num(misfits) > doubted[0], misfits, 1.0)
+    if together > doubted[1]:
+        factors = np.maximum(factors, math.hypot(1, together))
     wider = [
-        Measured(item.signals, item.estimate.widened(misfit)) if doubt else item
-        for item, misfit, doubt in zip(measured, misfits, doubted, strict=True)
+        item if factor == 1 else Measured(item.signals, item.estimate.widened(factor))
+        for item, factor in zip(measured, factors.tolist(), strict=True)
     ]
     notes = [
         f"strokes to and fro disagree {typical:.2g} times as much as in the runs that were learned "
-        f"from; tables of another mounting are refused beyond {limit:.2g} times"
+        f"from, {together:.2g} times in one sense; tables of another mounting are refused beyond "
+        f"{refused[0]:.2g} and {refused[1]:.2g} times"
     ]
-    if doubted.any():
+    if (many := int(np.count_nonzero(factors > 1))) > 0:
         notes.append(
-            f"u of {int(doubted.sum())} runs is wider: their strokes disagree up to "
-            f"{float(misfits[doubted].max()):.2g} times as much"
+            f"u of {many} runs is wider, up to {factors.max():.2g} times: their strokes disagree "
+            "more"
         )
     return wider, notes
 
 
-def _misfit(item: Measured, model: LoadModel) -> float:
+def _loop_parts(item: Measured, model: LoadModel) -> tuple[float, float]:
     path = item.signals.path
-    return model.loop.misfit(model.place(path), path.speed > 0, item.estimate.compared)
+    return model.loop.parts(model.place(path), path.speed > 0, item.estimate.compared)
 
 
 def _require_learned_here(runs: Sequence[Run], tables: Run) -> None:

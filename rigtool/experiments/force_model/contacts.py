@@ -10,11 +10,12 @@ first-order low-pass of `JUMP_LAG`:
 Where a part of M is in doubt by d (ripple of another power-up), the level's u is sqrt(u^2 + d^2),
 and a jump counts by u over that: as much as u, it is what errors of a jump are in proportion to.
 
-Errors depend on the `MotionKind`: steady motion, within `REVERSAL_TIME` of a reversal, and rest. In
-each, the highest values in blocks of WINDOW (longer than the errors of a jump remember) where
-nothing touches give the threshold of a test at a rate of false alarms: an exponential tail above
-the quantile t at `TAIL_QUANTILE` (J. Pickands, Ann. Stat. 3(1) 119-131, 1975, shape 0), whose mean
-m is known from the n values that exceed it alone (predictive distribution; prior 1 / m):
+Errors depend on the `MotionKind`: steady motion, within `REVERSAL_TIME` of a reversal or of a rotor
+that creeps, which sticks and slips, and rest. In each, the highest values in blocks of WINDOW
+(longer than the errors of a jump remember) where nothing touches give the threshold of a test at a
+rate of false alarms: an exponential tail above the quantile t at `TAIL_QUANTILE` (J. Pickands, Ann.
+Stat. 3(1) 119-131, 1975, shape 0), whose mean m is known from the n values that exceed it alone
+(predictive distribution; prior 1 / m):
 
     P(x > t + y) = (1 - TAIL) (1 + y / (n m))^-n
 
@@ -31,10 +32,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rigtool.experiments.force_filter.highest import highest
-from rigtool.experiments.force_filter.motion_states import State, States
+from rigtool.experiments.force_filter.motion_states import CREEPING_KIND, State, States
 from rigtool.numerics.arrays import Array
 from rigtool.numerics.compiled import compiled
 from rigtool.numerics.recursion import Biquad, filtered
@@ -44,7 +45,7 @@ Single = NDArray[np.float32]
 JUMP_WINDOW = 0.06
 """Time of a jump, s: a hand's or a tool's touch rises within it."""
 
-JUMP_LAG = 0.01
+JUMP_LAG = 5e-3
 """Time constant of the low-pass, s."""
 
 REVERSAL_TIME = 3 * JUMP_WINDOW
@@ -53,8 +54,9 @@ REVERSAL_TIME = 3 * JUMP_WINDOW
 LEVEL_MEMORY = 1.0
 """Memory of the level's errors, s, and the longest time from begin to finding."""
 
-FALSE_ALARMS = 1 / 3600
-"""Rate of false alarms of all tests in a motion of one kind, Hz: one an hour."""
+FALSE_ALARMS = ((1 / 72000, 1 / 7200), (1 / 7200, 1 / 7200), (1 / 7200, 1 / 7200))
+"""Rates of false alarms by jump and by level, Hz, in motion of each `MotionKind`: one in two hours.
+In steady motion jumps of errors are small, and a tenth of the rate delays nothing."""
 
 TAIL_QUANTILE = 0.9
 
@@ -97,13 +99,14 @@ class Contact:
 def trial(
     torque: Array,
     deviation: Array,
-    states: States,
+    kinds: States,
     step_time: float,
     doubt: Array | float = 0.0,
 ) -> Trial:
     """Return the tests of a stretch from what the filter without contacts gives, N m; (m,).
 
-    `doubt` N m is the standard deviation of what was taken off its torque.
+    `kinds` are those of `Judge.kinds`; `doubt` N m is the standard deviation of what was taken off
+    its torque.
     """
     kept = math.exp(-step_time / JUMP_LAG)
     low_pass = Biquad(1 - kept, 0.0, 0.0, -kept, 0.0)
@@ -115,28 +118,27 @@ def trial(
     jump *= deviation
     jump /= whole
     motion = np.full(len(smooth), MotionKind.STEADY, dtype=np.int8)
-    motion[highest(states == State.REVERSED, round(REVERSAL_TIME / step_time), 0)] = (
-        MotionKind.REVERSED
-    )
-    motion[states == State.STILL] = MotionKind.STILL
-    motion[highest(states == State.OUTSIDE, window, 0)] = -1
+    unsteady = (kinds == State.REVERSED) | (kinds == CREEPING_KIND)
+    motion[highest(unsteady, round(REVERSAL_TIME / step_time), 0)] = MotionKind.REVERSED
+    motion[kinds == State.STILL] = MotionKind.STILL
+    motion[highest(kinds == State.OUTSIDE, window, 0)] = -1
     motion[: round(CONTACT_SETTLING_TIME / step_time)] = -1
     level: Single = np.divide(smooth, whole, dtype=np.float32)
     return Trial(smooth, jump, level, motion, step_time)
 
 
-def thresholds(untouched: Sequence[Trial], rate: float = FALSE_ALARMS) -> Array:
+def thresholds(untouched: Sequence[Trial], rates: ArrayLike = FALSE_ALARMS) -> Array:
     """Return thresholds (3, 2) of jump N m and level by motion, infinite where too few are known.
 
-    `rate` Hz is that of false alarms of both tests in one motion.
+    `rates` (3, 2) Hz are those of false alarms of each.
     """
     found = np.full((len(MotionKind), 2), np.inf)
-    for motion in MotionKind:
+    for motion, own in zip(MotionKind, np.asarray(rates), strict=True):
         for number, (name, memory) in enumerate((("jump", JUMP_WINDOW), ("level", LEVEL_MEMORY))):
             highest = [_highest(test, getattr(test, name), motion, memory) for test in untouched]
             values = np.concatenate([np.zeros(0), *highest])
             if len(values) >= MIN_BLOCKS:
-                found[motion, number] = _exceeded(values, rate / 2 * memory)
+                found[motion, number] = _exceeded(values, float(own[number]) * memory)
     return found
 
 

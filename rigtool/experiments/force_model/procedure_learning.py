@@ -141,15 +141,16 @@ def learn_force(
         rested = learn_turns(rested, turns, ForceModel(rested, deviating).untouched, STEP_TIME)
     model = ForceModel(rested, deviating)
     slowest = min(r.condition("speed") for r in strokes)
+    creeping = CREEP_SPEED_RATIO * slowest
     if checks:
         compared = [*checks, *_compared(strokes)]
-        errors = [_errors(r, recipe, kt, model, CREEP_SPEED_RATIO * slowest) for r in compared]
+        errors = [_errors(r, recipe, kt, model, creeping) for r in compared]
         found = scales(errors)
         # as far as the known loads are off, so is all that is read in terms of them
         found[..., 1] = np.hypot(found[..., 1], rig.loads_relative_u)
         model = replace(model, scales=found)
     unloaded = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
-    tried = [_trial(r, recipe, kt, model) for r in (explored, *unloaded)]
+    tried = [_trial(r, recipe, kt, model, creeping) for r in (explored, *unloaded)]
     return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded, scatter)
 
 
@@ -179,8 +180,9 @@ def _input(own: LoopSignals, under: LoadCase, model: ForceModel) -> Signals:
     ]
 
 
-def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel) -> Trial:
-    """Return the tests for contacts along a recording in which nothing touches."""
+def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel, slow: float) -> Trial:
+    """Return the tests for contacts along a recording in which nothing touches; a sliding rotor
+    creeps below `slow` rad/s."""
     own, under = _known(recording, recipe, kt)
     grid, corner_hz = FilterSteps.of(_interval(own)), recipe.measure_force.motion.corner_hz
     signals, plant = _input(own, under, model), model.plant(grid.sample_time)
@@ -189,9 +191,10 @@ def _trial(recording: Recording, recipe: Recipe, kt: Run, model: ForceModel) -> 
         for u in (model.uncertainty, model.untouched)
     )
     moving, zeros = (causal.states[:, SPEED], causal.states[:, HOUSING]), np.zeros(len(causal.low))
-    judge = Judge(UNLIMITED_REACH, under.count, grid.step_time, causal=True)
-    states = judge.states(Moments(causal.low, *moving, causal.passed, zeros, zeros))
-    return trial(untouched.torque, untouched.deviation, states, grid.step_time)
+    judge = Judge(replace(UNLIMITED_REACH, slow=slow), under.count, grid.step_time, causal=True)
+    moments = Moments(causal.low, *moving, causal.passed, zeros, zeros)
+    kinds = judge.kinds(judge.states(moments), moments)
+    return trial(untouched.torque, untouched.deviation, kinds, grid.step_time)
 
 
 def _errors(

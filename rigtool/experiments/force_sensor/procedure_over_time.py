@@ -180,6 +180,9 @@ def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], rea
     """Raise `InsufficientDataError` unless some sample lies within what was learned."""
     if any(np.any(part.states != State.OUTSIDE) for r in read for part in r.parts):
         return
+    faults = [fault for r in read for part in r.parts for fault in part.faults if fault.no_value]
+    if faults:
+        raise InsufficientDataError(faults[0].text)
     blocks = (degc for r in recorded for (degc,) in r.blocks("temperature", finite=False))
     ends = [(np.min(known), np.max(known)) for degc in blocks if (known := degc[degc == degc]).size]
     measured, (low, high) = (np.min(ends), np.max(ends)), reach.temperature_degc

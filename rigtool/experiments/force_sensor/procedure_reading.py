@@ -33,6 +33,7 @@ from rigtool.experiments.force_sensor.results_over_time import (
     steps_of_a_row,
 )
 from rigtool.experiments.force_sensor.sensor import Sensed, Sensor, SensorProperties
+from rigtool.experiments.force_sensor.signal_faults import SignalWatch
 from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.torque_per_ampere import torque_per_ampere_at
 from rigtool.numerics.arrays import Array, Mask
@@ -178,6 +179,7 @@ class Stretch:
         self._began = began - instrument.interval / 2
         self._every = steps_of_a_row(step_time, instrument.corner_hz)
         self._sensor = Sensor(instrument)
+        self._watch = SignalWatch(instrument)
         self._again = instrument.again()
         self._smoother = Smoother(instrument.model.uncertainty, step_time)
         self._untouched: Filter | None = None
@@ -196,6 +198,7 @@ class Stretch:
     def add(self, samples: Array, *, last: bool = False) -> None:
         """Read samples (c, n): encoder, current, temperature, and the reference where it is."""
         sensed = self._sensor.add(samples, last=last)
+        self._watch.add(samples)
         self._limited += int(self._instrument.limited(samples[1]).sum())
         self._settle()
         estimate = sensed.estimate
@@ -206,7 +209,7 @@ class Stretch:
         self._keep("passed", angle[rows])
         self._keep("causal", sensed.torque[rows])
         self._keep("causal_u", sensed.u[rows])
-        self._keep("causal_states", sensed.states)
+        self._keep("causal_states", sensed.states[rows])
         for reference in sensed.others:
             self._keep("reference", reference)
         self._waiting.append(sensed.moments)
@@ -231,6 +234,7 @@ class Stretch:
     def _test(self, untouched: Filter, sensed: Sensed) -> None:
         """Keep what the tests for contacts look at."""
         other = untouched.add(sensed.signals, less=sensed.less)
+        self._keep("causal_kinds", sensed.kinds)
         self._keep("doubt", sensed.doubt)
         self._keep("untouched", other.torque)
         self._keep("untouched_u", other.deviation)
@@ -280,7 +284,13 @@ class Stretch:
         if referred and np.isfinite(found := self._taken("reference")).any():
             reference, judged = filled(found, round(rate / corner_hz))
         torque, states = held_lowpass(rate, torque, corner_hz), self._taken("states")
-        inside, rows = states != State.OUTSIDE, slice(None, None, every)
+        faults = self._watch.faults()
+        rows, causal_states = slice(None, None, every), self._taken("causal_states")
+        for fault in faults:
+            at_row = time - self._began
+            states[rows][fault.within(at_row, causal=False)] = State.OUTSIDE
+            causal_states[fault.within(at_row, causal=True)] = State.OUTSIDE
+        inside = states != State.OUTSIDE
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
         at = step_time * every, self._taken("passed"), sliding, self._instrument.reach.angle
         return [
@@ -293,7 +303,7 @@ class Stretch:
                 states[rows].astype(np.int32),
                 self._taken("causal"),
                 self._taken("causal_u"),
-                self._taken("causal_states")[::every].astype(np.int32),
+                causal_states.astype(np.int32),
                 None
                 if reference is None
                 else np.where(judged, held_lowpass(rate, reference, corner_hz), np.nan)[rows],
@@ -306,6 +316,7 @@ class Stretch:
                 response=None
                 if reference is None
                 else Spectra.of(torque, reference, inside & judged, rate),
+                faults=faults,
                 passes=tuple(Passes.of(*at, t, u) for t in (torque[rows], torque[rows] + ripple)),
             )
         ]
@@ -319,9 +330,8 @@ class Stretch:
         if self._untouched is None:
             return ()
         torque, deviation = self._taken("untouched"), self._taken("untouched_u")
-        states = self._found["causal_states"][: self._steps]
-        doubt, step_time = self._taken("doubt"), self._instrument.grid.step_time
-        tested = trial(torque, deviation, states, step_time, doubt)
+        kinds, doubt = self._taken("causal_kinds"), self._taken("doubt")
+        tested = trial(torque, deviation, kinds, self._instrument.grid.step_time, doubt)
         return tuple(contacts(tested, self._instrument.model.limits))
 
     def _whole(self) -> tuple[Array, Array, Array]:
@@ -381,6 +391,7 @@ ESTIMATED_TYPES = {
     "causal": np.float64,
     "causal_u": np.float64,
     "causal_states": np.int8,
+    "causal_kinds": np.int8,
     "reference": np.float64,
     "angle": np.float32,
     "passed": np.float64,
@@ -388,6 +399,6 @@ ESTIMATED_TYPES = {
     "untouched_u": np.float32,
     "doubt": np.float32,
 }
-"""At each step, but for the causal torque, its u and the angle that was passed, which are kept at
-the table's rows. What is in single precision is known to 1e-7 of itself, the angle, of which only
-the place in a turn is kept, to 1e-6 rad: both move u by less than 1e-6 of it."""
+"""At each step, but for the causal torque, its u and state and the angle that was passed, which are
+kept at the table's rows. What is in single precision is known to 1e-7 of itself, the angle, of
+which only the place in a turn is kept, to 1e-6 rad: both move u by less than 1e-6 of it."""

@@ -27,6 +27,7 @@ from rigtool.experiments.force_filter.motion_states import (
 )
 from rigtool.experiments.force_model.contacts import FALSE_ALARMS, JUMP_WINDOW, Contact, MotionKind
 from rigtool.experiments.force_sensor.response import Spectra, amplitude_bandwidth
+from rigtool.experiments.force_sensor.signal_faults import SignalFault
 from rigtool.experiments.force_sensor.unknown_friction import Passes
 from rigtool.experiments.outcome import Outcome
 from rigtool.numerics.arrays import Array, Mask
@@ -46,7 +47,8 @@ class TorqueRows:
     its limit; `contacts` are in steps, `every` of which are a row. With `dead_bands`, the torque of
     the states REVERSED and STILL is the middle of a dead band, its u that of a rectangular
     distribution (GUM 4.3.7). `passes` show whether the tables are of this
-    instrument: of the torque, and of what it was before another power-up's ripple was taken off."""
+    instrument: of the torque, and of what it was before another power-up's ripple was taken off.
+    `faults` are those of the signals."""
 
     name: str
     step_time: float
@@ -65,6 +67,7 @@ class TorqueRows:
     dead_bands: bool = False
     response: Spectra | None = None
     passes: tuple[Passes, ...] = ()
+    faults: tuple[SignalFault, ...] = ()
 
     @property
     def hidden(self) -> Mask:
@@ -364,7 +367,7 @@ def _contact_notes(limits: Array) -> list[str]:
     return [
         f"contacts are found by torques that rise within {JUMP_WINDOW * 1e3:.0f} ms by more than "
         f"{', '.join(known)}: the tables show such errors less than once in "
-        f"{1 / FALSE_ALARMS / 3600:.0f} h"
+        f"{1 / max(map(sum, FALSE_ALARMS)) / 3600:.0f} h"
     ]
 
 
@@ -391,4 +394,9 @@ def _notes(
         )
     if limited := sum(part.limited for r in recordings for part in r.parts):
         notes.append(f"samples with a current at its limit: {limited}; no value there")
-    return notes
+    return notes + [
+        f"recording {r.name}: {fault.text}"
+        for r in recordings
+        for p in r.parts
+        for fault in p.faults
+    ]

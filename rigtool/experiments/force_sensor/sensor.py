@@ -79,7 +79,8 @@ class Sensed:
     amplifier adds, `u` its standard uncertainty.
 
     `signals` are what the filter took, for another one; `less` (m,) N m is what that ripple takes
-    off the drive torque, and `doubt` (m,) N m its standard deviation on the output.
+    off the drive torque, and `doubt` (m,) N m its standard deviation on the output; `kinds` (m,)
+    are those of errors, `Judge.kinds`.
     """
 
     estimate: Estimate
@@ -87,6 +88,7 @@ class Sensed:
     u: Array
     moments: Moments
     states: States
+    kinds: States
     others: Array
     signals: Signals
     less: Array
@@ -141,7 +143,7 @@ class Sensor:
         scales = self._instrument.model.scales[1]
         u = uncertainty_of_kinds(scales, estimate.deviation, torque, kinds, variance)
         doubt = np.sqrt(variance)
-        return Sensed(estimate, torque, u, moments, states, found[2:], signals, less, doubt)
+        return Sensed(estimate, torque, u, moments, states, kinds, found[2:], signals, less, doubt)
 
     @property
     def last_deviation(self) -> float:

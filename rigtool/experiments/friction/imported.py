@@ -80,21 +80,13 @@ def analyse_imported(
 
     With `against`, also what changed against it: another imported run of the same motion, or for
     holds another run of `stribeck`; with `reference`, the ratio of that to the change in a third
-    run. Raises `UsageError` for runs of both kinds or of several rigs, `InsufficientDataError`
+    run. Raises `UsageError` for runs of several rigs, `InsufficientDataError`
     where they do not support the result.
     """
     recordings = recordings_of(runs)
     require_one_rig(recordings)
     efforts = [effort_of(recording, kt) for recording in recordings]
     held = [_stretches(recording) for recording in recordings]
-    if any(held) and not all(held):
-        moving = ", ".join(
-            place(recording) for recording, item in zip(recordings, held, strict=True) if not item
-        )
-        raise UsageError(
-            f"{sum(map(bool, held))} recordings hold a constant speed, these do not: {moving}: "
-            "analyse the two kinds one after the other"
-        )
     first = efforts[0]
     found = Findings(Scale(Quantity(1.0, "1", first.relative_u or 0.0)))
     found.notes.append(f"torque is {first.origin}")
@@ -103,6 +95,11 @@ def analyse_imported(
             f"the uncertainty of the scale of {first.name} is unknown and not part of the "
             "uncertainties"
         )
+    if any(held) and not all(held):
+        found.notes.append(
+            f"{sum(map(bool, held))} of {len(held)} recordings hold constant speeds: all are taken "
+            "by the dynamics of their motion"
+        )
     linear, units = is_linear(recordings[0]), UNITS_BY_EFFORT[first.unit]
     if against is None and reference is not None:
         raise UsageError("--reference: is compared with the run of --against: give both")
@@ -110,7 +107,13 @@ def analyse_imported(
     if against is not None and len({run.content_sha256 for run in given}) < len(given):
         raise UsageError("one run is given twice: nothing changed between a run and itself")
     if all(held):
-        found = _of_holds_or_motion(recordings, efforts, held, found, alone=against is None)
+        try:
+            _add_holds(recordings, efforts, held, found)
+        except InsufficientDataError as few:
+            # Before anything was found; a comparison needs the holds.
+            if against is not None or not _moved(recordings, efforts, found):
+                raise
+            found.notes.append(f"by the dynamics of the motion: {few}")
         if against is not None:
             add_curve_difference(found, against, reference, units.get("N m", "N m"))
     elif against is not None:
@@ -170,34 +173,6 @@ def _steps(recording: Recording, time: Array, position: Array) -> list[tuple[int
     return held if sum(b - a for a, b in held) >= ON_STEPS * len(time) else []
 
 
-def _of_holds_or_motion(
-    recordings: Sequence[Recording],
-    efforts: Sequence[Effort],
-    held: Sequence[Sequence[tuple[int, int]]],
-    begun: Findings,
-    *,
-    alone: bool,
-) -> Findings:
-    """Return the findings from holds; where these are too few, from the motion between them, too.
-
-    A comparison with other runs needs the holds.
-    """
-    found = replace(begun, results={}, tables={}, notes=[*begun.notes])
-    try:
-        _add_holds(recordings, efforts, held, found)
-    except InsufficientDataError as few:
-        found = replace(begun, results={}, tables={}, notes=[*begun.notes])
-        try:
-            if alone:
-                add_dynamics(_motions(recordings, efforts), found)
-                found.notes.append(f"not from holds alone: {few}")
-        except InsufficientDataError:
-            alone = False
-        if not alone:
-            raise few from None
-    return found
-
-
 # -- holds
 
 
@@ -242,7 +217,7 @@ def _add_holds(
         f"{holds.settled.max():.2g} s"
     )
     offset = separate(fits, holds, [])
-    if len(fits) == 2 and offset is None:
+    if len(fits) == 2 and (offset is None or not offset.separated):
         offset = half_difference(fits)
     add_friction(fits, offset, found)
     add_static_friction(None, fits, offset, found)
@@ -279,6 +254,15 @@ def _motions(recordings: Sequence[Recording], efforts: Sequence[Effort]) -> list
             raise InsufficientDataError(f"{place(recording)}: {error}") from None
         motions.append(motion)
     return motions
+
+
+def _moved(recordings: Sequence[Recording], efforts: Sequence[Effort], found: Findings) -> bool:
+    """Add what the dynamics of the motion show; return whether they do."""
+    try:
+        add_dynamics(_motions(recordings, efforts), found)
+    except InsufficientDataError:
+        return False
+    return True
 
 
 def _in_units(found: Findings, units: Mapping[str, str], *, linear: bool) -> Outcome:

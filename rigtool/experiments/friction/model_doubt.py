@@ -45,21 +45,14 @@ CHANCE_LEVEL = 2.0
 """Standard uncertainties by which the best of these terms differs from zero by chance."""
 
 
-def own(design: Array, column: int) -> Array:
-    """Return the part (n,) of a regressor that the others of a design (n, p) do not explain."""
-    others = np.delete(design, column, axis=1)
-    fit = np.linalg.lstsq(others, design[:, column], rcond=None)[0]
-    rest: Array = design[:, column] - others @ fit
-    return rest
-
-
 def own_part(design: Array, column: int) -> float:
     """Return the part of a regressor's power that the others do not explain, 1 - R^2.
 
     `design` (n, p).
     """
-    power = max(float(np.sum(design[:, column] ** 2)), 1e-300)
-    return float(np.sum(own(design, column) ** 2)) / power
+    others = np.delete(design, column, axis=1)
+    rest = design[:, column] - others @ np.linalg.lstsq(others, design[:, column], rcond=None)[0]
+    return float(np.sum(rest**2)) / max(float(np.sum(design[:, column] ** 2)), 1e-300)
 
 
 def structure(
@@ -75,13 +68,11 @@ def structure(
     ranges[np.argsort(over, kind="stable")] = np.arange(len(over)) * RESIDUAL_RANGES // len(over)
     power = min(max(_common(ranges, times, residual), 0.0), total)
     patterns = _patterns(_sums(ranges, residual) / np.maximum(_sums(ranges), 1))
-    doubt = np.zeros(design.shape[1])
-    for column in range(design.shape[1]):
-        rest = own(design, column)
-        # Regressors are known exactly: their means over ranges hold no chance.
-        alike = float(np.sum(_sums(ranges, rest) ** 2 / np.maximum(_sums(ranges), 1)))
-        doubt[column] = math.sqrt(power / patterns * alike) / max(float(np.sum(rest**2)), 1e-300)
-    return power / total, doubt
+    # The rows are the parts of regressors that the others do not explain, over their squares.
+    own = np.linalg.pinv(design)
+    # Regressors are known exactly: their means over ranges hold no chance.
+    means = np.array([_sums(ranges, row) for row in own]) / np.sqrt(np.maximum(_sums(ranges), 1))
+    return power / total, math.sqrt(power / patterns) * np.linalg.norm(means, axis=1)
 
 
 def _patterns(means: Array) -> float:
@@ -150,14 +141,16 @@ def _unmodelled(
 
     A term (n, k) has k columns.
     """
-    best, change, chance = 0.0, np.zeros(design.shape[1]), 1.0
+    best, chance = 0.0, 1.0
+    change: Array = np.zeros(design.shape[1])
+    basis = np.linalg.qr(design)[0]
     for term in terms:
-        alike = np.linalg.lstsq(design, term, rcond=None)[0]
-        rest = term - design @ alike
+        rest = term - basis @ (basis.T @ term)
         height = np.linalg.lstsq(rest, residual, rcond=None)[0]
         explained = float(np.sum((rest @ height) ** 2))
         if explained > best and np.all(np.sum(rest**2, 0) > 1e-6 * np.sum(term**2, 0)):
-            best, change = explained, alike @ height
+            best = explained
+            change = np.asarray(np.linalg.lstsq(design, term @ height, rcond=None)[0], float)
             left = residual - rest @ height
             scatter, _ = long_run_covariance(np.column_stack([design, term]), left, independent)
             k = len(height)

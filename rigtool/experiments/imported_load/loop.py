@@ -9,7 +9,9 @@ recordings that were learned, each as measured when it was left out,
     T = max(|o| / S_o, root of the mean over x of (s / S_s)^2)
 
 with standard deviations S over those recordings. T is about 1 for them; Student's t with their
-number less one states how far it may be.
+number less one states how far it may be. The mean of o over n runs is known better than one: of r
+recordings, its standard deviation is S_o sqrt(c + (1 - c) / n + 1 / r), where c is what runs at one
+load or speed have in common.
 """
 
 from __future__ import annotations
@@ -29,6 +31,9 @@ FEWEST_ROWS = 3
 FEWEST_CELLS = 3
 """Cells with both directions, below which a loop is not compared."""
 
+COMMON_SHARE = 0.25
+"""Share c of the variance of offsets: some for loads, more for speeds that were left out."""
+
 DOUBTED, REFUSED = 0.95, 0.99
 """Two-sided levels of confidence: beyond the first u grows, beyond the second nothing is given."""
 
@@ -43,21 +48,27 @@ class StrokeLoop:
     offset: float
     recordings: int
 
-    def misfit(self, place: Array, rising: Mask, torque: Array) -> float:
-        """Return T of rows (n,) of one recording; NaN where too few cells have both directions."""
+    def parts(self, place: Array, rising: Mask, torque: Array) -> tuple[float, float]:
+        """Return o / S_o, with its sign, and the shape's part of T, of rows (n,) of one recording;
+        NaN where too few cells have both directions."""
         apart = _loop(place, rising, torque) - self.mean
         apart = np.where(self.shape > 0, apart, np.nan)
         if np.isfinite(apart).sum() < FEWEST_CELLS or not self.offset > 0:
-            return math.nan
+            return math.nan, math.nan
         offset = float(np.nanmean(apart))
         shape = float(np.sqrt(np.nanmean(((apart - offset) / self.shape) ** 2)))
-        return max(abs(offset) / self.offset, shape)
+        return offset / self.offset, shape
 
     def limit(self, confidence: float) -> float:
         """Return the T beyond which a recording is not one of those learned."""
         from scipy.special import stdtrit
 
         return float(stdtrit(max(self.recordings - 1, 1), (1 + confidence) / 2))
+
+    def limit_of_mean(self, confidence: float, runs: int) -> float:
+        """Return the mean of o / S_o over `runs` beyond which they are not of this mounting."""
+        variance = COMMON_SHARE + (1 - COMMON_SHARE) / runs + 1 / self.recordings
+        return math.sqrt(variance) * self.limit(confidence)
 
 
 def learn_loop(place: Array, rising: Mask, torque: Array, recording: NDArray) -> StrokeLoop:

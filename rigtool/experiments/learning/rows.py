@@ -158,7 +158,8 @@ def residual(before: Sequence[Row], after: Sequence[Row]) -> dict[str, Quantity]
 
     Returns `residual_peak`, the largest value of any row's mean, `residual_rms` of all rows
     together, and `reduction`, the part of the rms that the table removed, 1 - rms/(rms before).
-    Uncertainties by the jackknife over moves: move i is left out at all speeds at once.
+    Uncertainties by the jackknife over moves: move i is left out at all speeds at once. Raises
+    `InsufficientDataError` where there is no torque to remove.
     """
     count = min(len(row.moves) for row in (*before, *after))
 
@@ -172,6 +173,11 @@ def residual(before: Sequence[Row], after: Sequence[Row]) -> dict[str, Quantity]
         value, u = jackknife(count, statistic)
         return Quantity(value, unit, u, count - 1)
 
+    if rms(before, np.arange(count)) == 0:
+        raise InsufficientDataError(
+            "the controller's torque is zero throughout with the table off: there is nothing to "
+            "remove; see that the current is recorded"
+        )
     return {
         "residual_peak": quantity(lambda keep: float(np.abs(means(after, keep)).max()), "N m"),
         "residual_rms": quantity(lambda keep: rms(after, keep), "N m"),

@@ -90,8 +90,8 @@ class _Rehearsal(Rig):
     ) -> None:
         self.plan = MotionPlan()
         self._recipe, self._rig = recipe, recipe.rig
-        self._limits = recipe.serial.limits if _on_line(recipe) and recipe.serial else None
-        name = recipe.serial.driver if self._limits is not None and recipe.serial else REPLAY_DRIVER
+        self._limits = recipe.line.limits if _on_line(recipe) else None
+        name = recipe.line.driver if _on_line(recipe) else REPLAY_DRIVER
         self._host_closes = name != REPLAY_DRIVER and driver(name).host_closes
         self._torque_constant = torque_constant
         self._position = position
@@ -249,12 +249,12 @@ def dry_run(
         open_rig(recipe, torque_constant, procedure.command)
     plan = rehearse(procedure, recipe, torque_constant, inputs)
     notes = [str(plan)]
-    if _on_line(recipe) and recipe.serial is not None:
-        plan.check(recipe.serial.limits)
-        found = None if recipe.serial.driver == REPLAY_DRIVER else driver(recipe.serial.driver)
-        require_gauges(plan, recipe.serial, procedure.command)
-        low, high = recipe.serial.limits.position
-        limits = recipe.serial.limits
+    if _on_line(recipe):
+        limits, name = recipe.line.limits, recipe.line.driver
+        plan.check(limits)
+        found = None if name == REPLAY_DRIVER else driver(name)
+        require_gauges(plan, recipe.line, procedure.command)
+        low, high = limits.position
         notes.append(
             f"Within the limits {limits.current:g} A, {limits.speed:g} rad/s, {low:g} to {high:g} "
             f"rad (counted from the shaft's position at the start), {limits.duration:g} s a motion"
@@ -286,7 +286,7 @@ def require_gauges(plan: MotionPlan, settings: Serial, command: str) -> None:
 
 
 def _on_line(recipe: Recipe) -> bool:
-    return recipe.rig.source == "serial" and recipe.serial is not None
+    return recipe.rig.source == "serial"
 
 
 def _needs(task: Task) -> Iterator[str]:

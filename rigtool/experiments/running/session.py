@@ -16,15 +16,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rigtool.errors import RecipeError, RunFileError, UsageError
+import numpy as np
+
+from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
-from rigtool.experiments.running.dry_run import (
-    dry_run,
-    rehearse,
-    require_gauges,
-    require_offered,
-)
+from rigtool.experiments.running.dry_run import dry_run, rehearse, require_gauges, require_offered
 from rigtool.experiments.running.lines import open_lines
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.terminal import open_live
@@ -47,6 +44,24 @@ AS_IT_COMES = "as it comes"
 """Names in drawings of what a rig reports before the signals of a motion are complete."""
 
 
+@contextmanager
+def solvable() -> Iterator[None]:
+    """Turn equations that have no solution into `InsufficientDataError`: signals that are zero,
+    constant, or far from any rig's.
+    """
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raised = InsufficientDataError(
+            f"the signals determine no result ({error}): some are zero, constant, or in another "
+            "unit; look at them by `rigtool plot`"
+        )
+        for note in getattr(error, "__notes__", ()):
+            raised.add_note(note)
+        raise raised from error
+
+
+@solvable()
 def run_command(
     procedure: Procedure,
     sources: Sequence[str],
@@ -207,11 +222,10 @@ def _permit(
     inputs: Mapping[str, Run],
 ) -> None:
     """Refuse motions beyond the rig's abilities or limits, show the plan, and ask for consent."""
-    assert recipe.serial is not None
     plan = rehearse(procedure, recipe, torque_constant, inputs, rig.position)
-    require_gauges(plan, recipe.serial, procedure.command)
+    require_gauges(plan, recipe.line, procedure.command)
     require_offered(rig, plan, procedure.command)
-    plan.check(recipe.serial.limits)
+    plan.check(recipe.line.limits)
     rig.permit(str(plan))
 
 

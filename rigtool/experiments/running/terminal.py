@@ -18,7 +18,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Literal, Protocol, TextIO
+from typing import Any, Literal, TextIO
 
 import numpy as np
 
@@ -59,14 +59,6 @@ CHANNEL_UNITS = {name: unit for name, (unit, _, _) in CHANNELS.items()} | dict.f
 """Of what is drawn."""
 
 
-class View(Protocol):
-    """A drawing of the signals."""
-
-    def show(self, recording: str, block: Mapping[str, Any]) -> None:
-        """Draw a block of a recording; may take its time. Raises `OSError` where it is gone."""
-        ...
-
-
 @contextmanager
 def open_live(where: Literal["terminal", "window"]) -> Iterator[Feed]:
     """Return the receiver of blocks for a drawing, for a `with` block.
@@ -81,13 +73,13 @@ def open_live(where: Literal["terminal", "window"]) -> Iterator[Feed]:
 
 
 class Feed:
-    """Hands blocks to a view from a thread of its own.
+    """Hands blocks to a view from a thread of its own; `OSError` of the view means that it is gone.
 
     It never waits and never fails: blocks beyond its capacity are dropped, and a closed view stays
     closed.
     """
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: Live | Window) -> None:
         self._view = view
         self._blocks: queue.Queue[tuple[str, Mapping[str, Any]]] = queue.Queue(MAX_WAITING_BLOCKS)
         self._closed = False

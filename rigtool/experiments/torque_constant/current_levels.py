@@ -65,9 +65,14 @@ Machines, 2010, ch. 3), a rectangular distribution (GUM 4.3.7)."""
 TRANSITION_LENGTHS = (0.01, 0.03, 0.1, 0.3)
 """Lengths s of Dahl's transition that are tried, relative to the span of the current."""
 
-FRICTION, DRIFT, BENT, CURVATURE = 0.05, 0.01, 0.004, 0.015
-"""Prior sizes: of h, of a straight and a bent drift, relative to the span of the torque; of the
-change of torque per ampere from half the current to all of it, by saturation of the iron."""
+FRICTION, DRIFT, BENT, RIPPLE, CURVATURE = 0.05, 0.01, 0.004, 0.002, 0.015
+"""Prior sizes: of h, of a straight and a bent drift, and of each wave of ripple, relative to the
+span of the torque; of the change of torque per ampere from half the current to all of it, by
+saturation of the iron."""
+
+RIPPLE_WAVES = 4
+"""Half waves of ripple over the span of the current of a ramp: its torque twists the shaft, which
+turns through ripple. Shorter ones are scatter."""
 
 NO_CURRENT = 0.02
 """Currents below this part of the largest turn no shaft."""
@@ -158,7 +163,7 @@ def find_points(course: Course) -> Points:
             f"the current changes by {span:.3g} A, its noise is {noise:.2g} A: step it, or ramp it"
         )
     band = max(FLAT_RANGE * math.sqrt(2) * noise, 1e-3 * span)
-    followed = _play(level, band)
+    followed = _one_way(level, band)
     path = np.stack([_dahl(followed, part * span) for part in TRANSITION_LENGTHS], axis=1)
     way = np.diff(followed)
     up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
@@ -191,13 +196,28 @@ def _means(values: Array, edges: NDArray[np.int64]) -> Array:
     return means
 
 
-def _play(values: Array, band: float) -> Array:
-    """Return values (n,) that follow only changes of direction by more than a band."""
-    followed = np.empty(len(values))
-    at = values[0]
+def _one_way(values: Array, band: float) -> Array:
+    """Return values (n,) that go one way between turns by more than a band.
+
+    A turn is at the extreme itself, which later values show.
+    """
+    turns, way, high, low = [0], 0, 0, 0
     for index, value in enumerate(values.tolist()):
-        at = min(max(at, value - band), value + band)
-        followed[index] = at
+        high, low = (
+            (index if value > values[high] else high),
+            (index if value < values[low] else low),
+        )
+        if way >= 0 and values[high] - value > band:
+            turns.append(high)
+            way, low = -1, index
+        elif way <= 0 and value - values[low] > band:
+            turns.append(low)
+            way, high = 1, index
+    followed = values.copy()
+    for start, stop in pairwise([*turns, len(values) - 1]):
+        rises = values[stop] >= values[start]
+        along = np.maximum if rises else np.minimum
+        followed[start : stop + 1] = along.accumulate(values[start : stop + 1])
     return followed
 
 
@@ -265,6 +285,11 @@ def fit_constant(runs: Sequence[Points]) -> CurrentFit:
     way = np.sign(np.where(np.abs(current) > NO_CURRENT * top, current, 0.0))
     if speed is None and np.ptp(way) > 1:
         add("driven", way, FRICTION * torques)  # a motor that drives a brake turns with its torque
+    if not turning and not all(run.plateaus for run in runs):
+        part = (current - current.min()) / np.ptp(current)
+        for half_waves in range(1, RIPPLE_WAVES + 1):
+            for wave in (np.cos, np.sin):
+                add("ripple", wave(np.pi * half_waves * part), RIPPLE * torques)
     if turning:
         fits = [_Fit(columns, torque)]
     else:

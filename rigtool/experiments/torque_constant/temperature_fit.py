@@ -57,6 +57,9 @@ sixth may show nothing, or a part that their phase decides (two angles an order,
 FEW_ANGLES = 8
 """Rotor angles below which the constant may hide ripple that they do not show."""
 
+LARGEST_GAIN = 10.0
+"""Measured current for 1 A of set point beyond that of any amplifier; its inverse is below."""
+
 HIDDEN_RIPPLE = 5e-3
 """Relative standard uncertainty by ripple of orders that fewer angles than these do not show, where
 the orders that they show would state less: nothing in the data bounds it."""
@@ -161,6 +164,11 @@ def calibrate(
 
 
 def _require_linear(linearity: Linearity) -> None:
+    if not 1 / LARGEST_GAIN < abs(linearity.gain) < LARGEST_GAIN:
+        raise InsufficientDataError(
+            f"the amplifier shows {linearity.gain:.3g} A for 1 A of set point: it is off, or its "
+            "current is not measured, or in another unit than the set point"
+        )
     limit = LINEARITY_LIMIT * float(np.ptp(linearity.current_setpoint))
     if linearity.deviation > max(limit, 4 * linearity.deviation_u):
         raise InsufficientDataError(

@@ -68,8 +68,7 @@ def open_serial_rig(
     from rigtool.rigs.serial.hosted.rig import HostedRig
 
     recipe = _as_recorded(recipe)
-    assert recipe.serial is not None
-    found = driver(recipe.serial.driver)
+    found = driver(recipe.line.driver)
     if found.make_rig is not None:
         return found.make_rig(recipe, torque_constant, use, operator)
     return HostedRig(recipe, torque_constant, use, operator, found)
@@ -77,19 +76,12 @@ def open_serial_rig(
 
 def _as_recorded(recipe: Recipe) -> Recipe:
     """Return a recipe whose driver is the one of the record, where it plays one back."""
-    from rigtool.rigs.serial.drivers import REPLAY_DRIVER as REPLAY_DRIVER
+    from rigtool.rigs.serial.drivers import REPLAY_DRIVER
     from rigtool.rigs.serial.line import REPLAY_PREFIX
     from rigtool.rigs.serial.transport.spy import read_spy
 
-    assert recipe.serial is not None
-    if recipe.serial.driver != REPLAY_DRIVER:
+    if recipe.line.driver != REPLAY_DRIVER:
         return recipe
-    path = recipe.serial.port.removeprefix(REPLAY_PREFIX)
-    driver, _ = read_spy(path)
-    return recipe.model_copy(
-        update={
-            "serial": recipe.serial.model_copy(
-                update={"driver": driver, "port": f"{REPLAY_PREFIX}{path}"}
-            )
-        }
-    )
+    path = recipe.line.port.removeprefix(REPLAY_PREFIX)
+    recorded = {"driver": read_spy(path)[0], "port": f"{REPLAY_PREFIX}{path}"}
+    return recipe.model_copy(update={"serial": recipe.line.model_copy(update=recorded)})

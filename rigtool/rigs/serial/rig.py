@@ -10,7 +10,6 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -44,9 +43,8 @@ class SerialRig(Rig, ABC):
     def __init__(
         self, recipe: Recipe, torque_constant: float, use: str, operator: Operator
     ) -> None:
-        assert recipe.serial is not None
-        self._recipe, self._settings = recipe, recipe.serial
-        self._limits = recipe.serial.limits
+        self._recipe, self._settings = recipe, recipe.line
+        self._limits = recipe.line.limits
         self._torque_constant = torque_constant
         self._use, self._operator = use, operator
         self._line: Line | None = None
@@ -57,7 +55,7 @@ class SerialRig(Rig, ABC):
         self._clamp_angle = math.nan
         self._gauges: dict[str, Gauge] = {
             name: open_gauge(name, settings, operator, lambda: self._line)
-            for name, settings in recipe.serial.instruments.items()
+            for name, settings in recipe.line.instruments.items()
         }
         self._unused: list[str] = []
         self.notes: list[str] = []
@@ -120,12 +118,7 @@ class SerialRig(Rig, ABC):
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Stop, switch off, restore, release. A failure here is reported, and hides no error."""
         problems = []
         with held():

@@ -19,7 +19,7 @@ from rigtool.errors import RunFileError
 from rigtool.recipe.mapping import FileLayout, Mapping, Signal
 from rigtool.recipe.units import RATED, UNITS, unit_name
 from rigtool.runfile.importers.header import Lines, decode, split_lines
-from rigtool.runfile.importers.marks import marks_of, split_fields
+from rigtool.runfile.importers.marks import NUMBER, marks_of, plain, split_fields
 from rigtool.runfile.importers.raw import Importer, Raw, read_bytes, require_good
 from rigtool.runfile.importers.text import read_numbers, words_of
 
@@ -133,11 +133,19 @@ def _as_exported(lines: Lines) -> tuple[Lines, list[str]]:
     """Return the lines without what was added behind a comma, and notes on what that said.
 
     A comma before a digit is a decimal mark, any other begins a cell of a spreadsheet or a remark.
-    A spreadsheet may also have saved with commas or tabs, in quotes, and with empty cells behind.
+    A spreadsheet may also have saved with commas or tabs, in quotes, and with empty cells behind;
+    words in cells behind the columns are remarks, too.
     """
     marks = _KEY.findall("\n".join(lines.text[:_HEADER_LINES]))
     mark = max(set(marks), key=marks.count) if marks else ";"
     parts = [_ADDED.split(_with_semicolons(line, mark), maxsplit=1) for line in lines.text]
+    names_at = next((n for n, part in enumerate(parts) if part[0].startswith(_NAMES)), len(parts))
+    for part in parts[names_at + 1 :]:
+        cells = part[0].split(";")
+        width = parts[names_at][0].count(";") + 1
+        more = [cell.strip() for cell in cells[width:] if cell.strip()]
+        if more and not all(NUMBER.fullmatch(plain(cell, ",")) for cell in more):
+            part[:] = [";".join(cells[:width]), ", ".join([*more, *part[1:]])]
     notes = [
         f"line {number}: remark {remark!r} left out"
         for (_, *added), number in zip(parts, lines.number, strict=True)

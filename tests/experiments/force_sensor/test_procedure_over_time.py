@@ -185,16 +185,12 @@ def test_rows_as_they_come_are_those_of_the_stored_run(rig, strokes, live, edges
     np.testing.assert_allclose(found["high"] - found["low"], 3.92 * found["u"], rtol=1e-9)
 
 
-def broken(rig, tmp_path):
-    """Store the strokes without samples 20000 to 24000, and with NaN from 44000 to 44400."""
+def changed(rig, tmp_path, change):
+    """Store the strokes with other signals; return path and signals."""
     with open_run(rig.folder / "strokes.h5") as stored:
         recording = next(iter(stored.recordings.values()))
         spec = RecordingSpec("strokes_000", recording.channels, {})
-        signals = signals_of(rig.folder / "strokes.h5")
-        signals["current_setpoint"] = signals["current_setpoint"].copy()
-        signals["current_setpoint"][44000:44400] = np.nan
-        signals["reference_torque"][30000:30400] = np.nan
-        signals = {n: np.concatenate([v[:20000], v[24000:]]) for n, v in signals.items()}
+        signals = change(signals_of(rig.folder / "strokes.h5"))
         path = tmp_path / "broken.h5"
         with RunWriter(
             path,
@@ -208,8 +204,48 @@ def broken(rig, tmp_path):
     return path, signals
 
 
+def broken(signals):
+    """Without samples 20000 to 24000, and with NaN from 44000 to 44400."""
+    signals["current_setpoint"] = signals["current_setpoint"].copy()
+    signals["current_setpoint"][44000:44400] = np.nan
+    signals["reference_torque"][30000:30400] = np.nan
+    return {n: np.concatenate([v[:20000], v[24000:]]) for n, v in signals.items()}
+
+
+def dead(first, last):
+    """An encoder that does not count, and a loop that drives against it."""
+
+    def change(signals):
+        signals = {name: values.copy() for name, values in signals.items()}
+        signals["encoder"][first:last] = signals["encoder"][first]
+        driven = signals["current_setpoint"][first:last]
+        driven[:] = np.linspace(0, 8, len(driven))
+        return signals
+
+    return change
+
+
+def test_a_dead_encoder_is_no_rest(rig, strokes, tmp_path):
+    path, signals = changed(rig, tmp_path, dead(20000, 32000))
+    found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
+    table = found.tables["force"]
+    time = table["time"] - signals["time"][0]
+    assert np.isnan(table["torque"][(time > 2.52) & (time < 5.0)]).all()
+    assert np.isnan(table["causal_torque"][(time > 2.52) & (time < 5.0)]).all()
+    before, known = np.flatnonzero(time < 1.4), strokes.tables["force"]["state"]
+    outside = table["state"] == State.OUTSIDE
+    np.testing.assert_array_equal(outside[before], known[before] == State.OUTSIDE)
+    assert any("does not count" in note and "mN m" in note for note in found.notes)
+
+
+def test_an_encoder_that_never_counts_is_refused(rig, strokes, tmp_path):
+    path, _ = changed(rig, tmp_path, dead(0, None))
+    with pytest.raises(InsufficientDataError, match=r"does not count.*record again"):
+        run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
+
+
 def test_gaps_and_samples_without_value_begin_anew(rig, strokes, live, tmp_path):
-    path, signals = broken(rig, tmp_path)
+    path, signals = changed(rig, tmp_path, broken)
     found = run(MEASURE_FORCE, path, tmp_path / "again.h5", kt=KT, tables=rig.tables)
     table, rate = found.tables["force"], 8000
     assert len(strokes.tables["force"]["time"]) > len(table["time"])

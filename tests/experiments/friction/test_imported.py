@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rigtool.errors import InsufficientDataError, RunFileError, UsageError
+from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -184,12 +184,10 @@ def test_runs_that_do_not_go_together(tmp_path):
     signals = moved()
     held = {"t": signals["t"], "x": 3 * signals["t"], "f": np.full(len(signals["t"]), 1.0)}
     paths = take(tmp_path, MOVED, {"moved": signals, "held": held})
-    with pytest.raises(
-        UsageError, match=r"1 recordings hold a constant speed, these do not: .*moved.h5"
-    ):
-        analyse(paths, tmp_path / "f.h5")
+    both = analyse(paths, tmp_path / "f.h5")
+    assert any("1 of 2 recordings hold constant speeds" in note for note in both.notes)
     with pytest.raises(InsufficientDataError, match="1 speeds from"):
-        analyse(paths[1:], tmp_path / "f.h5")
+        analyse(paths[1:], tmp_path / "g.h5")
 
 
 def test_wrong_signs_are_told(tmp_path):
@@ -230,7 +228,8 @@ def test_the_drive_of_the_epos_set(tmp_path):
     # 0.096 kg on a screw of 2 mm lead: m g lead / (2 pi), were there no friction.
     weight = 0.096 * 9.81 * 2e-3 / (2 * np.pi)
     offset = results["friction_offset"]
-    assert abs(offset.value - weight) < offset.u
+    # Its friction differs between the directions, and looks like an offset.
+    assert offset.u < abs(offset.value - weight) < results["coulomb_friction_positive"].u
     assert 0 < table["settled"].max() < 0.5 * 63.9
 
 

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rigtool.errors import InsufficientDataError
-from rigtool.experiments.force.imported import Measured, of_this_zero
+from rigtool.experiments.force.imported import (
+    Measured,
+    _loop_parts,
+    _of_this_mounting,
+    of_this_zero,
+)
 from rigtool.experiments.force_filter.motion_states import State
 from rigtool.experiments.imported_load.basis import (
     FUNCTION_GROUPS,
@@ -231,7 +237,8 @@ def test_tables_of_another_mounting_are_found_out(learned):
 
     def misfit(item):
         estimate = learned.model.estimate(item.effort, item.path)
-        return loop.misfit(learned.model.place(item.path), item.path.speed > 0, estimate.compared)
+        place = learned.model.place(item.path)
+        return np.max(np.abs(loop.parts(place, item.path.speed > 0, estimate.compared)))
 
     for load in (0.03, 0.05, 0.07):
         own = observe(load, 0.2, seed=21)
@@ -241,6 +248,33 @@ def test_tables_of_another_mounting_are_found_out(learned):
         assert misfit(rubbing) > loop.limit(REFUSED)
         tilted = replace(own, effort=own.effort + 0.03 * way * own.path.position / 20)
         assert misfit(tilted) > loop.limit(REFUSED)
+
+
+def test_runs_that_all_disagree_in_one_sense_are_of_another_mounting(learned):
+    """Each by itself could be one of those learned: together they are known better."""
+    model, items = learned.model, observations(loads=(0.03, 0.05, 0.07), drift=0.0, seed=17)
+
+    def rubbing(friction):
+        more = [replace(o, effort=o.effort + friction * np.sign(o.path.speed)) for o in items]
+        return [Measured(o, model.estimate(o.effort, o.path)) for o in more]
+
+    def offsets(measured):
+        return np.array([_loop_parts(item, model)[0] for item in measured])
+
+    tables, own = SimpleNamespace(path="t.h5"), float(np.mean(offsets(rubbing(0.0))))
+    each = (float(np.mean(offsets(rubbing(1e-3)))) - own) / 1e-3
+    for wanted, times in ((0.0, 1.0), (1.7, math.hypot(1, 1.7))):
+        measured = rubbing((wanted - own) / each)
+        wider, _ = _of_this_mounting(measured, model, tables)
+        ratios = [
+            np.median((after.estimate.u / before.estimate.u)[before.estimate.inside])
+            for before, after in zip(measured, wider, strict=True)
+        ]
+        assert min(ratios) == pytest.approx(times, rel=0.05)  # single runs disagree still more
+    far = rubbing((2.5 - own) / each)
+    assert np.median(np.abs(offsets(far))) < model.loop.limit(REFUSED)
+    with pytest.raises(InsufficientDataError, match="in one sense"):
+        _of_this_mounting(far, model, tables)
 
 
 @pytest.mark.parametrize("zero", [-3.0, 3.0])
@@ -269,7 +303,7 @@ def test_one_direction_alone_is_not_compared(learned):
     rising = item.path.speed > 0
     place = learned.model.place(item.path)[rising]
     loop = learned.model.loop
-    assert np.isnan(loop.misfit(place, rising[rising], item.reference[rising]))
+    assert np.isnan(loop.parts(place, rising[rising], item.reference[rising])).all()
 
 
 def test_a_prior_knows_what_two_loads_do_not_show():

@@ -156,3 +156,10 @@ def test_moves_know_nothing_of_the_direction_they_started_in():
         strict=True,
     ):
         np.testing.assert_allclose(a.mean, b.mean, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("torque", [0.0, 5e-324])
+def test_without_torque_nothing_can_be_removed(torque):
+    row = Row(3.0, np.full((3, 4), torque))
+    with pytest.raises(InsufficientDataError, match="is zero throughout"):
+        residual([row], [row])

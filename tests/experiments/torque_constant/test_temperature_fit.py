@@ -319,6 +319,8 @@ def test_linearity_finds_the_worst_level():
     ("bench", "change", "message"),
     [
         (Bench(cubic=3e-3), {}, "not proportional"),
+        (Bench(), {"current": lambda s: 0 * s}, "for 1 A of set point"),
+        (Bench(), {"current": lambda s: 1e3 * s}, "in another unit"),
         (Bench(), {"current_setpoint": lambda s: 0 * s}, "throughout"),
         (Bench(), {"force": lambda s: -s}, "reverse the sign"),
         (Bench(), {"force": lambda s: np.minimum(s, 0.25)}, "not linear"),
@@ -331,6 +333,8 @@ def test_linearity_finds_the_worst_level():
     ],
     ids=[
         "amplifier",
+        "amplifier off",
+        "milliamperes",
         "constant",
         "sign",
         "end stop",

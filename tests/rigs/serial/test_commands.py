@@ -178,7 +178,13 @@ def quick(monkeypatch, world):
     world.tick = 0.02
 
 
-@pytest.fixture(params=[name for name in DRIVES if name != "maxon-can"] + thorough("maxon-can"))
+LIKE_ANOTHER = ("maxon-can", "moteus-can")
+"""Drives whose line and loop another one of DRIVES has too."""
+
+
+@pytest.fixture(
+    params=[*(name for name in DRIVES if name not in LIKE_ANOTHER), *thorough(*LIKE_ANOTHER)]
+)
 def bench(request, quick, tmp_path, capsys, monkeypatch):
     """Each drive with its recipe filled in, and a calibration that was measured on it."""
     found = Bench(request.param, tmp_path, capsys, monkeypatch)

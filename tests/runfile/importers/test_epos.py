@@ -91,12 +91,14 @@ def test_a_file_that_a_spreadsheet_saved_and_a_person_edited(tmp_path):
     head = "".join(f"{line},,\n" for line in HEAD.splitlines())
     rows = [f"{row},," for row in ROWS]
     rows[1] += "was -8,9"
+    rows[2] = rows[2].replace(",,", ";;touched")
     source = write(tmp_path / "n2.csv", head=head, rows=rows)
     _, signals, run = take(source)
     _, plain, _ = take(write(tmp_path / "plain.csv"))
     for name, values in plain.items():
         np.testing.assert_array_equal(signals[name], values)
     assert "line 13: remark 'was -8,9' left out" in run.notes
+    assert "line 14: remark 'touched' left out" in run.notes
 
 
 def test_a_mapping_states_the_marks_of_an_export(tmp_path):

@@ -31,8 +31,7 @@ def probe(line: Line, kind: type[CanDrive] = CanDrive) -> str | None:
 
 def make_can_drive(kind: type[CanDrive], line: Line, recipe: Recipe) -> Drive:
     """Return the drive of this kind that a recipe's [serial] names, not connected yet."""
-    settings = recipe.serial
-    assert settings is not None
+    settings = recipe.line
     return kind(
         CanObjects(line, settings.node or USUAL_NODE, settings.eds),
         recipe.rig.encoder_counts,

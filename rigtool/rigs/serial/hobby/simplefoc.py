@@ -251,9 +251,8 @@ def probe(line: Line) -> str | None:
 
 def make_drive(line: Line, recipe: Recipe) -> SimpleFoc:
     """Return the drive that a recipe names, not connected yet."""
-    assert recipe.serial is not None
-    node = recipe.serial.node
-    guard = make_guard(line, recipe.serial, node, "SimpleFOC has", "simplefoc", BAUD_RATE)
+    node = recipe.line.node
+    guard = make_guard(line, recipe.line, node, "SimpleFOC has", "simplefoc", BAUD_RATE)
     return SimpleFoc(line, node, guard)
 
 

@@ -342,10 +342,9 @@ def probe(line: Line) -> str | None:
 
 def make_drive(line: Line, recipe: Recipe) -> Vesc:
     """Return the drive on a line, not connected yet; `RecipeError` for a node behind it."""
-    assert recipe.serial is not None
-    if recipe.serial.node:
+    if recipe.line.node:
         raise RecipeError(
-            f"serial.node is {recipe.serial.node}: rigtool drives the VESC at the line itself, "
+            f"serial.node is {recipe.line.node}: rigtool drives the VESC at the line itself, "
             "none behind it on CAN: set it to 0"
         )
     return Vesc(line)

@@ -62,8 +62,7 @@ class MotionTicks:
     def __init__(self, followed: Followed, task: Task, halts: bool) -> None:
         self._followed, self._task, self._halts = followed, task, halts
         self._drive, self._line, self._recipe = followed.drive, followed.line, followed.recipe
-        assert self._recipe.serial is not None
-        settings = self._recipe.serial
+        settings = self._recipe.line
         self._limits = settings.limits
         self._open_loop = isinstance(task.motion, OpenLoop)
         counts = self._recipe.rig.encoder_counts

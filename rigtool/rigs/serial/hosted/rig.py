@@ -96,9 +96,7 @@ class HostedRig(SerialRig):
             )
         self._configured = True
         for gap in self._drive.configure(self._limits, self._settings.watchdog):
-            note = f"the drive {gap}: the host alone watches it"
-            if note not in self.notes:
-                self.notes.append(note)
+            self._add_note(f"the drive {gap}: the host alone watches it")
         self._require_rate()
         self._state_runaway()
         return identity
@@ -113,12 +111,14 @@ class HostedRig(SerialRig):
         own = self.drive.abilities.lets_go
         who = "the drive lets go" if own < fastest else "the host notices it"
         reached = min(own, fastest)
-        note = (
+        self._add_note(
             f"where a loop runs away (a wrong sign, a lost encoder) with {limits.current:g} A, "
             f"{who} at up to {reached:.3g} rad/s, {reached / limits.speed:.2g} times the limit of "
             "speed: lower serial.limits.current where that is too fast"
         )
-        if note not in self.notes:
+
+    def _add_note(self, note: str) -> None:
+        if note not in self.notes:  # it may stand there from before a power cycle
             self.notes.append(note)
 
     def _require_rate(self) -> None:

@@ -10,56 +10,47 @@ from __future__ import annotations
 import math
 import re
 
-from rigtool.rigs.serial.instruments.readings import (
-    OVERLOAD,
-    UNDERRANGE,
-    UNSTABLE,
-    Form,
-    Polled,
-    Reading,
-    as_text,
-    number,
-    to_si,
-)
+from rigtool.rigs.serial.instruments import readings
 from rigtool.rigs.serial.line import DamagedReply, Line
 
 BAUD_RATE = 9600
 
 ERRORS = ("ES", "EL", "ET")  # unknown command, wrong parameter, damaged on its way
-_FLAGS = {"+": OVERLOAD, "-": UNDERRANGE}
+_FLAGS = {"+": readings.OVERLOAD, "-": readings.UNDERRANGE}
 _REPLY = re.compile(r"S ([SD]) +([+-]? *\d+\.?\d*) +([A-Za-z]+)", re.ASCII)
 _IDENTITY = re.compile(r'I4 A "([^"]*)"')
 
 
-def parse(line: bytes, channel: str, form: Form) -> Reading:
+def parse(line: bytes, channel: str, form: readings.Form) -> readings.Reading:
     """Return the reading in a line; raises `DamagedReply`, or `HardwareError` for one of no use."""
-    text = as_text(line)
+    text = readings.as_text(line)
     if text in ERRORS:
         raise DamagedReply(f"the instrument answers {text}: the question came to it damaged")
     if text.startswith("S ") and (flag := _FLAGS.get(text[2:])):
-        return Reading(math.nan, flag)
+        return readings.Reading(math.nan, flag)
     found = _REPLY.fullmatch(text)
     if found is None:
         raise DamagedReply(f"{text!r} is not a reading")
     state, digits, unit = found.groups()
     digits = digits.replace(" ", "")
-    value = number(digits)
+    value = readings.number(digits)
     form.require(digits, unit)
-    return Reading(to_si(value, unit, channel), UNSTABLE if state == "D" else "")
+    flag = readings.UNSTABLE if state == "D" else ""
+    return readings.Reading(readings.to_si(value, unit, channel), flag)
 
 
-class Kern(Polled):
+class Kern(readings.Polled):
     """Asks for one reading after the other, no faster than the instrument answers."""
 
     pause = 0.1
 
     def connect(self) -> str:
         """Return the kind of instrument with its number; `HardwareError` where none answers."""
-        identity = _describe(self.ask(b"I4\r\n", as_text))
+        identity = _describe(self.ask(b"I4\r\n", readings.as_text))
         self._form.learn(self.read)
         return identity
 
-    def read(self) -> Reading:
+    def read(self) -> readings.Reading:
         """Return the next reading; raises `HardwareError` where the instrument is lost."""
         return self.ask(b"SI\r\n", lambda line: parse(line, self._channel, self._form))
 

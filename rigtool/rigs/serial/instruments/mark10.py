@@ -9,16 +9,7 @@ import math
 import re
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.instruments.readings import (
-    Form,
-    Polled,
-    Reading,
-    as_text,
-    flag_of,
-    next_line,
-    number,
-    to_si,
-)
+from rigtool.rigs.serial.instruments import readings
 from rigtool.rigs.serial.line import DamagedReply, Line
 
 BAUD_RATE = 115200
@@ -32,29 +23,29 @@ ERRORS = {
 _REPLY = re.compile(r"([+-]?\d+\.?\d*) ?([A-Za-z]*)", re.ASCII)
 
 
-def parse(line: bytes, channel: str, form: Form) -> Reading:
+def parse(line: bytes, channel: str, form: readings.Form) -> readings.Reading:
     """Return the reading in a line; raises `DamagedReply`, or `HardwareError` for a refusal."""
-    text = as_text(line)
+    text = readings.as_text(line)
     if text == UNKNOWN:
         raise DamagedReply("the gauge does not know the question, which was damaged")
     if text in ERRORS:
         raise HardwareError(f"the gauge refuses: {text} ({ERRORS[text]})")
-    if flag := flag_of(text):
-        return Reading(math.nan, flag)
+    if flag := readings.flag_of(text):
+        return readings.Reading(math.nan, flag)
     found = _REPLY.fullmatch(text)
     if found is None:
         raise DamagedReply(f"{text!r} is not a reading")
     digits, unit = found.groups()
-    value = number(digits)
+    value = readings.number(digits)
     form.require(digits, unit)
     if not unit:
         raise HardwareError(
             "the gauge sends no unit: switch it on under Serial/USB Settings, Data Format"
         )
-    return Reading(to_si(value, unit, channel))
+    return readings.Reading(readings.to_si(value, unit, channel))
 
 
-class Mark10(Polled):
+class Mark10(readings.Polled):
     """Asks for one reading after the other."""
 
     _request = b"?C\r"
@@ -64,13 +55,13 @@ class Mark10(Polled):
 
         Series 4 does not know `?C`: `?` is sent instead, and it must not be in a peak mode.
         """
-        knows = any(self.ask(self._request, as_text) != UNKNOWN for _ in range(2))
+        knows = any(self.ask(self._request, readings.as_text) != UNKNOWN for _ in range(2))
         if not knows:
             self._request = b"?\r"
         self._form.learn(self.read)
         return "Mark-10 force gauge" + ("" if knows else ", read from its display")
 
-    def read(self) -> Reading:
+    def read(self) -> readings.Reading:
         """Return the next reading; raises `HardwareError` where the gauge refuses."""
         return self.ask(self._request, lambda line: parse(line, self._channel, self._form))
 
@@ -83,7 +74,7 @@ def probe(line: Line) -> str | None:
 
     def take() -> str | None:
         # The first CR ends the rest of an earlier question in the gauge.
-        while (text := as_text(next_line(line, line.timeout))) == UNKNOWN:
+        while (text := readings.as_text(readings.next_line(line, line.timeout))) == UNKNOWN:
             pass
         found = _REPLY.fullmatch(text)
         return f"Mark-10 force gauge, answers {text}" if found and found.group(2) else None

@@ -10,16 +10,7 @@ import math
 import re
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.instruments.readings import (
-    Form,
-    Polled,
-    Reading,
-    as_text,
-    flag_of,
-    next_line,
-    number,
-    to_si,
-)
+from rigtool.rigs.serial.instruments import readings
 from rigtool.rigs.serial.line import DamagedReply, Line
 
 BAUD_RATE = 9600
@@ -32,24 +23,24 @@ UNIT_REPEATS = 3
 _REPLY = re.compile(r"([+-]? ?\d+\.?\d*) ?([A-Za-z]*)", re.ASCII)
 
 
-def parse(line: bytes, unit: str, channel: str, form: Form) -> Reading:
+def parse(line: bytes, unit: str, channel: str, form: readings.Form) -> readings.Reading:
     """Return the reading in a line, in `unit` where it names none.
 
     Raises `DamagedReply`, or `HardwareError` where its unit is not that of the channel.
     """
-    text = as_text(line)
-    if flag := flag_of(text):
-        return Reading(math.nan, flag)
+    text = readings.as_text(line)
+    if flag := readings.flag_of(text):
+        return readings.Reading(math.nan, flag)
     found = _REPLY.fullmatch(text)
     if found is None or found.group(2) not in ("", unit):
         raise DamagedReply(f"{text!r} is not a reading in {unit}")
     digits = found.group(1).replace(" ", "")
-    value = number(digits)
+    value = readings.number(digits)
     form.require(digits, unit)
-    return Reading(to_si(value, unit, channel))
+    return readings.Reading(readings.to_si(value, unit, channel))
 
 
-class Mecmesin(Polled):
+class Mecmesin(readings.Polled):
     """Asks for one reading after the other."""
 
     _unit = "N"
@@ -72,10 +63,10 @@ class Mecmesin(Polled):
         self._form.learn(self.read)
         return f"Mecmesin force gauge, in {self._unit}"
 
-    def read(self) -> Reading:
+    def read(self) -> readings.Reading:
         """Return the next reading; raises `HardwareError` where none comes."""
 
-        def take(line: bytes) -> Reading:
+        def take(line: bytes) -> readings.Reading:
             return parse(line, self._unit, self._channel, self._form)
 
         return self.ask(b"?", take)
@@ -86,5 +77,5 @@ make_reader = Mecmesin
 
 def probe(line: Line) -> str | None:
     """Return the identity of a Mecmesin gauge that knows its unit, None for another device."""
-    unit = line.exchange(b"U", lambda: as_text(next_line(line, line.timeout)))
+    unit = line.exchange(b"U", lambda: readings.as_text(readings.next_line(line, line.timeout)))
     return f"Mecmesin force gauge, in {unit}" if unit in UNITS else None

@@ -10,15 +10,7 @@ import math
 import re
 import time
 
-from rigtool.rigs.serial.instruments.readings import (
-    Form,
-    Reading,
-    as_text,
-    flag_of,
-    next_line,
-    number,
-    to_si,
-)
+from rigtool.rigs.serial.instruments import readings
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
 
 BAUD_RATE = 115200
@@ -33,32 +25,26 @@ _LINE = re.compile(r"(\S+?)(?:\s*([A-Za-z°]+))?", re.ASCII)
 _SI = {"force": "N", "temperature": "C", "deflection": "m"}
 
 
-def parse(line: bytes, channel: str, form: Form) -> Reading:
+def parse(line: bytes, channel: str, form: readings.Form) -> readings.Reading:
     """Return the reading in a line.
 
     Raises `DamagedReply`, or `HardwareError` for a unit of something else.
     """
-    text = as_text(line)
-    if flag := flag_of(text):
-        return Reading(math.nan, flag)
+    text = readings.as_text(line)
+    if flag := readings.flag_of(text):
+        return readings.Reading(math.nan, flag)
     found = _LINE.fullmatch(text)
     if found is None:
         raise DamagedReply(f"{text!r} is not a number")
-    value, unit = number(found.group(1)), found.group(2) or ""
+    value, unit = readings.number(found.group(1)), found.group(2) or ""
     form.require_unit(found.group(1), unit)  # loggers leave zeros out
-    return Reading(to_si(value, unit or _SI[channel], channel))
+    return readings.Reading(readings.to_si(value, unit or _SI[channel], channel))
 
 
-class NumberLines:
+class NumberLines(readings.Reader):
     """Listens."""
 
     streams = True
-    pause = 0.0
-    resolution = 0.0
-
-    def __init__(self, line: Line, channel: str) -> None:
-        self._line, self._channel = line, channel
-        self._form = Form()
 
     @property
     def finest(self) -> float:
@@ -67,7 +53,7 @@ class NumberLines:
 
     def connect(self) -> str:
         """Wait for the first whole number; raises `HardwareError` where none comes."""
-        next_line(self._line, GREETING_TIME)
+        readings.next_line(self._line, GREETING_TIME)
         deadline = time.monotonic() + GREETING_TIME
         while True:
             try:
@@ -77,9 +63,9 @@ class NumberLines:
                 if time.monotonic() > deadline:
                     raise
 
-    def read(self) -> Reading:
+    def read(self) -> readings.Reading:
         """Return the next reading; raises `LineTimeout` or `DamagedReply` where it is none."""
-        return parse(next_line(self._line, NUMBER_TIMEOUT), self._channel, self._form)
+        return parse(readings.next_line(self._line, NUMBER_TIMEOUT), self._channel, self._form)
 
 
 make_reader = NumberLines
@@ -87,10 +73,10 @@ make_reader = NumberLines
 
 def probe(line: Line) -> str | None:
     """Return the text that comes without a request, None where it is no number."""
-    next_line(line, LISTENING_TIME)
-    text = next_line(line, LISTENING_TIME)
-    found = _LINE.fullmatch(as_text(text))
+    readings.next_line(line, LISTENING_TIME)
+    text = readings.next_line(line, LISTENING_TIME)
+    found = _LINE.fullmatch(readings.as_text(text))
     if found is None:
         return None
-    number(found.group(1))
-    return f"sends numbers by itself, e.g. {as_text(text)}"
+    readings.number(found.group(1))
+    return f"sends numbers by itself, e.g. {readings.as_text(text)}"

@@ -9,37 +9,20 @@ import contextlib
 import math
 import re
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from rigtool.errors import HardwareError
-from rigtool.quantity import STANDARD_GRAVITY
+from rigtool.recipe.units import spelled
 from rigtool.rigs.serial.line import QUIET_TIME, DamagedReply, Line, LineTimeout
 
 T = TypeVar("T")
 
-POUND_FORCE = 0.45359237 * STANDARD_GRAVITY
-"""N, exact."""
-
-FORCES = {
-    "n": 1.0,
-    "mn": 1e-3,
-    "kn": 1e3,
-    "gf": 1e-3 * STANDARD_GRAVITY,
-    "kgf": STANDARD_GRAVITY,
-    "ozf": POUND_FORCE / 16,
-    "lbf": POUND_FORCE,
-    # scales show the mass that weighs as much
-    "g": 1e-3 * STANDARD_GRAVITY,
-    "kg": STANDARD_GRAVITY,
-    "oz": POUND_FORCE / 16,
-    "lb": POUND_FORCE,
-}
-"""N in a unit of force; capitals differ from maker to maker (lbF, kgF)."""
-
-LENGTHS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "inch": 0.0254}
-"""m in a unit of length."""
+QUANTITIES = {"force": spelled("N"), "deflection": spelled("m")}
+"""SI values of the units of a channel; capitals differ from maker to maker (lbF, kgF), and scales
+show the mass that weighs as much."""
 
 TEMPERATURES = {
     "c": (1.0, 0.0),
@@ -94,32 +77,35 @@ class Reading:
     flag: str = ""
 
 
-class Reader(Protocol):
+class Reader(ABC):
     """Reads one kind of instrument on an open line.
 
     `streams`: the instrument sends by itself; `pause`: time between two requests, s.
     """
 
-    streams: bool
-    pause: float
+    streams = False
+    pause = 0.0
+
+    def __init__(self, line: Line, channel: str) -> None:
+        self._line, self._channel, self._form = line, channel, Form()
 
     @property
     def resolution(self) -> float:
         """A step of the last decimal in the unit of the channel, 0 where decimals vary."""
-        ...
+        return self._form.resolution(self._channel)
 
     @property
     def finest(self) -> float:
         """The same where decimals vary, by the first readings; else 0."""
-        ...
+        return 0.0
 
+    @abstractmethod
     def connect(self) -> str:
         """Return the identity in a line. Raises `HardwareError` for wrong settings."""
-        ...
 
+    @abstractmethod
     def read(self) -> Reading:
         """Return the next reading. Raises `HardwareError` where it is refused or does not come."""
-        ...
 
 
 def to_si(value: float, unit: str, channel: str) -> float:
@@ -128,7 +114,7 @@ def to_si(value: float, unit: str, channel: str) -> float:
     if channel == "temperature" and key in TEMPERATURES:
         factor, added = TEMPERATURES[key]
         return factor * value + added
-    known = {"force": FORCES, "deflection": LENGTHS}.get(channel, {})
+    known = QUANTITIES.get(channel, {})
     if key not in known:
         raise HardwareError(
             f"the instrument reads in {unit!r}, which is no unit of {channel}: set another one at "
@@ -182,25 +168,10 @@ AGREEING_PAIRS = 4
 """Pairs of answers to one question of which two must be the same."""
 
 
-class Polled:
+class Polled(Reader):
     """An instrument that is asked for each reading and answers with a line."""
 
-    streams = False
-    pause = 0.0
     timeout = 0.3
-
-    def __init__(self, line: Line, channel: str) -> None:
-        self._line, self._channel, self._form = line, channel, Form()
-
-    @property
-    def resolution(self) -> float:
-        """A step of the last decimal in the unit of the channel."""
-        return self._form.resolution(self._channel)
-
-    @property
-    def finest(self) -> float:
-        """None: decimals do not vary."""
-        return 0.0
 
     def ask(self, request: bytes, take: Callable[[bytes], T]) -> T:
         """Return the result of `take` for the line that answers; see `Line.exchange` for errors."""

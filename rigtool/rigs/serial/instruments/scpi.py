@@ -12,19 +12,7 @@ import math
 import re
 
 from rigtool.errors import HardwareError
-from rigtool.rigs.serial.instruments.readings import (
-    NO_VALUE,
-    OVERLOAD,
-    TEMPERATURES,
-    UNDERRANGE,
-    Form,
-    Polled,
-    Reading,
-    as_text,
-    flag_of,
-    number,
-    to_si,
-)
+from rigtool.rigs.serial.instruments import readings
 from rigtool.rigs.serial.line import VISA_PREFIX, DamagedReply, Line
 
 BAUD_RATE = 9600
@@ -41,37 +29,39 @@ _REPLY = re.compile(
     r"(?:t: *)?(\S+?)(?: +([A-Za-z]+)|(?P<status>[NOUZR])(?P<unit>[AV][AD]C|OHM))?(?:,.*)?",
     re.ASCII,
 )
-STATUS = {"O": OVERLOAD, "U": UNDERRANGE, "Z": NO_VALUE}
+STATUS = {"O": readings.OVERLOAD, "U": readings.UNDERRANGE, "Z": readings.NO_VALUE}
 """Letters before a unit that flag a reading: overflow, underflow, zero check [Keithley 6517]."""
 
 REMOTE = "34401"
 """A multimeter that measures over RS232 only once it is set to remote [Agilent 34401A]."""
 
 
-def parse(line: bytes, channel: str, unit: str, form: Form) -> Reading:
+def parse(line: bytes, channel: str, unit: str, form: readings.Form) -> readings.Reading:
     """Return the reading in a line; `unit` is that of a temperature without one.
 
     Raises `DamagedReply`, or `HardwareError` for a unit of something else.
     """
-    text = as_text(line)
-    if flag := flag_of(text):
-        return Reading(math.nan, flag)
+    text = readings.as_text(line)
+    if flag := readings.flag_of(text):
+        return readings.Reading(math.nan, flag)
     found = _REPLY.fullmatch(text)
     if found is None:
         raise DamagedReply(f"{text!r} is not a reading")
     if flag := STATUS.get(found["status"] or ""):
-        return Reading(math.nan, flag)
-    value, said = number(found.group(1)), found.group(2) or found["unit"]
+        return readings.Reading(math.nan, flag)
+    value, said = readings.number(found.group(1)), found.group(2) or found["unit"]
     form.require_unit(found.group(1), said or "")
     if abs(value) >= OVERRANGE:
-        missing = NO_VALUE if abs(value) == NOT_A_NUMBER else OVERLOAD
-        return Reading(math.nan, UNDERRANGE if value < 0 and missing == OVERLOAD else missing)
+        beyond = readings.UNDERRANGE if value < 0 else readings.OVERLOAD
+        return readings.Reading(
+            math.nan, readings.NO_VALUE if abs(value) == NOT_A_NUMBER else beyond
+        )
     if channel != "temperature":
-        return Reading(value)
-    return Reading(to_si(value, said or unit, channel))
+        return readings.Reading(value)
+    return readings.Reading(readings.to_si(value, said or unit, channel))
 
 
-class Scpi(Polled):
+class Scpi(readings.Polled):
     """Asks for one reading after the other."""
 
     timeout = READING_TIMEOUT
@@ -109,10 +99,10 @@ class Scpi(Polled):
                 f"the instrument measures {function}, not temperature: set it to temperature"
             )
         unit = (self.agreed(b"UNIT:TEMP?\n") or "").strip('"')
-        if unit.lower() in TEMPERATURES:
+        if unit.lower() in readings.TEMPERATURES:
             self._unit = unit
 
-    def read(self) -> Reading:
+    def read(self) -> readings.Reading:
         """Return the next reading; raises `HardwareError` where none comes."""
         return self.ask(
             self._request, lambda line: parse(line, self._channel, self._unit, self._form)
@@ -126,7 +116,7 @@ def probe(line: Line) -> str | None:
     """Return the identity of the instrument, None where it does not know the question."""
 
     def accept(reply: bytes) -> str | None:
-        text = as_text(reply)
+        text = readings.as_text(reply)
         return text if text.count(",") >= 2 else None
 
     # The first end of line ends the rest of an earlier question in the instrument.

@@ -50,8 +50,7 @@ def make_drive(line: Line, recipe: Recipe) -> Drive:
 
     Raises `RecipeError` for a recipe without an emergency stop.
     """
-    assert recipe.serial is not None
-    settings, node = recipe.serial, recipe.serial.node or FACTORY_NODE
+    settings, node = recipe.line, recipe.line.node or FACTORY_NODE
     guard = make_guard(line, settings, node, "maxon drives have", "maxon", BAUD_RATES[0])
     drive = drive_on(line, node, recipe.rig.encoder_counts)
     drive.guard = guard

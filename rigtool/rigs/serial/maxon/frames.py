@@ -18,7 +18,7 @@ An answer is a command of the device, with the op code 0, and acknowledged by th
 from __future__ import annotations
 
 import binascii
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
 
@@ -57,10 +57,11 @@ def lock_step_frame(opcode: int, data: bytes) -> bytes:
     return length + data + crc(bytes([opcode]) + length, data)
 
 
-class Frames(Protocol):
+class Frames(ABC):
     """Sends commands and returns the data of their answers."""
 
-    line: Line
+    def __init__(self, line: Line) -> None:
+        self.line = line
 
     def command(
         self, opcode: int, data: bytes, reply: int | None, retries: int | None = None
@@ -69,26 +70,31 @@ class Frames(Protocol):
 
         Repeats it where an answer is missing or damaged. Raises `LineLost` where none comes.
         """
-        ...
-
-
-class DleFrames:
-    """The framing of an EPOS4."""
-
-    def __init__(self, line: Line) -> None:
-        self.line = line
-
-    def command(
-        self, opcode: int, data: bytes, reply: int | None, retries: int | None = None
-    ) -> bytes:
-        """Send a command and return its answer; see `Frames`."""
         before = self.line.counts.retries
         answer = self.line.exchange(
-            dle_frame(opcode, data), lambda: self._receive(reply or 0), retries=retries
+            self._request(opcode, data), lambda: self._answer(opcode, data, reply), retries=retries
         )
         if self.line.counts.retries > before:
             self.line.settle()  # an answer to the first attempt may still come
         return answer
+
+    @abstractmethod
+    def _request(self, opcode: int, data: bytes) -> bytes:
+        """Return the bytes that begin a command."""
+
+    @abstractmethod
+    def _answer(self, opcode: int, data: bytes, reply: int | None) -> bytes:
+        """Read the answer of a command that was begun."""
+
+
+class DleFrames(Frames):
+    """The framing of an EPOS4."""
+
+    def _request(self, opcode: int, data: bytes) -> bytes:
+        return dle_frame(opcode, data)
+
+    def _answer(self, opcode: int, data: bytes, reply: int | None) -> bytes:
+        return self._receive(reply or 0)
 
     def _receive(self, size: int) -> bytes:
         self.line.read_until(START)
@@ -120,27 +126,22 @@ class DleFrames:
         return bytes(data)
 
 
-class LockStepFrames:
-    """The framing of an EPOS2 and a DES 70/10; `frame_timeout` [s] is the device's."""
+class LockStepFrames(Frames):
+    """The framing of an EPOS2 and a DES 70/10; `frame_timeout` [s] is the device's.
+
+    Not every command has an answer.
+    """
 
     def __init__(self, line: Line, frame_timeout: float) -> None:
-        self.line = line
+        super().__init__(line)
         self.frame_timeout = frame_timeout
 
-    def command(
-        self, opcode: int, data: bytes, reply: int | None, retries: int | None = None
-    ) -> bytes:
-        """Send a command and return its answer; see `Frames`. Not every command has one."""
-        before = self.line.counts.retries
+    def _request(self, opcode: int, data: bytes) -> bytes:
+        return bytes([opcode])
 
-        def receive() -> bytes:
-            self._acknowledged("the op code")
-            return self.complete(opcode, data, reply)
-
-        answer = self.line.exchange(bytes([opcode]), receive, retries=retries)
-        if self.line.counts.retries > before:
-            self.line.settle()
-        return answer
+    def _answer(self, opcode: int, data: bytes, reply: int | None) -> bytes:
+        self._acknowledged("the op code")
+        return self.complete(opcode, data, reply)
 
     def complete(self, opcode: int, data: bytes, reply: int | None) -> bytes:
         """Send the bytes after an acknowledged op code, and return the answer."""

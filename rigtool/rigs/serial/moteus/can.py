@@ -63,13 +63,12 @@ def probe(line: Line) -> str | None:
 
 def make_drive(line: Line, recipe: Recipe) -> Moteus:
     """Return the drive that a recipe's [serial] names; `RecipeError` for a bus without CAN FD."""
-    assert recipe.serial is not None
     if not _takes_fd(line):
         raise RecipeError(
             f"{line.port}: moteus speaks CAN FD alone: take an adapter that does, and add "
             "?fd=true to the port"
         )
-    return Moteus(CanLink(line, recipe.serial.node or USUAL_NODE))
+    return Moteus(CanLink(line, recipe.line.node or USUAL_NODE))
 
 
 def make_table_store(line: Line, recipe: Recipe) -> TableStore:

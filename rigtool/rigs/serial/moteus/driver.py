@@ -37,8 +37,7 @@ def first_answer(line: Line, kind: type[Link]) -> str | None:
 
 def make_drive(line: Line, recipe: Recipe) -> Moteus:
     """Return the drive that a recipe's [serial] names, not connected yet."""
-    assert recipe.serial is not None
-    return Moteus(Link(line, recipe.serial.node or USUAL_NODE))
+    return Moteus(Link(line, recipe.line.node or USUAL_NODE))
 
 
 def make_table_store(line: Line, recipe: Recipe) -> TableStore:

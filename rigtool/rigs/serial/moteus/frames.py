@@ -10,6 +10,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 
+from rigtool.rigs.serial.transport.can_frames import SIZES
+
 INT8, INT16, INT32, FLOAT = range(4)
 FORMATS = ("b", "h", "i", "f")
 
@@ -18,9 +20,6 @@ TEXT_TO_DRIVE, TEXT_FROM_DRIVE, ASK_TEXT = 0x40, 0x41, 0x42
 CHANNEL = 1
 LONGEST_TEXT = 61
 """Bytes of text that fit into a frame."""
-
-SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-"""Lengths that a CAN-FD frame can have."""
 
 CRC_POLYNOMIAL = 0x97
 

@@ -332,8 +332,7 @@ def probe(line: Line) -> str | None:
 
 def make_drive(line: Line, recipe: Recipe) -> CanODrive:
     """Return the drive that a recipe's [serial] names; `RecipeError` without its constant."""
-    settings = recipe.serial
-    assert settings is not None
+    settings = recipe.line
     if not settings.drive_torque_constant:
         raise RecipeError(
             "serial.drive_torque_constant is missing: an ODrive on a CAN bus takes torques and "

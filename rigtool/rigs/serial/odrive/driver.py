@@ -390,8 +390,7 @@ def probe(line: Line) -> str | None:
 
 def make_drive(line: Line, recipe: Recipe) -> ODrive:
     """Return the drive that a recipe names, not connected yet."""
-    assert recipe.serial is not None
-    return ODrive(line, recipe.serial.node, recipe.rig.sample_time)
+    return ODrive(line, recipe.line.node, recipe.rig.sample_time)
 
 
 DRIVER = Driver(probe, (115200,), make_drive)

@@ -1,0 +1,175 @@
+"""Signals that contradict each other: an encoder or a current that does not change, or leaps.
+
+The filter takes an encoder that stays at one count for a rotor at rest. But a rotor at rest is held
+by friction and by the load, so that the motor's torque changes there by less than
+
+    2 F + (1 + 2 m) M / n,    F friction, m that of the load, M the largest learned torque, n factor
+
+Where it changes by more, the encoder does not count, or something blocks the rotor. Means over
+`WINDOW_TIME` are compared: within it, a torque beyond friction turns a rotor by more than a count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rigtool.experiments.force_filter.motion_states import LARGEST_LEARNED_RATIO
+from rigtool.experiments.force_sensor.sensor import SensorProperties
+from rigtool.numerics.arrays import Array, Mask
+
+WINDOW_TIME = 20e-3
+
+FROZEN_TIME = 1.0
+"""Time from which on a current that is the same, to the last digit, is looked at, s."""
+
+MOVED_COUNTS = 50.0
+"""Counts beyond which a rotor has moved under it."""
+
+SELDOM = 0.1
+"""Largest part of the other windows of its kind in which a current stays the same, where one that
+does so is remarkable."""
+
+LEAP_RATIO, LEAP_COUNTS = 5.0, 5.0
+"""A leap of the encoder: in the highest speed that was learned, and the fewest counts."""
+
+SETTLING_TIME = 1.0
+"""Time about a fault that has no value either, s: the filter finds back."""
+
+
+@dataclass(frozen=True)
+class SignalFault:
+    """A fault from `start` to `end` s, from the begin of the recording's stretch, in words; whether
+    there is `no_value` about it."""
+
+    start: float
+    end: float
+    text: str
+    no_value: bool
+
+    def within(self, time: Array, *, causal: bool) -> Mask:
+        """Return which times (m,) s have no value; what is smoothed has none before it either."""
+        ahead = 0.0 if causal else SETTLING_TIME
+        found: Mask = (time >= self.start - ahead) & (time <= self.end + SETTLING_TIME)
+        return found & self.no_value
+
+
+class SignalWatch:
+    """Watches samples without a gap; they are added as they come."""
+
+    def __init__(self, instrument: SensorProperties) -> None:
+        own, reach = instrument, instrument.reach
+        plant = own.model.plant(own.grid.sample_time)
+        housing = plant.housing_friction * (1 + abs(plant.housing_asymmetry))
+        friction = plant.static + housing * float(np.abs(plant.friction_map).max())
+        carried = (1 + 2 * plant.load_friction) * reach.torque / plant.torque_factor
+        self._held = 2 * friction + carried
+        fastest = LARGEST_LEARNED_RATIO * reach.speed * own.interval / own.count
+        self._leap = max(LEAP_RATIO * fastest, LEAP_COUNTS)
+        self._constant, self._interval = own.torque_constant, own.interval
+        self._size = max(1, round(WINDOW_TIME / own.interval))
+        self._waiting, self._last = np.empty((3, 0)), math.nan
+        self._windows: list[Array] = []
+        self._leaps: list[Array] = []
+        self._count = 0
+
+    def add(self, samples: Array) -> None:
+        """Watch samples (c, n): encoder in counts, current A, temperature degC."""
+        steps = np.diff(samples[0], prepend=self._last)
+        at = np.flatnonzero(np.abs(steps) > self._leap)
+        if len(at):
+            self._leaps.append(np.array([(self._count + at) * self._interval, steps[at]]))
+        self._count += samples.shape[1]
+        if samples.shape[1]:
+            self._last = float(samples[0, -1])
+        whole = np.hstack([self._waiting, samples[:3]])
+        count = whole.shape[1] // self._size
+        self._waiting = whole[:, count * self._size :]
+        if count:
+            rows = whole[:, : count * self._size].reshape(3, count, self._size)
+            encoder, current = rows[0], rows[1]
+            ends = [f(axis=1) for one in (encoder, current) for f in (one.min, one.max)]
+            cold, slope = self._constant
+            torque = (cold + slope * rows[2].mean(axis=1)) * current.mean(axis=1)
+            self._windows.append(np.array([*ends, torque]))
+
+    def faults(self) -> tuple[SignalFault, ...]:
+        """Return what was seen so far, in order of time."""
+        found = [*self._leaped()]
+        if self._windows:
+            low, high, least, most, torque = np.hstack(self._windows)
+            found += self._stopped(low, low == high, torque)
+            found += self._frozen(low, high, most, least == most)
+        return tuple(sorted(found, key=lambda one: one.start))
+
+    def _leaped(self) -> Iterator[SignalFault]:
+        if not self._leaps:
+            return
+        time, counts = np.hstack(self._leaps)
+        largest = counts[np.argmax(np.abs(counts))]
+        yield SignalFault(
+            float(time[0]),
+            float(time[-1]),
+            f"the encoder leaps from one sample to the next, {len(time)} times from "
+            f"{time[0]:.3f} to {time[-1]:.3f} s, by up to {largest:.0f} counts; "
+            f"{LEAP_RATIO:g} times the learned speed is {self._leap:.0f}: counts were lost or "
+            "added, and angles behind may be off by as many; check the encoder's cable and "
+            "supply, and record again",
+            True,
+        )
+
+    def _stopped(self, count: Array, still: Mask, torque: Array) -> Iterator[SignalFault]:
+        for first, last in _runs(count, still):
+            change = float(np.ptp(torque[first:last]))
+            if change > self._held:
+                start, end = self._times(first, last)
+                yield SignalFault(
+                    start,
+                    end,
+                    f"the encoder stays at {count[first]:.0f} from {start:.3f} to {end:.3f} s, "
+                    f"while the motor's torque changes by {change * 1e3:.3g} mN m; friction and "
+                    f"the largest learned load hold a rotor up to {self._held * 1e3:.3g} mN m: the "
+                    "encoder does not count, or the rotor is blocked; no torque has a value there; "
+                    "check the encoder's cable and supply, and record again",
+                    True,
+                )
+
+    def _frozen(self, low: Array, high: Array, most: Array, same: Mask) -> Iterator[SignalFault]:
+        rests = low == high
+        for first, last in _runs(most, same):
+            start, end = self._times(first, last)
+            moved = float(high[first:last].max() - low[first:last].min())
+            others = np.ones(len(same), dtype=bool) if moved else rests.copy()
+            others[first:last] = False
+            if (
+                end - start < FROZEN_TIME
+                or others.sum() * self._size * self._interval < end - start
+            ):
+                continue
+            if same[others].mean() > SELDOM or 0 < moved < MOVED_COUNTS:
+                continue
+            what = "the encoder's count" if not moved else f"the rotor moves by {moved:.0f} counts"
+            yield SignalFault(
+                start,
+                end,
+                f"the current stays at {most[first]:.6g} A to the last digit from {start:.3f} to "
+                f"{end:.3f} s, {'like' if not moved else 'while'} {what}; it does so in "
+                f"{same[others].mean():.0%} of the other time: unless nothing drives the motor "
+                "there, its channel has stopped and the torque is wrong; check what records it",
+                False,
+            )
+
+    def _times(self, first: int, last: int) -> tuple[float, float]:
+        window = self._size * self._interval
+        return first * window, last * window
+
+
+def _runs(values: Array, same: Mask) -> Iterator[tuple[int, int]]:
+    """Yield first and last + 1 of the windows, two at least, with `same` and equal values (n,)."""
+    goes_on = same[1:] & same[:-1] & (values[1:] == values[:-1])
+    edges = np.flatnonzero(np.diff(goes_on, prepend=False, append=False))
+    for first, last in edges.reshape(-1, 2).tolist():
+        yield first, last + 1

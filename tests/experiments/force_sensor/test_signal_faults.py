@@ -1,0 +1,81 @@
+"""Signals that contradict each other are found, those of a rig at rest or in motion are not."""
+
+import numpy as np
+import pytest
+
+from rigtool.experiments.force_sensor.signal_faults import SETTLING_TIME, SignalWatch
+from tests.experiments.deploy.sensors import instrument
+
+INTERVAL = 125e-6
+TIME = np.arange(0, 8, INTERVAL)
+NOISE = 0.01 * np.random.default_rng(7).standard_normal(len(TIME))
+
+
+def faults(encoder, current, pieces=(1, 30000, 30001)):
+    samples = np.array([encoder, current, np.full(len(TIME), 27.0)])
+    watch = SignalWatch(instrument())
+    for piece in np.split(samples, pieces, axis=1):
+        watch.add(piece)
+    return watch.faults()
+
+
+def strokes():
+    """To and fro by 600 counts at 300 counts/s, with the current of friction."""
+    encoder = np.floor(600 * np.abs((TIME / 2) % 2 - 1))
+    return encoder, 0.3 * np.sign((TIME / 2) % 2 - 1) + NOISE
+
+
+def between(first, last):
+    return (first <= TIME) & (last > TIME)
+
+
+def test_motion_and_rest_under_a_load_that_changes_have_no_fault():
+    assert faults(*strokes()) == ()
+    held = 0.5 + 0.45 * np.sin(TIME) + NOISE  # a hold under a load that comes and goes
+    assert faults(np.full(len(TIME), 12.0), held) == ()
+
+
+def test_a_hand_that_moves_a_motor_without_current_is_no_fault():
+    assert faults(strokes()[0], np.zeros(len(TIME))) == ()
+
+
+def test_a_dead_encoder_under_a_current_that_grows_has_no_value():
+    encoder, current = strokes()
+    encoder[between(3, 6)] = encoder[np.argmax(TIME >= 3)]
+    current[between(3, 6)] += 3.0 * (TIME[between(3, 6)] - 3)
+    fault, leap = faults(encoder, current)
+    assert "leaps" in leap.text  # where it counts again
+    assert fault.start == pytest.approx(3, abs=0.03)
+    assert fault.end == pytest.approx(6, abs=0.03)
+    assert "does not count" in fault.text
+    assert fault.no_value
+    time = np.array([2.9, 3.1, 6.0 + SETTLING_TIME - 0.1, 6.1 + SETTLING_TIME])
+    np.testing.assert_array_equal(fault.within(time, causal=True), [False, True, True, False])
+    np.testing.assert_array_equal(fault.within(time, causal=False), [True, True, True, False])
+
+
+def test_counts_that_are_lost_at_once_are_a_leap():
+    encoder, current = strokes()
+    encoder[TIME >= 4.5] += 70
+    encoder[TIME >= 5.5] -= 90
+    (fault,) = faults(encoder, current)
+    assert "2 times" in fault.text
+    assert "-90 counts" in fault.text
+    assert (fault.start, fault.end) == pytest.approx((4.5, 5.5), abs=1e-3)
+
+
+def test_a_current_that_stops_while_the_rotor_moves_is_remarked():
+    encoder, current = strokes()
+    current[between(2, 5)] = current[np.argmax(TIME >= 2)]
+    (fault,) = faults(encoder, current)
+    assert "while the rotor moves by" in fault.text
+    assert not fault.no_value
+
+
+def test_channels_that_all_stop_are_no_rest_like_the_others():
+    encoder, current = np.floor(300 * np.minimum(TIME, 1.0)), 0.2 + NOISE
+    assert faults(encoder, current) == ()
+    current[between(5, 7)] = current[np.argmax(TIME >= 5)]
+    (fault,) = faults(encoder, current)
+    assert "like the encoder's count" in fault.text
+    assert (fault.start, fault.end) == pytest.approx((5, 7), abs=0.03)
