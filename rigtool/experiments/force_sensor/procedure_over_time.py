@@ -30,6 +30,7 @@ from rigtool.experiments.force_sensor.unknown_friction import (
     FEWEST_PASSES,
     REFUSED,
     unknown_friction,
+    unknown_share,
 )
 from rigtool.experiments.learning.stored_table import feedforward_from, require_rig
 from rigtool.experiments.outcome import Outcome
@@ -153,10 +154,18 @@ def _of_this_instrument(
         for form in forms
     ]
     found = max(filter(None, both), key=lambda one: one.size, default=None)
+    share = unknown_share([part.passes[0] for r in read for part in r.parts])
+    grows = [
+        f"through reversals under a load, torque is {abs(share):.1%} "
+        f"{'more' if share > 0 else 'less'} against the load's direction of motion and as much "
+        "the other way with it: u is wider by this share; the load opposes motion itself, or "
+        f"{tables.path} does not hold the friction under load: learn again"
+    ] * (share != 0)
     if found is None:
-        return list(read), [
+        return _widened(read, 0.0, share), [
+            *grows,
             f"whether {tables.path} is of this instrument was not checked: that needs the same "
-            f"angles {FEWEST_PASSES} times in both directions, with nothing touching in most"
+            f"angles {FEWEST_PASSES} times in both directions, with nothing touching in most",
         ]
     size, limit = found.size * 1e3, f"{tables.path} does not hold"
     if found.typical > REFUSED:
@@ -167,13 +176,17 @@ def _of_this_instrument(
             "load opposes all motion alike; learn again with ilc-learn --implementation D"
         )
     if found.over_u <= DOUBTED:
-        return list(read), []
-    wider = [replace(r, parts=tuple(p.widened(found.widening) for p in r.parts)) for r in read]
-    return wider, [
+        return _widened(read, 0.0, share), grows
+    return _widened(read, found.widening, share), [
+        *grows,
         f"friction of {size:.3g} mN m opposes motion in both directions and {limit}: "
         f"u is wider by {found.widening * 1e3:.3g} mN m; the encoder was zeroed elsewhere, or the "
-        "instrument has changed: learn again"
+        "instrument has changed: learn again",
     ]
+
+
+def _widened(read: Sequence[Recorded], by: float, share: float) -> list[Recorded]:
+    return [replace(r, parts=tuple(p.widened(by, share) for p in r.parts)) for r in read]
 
 
 def _require_values(read: Sequence[Recorded], recorded: Sequence[Recording], reach: Reach) -> None:

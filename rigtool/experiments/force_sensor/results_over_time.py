@@ -81,9 +81,13 @@ class TorqueRows:
         half: Array = np.where(self.hidden, math.sqrt(3), COVERAGE_FACTOR) * self.u
         return half
 
-    def widened(self, by: float) -> TorqueRows:
-        """Return the reading with another uncertainty, N m, besides its own."""
-        return replace(self, u=np.hypot(self.u, by), causal_u=np.hypot(self.causal_u, by))
+    def widened(self, by: float, share: float) -> TorqueRows:
+        """Return the reading with another uncertainty, N m, and a share of the torque, besides."""
+        u, causal_u = (
+            np.sqrt(u**2 + by**2 + (share * torque) ** 2)
+            for u, torque in ((self.u, self.torque), (self.causal_u, self.causal))
+        )
+        return replace(self, u=u, causal_u=causal_u)
 
     @classmethod
     def joined(cls, parts: Sequence[TorqueRows]) -> TorqueRows:

@@ -3,10 +3,11 @@
 The filter takes an encoder that stays at one count for a rotor at rest. But a rotor at rest is held
 by friction and by the load, so that the motor's torque changes there by less than
 
-    2 F + (1 + 2 m) M / n,    F friction, m that of the load, M the largest learned torque, n factor
+    T = 2 F + (1 + 2 m) M / n
 
-Where it changes by more, the encoder does not count, or something blocks the rotor. Means over
-`WINDOW_TIME` are compared: within it, a torque beyond friction turns a rotor by more than a count.
+with friction F, that of the load m, the largest learned torque M and the torque factor n. Where it
+changes by more, the encoder does not count, or something blocks the rotor. Means over `WINDOW_TIME`
+are compared: within it, a torque beyond friction turns a rotor by more than a count.
 """
 
 from __future__ import annotations

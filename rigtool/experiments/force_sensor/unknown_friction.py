@@ -15,6 +15,13 @@ Where H shows that the tables are of another instrument, all of m_d up to 2 H ma
     w^2 = mean over cells and directions of min(|m_d|, 2 H)^2,    u^2 + w^2 instead of u^2
 
 A load that opposes every motion alike, such as a damper, cannot be distinguished from friction.
+
+Friction that grows with the load more than the tables hold shows where something touches through a
+reversal: with the torques m_1 before, in direction d, and m_2 after it,
+
+    l = d (m_1 - m_2) / |m_1 + m_2|,    u^2 + (median of l)^2 M^2 instead of u^2
+
+where both quartiles of l are beyond `DOUBTED_SHARE` on one side.
 """
 
 from __future__ import annotations
@@ -22,7 +29,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,6 +45,14 @@ QUARTILE, NEAR, ALIKE = 0.25, 3.0, 0.4
 """Which of the passes is taken for one that nothing touches; how far others like it are, in u; and
 which part of all they must be: else the cell shows nothing."""
 
+FEWEST_REVERSALS, DOUBTED_SHARE, LARGEST_SHARE = 4, 0.02, 0.3
+"""Reversals under a load below which none is compared; part of the load from which on u is widened;
+and the largest that is friction's: beyond it a contact begins or ends."""
+
+NEXT_TIME, REVERSAL_TIME, LOAD_OVER_U = 0.06, 0.4, 10.0
+"""Time before and after a reversal that is compared, s; the longest reversal, s; and the least load
+in u: errors of both sides are far below it."""
+
 SPEED_TIME = 0.055
 """Time over which the direction is found, s."""
 
@@ -48,11 +63,13 @@ DOUBTED, REFUSED = 1 / 3, 2.0
 @dataclass(frozen=True, eq=False)
 class Passes:
     """Passes through the angle without a reversal: signs of the `direction` (p,), mean `torque` in
-    each cell and its `u`, N m, (p, CELLS); NaN where a pass is not."""
+    each cell and its `u`, N m, (p, CELLS); NaN where a pass is not. `shares` (r,) are l of the
+    reversals under a load."""
 
     direction: Array
     torque: Array
     u: Array
+    shares: Array = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of(
@@ -78,17 +95,17 @@ class Passes:
         cell = np.clip((angle - low) / (high - low) * ANGLE_CELLS, 0, ANGLE_CELLS - 1).astype(
             np.intp
         )
-        signs, found = [], []
-        for first, last in itertools.pairwise(edges):
-            if way[first]:
-                own = cell[first:last]
-                count = np.bincount(own, minlength=ANGLE_CELLS)
-                values = (torque[first:last], u[first:last])
-                sums = [np.bincount(own, value, minlength=ANGLE_CELLS) for value in values]
-                signs.append(way[first])
-                found.append(np.where(count > 0, sums, np.nan) / np.maximum(count, 1))
+        spans = [slice(*ends) for ends in itertools.pairwise(edges.tolist()) if way[ends[0]]]
+        found = []
+        for span in spans:
+            own = cell[span]
+            count = np.bincount(own, minlength=ANGLE_CELLS)
+            sums = [np.bincount(own, one[span], minlength=ANGLE_CELLS) for one in (torque, u)]
+            found.append(np.where(count > 0, sums, np.nan) / np.maximum(count, 1))
         both = np.array(found).reshape(-1, 2, ANGLE_CELLS)
-        return cls(np.array(signs), both[:, 0], both[:, 1])
+        signs = np.array([way[span.start] for span in spans])
+        shares = _shares(spans, signs, torque, u, step_time)
+        return cls(signs, both[:, 0], both[:, 1], shares)
 
 
 @dataclass(frozen=True)
@@ -129,6 +146,34 @@ def unknown_friction(parts: Sequence[Passes], hand: float | None = None) -> Unkn
     wide = float(np.sqrt(np.mean(np.minimum(np.abs([up, down]), 2 * whole) ** 2)))
     typical = float(np.median(np.abs(opposing) / size))
     return UnknownFriction(whole, wide, whole / usual, typical)
+
+
+def _shares(
+    spans: Sequence[slice], signs: Array, torque: Array, u: Array, step_time: float
+) -> Array:
+    """Return l of the reversals under a load (r,), from spans of rows without a reversal."""
+    next_to, longest = max(1, round(NEXT_TIME / step_time)), round(REVERSAL_TIME / step_time)
+    found = []
+    for number, (before, after) in enumerate(itertools.pairwise(spans)):
+        short = min(before.stop - before.start, after.stop - after.start) < next_to
+        if short or after.start - before.stop > longest or signs[number] == signs[number + 1]:
+            continue
+        ends = slice(before.stop - next_to, before.stop), slice(after.start, after.start + next_to)
+        first, second = (float(torque[end].mean()) for end in ends)
+        if abs(first + second) / 2 > LOAD_OVER_U * max(float(u[end].mean()) for end in ends):
+            found.append(signs[number] * (first - second) / abs(first + second))
+    return np.array(found)
+
+
+def unknown_share(parts: Sequence[Passes]) -> float:
+    """Return the part of a load that is friction which the tables do not hold, by the reversals of
+    stretches; 0 where they do not show any."""
+    every = np.concatenate([part.shares for part in parts])
+    near = every[np.abs(every) < LARGEST_SHARE]
+    if len(near) < FEWEST_REVERSALS or 2 * len(near) < len(every):
+        return 0.0
+    low, middle, high = np.quantile(near, [QUARTILE, 0.5, 1 - QUARTILE])
+    return float(middle) if low > DOUBTED_SHARE or high < -DOUBTED_SHARE else 0.0
 
 
 def _untouched(torque: Array, u: float) -> float:

@@ -11,6 +11,7 @@ from rigtool.experiments.force_sensor.unknown_friction import (
     REFUSED,
     Passes,
     unknown_friction,
+    unknown_share,
 )
 
 U, PASSES = 0.4e-3, 12
@@ -90,3 +91,29 @@ def test_stretches_count_together():
     ]
     assert unknown_friction(parts) == unknown_friction([passes])
     assert unknown_friction(parts[:1]) is None
+
+
+def reversals(share, load, turns=6):
+    """Return passes of strokes of 1 s, in each of which a `load` (turns,) N m touches."""
+    step, rows = 5e-3, 200
+    phase = np.arange(turns * rows)
+    angle = 1e-2 * np.where(phase // rows % 2, rows - phase % rows, phase % rows)
+    way = np.where(phase // rows % 2, -1.0, 1.0)
+    acts = load[phase // rows]
+    torque = acts + way * share * np.abs(acts)
+    sliding = np.minimum(phase % rows, rows - phase % rows) > 5
+    u = np.full(len(phase), U)
+    return Passes.of(step, angle, sliding, (0.0, 2.0), torque, u)
+
+
+@pytest.mark.parametrize("share", [-0.06, 0.1])
+@pytest.mark.parametrize("load", [30e-3, -30e-3])
+def test_friction_under_load_shows_where_the_load_stays_through_reversals(share, load):
+    assert unknown_share([reversals(share, np.full(6, load))]) == pytest.approx(share, rel=0.1)
+
+
+def test_loads_that_come_and_go_at_reversals_and_few_of_them_show_none():
+    assert unknown_share([reversals(0.0, np.full(6, 30e-3))]) == 0.0
+    assert unknown_share([reversals(0.1, np.full(4, 30e-3), turns=4)]) == 0.0
+    assert unknown_share([reversals(0.0, np.array([40e-3, 0.0] * 3))]) == 0.0
+    assert unknown_share([reversals(0.1, np.full(6, 1e-3))]) == 0.0
