@@ -76,6 +76,11 @@ class RunFileError(RigtoolError, ValueError):
     exit_code = 3
 
 
+NO_RESULT_REMEDY = (
+    "some signals are zero, constant, or in another unit; look at them by `rigtool plot`"
+)
+
+
 class InsufficientDataError(RigtoolError, ValueError):
     """The data do not support the requested result (exit code 4)."""
 

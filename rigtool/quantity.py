@@ -12,6 +12,8 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+from rigtool.errors import NO_RESULT_REMEDY, InsufficientDataError
+
 REFERENCE_DEGC = 20.0
 """Temperature for which a result is stated, degC (ISO 1), a torque constant as well [7.1.1]."""
 
@@ -116,10 +118,13 @@ def combined(value: float, unit: str, lines: Iterable[Component]) -> Quantity:
 
     The law of propagation, u2 = sum of (c u(x))2 (GUM 5.1.2); degrees of freedom by Welch and
     Satterthwaite, dof = u4 / sum of (c u(x))4/dof(x) (GUM G.4.1). Inputs that contribute nothing
-    but the rounding of a derivative are left out.
+    but the rounding of a derivative are left out. Raises `InsufficientDataError` for one that is
+    NaN.
     """
     every = tuple(lines)
     u = math.hypot(*(line.contribution for line in every))
+    if math.isnan(u):
+        raise InsufficientDataError(f"{value:g} {unit} has no uncertainty: {NO_RESULT_REMEDY}")
     budget = tuple(line for line in every if line.contribution > ROUNDING_PART * u)
     spread = sum(line.contribution**4 / line.dof for line in budget if line.dof)
     return Quantity(value, unit, u, u**4 / spread if spread > 0 else None, budget=budget)

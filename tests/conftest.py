@@ -14,6 +14,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
+# No power fails during tests: nothing waits for the disk, but each handle must be one.
+os.fsync = os.fstat
+
 # A job in the background of a script ignores Ctrl-C, and so would every program that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigtool.errors import InsufficientDataError
 from rigtool.quantity import (
     Component,
     Quantity,
@@ -134,3 +135,8 @@ def test_lines_follow_their_quantity():
     assert without(known, "k").u == pytest.approx(0.3, rel=1e-12)
     assert without(known, "k").dof == pytest.approx(5.0, rel=1e-12)
     assert without(known, "none of it") is known
+
+
+def test_an_uncertainty_that_is_no_number_is_no_result():
+    with pytest.raises(InsufficientDataError, match="rigtool plot"):
+        combined(1.0, "Hz", [Component("scatter", 1.0, "Hz", math.nan)])

@@ -142,10 +142,12 @@ def _at_ends(recording: Recording) -> tuple[Array, Array]:
     if not recording.has("temperature"):
         return np.empty(0), np.empty(0)
     first, last = (
-        recording.read_stored("temperature", start, stop).astype(np.float64)
-        for start, stop in (
-            (0, END_SAMPLES),
-            (max(0, recording.size - END_SAMPLES), recording.size),
+        np.concatenate([np.empty(0), *(degc for (degc,) in blocks)])
+        for blocks in (
+            recording.blocks("temperature", stop=END_SAMPLES, finite=False),
+            recording.blocks(
+                "temperature", start=max(0, recording.size - END_SAMPLES), finite=False
+            ),
         )
     )
     return first[np.isfinite(first)], last[np.isfinite(last)]  # NaN where no thermometer is there

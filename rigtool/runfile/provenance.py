@@ -17,6 +17,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any
 
 import h5py
@@ -88,17 +89,15 @@ def collect(
     source: Source | None = None,
 ) -> Provenance:
     """Describe the running program and what it works on; the date honours SOURCE_DATE_EPOCH."""
-    from importlib.metadata import version
-
     return Provenance(
         program="rigtool",
-        version=version("rigtool"),
+        version=_version("rigtool"),
         date=_now(),
         # The folder of the program is irrelevant to the run.
         argv=shlex.join(_printable(item) for item in argv or ["rigtool", *sys.argv[1:]]),
         python=platform.python_version(),
         platform=platform.platform(),
-        packages="\n".join(f"{name} {version(name)}" for name in RECORDED_PACKAGES),
+        packages="\n".join(f"{name} {_version(name)}" for name in RECORDED_PACKAGES),
         recipe=recipe_text,
         recipe_resolved=recipe_resolved,
         seed=None if seed is None else str(seed),
@@ -107,6 +106,14 @@ def collect(
         source_sha256=None if source is None else source.sha256,
         mapping=None if source is None else source.mapping,
     )
+
+
+@cache
+def _version(package: str) -> str:
+    """Return the version that is installed: it stays the same while a program runs."""
+    from importlib.metadata import version
+
+    return version(package)
 
 
 def write(group: h5py.Group, provenance: Provenance) -> None:

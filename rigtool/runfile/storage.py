@@ -66,21 +66,17 @@ def flush(file: h5py.File) -> None:
     os.ftruncate(file.id.get_vfd_handle(), file.id.get_filesize())
 
 
-def lock(handle: int) -> None:
-    """Mark an open file as being written, until it is closed; on systems that can do that."""
-    _lock(handle)
-
-
 def is_locked(path: Path) -> bool:
     """Return whether another program is writing a file; False on systems without such locks."""
     with path.open("r+b") as stream:
-        return not _lock(stream.fileno())
+        return not lock(stream.fileno())
 
 
-def _lock(handle: int) -> bool:
-    """Take a lock that belongs to the open file, not to the process: HDF5 opens it more than once.
+def lock(handle: int) -> bool:
+    """Mark an open file as being written, until it is closed; return whether nobody else writes.
 
-    Linux calls it an open file description lock, fcntl(2).
+    The lock belongs to the open file, not to the process: HDF5 opens it more than once. Linux calls
+    it an open file description lock, fcntl(2); systems without it have none.
     """
     try:
         import fcntl

@@ -204,7 +204,7 @@ class _Loader:
         self._spend("objects and attributes", 1, path)
         kind, shape = handle.get_type(), handle.shape
         dtype = self._dtype(kind, path)
-        self._check(handle, path, kind, dtype)
+        self._check(handle, path, shape, kind, dtype)
         attributes = self._attributes(handle, path)
         if is_signal(path) and dtype is not None:
             self._spend("bytes of samples", math.prod(shape) * dtype.itemsize, path)
@@ -272,9 +272,15 @@ class _Loader:
         read(array, kind)
         return array
 
-    def _check(self, handle: Any, path: str, kind: Any, dtype: np.dtype[Any] | None) -> None:
+    def _check(
+        self,
+        handle: Any,
+        path: str,
+        shape: tuple[int, ...] | None,
+        kind: Any,
+        dtype: np.dtype[Any] | None,
+    ) -> None:
         """Refuse a dataset that no run file holds, by its header; dtype is None for text."""
-        shape = handle.shape
         if shape is None or math.prod(shape) > schema.MAX_SAMPLES:
             raise self._refuse(path, f"claims shape {shape}, above {schema.MAX_SAMPLES} values")
         plist = handle.get_create_plist()

@@ -70,6 +70,7 @@ def test_a_motor_outside_the_range_of_the_mean_is_in_u_and_in_a_note(tmp_path, d
         # at the end only: the motor warmed up
         warm = np.linspace(27.5, degc, 5000)
         warm[:10] = np.nan  # as before the first reading of a thermometer
+        warm[10:20] = 1e29  # a thermometer's own mark of an open sensor
         writer.append("holds", {"time": time, "temperature": warm})
         writer.finish({}, {})
     with open_run(tmp_path / "run.h5") as run, calibration(tmp_path / "kt.h5", **results) as kt:

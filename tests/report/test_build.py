@@ -164,7 +164,7 @@ def test_warnings_about_runs_that_do_not_belong_together(make, open_all, no_figu
     assert any("is not the one shown here (other)" in warning for warning in report.warnings)
 
 
-def test_a_unit_that_was_edited_is_not_shown(tmp_path, open_all):
+def test_a_unit_that_was_edited_is_not_shown(tmp_path, open_all, unrendered):
     """Labels of figures and tables of loads state units: another one is left out, or refused."""
 
     def edited(name, table, column):

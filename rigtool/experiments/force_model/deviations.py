@@ -31,6 +31,9 @@ MIN_WHITE_NOISE = 1e-4
 MAX_SCATTER_RATIO = 3.0
 """Scatter of a motion's cycles, in that of most motions, above which they do not repeat."""
 
+SMALLEST_SCATTER = 1e-12
+"""Of cycles that do not differ at all, N m."""
+
 SEARCH_RANGE = 12.0
 """Range of the logarithms in the search, either way."""
 
@@ -123,14 +126,22 @@ def _strokes(record: Record, angle_ratio: float, torque_factor: float) -> list[_
     return found
 
 
-def repeating(records: Sequence[Record]) -> list[bool]:
-    """Return whose cycles differ by no more than friction does, judged by what most of them do.
+def scatter_ratios(records: Sequence[Record]) -> list[float]:
+    """Return the scatter of each record's cycles over that of most of them.
 
-    Where the loop lets a load swing, no cycle is like another, and a model, which is not linear,
-    does not hold for their mean.
+    Above `MAX_SCATTER_RATIO` it is no more what friction does: where the loop lets a load swing, no
+    cycle is like another, and a model, which is not linear, does not hold for their mean.
     """
     scatters = [record.scatter for record in records]
-    return [scatter <= MAX_SCATTER_RATIO * float(np.median(scatters)) for scatter in scatters]
+    usual = max(float(np.median(scatters)), SMALLEST_SCATTER)
+    return [scatter / usual for scatter in scatters]
+
+
+def scatter_hz(record: Record) -> float:
+    """Return the frequency, Hz, at which the cycles of a record differ most from their mean."""
+    left = (record.torques - record.torques.mean(axis=0)).ravel()
+    power = np.abs(np.fft.rfft(left)) ** 2
+    return float(np.argmax(power) * ROWS_HZ / left.size)
 
 
 def kept_by_mean(records: Sequence[Record], angle_ratio: float) -> float:

@@ -14,7 +14,12 @@ from rigtool.experiments.force_filter.estimate import Filter, Signals, smoothed
 from rigtool.experiments.force_filter.motion_states import CREEP_SPEED_RATIO, Judge, Moments, Reach
 from rigtool.experiments.force_filter.plant import HOUSING, SPEED
 from rigtool.experiments.force_model.contacts import Trial, thresholds, trial
-from rigtool.experiments.force_model.deviations import deviations, kept_by_mean, repeating
+from rigtool.experiments.force_model.deviations import (
+    MAX_SCATTER_RATIO,
+    deviations,
+    kept_by_mean,
+    scatter_ratios,
+)
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.intervals import TIME_APART, Errors, scales
 from rigtool.experiments.force_model.learning import SlidingFit, learn_sliding
@@ -70,11 +75,13 @@ def exploring(recipe: Recipe, number: int = 0) -> SpeedProfile:
 @dataclass(frozen=True)
 class LearnedForce:
     """The `model` of motor and instrument, and what `sliding` alone shows, from the strokes under
-    known loads `strokes` by the names of their recordings."""
+    known loads `strokes` by the names of their recordings; `scatter` is that of their cycles, in
+    that of most strokes."""
 
     model: ForceModel
     sliding: SlidingFit
     strokes: dict[str, Record]
+    scatter: dict[str, float]
 
 
 def learn_force(
@@ -93,11 +100,12 @@ def learn_force(
     rig = recipe.rig
     warm = float(np.mean([np.mean(recording.read("temperature")) for recording in strokes]))
     loaded = {r.name: stroke_record(r, recipe, kt, r.condition("force")) for r in strokes}
+    scatter = dict(zip(loaded, scatter_ratios(list(loaded.values())), strict=True))
     records = [
-        mean if same else replace(_whole(*_known(r, recipe, kt)), passes=mean.cycles)
-        for r, mean, same in zip(
-            strokes, loaded.values(), repeating(list(loaded.values())), strict=True
-        )
+        mean
+        if scatter[r.name] <= MAX_SCATTER_RATIO
+        else replace(_whole(*_known(r, recipe, kt)), passes=mean.cycles)
+        for r, mean in zip(strokes, loaded.values(), strict=True)
     ]
     records += [_repeated(r, recipe, kt, warm, 0.0) for r in moves]
     own = _condition(recipe, kt, float(np.mean(explored.read("temperature"))), 0.0)
@@ -143,7 +151,7 @@ def learn_force(
         model = replace(model, scales=found)
     unloaded = [r for r in strokes if (r.condition("speed"), r.condition("force")) == (slowest, 0)]
     tried = [_trial(r, recipe, kt, model, creeping) for r in (explored, *unloaded)]
-    return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded)
+    return LearnedForce(replace(model, limits=thresholds(tried)), sliding, loaded, scatter)
 
 
 def _compared(strokes: Sequence[Recording]) -> list[Recording]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError
+from rigtool.errors import NO_RESULT_REMEDY, InsufficientDataError
 from rigtool.numerics.arrays import Array, ComplexArray, Mask
 from rigtool.numerics.jackknife import standard_uncertainty
 
@@ -196,6 +196,8 @@ class Spectrum:
         """Return the strongest significant order; `InsufficientDataError` where there is none."""
         clear = np.flatnonzero(self.clear)  # never where an amplitude is NaN
         if not clear.size:
+            if not (self.amplitude > 0).any():
+                raise InsufficientDataError(f"no order has an amplitude: {NO_RESULT_REMEDY}")
             best = int(np.nanargmax(self.amplitude / self.noise_floor))
             raise InsufficientDataError(
                 f"no order exceeds its noise floor by a factor of {SIGNIFICANT_RATIO:g}, order "

@@ -18,7 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from rigtool.errors import InsufficientDataError, RecipeError, RunFileError, UsageError
+from rigtool.errors import (
+    NO_RESULT_REMEDY,
+    InsufficientDataError,
+    RecipeError,
+    RunFileError,
+    UsageError,
+)
 from rigtool.experiments.outcome import Outcome
 from rigtool.experiments.procedure import Procedure
 from rigtool.experiments.running.dry_run import dry_run, rehearse, require_gauges, require_offered
@@ -53,8 +59,7 @@ def solvable() -> Iterator[None]:
         yield
     except np.linalg.LinAlgError as error:
         raised = InsufficientDataError(
-            f"the signals determine no result ({error}): some are zero, constant, or in another "
-            "unit; look at them by `rigtool plot`"
+            f"the signals determine no result ({error}): {NO_RESULT_REMEDY}"
         )
         for note in getattr(error, "__notes__", ()):
             raised.add_note(note)

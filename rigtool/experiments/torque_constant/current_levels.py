@@ -51,6 +51,9 @@ FEWEST_PLATEAUS = 5
 ON_PLATEAUS = 0.3
 """Smallest part of the time on plateaus of a staircase."""
 
+MAX_ALONG = 0.1
+"""Largest change along a plateau, in terms of the step to the next one."""
+
 SETTLING_PART = 0.25
 """Part of each plateau that is left out at its start."""
 
@@ -169,7 +172,8 @@ def find_points(course: Course) -> Points:
     up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
     parts = find_plateaus(level, max(band, 1e-4 * span), max(MAX_PLATEAU_CHANGE * span, 2 * band))
     on_them = sum(b - a for a, b in parts)
-    if len(parts) < FEWEST_PLATEAUS or on_them < ON_PLATEAUS * blocks:
+    stairs = len(parts) >= FEWEST_PLATEAUS and on_them >= ON_PLATEAUS * blocks
+    if not stairs or not _steps(level, parts):
         ends = np.linspace(0, blocks, min(RAMP_PARTS, blocks) + 1).round().astype(np.int64)
         parts = list(pairwise(ends.tolist()))
         settled = False
@@ -189,6 +193,13 @@ def find_points(course: Course) -> Points:
         (up, down),
         settled,
     )
+
+
+def _steps(level: Array, parts: Sequence[tuple[int, int]]) -> bool:
+    """Return whether a level (n,) changes between its parts, and not along them as on a ramp."""
+    along = np.median([abs(level[b - 1] - level[a]) for a, b in parts])
+    between = np.median(np.abs(np.diff([level[a:b].mean() for a, b in parts])))
+    return bool(along <= MAX_ALONG * between)
 
 
 def _means(values: Array, edges: NDArray[np.int64]) -> Array:
@@ -352,7 +363,11 @@ class _Fit:
 def _result(
     fits: Sequence[_Fit], runs: Sequence[Points], middle: float, *, one_way: bool, turning: bool
 ) -> CurrentFit:
-    best = min(fits, key=lambda fit: fit.power)
+    power = np.array([fit.power for fit in fits])
+    if not all(run.plateaus for run in runs):
+        # A wrong model has fewer independent samples, as its residuals are correlated in time.
+        power /= [fit.independent for fit in fits]
+    best = fits[int(np.argmin(power))]
     torque, current = best.torque, best.design[:, 0]
     rms, span = math.sqrt(float(np.mean(best.residual**2))), float(np.ptp(torque))
     if rms > MAX_MISFIT * span:
@@ -361,7 +376,6 @@ def _result(
             "span "
             f"of {span:.3g} N m is the limit: see to the units and to what else loads the shaft"
         )
-    power = np.array([fit.power for fit in fits])
     weight = (power / power.min()) ** (-best.independent / 2)
     weight /= weight.sum()
 

@@ -9,10 +9,12 @@ import pytest
 from rigtool.errors import InsufficientDataError
 from rigtool.experiments.force_model import learning
 from rigtool.experiments.force_model.deviations import (
+    MAX_SCATTER_RATIO,
     Deviations,
     deviations,
     kept_by_mean,
-    repeating,
+    scatter_hz,
+    scatter_ratios,
 )
 from rigtool.experiments.force_model.force_model import ForceModel
 from rigtool.experiments.force_model.learning import (
@@ -22,7 +24,8 @@ from rigtool.experiments.force_model.learning import (
 )
 from rigtool.experiments.force_model.model import Kind, Known
 from rigtool.experiments.force_model.procedure_learning import LearnedForce
-from rigtool.experiments.learning.implementations.d_tendon import tendon_results
+from rigtool.experiments.force_model.records import ROWS_HZ
+from rigtool.experiments.learning.implementations.d_tendon import swing_notes, tendon_results
 from rigtool.recipe import load_recipe
 from tests.experiments.force_model import known_plant as plant
 from tests.experiments.force_model.known_plant import strokes
@@ -123,7 +126,7 @@ def test_what_the_bench_has_wrong_is_in_the_budget_of_the_tendon(fit, learned):
         update={"grasper_length_u": 0.2e-3, "angle_ratio_relative_u": 0.01}
     )
     rig = rig.model_copy(update={"weights_relative_u": 0.01, "instrument": off})
-    force = LearnedForce(ForceModel(learned, CALM), fit, {})
+    force = LearnedForce(ForceModel(learned, CALM), fit, {}, {})
     found = tendon_results(force, [], np.ones(1), rig)
     relative = {
         name: {line.name: line.u * line.sensitivity / one.value for line in one.budget}
@@ -189,7 +192,28 @@ def test_cycles_that_differ_by_more_than_friction_does_do_not_repeat():
             [(0.0, 0.2e-3), (0.0, 0.3e-3), (20e-3, 0.3e-3), (50e-3, 5e-3)]
         )
     ]
-    assert repeating(every) == [True, True, True, False]
+    swings = [ratio > MAX_SCATTER_RATIO for ratio in scatter_ratios(every)]
+    assert swings == [False, False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("hertz", "cause"), [(1.0, "lets the load swing"), (4.0, "something else")]
+)
+def test_a_load_that_swings_anew_in_each_cycle_gets_a_remark(fit, learned, hertz, cause):
+    calm = strokes(50e-3, 1.0, cycles=8, deviation=0.3e-3, seed=1)
+    inertia = learned.shape.stiffness / (2 * math.pi) ** 2  # swings at 1 Hz
+    time = np.arange(calm.count) / ROWS_HZ
+    phases = np.linspace(0, 5, 8)[:, None]
+    wave = 5e-3 * np.sin(2 * math.pi * hertz * time + phases)
+    swinging = replace(calm, torques=calm.torques + wave, load_inertia=inertia)
+    found = {"known_000_000": calm, "known_000_001": swinging}
+    force = LearnedForce(
+        ForceModel(learned, CALM), fit, found, {"known_000_000": 1.0, "known_000_001": 9.0}
+    )
+    (note,) = swing_notes(force)
+    assert note.startswith("known_000_001: its cycles scatter by 9 times")
+    assert cause in note
+    assert scatter_hz(swinging) == pytest.approx(hertz, abs=0.2)
 
 
 def test_what_comes_back_in_each_pass_is_no_news(fit):

@@ -146,6 +146,9 @@ def test_the_strongest_order_is_one_that_noise_does_not_explain():
     assert found.strongest() == 1
     with pytest.raises(InsufficientDataError, match=r"order 2 comes nearest with 0\.2 of 0\.2:"):
         Spectrum(np.arange(1.0, 5), amplitude, np.zeros(4), floor * 20).strongest()
+    for nothing in (np.zeros(4), np.full(4, np.nan)):
+        with pytest.raises(InsufficientDataError, match="no order has an amplitude"):
+            Spectrum(np.arange(1.0, 5), nothing, np.zeros(4), 0 * nothing).strongest()
 
 
 def test_two_revolutions_do_not_show_the_scatter_of_their_scatter():

@@ -103,3 +103,18 @@ def test_data_that_do_not_carry_it(change, message):
     current, torque = change(recorded.current, recorded.torque)
     with pytest.raises(InsufficientDataError, match=message):
         fit_constant([find_points(Course(recorded.time, current, torque))])
+
+
+@pytest.mark.parametrize("ripple", [0.0, 0.01])
+def test_ramps_with_friction_that_turns_at_once_and_slow_ripple(ripple):
+    """The noise of the current does not make its turn late, nor ripple a part of the constant."""
+    random, constant, errors = np.random.default_rng(7), 0.05, []
+    for _ in range(6):
+        current = course("ramp", 3.0)
+        torque = constant * current - 0.03 * constant * 3 * np.sign(np.gradient(current))
+        torque += ripple * constant * 3 * np.sin(current * random.uniform(0.5, 2) + 1)
+        measured = current + random.normal(0, 0.006, len(current))
+        fit = fit_constant([find_points(Course(np.arange(len(current)) * 0.02, measured, torque))])
+        errors.append((fit.constant - constant) / fit.constant_u)
+        assert abs(fit.constant / constant - 1) < 0.008 + 2 * ripple
+    assert np.max(np.abs(errors)) < 2.5

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from rigtool.experiments.force_model import stored
+from rigtool.experiments.force_model.deviations import MAX_SCATTER_RATIO, scatter_hz
 from rigtool.experiments.force_model.learning import SLIDING_PARAMETERS, SlidingFit
 from rigtool.experiments.force_model.procedure_learning import LearnedForce
 from rigtool.experiments.force_model.records import Record
@@ -23,6 +25,9 @@ TENDON = {
     "tip_friction": "tip_friction",
 }
 """Parameters of the model that are results of their own."""
+
+SAME_FREQUENCY = 1.4
+"""Ratio up to which two frequencies are those of one swing: gravity and damping shift it."""
 
 
 def tendon_results(
@@ -55,6 +60,25 @@ def tendon_results(
             stiffness = stored.shape_results(alone)[f"{stored.MODEL_PREFIX}stiffness"]
             results[f"tendon_stiffness_{name}"] = stiffness
     return results
+
+
+def swing_notes(learned: LearnedForce) -> Iterator[str]:
+    """Yield a remark for each load whose cycles do not repeat, with the frequencies that tell
+    whether it swings on its tendon: that of the scatter, and sqrt(k / J) of the load."""
+    shape = learned.model.learned.shape
+    for name, record in learned.strokes.items():
+        if (ratio := learned.scatter[name]) <= MAX_SCATTER_RATIO:
+            continue
+        inertia = record.load_inertia + shape.grasper_inertia
+        own_hz, seen_hz = math.sqrt(shape.stiffness / inertia) / (2 * math.pi), scatter_hz(record)
+        cause = "so the loop lets the load swing: move more slowly, or turn over a wider angle"
+        if not 1 / SAME_FREQUENCY < seen_hz / own_hz < SAME_FREQUENCY:
+            cause = "so something else differs from cycle to cycle: look at its recording"
+        yield (
+            f"{name}: its cycles scatter by {ratio:.3g} times what those of most strokes do, "
+            f"mostly at {seen_hz:.3g} Hz; on its tendon the output swings at {own_hz:.3g} Hz, "
+            f"{cause}. The model is learned from the whole recording instead of its mean cycle"
+        )
 
 
 def _bench_lines(sliding: SlidingFit, rig: RigDescription) -> list[tuple[Component, Array]]:
