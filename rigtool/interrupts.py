@@ -78,10 +78,12 @@ def handled() -> Iterator[None]:
             behind = behind.__cause__
         raise raised from error
     finally:
+        _State.depth += 1  # one more signal leaves no handler behind, whose exception nobody takes
         sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
         _State.active = False
+        _State.depth -= 1
 
 
 def _without_interrupts(unraisable: sys.UnraisableHookArgs) -> None:

@@ -7,7 +7,7 @@ import weakref
 
 import pytest
 
-from rigtool.interrupts import Terminated, handled, held, raise_swallowed
+from rigtool.interrupts import SIGNALS, Terminated, handled, held, raise_swallowed
 
 KINDS = [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)]
 KINDS += [(signal.SIGQUIT, Terminated)]
@@ -132,3 +132,19 @@ def test_a_signal_while_another_is_swallowed_prints_nothing(number, error):
             sys.unraisablehook(Arguments(number))
         with pytest.raises(error):
             raise_swallowed()
+
+
+def test_a_signal_while_handlers_are_put_back_leaves_none_behind(monkeypatch):
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    put, sent = signal.signal, []
+
+    def interrupted(number, handler):
+        if not sent:
+            sent.append(number)
+            send(signal.SIGINT)
+        return put(number, handler)
+
+    with handled():
+        monkeypatch.setattr(signal, "signal", interrupted)
+    assert sent
+    assert {number: signal.getsignal(number) for number in SIGNALS} == before

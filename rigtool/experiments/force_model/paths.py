@@ -18,7 +18,7 @@ from rigtool.numerics.compiled import compiled
 SWING_SETTLING_TIME = 2.0
 """Time after which a swing is taken to repeat itself, s."""
 
-RESONANCE_STEP = 0.05
+RESONANCE_STEP = 0.15
 """Longest step of the tendon's integration, in radians of its resonance."""
 
 
@@ -119,36 +119,37 @@ def _tendon(
     carried: Array,
     output: Array,
 ) -> None:
-    """Integrate by the midpoint rule (G. G. Dahlquist, BIT 3, 27-43, 1963), the bristle exactly.
-
-    Between its samples the motor's angle is a cubic (Hermite), whose slope at a sample is half of
-    the rise from the one before to the one after.
-    """
-    count, wraps = angle.size, rounds > 1
+    """Integrate by a leapfrog, of second order also with the damping: angles of the output and its
+    bristle are half a step ahead of its speed. What the tendon carries is a mean of both half steps
+    about a sample. Between samples the motor's angle is a cubic with mean slopes at both (E.
+    Catmull, R. Rom 1974): corners would let the output ring."""
+    count = angle.size
     dt = interval / finer
-    half = dt / (2.0 * inertia)
-    kept = 1.0 + half * (damping + stiffness * dt / 2.0)
+    half = dt * damping / (2.0 * inertia)
     a, speed, z = angle[0] - moment * math.sin(angle[0]) / stiffness, 0.0, 0.0
-    slope = (angle[1 % count] - (angle[count - 1] if wraps else angle[0])) / 2.0
-    for _ in range(rounds):
+    driven = stiffness * (angle[0] - a)
+    for n in range(rounds):
         for i in range(count):
-            here, after = angle[i], i + 2
-            there = angle[(i + 1) % count if wraps else min(i + 1, count - 1)]
-            next_slope = (angle[after % count if wraps else min(after, count - 1)] - here) / 2.0
-            carried[i] = stiffness * (here - a) + damping * (slope / interval - speed)
-            output[i] = a
-            square = 3.0 * (there - here) - 2.0 * slope - next_slope
-            cube = slope + next_slope - 2.0 * (there - here)
+            here = angle[i]
+            there = angle[(i + 1) % count] if rounds > 1 or i + 1 < count else here
+            before = angle[i - 1] if n + i else here
+            after = angle[(i + 2) % count] if rounds > 1 or i + 2 < count else there
+            leaving, arriving = (there - before) / 2.0, (after - here) / 2.0
+            square = 3.0 * (there - here) - 2.0 * leaving - arriving
+            cube = 2.0 * (here - there) + leaving + arriving
+            output[i], carried[i] = a - 0.5 * dt * speed, 0.5 * driven
             for j in range(finer):
                 x = (j + 0.5) / finer
-                b = here + x * (slope + x * (square + x * cube))
-                rate = (slope + x * (2.0 * square + x * 3.0 * cube)) / interval
+                b = here + x * (leaving + x * (square + x * cube))
+                rate = (leaving + x * (2.0 * square + 3.0 * x * cube)) / interval
+                driven = stiffness * (b - a) + damping * rate
+                pull = driven - tip * z - moment * math.sin(a)
+                slower = speed
+                speed = ((1.0 - half) * speed + dt * pull / inertia) / (1.0 + half)
+                driven -= damping * 0.5 * (slower + speed)
+                if j == 0:
+                    carried[i] += 0.5 * driven
                 d = dt * speed
                 sign = 1.0 if d > 0 else -1.0
                 z = sign - (sign - z) * math.exp(-abs(d) / tip_length)
-                pull = stiffness * (b - a) + damping * rate - tip * z
-                pull -= moment * math.sin(a + d / 2.0)
-                middle = (speed + half * pull) / kept
-                speed = 2.0 * middle - speed
-                a += dt * middle
-            slope = next_slope
+                a += d
