@@ -17,8 +17,10 @@ from hypothesis import settings
 # No power fails during tests: nothing waits for the disk, but each handle must be one.
 os.fsync = os.fstat
 
-# A job in the background of a script ignores Ctrl-C, and so would every program that it starts.
+# A job in the background of a script ignores Ctrl-C and Ctrl-\, and so would every program that it
+# starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 
 # The same few examples at each run; many others with `pytest --hypothesis-profile luck`.
 settings.register_profile("luck", deadline=None, max_examples=200)

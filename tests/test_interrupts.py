@@ -17,14 +17,6 @@ def send(number):
     os.kill(os.getpid(), number)
 
 
-@pytest.fixture(autouse=True)
-def interrupts_arrive():
-    """A background job ignores SIGINT; here it arrives."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 class Thing:
     pass
 

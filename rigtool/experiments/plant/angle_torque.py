@@ -36,11 +36,12 @@ WEIGHTINGS = 3
 NEIGHBOURS = 17
 """Lines whose residuals are averaged for their weight."""
 
+SPEED_RATIO = 1.25
+"""Fastest speed in terms of the slowest, from which on friction by the sign of the speed differs
+from friction that grows with it."""
+
 WHOLE = 0.1
 """Turns that a whole number of turns may be off by the swing of the shaft."""
-
-RELEVANCE_STEPS = 30
-"""Steps in which the variance of each term is found."""
 
 RELEVANCE_STEPS = 30
 """Steps in which the variance of each term is found."""
@@ -55,10 +56,15 @@ def without_angle_torque(
     """Return experiments whose input is less the torque that depends on the angle, N m.
 
     `lines` of a period are excited. Each experiment has the shape of the others and covers whole
-    turns of the shaft; otherwise all are returned as they are. The input is right up to the last
-    of the lines.
+    turns of the shaft, and speeds differ; otherwise all are returned as they are. The input is
+    right up to the last of the lines.
     """
-    if len({e.input.shape for e in experiments}) > 1 or not all(map(_whole_turns, experiments)):
+    speeds = [abs(e.angle[-1, -1] - e.angle[0, 0]) for e in experiments]
+    if (
+        len({e.input.shape for e in experiments}) > 1
+        or not all(map(_whole_turns, experiments))
+        or max(speeds) < SPEED_RATIO * min(speeds)
+    ):
         return list(experiments)
     periods, samples = experiments[0].input.shape
     line = np.arange(1, periods * int(lines[-1]) + 1)
@@ -109,7 +115,7 @@ def _columns(angle: Array, line: LineNumbers, s: ComplexArray) -> ComplexArray:
     for order in range(1, ORDERS + 1):
         for wave in (np.cos(order * angle), np.sin(order * angle)):
             at = _spectrum(wave, line)
-            columns += [at, direction * at, s * at / order]  # w cos(n angle) is a derivative
+            columns += [at, direction * at, s * at]  # w cos(n angle) is a derivative of a sine
     return np.stack(columns, axis=1)
 
 
