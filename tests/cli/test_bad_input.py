@@ -154,6 +154,14 @@ def test_output_folder_that_cannot_be_written(command, output):
     assert "folder" in message
 
 
+def test_a_run_against_itself(folder, refused):
+    for name in ("friction.h5", "kt.h5"):
+        shutil.copy(FIXTURES / name, folder)
+    line = "stribeck friction.h5 --kt kt.h5 --against friction.h5 -o out.h5"
+    code, message = refused(line.split())
+    assert (code, "one run is given twice" in message) == (2, True)
+
+
 def test_unknown_setting(command):
     code, message = command("rig.toml", "--set", "rig.colour=red")
     assert code == 3

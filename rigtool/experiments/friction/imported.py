@@ -22,7 +22,7 @@ from rigtool.experiments.friction.results import (
     add_static_friction,
     holds_table,
 )
-from rigtool.experiments.friction.results_difference import add_curve_difference
+from rigtool.experiments.friction.results_difference import add_curve_difference, require_different
 from rigtool.experiments.friction.stribeck_fit import half_difference
 from rigtool.experiments.imported import (
     is_linear,
@@ -103,9 +103,7 @@ def analyse_imported(
     linear, units = is_linear(recordings[0]), UNITS_BY_EFFORT[first.unit]
     if against is None and reference is not None:
         raise UsageError("--reference: is compared with the run of --against: give both")
-    given = [*runs, *(run for run in (against, reference) if run is not None)]
-    if against is not None and len({run.content_sha256 for run in given}) < len(given):
-        raise UsageError("one run is given twice: nothing changed between a run and itself")
+    require_different(runs, against, reference)
     if all(held):
         try:
             _add_holds(recordings, efforts, held, found)

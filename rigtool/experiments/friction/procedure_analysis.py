@@ -39,7 +39,7 @@ from rigtool.experiments.friction.results import (
     ramp_table,
     torque_speed_table,
 )
-from rigtool.experiments.friction.results_difference import add_curve_difference
+from rigtool.experiments.friction.results_difference import add_curve_difference, require_different
 from rigtool.experiments.friction.stribeck_fit import (
     DirectionFit,
     Offset,
@@ -130,6 +130,7 @@ def analyse(
     if against is not None:
         if not recordings[HOLD_RECORDING]:
             raise UsageError(f"{runs[0].path}: holds no constant speeds to compare by --against")
+        require_different(runs, against, reference)
         add_curve_difference(found, against, reference)
     if (series := unloaded or loaded) is not None:
         found.tables["breakaway"] = breakaway_table(series.position, unloaded, loaded)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,6 +25,13 @@ MIN_EXTRA_SPEEDS = 3
 
 _Curve = tuple[Array, Array, Array]
 """Speed (n,), torque (n,) and its u (n,)."""
+
+
+def require_different(runs: Sequence[Run], against: Run | None, reference: Run | None) -> None:
+    """Raise `UsageError` where one run is compared with itself."""
+    given = [*runs, *(run for run in (against, reference) if run is not None)]
+    if against is not None and len({run.content_sha256 for run in given}) < len(given):
+        raise UsageError("one run is given twice: nothing changed between a run and itself")
 
 
 def add_curve_difference(
