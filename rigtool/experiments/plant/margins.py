@@ -57,7 +57,7 @@ def margins(open_loop: Response, half_rate_hz: float) -> Margins:
         for f in _crossings(lambda f: at(f).imag, grid, response.imag)
         if -1 < at(f).real < 0
     ]
-    level = _crossings(lambda f: math.log(abs(at(f))), grid, np.log(np.abs(response)))
+    level = _crossings(lambda f: abs(at(f)) - 1, grid, np.abs(response) - 1)
     phases = [abs(math.remainder(np.angle(at(f)) - math.pi, 2 * math.pi)) for f in level]
     closed = np.abs(response / (1 + response)) - math.sqrt(0.5)
     band = _crossings(lambda f: abs(at(f) / (1 + at(f))) - math.sqrt(0.5), grid, closed)
@@ -73,7 +73,15 @@ def margins(open_loop: Response, half_rate_hz: float) -> Margins:
 def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:
     """Return where a function passes zero, refined between the points of the grid."""
     before = np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0)
-    return [float(optimize.brentq(function, grid[i], grid[i + 1], rtol=1e-12)) for i in before]
+    return [_root(function, grid[i], grid[i + 1]) for i in before]
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Return where a function passes zero; one end where its sign there is that of rounding."""
+    at_low, at_high = function(low), function(high)
+    if at_low * at_high >= 0:
+        return low if abs(at_low) < abs(at_high) else high
+    return float(optimize.brentq(function, low, high, rtol=1e-12))
 
 
 def _closest(function: Callable[[float], float], grid: Array, values: Array) -> float:

@@ -99,3 +99,13 @@ def test_the_modulus_margin_is_found_between_the_points_of_the_grid(lowest_hz):
     """1 + L = (1/2 + ln(f/f0)^2) e^i is closest to zero at f0."""
     here = margins(lambda f: (0.5 + np.log(f / lowest_hz) ** 2) * np.exp(1j) - 1, HALF_RATE)
     assert here.modulus == pytest.approx(0.5, rel=1e-9, abs=0)
+
+
+def test_signs_that_are_rounding_and_a_response_of_zero_are_no_error():
+    def rounded(frequency):
+        noise = np.where(np.arange(frequency.size) % 2, -1e-20, 1e-20)
+        return np.where(frequency > 1000, 0.0, -50 / frequency) + 1j * noise
+
+    result = margins(rounded, HALF_RATE)
+    assert result.crossover_hz == pytest.approx(50)
+    assert result.gain > 1
