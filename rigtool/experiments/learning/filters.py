@@ -181,6 +181,10 @@ class Learning:
         self, cycles: Array, period: float, response: Callable[[Array], NDArray[Any]]
     ) -> Array:
         count = cycles.shape[-1]
+        if not period > 0:
+            raise InsufficientDataError(
+                f"a cycle lasts {period:g} s: the recorded time stands still; record it again"
+            )
         frequency = np.fft.rfftfreq(count, period / count)
         spectrum = np.fft.rfft(cycles, axis=-1) * response(frequency)
         filtered: Array = np.fft.irfft(spectrum, count, axis=-1)

@@ -62,6 +62,9 @@ SETTLE_TIME = 0.5
 MAX_SEGMENT = 4096
 """Longest segment of Welch's method, samples."""
 
+LARGEST_FALL = 0.5
+"""Largest part of the torque constant that heat may take: ferrite loses a fifth in 100 K."""
+
 MIN_STEADY_SAMPLES = 4
 """Smallest number of samples at constant speed, however few turns they make."""
 
@@ -258,6 +261,11 @@ def _constants(
         turns, (count, cells) = own.current.size, own.waveforms.shape
         place = turns - count + (np.arange(count * cells) + 0.5) / cells
         lower = np.interp(place, np.arange(turns + 1), lowered.fall) + fall * (place / turns - 0.5)
+        if lower.max() > LARGEST_FALL:
+            raise InsufficientDataError(
+                f"heat of the winding would lower the torque constant by {lower.max():.0%}; more "
+                f"than {LARGEST_FALL:.0%} is no motor's: check the recorded temperature and current"
+            )
         by_turn = housing.value * (1 - lower.reshape(count, cells))
         by_cell.append(by_turn if own.forward else by_turn[:, ::-1])
         value = float(by_turn.mean())

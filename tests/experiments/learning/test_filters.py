@@ -160,6 +160,11 @@ def test_robustness_cutoff_must_lie_below_half_the_rate():
         robustness_gain(FREQUENCY, cutoff_hz=4000.0, order=4, sample_time=SAMPLE_TIME)
 
 
+def test_a_time_that_stands_still_is_refused():
+    with pytest.raises(InsufficientDataError, match="a cycle lasts 0 s"):
+        learning().smoothed(np.zeros(100), 0.0)
+
+
 def answer_of_loop(torque):
     """Return what the loop makes of a periodic torque, simulated sample by sample by scipy."""
     t = LOOP.complementary_sensitivity

@@ -172,6 +172,16 @@ def test_a_saturated_current_is_named_with_its_cause(measured, kt):
             fft_ripple.analyse([stored], recipe, kt=constant)
 
 
+def test_heat_that_no_motor_survives_is_refused(measured, kt, monkeypatch):
+    monkeypatch.setattr(fft_ripple, "LARGEST_FALL", 1e-6)
+    with (
+        open_run(measured[0]) as stored,
+        open_run(kt) as constant,
+        pytest.raises(InsufficientDataError, match="would lower the torque constant by"),
+    ):
+        fft_ripple.analyse([stored], stored.recipe, kt=constant)
+
+
 def test_inputs_that_do_not_fit_are_refused(measured, kt):
     with open_run(measured[0]) as stored, open_run(kt) as constant:
         with pytest.raises(UsageError, match="takes one"):
