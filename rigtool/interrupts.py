@@ -8,9 +8,11 @@ raises what was swallowed, and inside `held` the signal waits until the block of
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -20,23 +22,32 @@ NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 SIGNALS = tuple(getattr(signal, name) for name in NAMES if hasattr(signal, name))
 
 
+BURST_TIME = 0.5
+"""Time after a signal within which others raise nothing, s: the way out is being tidied. They are
+kept for `raise_swallowed`."""
+
+
 class Terminated(BaseException):
     """SIGTERM, SIGHUP or SIGQUIT arrived: files are closed on the way out, as with Ctrl-C."""
 
 
 class _State:
     """State of the process: whether signals come here, the signal that is not handled yet, open
-    `held`s."""
+    `held`s, and when a signal was raised, s."""
 
     active = False
     waiting: int | None = None
     depth = 0
+    raised = -math.inf
 
 
 def _receive(number: int, frame: FrameType | None) -> None:
     _State.waiting = number
     hooked = frame is not None and frame.f_code is _without_interrupts.__code__
-    if not _State.depth and not hooked:  # what that hook raises is swallowed too, and printed
+    if _State.depth or hooked:  # what that hook raises is swallowed too, and printed
+        return
+    before, _State.raised = _State.raised, time.monotonic()
+    if _State.raised > before + BURST_TIME:
         _raise(number)
 
 
@@ -59,7 +70,7 @@ def handled() -> Iterator[None]:
         return
     before = {number: signal.getsignal(number) for number in SIGNALS}
     hook = sys.unraisablehook
-    _State.active, _State.waiting = True, None
+    _State.active, _State.waiting, _State.raised = True, None, -math.inf
     try:
         for number, handler in before.items():
             if handler is not signal.SIG_IGN:

@@ -34,6 +34,21 @@ def test_a_signal_in_a_weakref_callback_is_raised_by_the_next_check(number, erro
     assert capsys.readouterr().err == ""
 
 
+def test_signals_that_come_together_leave_the_way_out_whole():
+    done = []
+
+    def end():
+        try:
+            send(signal.SIGINT)
+        finally:
+            send(signal.SIGTERM)
+            done.append("tidied")
+
+    with pytest.raises(KeyboardInterrupt), handled():
+        end()
+    assert done == ["tidied"]
+
+
 @pytest.mark.parametrize(("number", "error"), KINDS)
 def test_a_signal_waits_until_what_is_held_is_done(number, error):
     done = []
