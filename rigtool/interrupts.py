@@ -21,10 +21,9 @@ from typing import NoReturn
 NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 SIGNALS = tuple(getattr(signal, name) for name in NAMES if hasattr(signal, name))
 
-
 BURST_TIME = 0.5
-"""Time after a signal within which others raise nothing, s: the way out is being tidied. They are
-kept for `raise_swallowed`."""
+"""Time after a signal was raised within which others are not, s: the way out is being tidied. They
+are kept for `raise_swallowed`."""
 
 
 class Terminated(BaseException):
@@ -46,8 +45,8 @@ def _receive(number: int, frame: FrameType | None) -> None:
     hooked = frame is not None and frame.f_code is _without_interrupts.__code__
     if _State.depth or hooked:  # what that hook raises is swallowed too, and printed
         return
-    before, _State.raised = _State.raised, time.monotonic()
-    if _State.raised > before + BURST_TIME:
+    if (now := time.monotonic()) > _State.raised + BURST_TIME:
+        _State.raised = now
         _raise(number)
 
 

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import time
 import weakref
 
 import pytest
@@ -47,6 +48,19 @@ def test_signals_that_come_together_leave_the_way_out_whole():
     with pytest.raises(KeyboardInterrupt), handled():
         end()
     assert done == ["tidied"]
+
+
+def test_signals_that_keep_coming_end_a_way_out_that_hangs():
+    def hang():
+        try:
+            send(signal.SIGINT)
+        finally:
+            for _ in range(500):
+                time.sleep(0.02)
+                send(signal.SIGTERM)
+
+    with pytest.raises(Terminated), handled():
+        hang()
 
 
 @pytest.mark.parametrize(("number", "error"), KINDS)

@@ -25,9 +25,6 @@ ROWS_APART = 5
 MIN_STROKE_ROWS = 20
 """Fewest compared rows with which a stroke shows slow deviations."""
 
-MIN_WHITE_NOISE = 1e-4
-"""Smallest white noise, in parts of the friction; the search begins at 0.01."""
-
 MAX_SCATTER_RATIO = 3.0
 """Scatter of a motion's cycles, in that of most motions, above which they do not repeat."""
 

@@ -287,9 +287,9 @@ class Stretch:
         faults = self._watch.faults()
         rows, causal_states = slice(None, None, every), self._taken("causal_states")
         for fault in faults:
-            at_row = time - self._began
-            states[rows][fault.within(at_row, causal=False)] = State.OUTSIDE
-            causal_states[fault.within(at_row, causal=True)] = State.OUTSIDE
+            since = step_time * np.arange(1.0, self._steps + 1)
+            states[fault.within(since, causal=False)] = State.OUTSIDE
+            causal_states[fault.within(since[rows], causal=True)] = State.OUTSIDE
         inside = states != State.OUTSIDE
         sliding = np.isin(states[rows], (State.AGAINST, State.WITH))
         at = step_time * every, self._taken("passed"), sliding, self._instrument.reach.angle

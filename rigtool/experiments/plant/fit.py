@@ -102,7 +102,7 @@ def fit_plant(found: FrequencyResponse, sample_time: float, nominal_inertia: flo
             f"{MIN_LINES} are needed: the excitation is lost in disturbances and in the steps of "
             "the encoder; raise identify_plant.swing or its speeds, or raise periods"
         )
-    data = _Data(found.lines(used), sample_time)
+    data = _Data(found.lines(used))
     rigid = PlantModel(nominal_inertia, 0.0)
     start = PlantFit(rigid, 0.0, 0.0, 0.0, sample_time, used, 1.0, 1.0)
     best = data.fitted(start)
@@ -134,9 +134,8 @@ def _second_mass(data: _Data, rigid: PlantFit) -> PlantFit | None:
 class _Data:
     """A measured response with the weights of its lines."""
 
-    def __init__(self, found: FrequencyResponse, sample_time: float) -> None:
+    def __init__(self, found: FrequencyResponse) -> None:
         self.found = found
-        self._sample_time = sample_time
         relative = np.square(found.u / np.abs(found.response))
         window = np.ones(min(POOLED_LINES, len(relative)))
         count = np.convolve(np.ones(len(relative)), window, "same")

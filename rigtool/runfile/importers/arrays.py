@@ -45,9 +45,6 @@ _COLUMN = re.compile(r"(.+)\(:, ?(\d{1,9})\)")
 _NESTED = (1, 2, 3)
 """Classes of MATLAB's cells, structures and objects."""
 
-_NAMELESS = ""
-"""Name of the array in a .npy file."""
-
 
 def read_arrays(
     path: Path, variable: str | None, columns: Sequence[ColumnKey], skip_bad: bool

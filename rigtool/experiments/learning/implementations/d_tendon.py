@@ -63,7 +63,7 @@ def tendon_results(
 
 
 def swing_notes(learned: LearnedForce) -> Iterator[str]:
-    """Yield a remark for each load whose cycles do not repeat, with the frequencies that tell
+    """Yield a remark for each load whose cycles do not repeat, with the frequencies that show
     whether it swings on its tendon: that of the scatter, and sqrt(k / J) of the load."""
     shape = learned.model.learned.shape
     for name, record in learned.strokes.items():
