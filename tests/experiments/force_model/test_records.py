@@ -29,3 +29,19 @@ def test_currents_belong_to_the_angles_at_which_they_act(averaged, lag, record_e
     found = averaged(*signals, sample * record_every, under)
     inner = slice(50, -50)
     assert_allclose(100 * found.current[inner], found.angle[inner], atol=3e-4)  # 8e-3 for 1 ms
+
+
+def test_a_current_is_more_than_its_means():
+    """At a seventh of the rate of the samples, which are means over 16 ms."""
+    interval, hertz = 16e-3, 9.0
+
+    def integral(time):
+        return np.sin(2 * np.pi * hertz * time) / (2 * np.pi * hertz)
+
+    ends = interval * np.arange(401)
+    means = np.diff(integral(ends)) / interval
+    turning = np.floor(ends[:-1] / COUNT)
+    found = single(turning, means, turning * COUNT, interval, LoadCase(0.05, 0.0, 0.0, COUNT))
+    middle = interval * np.arange(0.5, found.current.size)
+    expected = np.cos(2 * np.pi * hertz * middle)
+    assert_allclose(found.current[5:-5], expected[5:-5], atol=3e-3)  # means: 0.034
