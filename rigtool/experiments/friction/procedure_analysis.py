@@ -206,7 +206,7 @@ def _fit_holds(
         if recording.has("current"):
             setpoints.append(recording.read("current_setpoint"))
             currents.append(recording.read("current"))
-    fits, steady, notes = fit_holds(parts)
+    fits, steady, notes = fit_holds(parts, _encoder_shaking(recipe))
     if setpoints:
         require_linear_at_low_current(
             current_setpoint=np.concatenate(setpoints),
@@ -216,20 +216,30 @@ def _fit_holds(
     return fits, steady, notes
 
 
-def fit_holds(parts: list[Holds]) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
+def fit_holds(
+    parts: list[Holds], encoder_shaking: float = 0.0
+) -> tuple[dict[int, DirectionFit], Holds, list[str]]:
     """Return the fit by direction of holds from several recordings, those that are used, and notes.
 
-    Left out are holds in which the shaft starts and stops. Raises `InsufficientDataError` where a
-    direction cannot be fitted.
+    Left out are holds in which the shaft shakes; a note states why: by the encoder's steps, of
+    which `encoder_shaking` rad/s is the standard deviation of speed where it is known, or more.
+    Raises `InsufficientDataError` where a direction cannot be fitted.
     """
-    everything, notes = pool(parts), []
+    everything = pool(parts)
     steady = everything[everything.shaking <= SHAKING_LIMIT]
-    if len(steady.speed) < len(everything.speed):
-        shaken = np.abs(everything.speed[everything.shaking > SHAKING_LIMIT])
-        listed = ", ".join(f"{speed:.3g}" for speed in np.unique(np.round(shaken, 3)))
-        notes.append(
-            f"holds left out, because the shaft starts and stops instead of turning: {listed} rad/s"
-        )
+    shaken = everything[everything.shaking > SHAKING_LIMIT]
+    speed = np.abs(shaken.speed)
+    by_steps = 2 * encoder_shaking**2 > (shaken.shaking * speed) ** 2  # most of the variance
+    reasons = (
+        (~by_steps, "the shaft starts and stops, or vibrates"),
+        (by_steps, "the encoder's steps shake it; take more counts, or a softer controller"),
+    )
+    notes = [
+        f"holds left out at {', '.join(f'{v:.3g}' for v in np.unique(speed[chosen].round(3)))} "
+        f"rad/s, where the speed varies by more than {SHAKING_LIMIT:.0%}: {reason}"
+        for chosen, reason in reasons
+        if chosen.any()
+    ]
     return fit_directions(steady.speed, steady.torque, steady.u), steady, notes
 
 

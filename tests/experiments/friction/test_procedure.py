@@ -12,7 +12,11 @@ from rigtool.errors import InsufficientDataError, RunFileError
 from rigtool.experiments.friction import holds
 from rigtool.experiments.friction import procedure as stribeck
 from rigtool.experiments.friction.procedure import PROCEDURE as STRIBECK
-from rigtool.experiments.friction.procedure_analysis import _encoder_shaking, _find_holds
+from rigtool.experiments.friction.procedure_analysis import (
+    _encoder_shaking,
+    _find_holds,
+    fit_holds,
+)
 from rigtool.experiments.friction.results import Scale
 from rigtool.experiments.running.options import CommonOptions
 from rigtool.experiments.running.session import run_command
@@ -316,3 +320,21 @@ def test_samples_that_do_not_show_the_shaking_take_what_the_steps_make(measured,
             stored.recording("holds"), recipe, Scale(Quantity(0.045, "N m/A", 1e-5))
         )
     assert_allclose(found.shaking, _encoder_shaking(recipe) / np.abs(found.speed))
+
+
+def test_a_note_states_why_holds_are_left_out():
+    """Slow ones by the encoder's steps, one by what else shakes it; not known without the steps."""
+    speed = np.outer([1, -1], [0.2, 0.3, 0.6, *np.geomspace(1, 30, 12)]).ravel()
+    shaking = 0.1 / np.abs(speed)
+    shaking[np.isclose(np.abs(speed), 0.6)] = 0.9
+    torque, some = 2e-3 * np.sign(speed) + 5e-5 * speed, np.ones(len(speed))
+    every = holds.Holds(speed, torque, 1e-5 * some, 9 * some, some, shaking, 0 * some)
+    _, kept, notes = fit_holds([every], 0.09)
+    assert np.abs(kept.speed).min() == 1
+    assert len(notes) == 2
+    assert "at 0.6 rad/s" in notes[0]
+    assert "starts and stops" in notes[0]
+    assert "at 0.2, 0.3 rad/s" in notes[1]
+    assert "encoder's steps" in notes[1]
+    (unknown,) = fit_holds([every])[2]
+    assert "at 0.2, 0.3, 0.6 rad/s" in unknown
