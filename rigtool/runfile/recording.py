@@ -161,13 +161,22 @@ class Recording:
         return self._group.values[channel].attributes.get("sha256")
 
     def condition(self, name: str) -> float:
-        """Return the value of a condition, in its unit; `RunFileError` where it is missing."""
+        """Return the value of a condition, in its unit.
+
+        Raises `RunFileError` where it is missing, NaN, or beyond `schema.LARGEST_NUMBER`.
+        """
         if name not in self.conditions:
             raise RunFileError(
                 f"{self._path}: recording {self.name!r} has no condition {name!r}, only "
                 f"{', '.join(self.conditions) or 'nothing'}; record it again with this version"
             )
-        return self.conditions[name].value
+        value = self.conditions[name].value
+        if not abs(value) <= schema.LARGEST_NUMBER:
+            raise RunFileError(
+                f"{self._path}: condition {name!r} of recording {self.name!r} is {value}; a number "
+                f"up to {schema.LARGEST_NUMBER:g} is needed: record it again"
+            )
+        return value
 
     def duration(self) -> float:
         """Return the time from the first to the last sample, s; 0 where there is none."""

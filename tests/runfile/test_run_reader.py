@@ -233,6 +233,16 @@ def test_a_run_of_another_command(run_path):
             run.require_command("calibrate-kt")
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
+def test_a_condition_that_is_no_number_is_refused(copy, value):
+    def other_speed(file):
+        file["entry/recordings/sweep/conditions/speed"][()] = value
+
+    change(copy, other_speed)
+    with open_run(copy) as run, pytest.raises(RunFileError, match="condition 'speed' of recording"):
+        run.recording("sweep").condition("speed")
+
+
 def test_what_is_missing_is_named(run_path):
     with open_run(run_path) as run:
         with pytest.raises(RunFileError, match="no recording 'staircase', only sweep, holds"):
