@@ -18,7 +18,7 @@ from pathlib import Path
 from rigtool.errors import RigtoolError, RunFileError, UsageError
 from rigtool.plugins import load_all, warn
 from rigtool.quantity import Quantity
-from rigtool.recipe.mapping import SIGNALS, Mapping
+from rigtool.recipe.mapping import Mapping
 from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays
 from rigtool.runfile.importers.conditions import unchanged_parts
@@ -41,6 +41,7 @@ from rigtool.runfile.model import Channel, RecordingSpec
 from rigtool.runfile.outputs import own_folder, require_output
 from rigtool.runfile.provenance import Source, file_sha256
 from rigtool.runfile.writer import RunWriter
+from rigtool.signals import SIGNALS
 
 __all__ = [
     "COMMAND",
