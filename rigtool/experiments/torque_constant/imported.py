@@ -27,7 +27,6 @@ from rigtool.experiments.torque_constant.current_levels import (
     fit_constant,
 )
 from rigtool.experiments.torque_constant.measured_levels import (
-    SETTLING_PART,
     common_levels,
     find_levels,
     stepped,
@@ -76,14 +75,14 @@ def analyse_imported(runs: Sequence[Run]) -> Outcome:
 
 
 def _course(recording: Recording) -> Course:
-    torque, _ = _sensor(recording)
+    sensed, arm, _ = _sensor(recording)
     speed = recording.read("speed") if recording.has("speed") else None
     if speed is not None and _at_rest(recording):
         speed = np.zeros(len(speed))
     return Course(
         recording.read("time"),
         recording.read(_current(recording)),
-        torque,
+        sensed * arm,
         recording.read("temperature") if recording.has("temperature") else None,
         speed,
     )
@@ -95,7 +94,7 @@ def _at_rest(recording: Recording) -> bool:
 
 
 def _common_notes(recording: Recording) -> tuple[str, ...]:
-    notes, (_, sensor) = [], _sensor(recording)
+    notes, (_, _, sensor) = [], _sensor(recording)
     if sensor == "torque":
         notes.append("a drive that computes torque from current shows its own constant here")
     if rig_property(recording, "reference_relative_u") is None:
@@ -156,16 +155,18 @@ def _plateaus(recording: Recording, course: Course) -> Plateaus:
     angle = recording.read(ROTOR_ANGLE) if recording.has(ROTOR_ANGLE) else None
     if angle is None and (held := rig_property(recording, ROTOR_ANGLE)) is not None:
         angle = np.full(len(setpoint), held)
-    degc = course.temperature
+    degc, (sensed, arm, _), settings = course.temperature, _sensor(recording), CalibrateKt()
     return plateaus_of_set_point(
         time=course.time,
         current_setpoint=setpoint,
         current=course.current,
-        force=course.torque,
+        force=sensed,
         temperature=np.full(len(setpoint), REFERENCE_DEGC) if degc is None else degc,
         rotor_angle=angle,
-        arm_length=1.0,
-        settle_time=SETTLING_PART * _median_duration(course.time, setpoint),
+        arm_length=arm,
+        settle_time=settings.settle_time
+        * _median_duration(course.time, setpoint)
+        / settings.step_time,
     )
 
 
@@ -203,14 +204,15 @@ def _current(recording: Recording) -> str:
     raise RunFileError(f"{recording.name}: holds no current: map `current` or `current_setpoint`")
 
 
-def _sensor(recording: Recording) -> tuple[Array, str]:
-    """Return the torque (n,) of a sensor, N m, and what it comes from."""
+def _sensor(recording: Recording) -> tuple[Array, float, str]:
+    """Return the readings (n,) of a sensor, its arm, whose product is the torque, N m, and what
+    they are."""
     for name in ("reference_torque", "torque"):
         if recording.has(name):
-            return recording.read(name), name
+            return recording.read(name), 1.0, name
     length = rig_property(recording, "arm_length")
     if recording.has("force") and length is not None:
-        return recording.read("force") * length, "force, times arm_length"
+        return recording.read("force"), length, "force, times arm_length"
     raise RunFileError(
         f"{recording.name}: holds no torque of a sensor: map `reference_torque` or `torque`, or "
         "`force` with arm_length in [rig]"
@@ -256,7 +258,7 @@ def _table(fit: CurrentFit) -> Table:
 
 
 def _notes(fit: CurrentFit, recording: Recording) -> tuple[str, ...]:
-    _, sensor = _sensor(recording)
+    _, _, sensor = _sensor(recording)
     kind = "plateaus" if fit.plateaus else "parts of ramps"
     notes = [
         f"from {len(fit.current)} {kind} of {_current(recording)} against {sensor}; standard "
@@ -267,6 +269,11 @@ def _notes(fit: CurrentFit, recording: Recording) -> tuple[str, ...]:
         notes.append(
             "the current goes one way: friction of the shaft is not separated from the slope, its "
             "usual size is part of u; step the current up and down"
+        )
+    if not fit.turning:
+        notes.append(
+            "measured at one angle of the shaft: ripple of the constant around the turn, often 1 "
+            "%, is not part of u; repeat the staircase at 8 angles"
         )
     if fit.coefficient is None:
         notes.append(

@@ -1,4 +1,12 @@
-"""Plateaus of a measured current, where no set point states them."""
+"""Plateaus of a measured current, where no set point states them.
+
+Noise of standard deviation sigma and no trend has second differences of standard deviation
+
+    sqrt(6) sigma,
+
+by which the current stays within a band or leaves it. The step from level a to level b is after the
+sample k that leaves the smallest sum of (i_j - a)2 up to k and of (i_j - b)2 behind it.
+"""
 
 from __future__ import annotations
 
