@@ -18,36 +18,9 @@ from rigtool.errors import RecipeError
 from rigtool.recipe.base import Section
 from rigtool.recipe.load import parse_toml, read_document, validate
 from rigtool.recipe.units import DATE, RATED, UNITS, ZEROS, require_unit, unit_name
+from rigtool.signals import SIGNALS
 
 MAPPING_VERSION = 1
-
-SIGNALS: dict[str, tuple[str, str, str]] = {
-    "time": ("s", "s", "clock of the recording"),
-    "encoder": ("count", "count", "motor encoder, quad counts"),
-    "position": ("rad", "m", "measured position of the motor"),
-    "position_setpoint": ("rad", "m", "set point of the motor's position"),
-    "speed": ("rad/s", "m/s", "measured speed of the motor"),
-    "speed_setpoint": ("rad/s", "m/s", "set point of the motor's speed"),
-    "current": ("A", "A", "motor current as measured"),
-    "current_setpoint": ("A", "A", "set point of the motor current"),
-    "torque": ("N m", "N m", "motor torque, as the drive or a sensor reports it"),
-    "relative_torque": (
-        "1",
-        "1",
-        "relative to the rated torque, as the drive reports it",
-    ),
-    "force": ("N", "N", "force along the axis, as the drive or a sensor reports it"),
-    "output_position": ("rad", "m", "behind the motor's gearbox"),
-    "output_position_setpoint": ("rad", "m", "set point behind the motor's gearbox"),
-    "output_torque": ("N m", "N m", "behind the motor's gearbox, as a sensor reports it"),
-    "reference_position": ("rad", "m", "angle or position at the load"),
-    "reference_torque": ("N m", "N m", "reference for comparison, from a sensor at the load"),
-    "reference_current": ("A", "A", "set point of the motor that makes the load"),
-    "temperature": ("degC", "degC", "of the motor"),
-    "rotor_angle": ("rad", "m", "at which the shaft is held while torque is measured"),
-}
-"""Names with a fixed meaning: unit on a rotary and on a linear axis, and description. Those that
-`rigs.base.CHANNELS` also holds mean the same there."""
 
 CONSTANT_SPEED = "constant_speed"
 """Condition that states the speed of a recording without position or speed, rad/s."""

@@ -54,6 +54,7 @@ def test_orders_and_by_how_much_each_was_reduced(turns):
     for order, amplitude in ((7, 0.8), (14, 0.2), (28, 0.2)):
         found = results[f"order_{order}_amplitude"]
         assert found.unit == "A"
+        assert found.dof == 4  # both parts of three means
         assert found.value == pytest.approx(amplitude, rel=0.05, abs=0)
         reduced = results[f"order_{order}_motion_reduction"]
         assert reduced.value == pytest.approx(0.8, rel=0, abs=0.03)
