@@ -116,6 +116,8 @@ def _as_at_the_bench(recordings: Sequence[Recording], courses: Sequence[Course])
         if course.current.min() < -REVERSED_CURRENT * np.abs(course.current).max():
             raise InsufficientDataError(f"{place(recording)}: the current has both signs")
     asked = all(recording.has("current_setpoint") for recording in recordings)
+    if any(course.temperature is None for course in courses):
+        courses = [replace(course, temperature=None) for course in courses]
     plateaus = pool(list(map(_plateaus, recordings, courses)))
     if not asked:
         plateaus = replace(plateaus, current_setpoint=common_levels(plateaus.current_setpoint))

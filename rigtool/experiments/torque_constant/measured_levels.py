@@ -1,10 +1,10 @@
 """Plateaus of a measured current, where no set point states them.
 
-Noise of standard deviation sigma and no trend has second differences of standard deviation
+The current stays within a band as wide as its noise, or leaves it, by its second differences d2:
 
-    sqrt(6) sigma,
+    noise = std(d2) / sqrt(6).
 
-by which the current stays within a band or leaves it. The step from level a to level b is after the
+The step from level a to level b is after the
 sample k that leaves the smallest sum of (i_j - a)2 up to k and of (i_j - b)2 behind it.
 """
 
