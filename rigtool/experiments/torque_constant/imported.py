@@ -64,14 +64,18 @@ def analyse_imported(runs: Sequence[Run]) -> Outcome:
     """
     recordings = rotary_recordings(runs, "where current makes force")
     courses = [_course(recording) for recording in recordings]
-    common = _common_notes(recordings[0])
-    try:
-        outcome = _as_at_the_bench(recordings, courses)
-    except InsufficientDataError as error:
-        outcome = _by_usual_sizes(recordings, courses)
-        reason = (f"not analysed as staircases of a bench are: {error}",)
-        return replace(outcome, notes=(*outcome.notes, *reason, *common))
-    return replace(outcome, notes=(*outcome.notes, *common))
+    notes = _common_notes(recordings[0])
+    asked = all(recording.has("current_setpoint") for recording in recordings)
+    for by_setpoint in [True, False][not asked :]:
+        try:
+            outcome = _as_at_the_bench(recordings, courses, by_setpoint=by_setpoint)
+        except InsufficientDataError as error:
+            which = " by their set point" if by_setpoint else ""
+            notes = (*notes, f"not analysed as staircases of a bench are{which}: {error}")
+        else:
+            return replace(outcome, notes=(*outcome.notes, *notes))
+    outcome = _by_usual_sizes(recordings, courses)
+    return replace(outcome, notes=(*outcome.notes, *notes))
 
 
 def _course(recording: Recording) -> Course:
@@ -108,18 +112,21 @@ def _common_notes(recording: Recording) -> tuple[str, ...]:
 # -- staircases, as at the bench
 
 
-def _as_at_the_bench(recordings: Sequence[Recording], courses: Sequence[Course]) -> Outcome:
+def _as_at_the_bench(
+    recordings: Sequence[Recording], courses: Sequence[Course], *, by_setpoint: bool
+) -> Outcome:
     """Analyse staircases as the bench's own; `InsufficientDataError` where they are none."""
     for recording, course in zip(recordings, courses, strict=True):
         if not _at_rest(recording):
             raise InsufficientDataError(f"{place(recording)}: the shaft turns")
-        if course.current.min() < -REVERSED_CURRENT * np.abs(course.current).max():
+        low, high = sorted(np.abs([course.current.min(), course.current.max()]).tolist())
+        if low > REVERSED_CURRENT * high and course.current.min() < 0 < course.current.max():
             raise InsufficientDataError(f"{place(recording)}: the current has both signs")
-    asked = all(recording.has("current_setpoint") for recording in recordings)
     if any(course.temperature is None for course in courses):
         courses = [replace(course, temperature=None) for course in courses]
-    plateaus = pool(list(map(_plateaus, recordings, courses)))
-    if not asked:
+    each = zip(recordings, courses, strict=True)
+    plateaus = pool([_plateaus(*one, by_setpoint=by_setpoint) for one in each])
+    if not by_setpoint:
         plateaus = replace(plateaus, current_setpoint=common_levels(plateaus.current_setpoint))
     if (count := int(plateaus.staircase.max()) + 1) < FEWEST_STAIRCASES:
         raise InsufficientDataError(
@@ -133,21 +140,18 @@ def _as_at_the_bench(recordings: Sequence[Recording], courses: Sequence[Course])
         gauge_relative_u=rig_property(recordings[0], "reference_relative_u") or 0.0,
         reference_range_degc=reference_range,
     )
-    outcome = outcome_of(
+    return outcome_of(
         found,
         nominal=rig_property(recordings[0], "torque_constant"),
         current_reading_relative_u=0.0,
         reference_range_degc=reference_range,
+        setpoint_known=by_setpoint,
+        temperature_known=courses[0].temperature is not None,
     )
-    if asked:
-        return outcome
-    measured = {k: q for k, q in outcome.results.items() if not k.startswith("amplifier_")}
-    tables = {name: table for name, table in outcome.tables.items() if name != "linearity"}
-    return replace(outcome, results=measured, tables=tables)
 
 
-def _plateaus(recording: Recording, course: Course) -> Plateaus:
-    if recording.has("current_setpoint"):
+def _plateaus(recording: Recording, course: Course, *, by_setpoint: bool) -> Plateaus:
+    if by_setpoint:
         setpoint = recording.read("current_setpoint")
     else:
         levels = find_levels(course.current, course.torque)
@@ -158,11 +162,12 @@ def _plateaus(recording: Recording, course: Course) -> Plateaus:
     if angle is None and (held := rig_property(recording, ROTOR_ANGLE)) is not None:
         angle = np.full(len(setpoint), held)
     degc, (sensed, arm, _), settings = course.temperature, _sensor(recording), CalibrateKt()
+    sign = 1.0 if course.current.max() > -course.current.min() else -1.0
     return plateaus_of_set_point(
         time=course.time,
-        current_setpoint=setpoint,
-        current=course.current,
-        force=sensed,
+        current_setpoint=sign * setpoint,
+        current=sign * course.current,
+        force=sign * sensed,
         temperature=np.full(len(setpoint), REFERENCE_DEGC) if degc is None else degc,
         rotor_angle=angle,
         arm_length=arm,
