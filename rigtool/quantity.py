@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -166,6 +167,9 @@ _RELATIVE = re.compile(
 _GAIN = re.compile("gain_margin")
 """Names of results without a unit that are shown in decibels."""
 
+FINEST = 1e-16
+"""Part of a value that is finer than its digits, as an uncertainty of zero is."""
+
 
 def display_unit(unit: str, size: float = 1.0) -> tuple[float, str]:
     """Return the factor and the unit in which values of an SI `unit`, of a `size`, are shown."""
@@ -202,7 +206,7 @@ def format_number(value: float, u: float | None) -> str:
     """
     if not math.isfinite(value):
         return str(value)
-    if u is None or not math.isfinite(u) or u == 0:
+    if u is None or not math.isfinite(u) or u <= max(abs(value) * FINEST, sys.float_info.min):
         return f"{value:.4g}"
     power = math.floor(math.log10(max(abs(value), u)))
     if not -4 <= power <= 5:

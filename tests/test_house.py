@@ -21,6 +21,7 @@ FLOORS = (
     "recipe",
     "plugins",
     "quantity",
+    "signals",
     "inputs",
     "errors",
     "escapes",

@@ -35,6 +35,8 @@ from rigtool.quantity import (
         (45.8, 0.0996, "45.80(10)"),
         (12345.0, 210.0, "12340(210)"),
         (0.0, 0.5, "0.00(50)"),
+        (0.045, 1e-320, "0.045"),  # finer than the value's own digits, as zero is
+        (0.0, 5e-324, "0"),
     ],
 )
 def test_short_form_of_the_gum(value, u, expected):

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 from rigtool.experiments.outcome import Outcome
 from rigtool.recipe import Recipe
-from rigtool.rigs import CHANNELS, Block, Rig, Task
+from rigtool.rigs import Block, Rig, Task
 from rigtool.runfile import Channel, RecordingSpec, RunWriter
+from rigtool.signals import CHANNELS
 
 
 @dataclass(frozen=True, eq=False)

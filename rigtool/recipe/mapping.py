@@ -17,36 +17,10 @@ from pydantic import Field, field_validator, model_validator
 from rigtool.errors import RecipeError
 from rigtool.recipe.base import Section
 from rigtool.recipe.load import parse_toml, read_document, validate
-from rigtool.recipe.units import DATE, RATED, UNITS, require_unit, unit_name
+from rigtool.recipe.units import DATE, RATED, UNITS, ZEROS, require_unit, unit_name
+from rigtool.signals import SIGNALS
 
 MAPPING_VERSION = 1
-
-SIGNALS: dict[str, tuple[str, str, str]] = {
-    "time": ("s", "s", "clock of the recording"),
-    "encoder": ("count", "count", "motor encoder, quad counts"),
-    "position": ("rad", "m", "measured position of the motor"),
-    "position_setpoint": ("rad", "m", "set point of the motor's position"),
-    "speed": ("rad/s", "m/s", "measured speed of the motor"),
-    "speed_setpoint": ("rad/s", "m/s", "set point of the motor's speed"),
-    "current": ("A", "A", "motor current as measured"),
-    "current_setpoint": ("A", "A", "set point of the motor current"),
-    "torque": ("N m", "N m", "motor torque, as the drive or a sensor reports it"),
-    "relative_torque": (
-        "1",
-        "1",
-        "relative to the rated torque, as the drive reports it",
-    ),
-    "force": ("N", "N", "force along the axis, as the drive or a sensor reports it"),
-    "output_position": ("rad", "m", "behind the motor's gearbox"),
-    "output_position_setpoint": ("rad", "m", "set point behind the motor's gearbox"),
-    "output_torque": ("N m", "N m", "behind the motor's gearbox, as a sensor reports it"),
-    "reference_position": ("rad", "m", "angle or position at the load"),
-    "reference_torque": ("N m", "N m", "reference for comparison, from a sensor at the load"),
-    "reference_current": ("A", "A", "set point of the motor that makes the load"),
-    "temperature": ("degC", "degC", "of the motor"),
-}
-"""Names with a fixed meaning: unit on a rotary and on a linear axis, and description. Those that
-`rigs.base.CHANNELS` also holds mean the same there."""
 
 CONSTANT_SPEED = "constant_speed"
 """Condition that states the speed of a recording without position or speed, rad/s."""
@@ -221,7 +195,7 @@ class Condition(Section):
             raise ValueError("give one of `pattern`, `column` and `value`")
         if not _NAME.fullmatch(self.name):
             raise ValueError("name: use letters, digits and underscores, not a digit first")
-        if self.name == CONSTANT_SPEED and self.si[1] != "rad/s":
+        if self.name == CONSTANT_SPEED and self.si_unit != "rad/s":
             raise ValueError(f"{CONSTANT_SPEED} is a speed: give its unit, e.g. rpm")
         if isinstance(self.column, int) and self.column < 1:
             raise ValueError(f"columns are counted from 1, got {self.column}")
@@ -240,9 +214,14 @@ class Condition(Section):
             raise ValueError(f"pattern needs one pair of parentheses, has {groups}")
 
     @property
-    def si(self) -> tuple[float, str]:
-        """SI value of one `unit`, and its SI unit; a unit that is not known stays."""
-        return UNITS.get(unit_name(self.unit), (1.0, self.unit))
+    def si_unit(self) -> str:
+        """SI unit of `unit`; a unit that is not known stays."""
+        return UNITS.get(unit_name(self.unit), (1.0, self.unit))[1]
+
+    def si(self, value: float) -> tuple[float, str]:
+        """Return a number in `unit` in its SI unit, and that unit."""
+        unit = unit_name(self.unit)
+        return value * UNITS.get(unit, (1.0, ""))[0] + ZEROS.get(unit, 0.0), self.si_unit
 
 
 class Map(Section):
@@ -366,6 +345,10 @@ class Mapping(Section):
             turn = 2 * math.pi if self.rig.axis == "rotary" else 1.0
             return turn / signal.counts_per_turn
         return UNITS[signal.unit][0]
+
+    def zero(self, name: str) -> float:
+        """Return what 0 of the unit of a signal is in its SI unit."""
+        return ZEROS.get(self.signals[name].unit, 0.0)
 
     def description(self, name: str) -> str:
         """Return the description of a signal."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 from rigtool.errors import RunFileError, UsageError
+from rigtool.inputs import reading
 from rigtool.report.figures import Picture, draw_figures
 from rigtool.report.figures.plots import HEADLINE, other_unit_drawn
 from rigtool.report.formats import ReportTable
@@ -143,10 +143,13 @@ def _labels(runs: Sequence[Run]) -> list[tuple[str, Run]]:
 
     Equal stems from different folders are numbered.
     """
-    paths = Counter(run.path.resolve() for run in runs)
-    for path, times in paths.items():
-        if times > 1:
-            raise UsageError(f"{path}: is given twice: give each run file once")
+    files = set()
+    for run in runs:
+        with reading(run.path, RunFileError):
+            found = run.path.stat()  # a file may have several names
+        if (found.st_dev, found.st_ino) in files:
+            raise UsageError(f"{run.path}: is given twice: give each run file once")
+        files.add((found.st_dev, found.st_ino))
 
     def key(run: Run) -> tuple[int, str, str, str]:
         place = (

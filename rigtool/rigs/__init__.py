@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rigtool.rigs.base import CHANNELS, NEED_DESCRIPTIONS, Block, Feedforward, Load, Rig, Task
+from rigtool.rigs.base import NEED_DESCRIPTIONS, Block, Feedforward, Load, Rig, Task
 
 if TYPE_CHECKING:
     from rigtool.recipe import Recipe
     from rigtool.rigs.operator import Operator
 
 __all__ = [
-    "CHANNELS",
     "NEED_DESCRIPTIONS",
     "Block",
     "Feedforward",

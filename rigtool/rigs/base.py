@@ -19,24 +19,6 @@ from rigtool.rigs.motion import Motion, Observe, OpenLoop
 Block = dict[str, Array]
 """Equal-length arrays by channel name, `time` among them."""
 
-CHANNELS = {
-    "time": ("s", "f8", "bench clock"),
-    "position_setpoint": ("rad", "f8", "set point of the motor shaft"),
-    "encoder": ("count", "f8", "motor encoder, quad counts; a mean where samples are averaged"),
-    "current_setpoint": ("A", "f4", "asked of the amplifier: controller + feed-forward + table"),
-    "current": ("A", "f4", "as the amplifier measures it"),
-    "feedforward_current": ("A", "f4", "part from acceleration and friction model"),
-    "table_current": ("A", "f4", "part from the learned table"),
-    "signal_current": ("A", "f4", "part that repeats with time: excitation, or a learned torque"),
-    "temperature": ("degC", "f4", "of the motor's cooling body"),
-    "force": ("N", "f4", "force gauge at the end of the arm"),
-    "rotor_angle": ("rad", "f4", "angle of the shaft in the arm's clamp"),
-    "deflection": ("m", "f8", "of the motor on its leaf springs, by a micrometer"),
-    "reference_torque": ("N m", "f8", "true external torque on the output; for comparison only"),
-}
-"""Unit, type in the file and meaning of each channel that a rig may offer."""
-
-
 NEED_DESCRIPTIONS = {
     "closed_loop": "follow a set point of position",
     "open_loop": "follow a current with the position loop open",

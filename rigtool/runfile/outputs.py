@@ -28,7 +28,18 @@ MAX_NAME = 250
 MAX_PATH = 4000
 """Bytes of a path: Linux takes 4095, and names of temporary files are added."""
 
-_HOST = f"{zlib.crc32(socket.gethostname().encode()):08x}"
+
+def _computer() -> str:
+    """Return a name of this computer, or container: what numbers its own processes."""
+    known = [socket.gethostname()]
+    with contextlib.suppress(OSError):
+        known.append(os.readlink("/proc/self/ns/pid"))
+    with contextlib.suppress(OSError):
+        known.append(Path("/etc/machine-id").read_text())
+    return f"{zlib.crc32(' '.join(known).encode()):08x}"
+
+
+_HOST = _computer()
 _OURS = re.compile(rf"\.rigtool-{_HOST}-(\d+)-[0-9a-f]{{8}}")
 
 

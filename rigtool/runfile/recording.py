@@ -22,6 +22,7 @@ from rigtool.quantity import HOTTEST_DEGC, Quantity
 from rigtool.runfile import schema, tree
 from rigtool.runfile.model import Channel, Column, dataset, description_of
 from rigtool.runfile.opened import OpenFile, SharedFile, guard
+from rigtool.signals import units_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,9 +78,9 @@ class Recording:
     def read(self, channel: str, start: int = 0, stop: int | None = None) -> Array:
         """Return samples start..stop (stop excluded) of a channel as f8, in its unit.
 
-        Raises `RunFileError` where the channel is missing, damaged, or holds NaN, infinity or
-        numbers beyond `schema.LARGEST_NUMBER`, or `HOTTEST_DEGC`, or is a time of samples closer
-        than any are.
+        Raises `RunFileError` where the channel is missing, damaged, in a unit that no channel of
+        its name has, or holds NaN, infinity or numbers beyond `schema.LARGEST_NUMBER`, or
+        `HOTTEST_DEGC`, or is a time of samples closer than any are.
         """
         values = self.read_stored(channel, start, stop).astype(np.float64, copy=False)
         bad, limit = self._unusable(channel, values)
@@ -161,13 +162,31 @@ class Recording:
         return self._group.values[channel].attributes.get("sha256")
 
     def condition(self, name: str) -> float:
-        """Return the value of a condition, in its unit; `RunFileError` where it is missing."""
+        """Return the value of a condition, in its unit.
+
+        Raises `RunFileError` where it is missing, NaN, beyond `schema.LARGEST_NUMBER` or in a unit
+        that no such quantity has.
+        """
         if name not in self.conditions:
             raise RunFileError(
                 f"{self._path}: recording {self.name!r} has no condition {name!r}, only "
                 f"{', '.join(self.conditions) or 'nothing'}; record it again with this version"
             )
-        return self.conditions[name].value
+        value = self.conditions[name].value
+        self._require_unit(f"condition {name!r}", name, self.conditions[name].unit)
+        if not abs(value) <= schema.LARGEST_NUMBER:
+            raise RunFileError(
+                f"{self._path}: condition {name!r} of recording {self.name!r} is {value}; a number "
+                f"up to {schema.LARGEST_NUMBER:g} is needed: record it again"
+            )
+        return value
+
+    def _require_unit(self, what: str, name: str, unit: str) -> None:
+        if (known := units_of(name)) and unit not in known:
+            raise RunFileError(
+                f"{self._path}: {what} of recording {self.name!r} is in {unit!r}; "
+                f"{' or '.join(known)} is needed: convert it, or import it with its unit"
+            )
 
     def duration(self) -> float:
         """Return the time from the first to the last sample, s; 0 where there is none."""
@@ -212,7 +231,9 @@ class Recording:
 
     def _unusable(self, channel: str, values: Array) -> tuple[NDArray[np.intp], float]:
         """Return where values are NaN or larger than a signal of this unit is, and that limit."""
-        limit = HOTTEST_DEGC if self.units[channel] == "degC" else schema.LARGEST_NUMBER
+        unit = self.units[channel]
+        self._require_unit(f"channel {channel!r}", channel, unit)
+        limit = HOTTEST_DEGC if unit == "degC" else schema.LARGEST_NUMBER
         # One pass without a temporary array, mostly: no square is larger than the sum of all.
         with np.errstate(over="ignore", invalid="ignore"):
             if np.dot(values, values) <= limit**2:

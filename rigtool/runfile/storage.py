@@ -7,6 +7,7 @@ knows nothing of it and still closes the file in order.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import re
@@ -14,11 +15,11 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 
-from rigtool.errors import RigtoolError, refusal
+from rigtool.errors import RigtoolError, UsageError, refusal
 
 _ERRNO = re.compile(r"errno = (\d+)")
 
@@ -72,8 +73,42 @@ def is_locked(path: Path) -> bool:
         return not lock(stream.fileno())
 
 
-def lock(handle: int) -> bool:
+def remove_unlocked(path: Path) -> None:
+    """Remove what an earlier run left; raises `UsageError` where another one is writing it."""
+    with contextlib.suppress(FileNotFoundError), path.open("r+b") as old:
+        if not lock(old.fileno()):
+            raise written_by_another(path)
+        path.unlink()
+
+
+def take_free_name(own: Path, name: Path) -> None:
+    """Give a file another name in one step; raises `UsageError` where somebody was faster."""
+    try:
+        os.link(own, name)
+    except FileExistsError:
+        raise written_by_another(name) from None
+    except OSError:  # a file system without hard links
+        if name.exists():
+            raise written_by_another(name) from None
+        os.rename(own, name)
+
+
+def written_by_another(path: Path) -> UsageError:
+    """Return the error of a file that another run of rigtool has."""
+    return UsageError(f"{path}: is being written by another run now: give the output another name")
+
+
+def marked(path: Path) -> BinaryIO:
+    """Open a file for reading and mark it as in use, until it is closed."""
+    stream = path.open("rb")
+    lock(stream.fileno(), shared=True)
+    return stream
+
+
+def lock(handle: int, *, shared: bool = False) -> bool:
     """Mark an open file as being written, until it is closed; return whether nobody else writes.
+
+    A `shared` mark is for a file that is open for reading, and HDF5 may open it for reading, too.
 
     The lock belongs to the open file, not to the process: HDF5 opens it more than once. Linux calls
     it an open file description lock, fcntl(2); systems without it have none.
@@ -81,7 +116,8 @@ def lock(handle: int) -> bool:
     try:
         import fcntl
 
-        request = struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
+        kind = fcntl.F_RDLCK if shared else fcntl.F_WRLCK
+        request = struct.pack("hhqqi", kind, os.SEEK_SET, 0, 0, 0)
         fcntl.fcntl(handle, fcntl.F_OFD_SETLK, request)
     except (ImportError, AttributeError):
         return True

@@ -94,6 +94,7 @@ class RunWriter:
         self._file: h5py.File | None = None
         self._recorded: Run | None = None
         self._inode = 0
+        self._marks = contextlib.ExitStack()
         self._synced = -SYNC_INTERVAL
         self._unsynced = 0
         self._finished = False
@@ -193,6 +194,7 @@ class RunWriter:
                 self._require_own_part()
                 os.replace(new, self.path)
                 self._finished = True
+                self._marks.close()
                 self.part.unlink()
                 storage.sync_folder(self.path.parent)
 
@@ -212,9 +214,7 @@ class RunWriter:
         if any(os.path.exists(name) and self.part.samefile(name) for name in inputs):
             raise UsageError(f"{self.part}: is an input of this run: give the output another name")
         if storage.is_locked(self.part):
-            raise UsageError(
-                f"{self.part}: is being written by another run now: give the output another name"
-            )
+            raise storage.written_by_another(self.part)
 
     def _owns_part(self) -> bool:
         # Someone else may have started the same output with --overwrite meanwhile.
@@ -228,16 +228,21 @@ class RunWriter:
             )
 
     def _start(self) -> None:
-        """Create the .part with all that is known before the first sample."""
-        self.part.unlink(missing_ok=True)  # `_require_free` looked at it
-        with self.part.open("xb") as stream:
-            self._inode = os.fstat(stream.fileno()).st_ino
-            storage.reserve(stream.fileno(), self._head_size())
-        self._file = file = storage.open_file(
-            self.part, "w", libver=schema.LIBVER, **schema.PAGE_SETTINGS
-        )
-        storage.lock(file.id.get_vfd_handle())
-        self._reserve(file, self._head_size())
+        """Create the .part with all that is known before the first sample.
+
+        The file has its lock before it has its name: of runs that begin at one moment one goes on.
+        """
+        storage.remove_unlocked(self.part)  # `_require_free` looked at it
+        with own_file(self.path) as new:
+            with new.open("r+b") as stream:
+                self._inode = os.fstat(stream.fileno()).st_ino
+                storage.reserve(stream.fileno(), self._head_size())
+            self._file = file = storage.open_file(
+                new, "w", libver=schema.LIBVER, **schema.PAGE_SETTINGS
+            )
+            storage.lock(file.id.get_vfd_handle())
+            self._reserve(file, self._head_size())
+            storage.take_free_name(new, self.part)
         layout.write_head(file, self._command, self._rig, self._specs, self._provenance)
         for spec in self._specs:
             self._streams[spec.name] = Stream(spec, file)
@@ -297,6 +302,8 @@ class RunWriter:
             self._sync(force=True)
             file, self._file = self._file, None
             file.close()
+            # What is analysed is kept from other runs, too.
+            self._marks.enter_context(storage.marked(self.part))
 
     def _abandon(self) -> str:
         """Close everything after an error; return a note on the remains.
@@ -311,6 +318,7 @@ class RunWriter:
             with contextlib.suppress(Exception):
                 close()
         self._file = None
+        self._marks.close()
         samples = sum(stream.written for stream in self._streams.values())
         if not self._owns_part():
             return f"{samples} samples that were recorded are lost" if samples else ""

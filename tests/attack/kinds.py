@@ -28,6 +28,7 @@ from tests.attack.bench import (
     said,
 )
 from tests.attack.edited import edited
+from tests.attack.mixed import mixed
 from tests.attack.surroundings import refusing
 from tests.attack.trial import Trial, at, content, run
 from tests.attack.wrong_inputs import another_kind, changing, samples
@@ -385,6 +386,7 @@ KINDS: dict[str, Kind] = {
     "damaged files": damaged,
     "malicious files": malicious,
     "edited tables": edited,
+    "mixed files": mixed,
     "recipes": recipe,
     "settings": setting,
     "imports": imported,

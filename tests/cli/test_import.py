@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rigtool.runfile import open_run
+from rigtool.runfile import importers, open_run
+from rigtool.runfile.importers.plan import Plan
 from tests.cli.test_run_commands import call
 from tests.runfile.importers.mappings import TEXT, lines
 
@@ -57,6 +58,16 @@ def test_a_folder_becomes_a_folder(folder, capsys):
     code, _, err = call(capsys, *arguments)
     assert code == 2
     assert "exists already" in err
+
+
+def test_names_that_are_one_name_on_the_disk_are_refused(folder, capsys, monkeypatch):
+    # A.csv and a.csv, where capitals do not count: the disk knows, not the list of names.
+    names = {folder / "in" / name: Path("a.h5") for name in ("a.csv", "b.txt")}
+    monkeypatch.setattr(importers, "plan", lambda *_: Plan(names, True, []))
+    arguments = ("import", folder / "in", "--map", folder / "map.toml", "-o", folder / "out")
+    code, _, err = call(capsys, *arguments, "--overwrite")
+    assert (code, "b.txt: its run" in err, "one name on this disk" in err) == (2, True, True)
+    assert not (folder / "out").exists()
 
 
 def test_several_folders_keep_their_names(folder, capsys):

@@ -17,7 +17,7 @@ from rigtool.recipe.mapping import (
     load_mapping,
     parse_mapping,
 )
-from rigtool.rigs import CHANNELS
+from rigtool.signals import CHANNELS
 from tests.runfile.importers.mappings import TEXT
 
 RECIPES = Path(__file__).parents[2] / "recipes" / "import"

@@ -148,8 +148,11 @@ def test_two_runs_of_a_kind_are_told_apart_by_their_names(make, open_all, no_fig
 
 def test_one_file_twice_is_refused(make, open_all, no_figures):
     path = make("calibrate-kt")
-    with pytest.raises(UsageError, match="given twice"):
-        build_report(open_all(path, path.parent / "." / path.name))
+    other_name = path.with_name("other.h5")
+    other_name.hardlink_to(path)
+    for name in (path.parent / "." / path.name, other_name):
+        with pytest.raises(UsageError, match="given twice"):
+            build_report(open_all(path, name))
 
 
 def test_warnings_about_runs_that_do_not_belong_together(make, open_all, no_figures):

@@ -26,7 +26,8 @@ CODE = textwrap.dedent(
         return int(status.split("VmHWM:")[1].split()[0]) / 1024
 
     names = ("time", "a", "b", "c", "d", "e")
-    spec = RecordingSpec("long", tuple(Channel(name, "1", "f8", "") for name in names))
+    units = {"time": "s"}
+    spec = RecordingSpec("long", tuple(Channel(n, units.get(n, "1"), "f8", "") for n in names))
     size, start = 100_000, most()
     arguments = dict(command="x", recipe=None, recipe_text=None, recordings=[spec])
     for blocks in map(int, sys.argv[2:]):

@@ -233,6 +233,31 @@ def test_a_run_of_another_command(run_path):
             run.require_command("calibrate-kt")
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
+def test_a_condition_that_is_no_number_is_refused(copy, value):
+    def other_speed(file):
+        file["entry/recordings/sweep/conditions/speed"][()] = value
+
+    change(copy, other_speed)
+    with open_run(copy) as run, pytest.raises(RunFileError, match="condition 'speed' of recording"):
+        run.recording("sweep").condition("speed")
+
+
+def test_a_signal_in_another_unit_than_its_name_has_is_refused(copy):
+    def other_units(file):
+        for place in ("sweep/current", "sweep/conditions/speed"):
+            file[f"entry/recordings/{place}"].attrs["units"] = np.bytes_("mA")
+
+    change(copy, other_units)
+    with open_run(copy) as run:
+        sweep = run.recording("sweep")
+        for finite in (True, False):
+            with pytest.raises(RunFileError, match=r"'current' of .* in 'mA'; A is needed"):
+                next(sweep.blocks("current", finite=finite))
+        with pytest.raises(RunFileError, match=r"'speed' of .* in 'mA'; rad/s or m/s is needed"):
+            sweep.condition("speed")
+
+
 def test_what_is_missing_is_named(run_path):
     with open_run(run_path) as run:
         with pytest.raises(RunFileError, match="no recording 'staircase', only sweep, holds"):

@@ -22,8 +22,8 @@ from rigtool.experiments.force_sensor.sensor import Sensor
 from rigtool.experiments.procedure import Procedure
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
-from rigtool.rigs import CHANNELS
 from rigtool.runfile import Run
+from rigtool.signals import CHANNELS
 
 
 def over_time_live(seconds: float, *, observed: bool, every: int) -> Procedure:

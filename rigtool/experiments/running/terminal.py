@@ -23,7 +23,7 @@ from typing import Any, Literal, TextIO
 import numpy as np
 
 from rigtool.errors import UsageError
-from rigtool.rigs import CHANNELS
+from rigtool.signals import CHANNELS
 
 DRAWING_INTERVAL = 0.2
 """Time between two drawings, s: each adds a column."""

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
-from rigtool.errors import RigtoolError, RunFileError
+from rigtool.errors import RigtoolError, RunFileError, UsageError
 from rigtool.plugins import load_all, warn
 from rigtool.quantity import Quantity
-from rigtool.recipe.mapping import SIGNALS, Mapping
+from rigtool.recipe.mapping import Mapping
 from rigtool.runfile.importers import epos
 from rigtool.runfile.importers.arrays import read_arrays
 from rigtool.runfile.importers.conditions import unchanged_parts
@@ -41,6 +41,7 @@ from rigtool.runfile.model import Channel, RecordingSpec
 from rigtool.runfile.outputs import own_folder, require_output
 from rigtool.runfile.provenance import Source, file_sha256
 from rigtool.runfile.writer import RunWriter
+from rigtool.signals import SIGNALS
 
 __all__ = [
     "COMMAND",
@@ -123,8 +124,14 @@ def import_files(
     with _new_folders() as make_folder:
         make_folder(folder)
         with own_folder(folder) as beside:
-            for number, (source, name) in enumerate(names.items()):
-                here, final = beside / f"{number}.h5", folder / name
+            for source, name in names.items():
+                here, final = beside / "runs" / name, folder / name
+                here.parent.mkdir(parents=True, exist_ok=True)
+                if here.exists():
+                    raise UsageError(
+                        f"{source}: its run {final} is that of another file, since names differ in "
+                        "case or accents only, which is one name on this disk: rename the file"
+                    )
                 try:
                     done.append(_import_file(source, here, final, mapping, skip_bad, overwrite))
                 except RunFileError as error:
@@ -134,9 +141,8 @@ def import_files(
             for item in done:
                 make_folder(item.output.parent)
                 require_output(item.output, overwrite=overwrite, inputs=[*names, *read])
-            for number, source in enumerate(names):
-                if source not in bad:
-                    os.replace(beside / f"{number}.h5", folder / names[source])
+            for item in done:
+                os.replace(beside / "runs" / names[item.source], item.output)
     return Import(done, planned.left_out, bad)
 
 

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from rigtool.recipe import load_recipe
 from rigtool.recipe.virtual import Mass, Pulse, Ramp, Sine, Tissue
-from rigtool.rigs import CHANNELS, Feedforward, Load, Task, open_rig
+from rigtool.rigs import Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.virtual import contacts
+from rigtool.signals import CHANNELS
 
 RECIPE = Path(__file__).parents[3] / "recipes" / "briaire-2006.toml"
 KT, RADIUS, RATIO = 0.0454, 0.020, 0.85

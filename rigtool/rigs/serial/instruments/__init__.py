@@ -17,9 +17,9 @@ import numpy as np
 from rigtool.errors import RecipeError
 from rigtool.numerics.arrays import Array
 from rigtool.recipe.serial import MeasuringInstrument
-from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.line import Line
+from rigtool.signals import CHANNELS
 
 
 class Gauge(Protocol):

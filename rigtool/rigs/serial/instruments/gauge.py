@@ -14,10 +14,10 @@ import numpy as np
 from rigtool.errors import HardwareError
 from rigtool.numerics.arrays import Array, Mask
 from rigtool.recipe.serial import MeasuringInstrument
-from rigtool.rigs.base import CHANNELS
 from rigtool.rigs.serial.instruments.readings import UNSTABLE, Reader, Reading
 from rigtool.rigs.serial.line import DamagedReply, Line, LineTimeout
 from rigtool.rigs.serial.transport.spy import RecordEnd
+from rigtool.signals import CHANNELS
 
 HOLDING_TIME = {"force": 0.5, "deflection": 0.5, "temperature": 10.0}
 """Longest time for which a reading holds, s."""

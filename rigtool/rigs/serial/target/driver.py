@@ -18,7 +18,7 @@ from rigtool.control.position_loop import controller_sections
 from rigtool.errors import HardwareError, RecipeError
 from rigtool.numerics.arrays import Array
 from rigtool.recipe import Recipe
-from rigtool.rigs.base import CHANNELS, Block, Load, Task
+from rigtool.rigs.base import Block, Load, Task
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.drivers import Driver
 from rigtool.rigs.serial.line import Line, RequestRefused
@@ -28,6 +28,7 @@ from rigtool.rigs.serial.target import link, protocol
 from rigtool.rigs.serial.target.link import Ability, FrameKind, Refusal, Slot, Status, TargetState
 from rigtool.rigs.serial.target.log import Log
 from rigtool.rigs.serial.target.protocol import TargetProtocol
+from rigtool.signals import CHANNELS
 
 BAUD_RATE = 115200
 

@@ -17,7 +17,7 @@ import numpy as np
 from rigtool.control.lookup_table import LookupTable
 from rigtool.numerics.arrays import Array
 from rigtool.recipe.serial import Limits
-from rigtool.rigs.base import CHANNELS, Feedforward, Load
+from rigtool.rigs.base import Feedforward, Load
 from rigtool.rigs.motion import (
     CurrentRamp,
     CurrentSteps,
@@ -29,6 +29,7 @@ from rigtool.rigs.motion import (
     Triangle,
 )
 from rigtool.rigs.serial.line import DamagedReply
+from rigtool.signals import CHANNELS
 
 VERSION = 1
 REPLY = 0x80

@@ -10,10 +10,11 @@ import pytest
 from rigtool.control.lookup_table import LookupTable
 from rigtool.recipe import load_recipe
 from rigtool.recipe.virtual import Tissue
-from rigtool.rigs import CHANNELS, Feedforward, Load, Task, open_rig
+from rigtool.rigs import Feedforward, Load, Task, open_rig
 from rigtool.rigs.motion import CurrentRamp, CurrentSteps, SpeedProfile, Triangle
 from rigtool.rigs.operator import Operator
 from rigtool.rigs.serial.emulators.target import TargetEmulator
+from rigtool.signals import CHANNELS
 from tests.rigs.serial.emulators.faults import Fault, serve
 from tests.rigs.serial.recipes import RECIPE, serial_recipe
 
