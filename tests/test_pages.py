@@ -123,7 +123,6 @@ def one_of_each(monkeypatch):
         return drawn[axes]
 
     monkeypatch.setattr(style, "render_figure", render)
-    monkeypatch.setattr(style, "PNG_DPI", 40)  # as many steps, fewer pixels
 
 
 def test_the_chain_of_the_readme_runs(folder, capsys, one_of_each):
